@@ -37,7 +37,7 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.json:
         write_json({**_as_json(found), "profile": profile, "statuses": _statuses(found, profile)})
     else:
-        _print(make_console(), found, profile)
+        _print(make_console(), found, profile, full=arguments.full)
     return _UNFIT if found.suitability is Suitability.UNFIT else 0
 
 
@@ -112,11 +112,18 @@ def _map_as_json(axis_map: AxisMap) -> dict[str, Any]:
 # --- the tables ---------------------------------------------------------------------------------------------------
 
 
-def _print(console: Console, found: Survey, profile: str | None) -> None:
+def _print(console: Console, found: Survey, profile: str | None, *, full: bool) -> None:
     name = " ".join(part for part in (found.vendor, found.product) if part) or "a drive without a name"
     console.print(f"{found.path}: {name}", markup=False, style="bold")
     if profile is not None:
         console.print(f"judged with the drive profile of its make, drive: {profile}", markup=False)
+    console.print(f"[bold {_COLOURS[found.suitability]}]{found.suitability.value}[/]")
+    console.print(_statuses(found, profile), markup=False)
+    for row in found.reasons or found.conditions:
+        console.print(f"  {row.item}: {row.text}", markup=False, soft_wrap=False)
+    if not full:
+        _print_brief(console, found)
+        return
     console.print()
     console.print(_object_table(found))
     if found.axis_map is not None:
@@ -124,10 +131,20 @@ def _print(console: Console, found: Survey, profile: str | None) -> None:
         console.print(_load_table(found))
     if not found.reasons:
         console.print(_manual_table(found))
-    console.print(f"[bold {_COLOURS[found.suitability]}]{found.suitability.value}[/]")
-    console.print(_statuses(found, profile), markup=False)
-    for row in found.reasons or found.conditions:
-        console.print(f"  {row.item}: {row.text}", markup=False, soft_wrap=False)
+
+
+def _print_brief(console: Console, found: Survey) -> None:
+    """Print the rates that fit and the keys to configure, one line each."""
+    if found.axis_map is not None:
+        read = ", ".join(str(entry) for plan in found.axis_map.tpdos for entry in plan.entries)
+        console.print(f"read each cycle: {read}", markup=False)
+        fitting = [f"{load.rate:g} Hz" for load in found.loads if load.fits]
+        rates = ", ".join(fitting) or "no rate"
+        console.print(f"one axis at {found.bitrate / 1000:g} kbit/s: {rates} fits the bus", markup=False)
+    if not found.reasons and found.manual:
+        console.print("to be configured by hand, under axes:", markup=False)
+        console.print(f"  {', '.join(key.key for key in found.manual)}", markup=False)
+    console.print("[dim]every object, map and rate, and why a key is needed: --full[/]")
 
 
 def _object_table(found: Survey) -> Table:

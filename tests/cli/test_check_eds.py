@@ -123,8 +123,12 @@ def test_a_drive_without_watchdog_is_a_condition_with_its_key(tmp_path: Path, ca
 
 
 @pytest.mark.parametrize("name", [OURS, TRAITS / "fixed_maps.eds", TRAITS / "no_target_torque.eds"])
-def test_the_table_ends_with_the_verdict_and_its_reasons(name: Path, capsys: Captured) -> None:
+def test_the_verdict_and_its_reasons_come_first_and_the_tables_on_demand(name: Path, capsys: Captured) -> None:
     main(["check-eds", str(name)])
+    brief = capsys.readouterr().out.splitlines()
+    assert len(brief) <= 50
+    assert brief[1] == ("unfit" if "no_target" in name.name else "fit with conditions")
+    main(["check-eds", str(name), "--full"])
     out = capsys.readouterr().out
     for words in ("what the dictionary states", "0x6071 target torque", "watchdog", "PDO"):
         assert words in out

@@ -18,10 +18,14 @@ FIGURE = str(REPOSITORY / "configs" / "paper_fig5_100hz.yaml")
 def test_the_table_shows_that_the_original_fails_in_fig_5(capsys):
     assert main(["compare", FIGURE, "--algorithms", "a_priori_dissipation,internal_dissipation"]) == 0
     shown = capsys.readouterr().out
-    [line] = [line for line in shown.splitlines() if "force variation" in line]
+    [line] = [line for line in shown.splitlines() if "force ripple" in line]
     original, paper = (float(word) for word in line.split()[-2:])
     assert original > 30.0
     assert paper < 1.5
+    assert len(shown.splitlines()) <= 40
+    [verdict] = [line.split() for line in shown.splitlines() if line.startswith(" passive, by the plant")]
+    assert verdict[-2:] == ["no", "yes"]
+    assert "ranking: 1 internal_dissipation, 2 a_priori_dissipation" in shown
 
 
 @pytest.mark.slow

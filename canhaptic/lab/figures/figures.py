@@ -49,7 +49,8 @@ METRICS: Final[dict[str, Figure]] = {
     "cycles": Figure("SYNCs that the figures are of: all, or those until it diverged", "", ("cycles",)),
     "interaction": Figure("true sum(h_i) at the end", "J", ("interaction",)),
     "least_interaction": Figure(
-        "least true sum(h_i) after any hold", "J", ("least_interaction",), "least true sum(h_i)", "not negative", _PAPER
+        "least true sum(h_i) after any hold", "J", ("least_interaction",),
+        "lowest net energy, from the plant", "not negative", _PAPER,
     ),
     "least_covered": Figure(
         "least true sum(h_i) + (b / T) sum(dq^2) + f_c sum|dq| after any hold: with what damping b and Coulomb "
@@ -57,12 +58,13 @@ METRICS: Final[dict[str, Figure]] = {
         "J", ("least_covered",),
     ),
     "margin": Figure(
-        "least true sum(h_i) less booked sum(h_r) after any hold", "J", ("margin",), "least margin of (4)",
+        "least true sum(h_i) less booked sum(h_r) after any hold", "J", ("margin",), "smallest margin",
         "not negative", _PAPER,
     ),
     "believed_margin": Figure("the same as booked", "J", ("believed_margin",), source=_PAPER),
     "believed_error": Figure(
-        "largest |accounted - true| sum(h_i) after any hold", "J", ("believed_error",), "believed - true", "less"
+        "largest |accounted - true| sum(h_i) after any hold", "J", ("believed_error",),
+        "largest error of the account", "less",
     ),
     "surplus_end": Figure("h_dis at the end", "J", ("surplus",), source=_PAPER),
     "torque_peak": Figure("largest |torque| held", "N", ("torque_peak",)),
@@ -98,13 +100,13 @@ _RMS: Final = ("position_squares", "cycles")
 _AT_REST: Final = ("last_force", "last_state", "last_asked", "last", *_LAST)
 CONTINUOUS: Final[dict[str, Figure]] = {
     "position_error.rms": Figure("against the continuous run", "m", _RMS, "position error, rms", "less"),
-    "position_error.max": Figure("the largest", "m", ("position_worst",), "position error, most", "less"),
+    "position_error.max": Figure("the largest", "m", ("position_worst",), "position error, largest", "less"),
     "force_error.rms": Figure("torque held less mean of the continuous one", "N", ("force_squares", "cycles"),
                               "force error, rms", "less"),
-    "force_error.max": Figure("the largest", "N", ("force_worst",), "force error, most", "less"),
+    "force_error.max": Figure("the largest", "N", ("force_worst",), "force error, largest", "less"),
     "force_variation.ratio": Figure("force_variation over that of the continuous force", "",
-                                    ("variation", "diverged", "continuous"), "force variation, ratio", "near one",
-                                    _CALM),
+                                    ("variation", "diverged", "continuous"), "force ripple, of the ideal wall's",
+                                    "near one", _CALM),
     "limit_cycle": Figure("how far it goes to and fro in the last part, where the continuous axis rests", "m",
                           ("last_highest", "last_lowest", *_LAST), "limit cycle", "less"),
     "stiffness_at_rest.value": Figure("mean force over mean state in the last part, where the continuous axis rests",

@@ -3,6 +3,7 @@
 Axes, groups and admittance displays differ in their rows only.
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
@@ -26,7 +27,12 @@ def comparison_report(result: _Account) -> RenderableType:
     """
     parts: list[RenderableType] = [_heading(result)]
     for title, part, rows in _parts(result):
-        parts += [Text(f" {title}"), _table(part, rows), *_remarks(part)]
+        parts += [
+            Text(f" {title}"),
+            _table(part, rows),
+            *([_ranking(part)] if rows is _ROWS and len(part["algorithms"]) > 1 else []),
+            *_remarks(part),
+        ]
     return Group(*parts)
 
 
@@ -97,6 +103,26 @@ def _best(values: list[float | str | None], better: Callable[[float], float] | N
     return min(numbers, key=better) if better is not None and len(numbers) > 1 else None
 
 
+def _verdict(account: _Account) -> str | None:
+    """Whether more came in than went out at every moment, by the energy of the plant."""
+    least = account["least_interaction"]
+    return None if least is None else "yes" if least >= -PASSIVE_TOLERANCE else "no"
+
+
+def _ranking(part: _Account) -> Text:
+    """Return the algorithms in their order: passive ones first, then by the error of the position."""
+
+    def worth(name: str) -> tuple[bool, bool, float]:
+        account = part["algorithms"][name]
+        error = _value(lambda of, _: of["position_error"]["rms"], part, account)
+        passive = _value(lambda of, _: _verdict(of), part, account)
+        return account["status"] != "completed", passive != "yes", error if isinstance(error, float) else math.inf
+
+    ranked = sorted(part["algorithms"], key=worth)
+    words = [f"{place} {name}" for place, name in enumerate(ranked, 1)]
+    return Text(f" ranking: {', '.join(words)} (passive before the others, then the smaller error of the position)")
+
+
 def _remarks(axis: _Account) -> list[Text]:
     lines = []
     for name, account in axis["algorithms"].items():
@@ -157,32 +183,34 @@ _BETTER: Final[dict[str, Callable[[float], float]]] = {"less": abs, "near one": 
 _SHOWN: Final = {"m": _length, "N": _force, "J": _joule, "1": _share, "": _plain}
 _ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
+    _Row("passive, by the plant", lambda a, _: _verdict(a)),
     *(row_of(name, figure) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.label),
     _Row("damping rendered", _asked_damping, _share, _from_one),
-    _Row("residual of account", lambda a, _: a["residual"], _plain),
-    _Row("weakest certificate", lambda a, _: a["certificate"].replace("_", " ").removeprefix("device ")),
+    _Row("guarantee rests on", lambda a, _: a["certificate"].replace("_", " ").removeprefix("device ")),
     _Row("time of a step", lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
 )
 _GROUP_ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
-    _Row("passive (eq. 3)", lambda a, _: a["passive"]),
-    _Row("least true sum(h_i)", lambda a, _: a["truth"]["least_interaction"], _joule, is_bounded=True),
-    _Row("least margin of (4)", lambda a, _: a["margin"]["value"], _joule, is_bounded=True),
-    _Row("believed - true", lambda a, _: a["truth"]["believed_error"], _joule),
+    _Row("passive, by the account", lambda a, _: a["passive"]),
+    _Row("passive, by the plant", lambda a, _: _verdict(a["truth"])),
+    _Row("lowest net energy, from the plant", lambda a, _: a["truth"]["least_interaction"], _joule, is_bounded=True),
+    _Row("smallest margin", lambda a, _: a["margin"]["value"], _joule, is_bounded=True),
+    _Row("largest error of the account", lambda a, _: a["truth"]["believed_error"], _joule),
     _Row("in", lambda a, _: a["in"], _joule),
     _Row("out", lambda a, _: a["out"], _joule),
     _Row("dissipated", lambda a, _: a["dissipated"], _joule),
-    _Row("surplus at most", lambda a, _: a["surplus"]["max"], _joule),
+    _Row("energy created by sampling, peak", lambda a, _: a["surplus"]["max"], _joule),
     _Row("damping rendered", _damping),
-    _Row("weakest certificate", lambda a, _: a["certificate"].replace("_", " ")),
+    _Row("guarantee rests on", lambda a, _: a["certificate"].replace("_", " ")),
 )
 _DISPLAY_ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
     _Row("energy in", lambda a, _: a["account"]["in"], _joule),
     _Row("energy out", lambda a, _: a["account"]["out"], _joule),
-    _Row("energy resolution", lambda a, _: a["account"]["energy_resolution"], _joule),
-    _Row("passive (eq. 3)", lambda a, _: a["account"]["passive"]),
-    _Row("weakest certificate", lambda a, _: a["account"]["certificate"].replace("_", " ")),
-    _Row("true interaction", lambda a, _: a["truth"]["interaction"], _joule),
-    _Row("least true interaction", lambda a, _: a["truth"]["least_interaction"], _joule, is_bounded=True),
+    _Row("the account is certain to +-", lambda a, _: a["account"]["energy_resolution"], _joule),
+    _Row("passive, by the account", lambda a, _: a["account"]["passive"]),
+    _Row("passive, by the plant", lambda a, _: _verdict(a["truth"])),
+    _Row("guarantee rests on", lambda a, _: a["account"]["certificate"].replace("_", " ")),
+    _Row("net energy, from the plant", lambda a, _: a["truth"]["interaction"], _joule),
+    _Row("lowest net energy, from the plant", lambda a, _: a["truth"]["least_interaction"], _joule, is_bounded=True),
 )
