@@ -34,8 +34,8 @@ def design_report(result: Row) -> RenderableType:
     heading = Text(" ")
     heading.append(str(result["scene"]), style="bold")
     heading.append(
-        f"   within {100.0 * result['tolerance']:g} %, margin {100.0 * result['margin']:g} %, "
-        f"{result['walls']} walls leant on and pressed by {result['engine']}"
+        f"   {result['walls']} walls simulated; target: within {100.0 * result['tolerance']:g} %, "
+        f"{100.0 * result['margin']:g} % reserve"
     )
     parts: list[RenderableType] = [
         heading,
@@ -84,12 +84,12 @@ def _felt(result: Row) -> list[RenderableType]:
         [[_short(wall[key]) for key in ("push", "held", "certified")] for wall in felt["walls"]], keys=0,
     )  # fmt: skip
     speed, start = f"{felt['speed']:g} {motion}/s", felt["start_speed"]
-    contact = (
-        f"{felt['slowest']:g} {motion}/s and more" if start == felt["slowest"] else f"above {start:.2g} {motion}/s"
-    ) if start is not None else "none: a hand at any speed goes through it"  # fmt: skip
+    contact = "at no speed: a hand goes through it"
+    if start is not None:
+        contact = f"from an approach speed of {start:.2g} {motion}/s"
     lines = [
         f" drag before contact, at {speed}: {si(felt['drag'], effort, 2)}",
-        f" contacts with the wall above that meet a force: {contact}",
+        f" this wall is felt {contact}",
     ]
     uneven = [
         f"{w['softer_not_held']} of {w['softer']} at {w['push']:.3g} {effort}"
@@ -98,7 +98,8 @@ def _felt(result: Row) -> list[RenderableType]:
     ]
     if uneven:
         lines.append(f" softer walls that are not held within the tolerance: {', '.join(uneven)}")
-    return [table, *map(Text, lines), *_drags(felt["drags"], motion)]
+    held = Text(" The wall above is for a hand that moves in it; for one that rests in a wall the limits are these:")
+    return [held, table, *map(Text, lines), *_drags(felt["drags"], motion)]
 
 
 def _drags(rows: list[Row], motion: str) -> list[RenderableType]:

@@ -145,7 +145,7 @@ def test_what_is_advised_for_the_loop_brings_it_nearer_when_it_is_done(name, wri
     scene = written(name)
     result = studied(name, scene)
     [line] = [line for line in advice_lines(result) if line.startswith("loop: ")]
-    assert ("nothing is felt" in line) == (name in NOT_FELT)
+    assert ("does not reach the wall" in line) == (name in NOT_FELT)
     if name in NOT_FELT:
         return
     base = apart(scene)

@@ -252,7 +252,7 @@ def _loop_advice(result: Row) -> str:
     floor, unit = _loop_floor(result), result["unit"]
     if base["largest_torque"] == 0.0 or base["position_error"] <= floor:
         time = si(result["holds"] / result["rate"], "s", 3)
-        return f"loop: in these {time} nothing is felt, and nothing was compared; take a longer --duration"
+        return f"loop: the hand does not reach the wall within {time}; try a longer --duration"
 
     def is_nearer(row: Row) -> bool:
         return bool(row["status"] == "ok" and row["position_error"] < _NEARER * base["position_error"] - floor)

@@ -115,6 +115,7 @@ def _counts(found: Row) -> RenderableType:
             style.get(entry["status"], ""),
         )
         for entry in found["remarks"]
+        if (entry["status"], entry["engine"]) != ("completed", "scalar") or not entry["remark"].startswith("only ")
     ]
     return Group(*lines)
 
@@ -124,9 +125,9 @@ def _listed(counts: dict[str, int]) -> str:
 
 
 _COLUMNS: Final = {
-    "passive": "true sum(h_i) >= 0",
-    "margin_kept": "margin (4) kept",
-    "least_margin": "least margin",
+    "passive": "passive, by the plant",
+    "margin_kept": "margin kept",
+    "least_margin": "smallest margin",
     "diverged": "diverged",
     "stable": "linear loop stable",
     "stiffness_rendered": "stiffness, median",
