@@ -7,7 +7,8 @@ import pytest
 
 from canhaptic.control.admittance import DISPLAY_GROUP_ALGORITHMS, build_display_group
 from canhaptic.control.admittance.group_environment import GroupMass, TaskEnvironment
-from canhaptic.control.admittance.port import AdmittanceProperties
+from canhaptic.control.admittance.guarded_axis import GuardedAxis
+from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.balance import Certificate, residual
 from canhaptic.control.mechanisms.planar_2r import Planar2R
@@ -168,3 +169,16 @@ def test_a_sample_that_was_lost_commands_nothing_and_a_wrong_one_ends_it() -> No
     with pytest.raises(ControlError, match="expected 2 finite numbers"):
         controller.step([0.0, float("nan")], [0.0, 0.0])
     assert controller.step([0.0, 0.0], [0.0, 0.0]).torques == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("shown", "contradicts"), [(1e-3, True), (-1e-3, False)])
+def test_a_command_that_cost_energy_since_a_late_force_hides_no_contradiction(shown: float, contradicts: bool) -> None:
+    """The encoder showed 1 mJ at the SYNC of the force; a command that followed it may have cost 2 mJ."""
+    drive = GuardedAdmittanceParameters(drive_mass=1.0, loop_gain=100.0)
+    axis = GuardedAxis(GroupMass(mass=2.0).of_axis(0), drive, properties(latency=2))
+    axis.begin(0.0, 0.0)
+    for change in (shown, -2e-3, 0.0):
+        axis.fall(change)
+    assert axis.by_encoder < axis.by_force == 0.0
+    found = axis.contradiction("sensor", BookedHold(0.0, 0.0, False, 0.0, TIME, 0.0), 0.0, is_first=False)
+    assert ("by its forces at most 0 J" in found) is contradicts
