@@ -1,6 +1,6 @@
 """What a real rig does to the proof of an ideal hold, each with and without the declaration that mends it.
 
-Ten ways on which certified torques gave out energy before the hold was declared as it is.
+Eleven ways on which certified torques gave out energy before the hold was declared as it is.
 """
 
 from functools import partial
@@ -64,6 +64,8 @@ HOLES: Final = (
          {"device_damping_bound": 0.0}),
     Hole("B", "dry friction of 2 N, 100 Hz", Rig(0.01, 0.25, 0.1, friction=2.0), _STIFF, _HAND,
          {"device_friction_bound": 2.0}, {}),
+    Hole("O", "current that overshoots by half for 0.3 T, 100 Hz", Rig(0.01, 0.25, 0.1, window=3e-3, overshoot=0.5),
+         _STIFF, _HAND, {"torque_window": 3e-3}, {}),
     Hole("S", "dry friction of 2 N that springs back, 100 Hz", Rig(0.01, 0.25, 0.1, friction=2.0, bristles=500.0),
          {"stiffness": 1000.0}, Hand(0.0, 20.0, 0.5), {**_BRAKES, "presliding_stiffness": 500.0},
          {**_BRAKES, "presliding_stiffness": 1e9}),

@@ -37,6 +37,9 @@ class Rig(NamedTuple):
     turns: bool = False  # the words of the hand depend on where the handle is
     bristles: float = 0.0  # stiffness by which dry friction gives way; 0: none
     creeps: bool = False  # as Dahl has it, and not at once where they slide
+    overshoot: float = (
+        0.0  # part of a change of torque that acts beyond it within `window`, in place of the torque before
+    )
 
 
 class Hand(NamedTuple):
@@ -89,6 +92,8 @@ def move(rig: Rig, state: Buffer, torque: float, hand: float, since: float, step
     """Moves the plant through a part of a hold [s] that begins `since` its SYNC."""
     late = (rig.window - since) / step
     late = 1.0 if late > 1.0 else 0.0 if late < 0.0 else late
+    if rig.overshoot > 0.0:
+        late *= -rig.overshoot
     demand = late * state[BEFORE] + (1.0 - late) * torque
     mean = demand
     if rig.lag > 0.0:
