@@ -17,8 +17,8 @@ import numpy as np
 from scipy.linalg import expm
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
+from canhaptic.control.admittance.admittance_environment import AdmittanceMass
 from canhaptic.control.admittance.declared_hand import damping_border
-from canhaptic.control.admittance.group_environment import AdmittanceMass
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.drive.can.bus_budget import bus_budget

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from canhaptic.control.admittance import build_display_controller
-from canhaptic.control.admittance.group_environment import AdmittanceMass
+from canhaptic.control.admittance.admittance_environment import AdmittanceMass
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.balance import Certificate

@@ -6,9 +6,8 @@ from random import Random
 from typing import Any
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
-from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
+from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment, AdmittanceMass
 from canhaptic.control.admittance.cup_and_ball import CupAndBall
-from canhaptic.control.admittance.group_environment import AdmittanceMass
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.sim.plant.effects import Effect, read_effect

@@ -19,7 +19,7 @@ _HERE: Final = "canhaptic.control.admittance"
 _RIVALS: Final = "canhaptic.lab.rivals"
 
 DISPLAY_ENVIRONMENTS: Final[dict[str, str]] = {
-    "virtual_mass": f"{_HERE}.group_environment:AdmittanceMass",
+    "virtual_mass": f"{_HERE}.admittance_environment:AdmittanceMass",
     "cup_and_ball": f"{_HERE}.cup_and_ball:CupAndBall",
 }
 """Name in a scene -> "module:Class"; the class is the parameter model and the environment in one."""

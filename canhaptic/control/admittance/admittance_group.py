@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from math import sqrt
 from typing import ClassVar, Final
 
+from canhaptic.control.admittance.admittance_environment import AdmittanceMass
 from canhaptic.control.admittance.force_evidence import LateMargin
-from canhaptic.control.admittance.group_environment import AdmittanceMass, GroupMass, TaskEnvironment
+from canhaptic.control.admittance.group_environment import GroupMass, TaskEnvironment
 from canhaptic.control.admittance.guarded_axis import GuardedAxis
 from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold
 from canhaptic.control.admittance.sampled_group import AdmittanceGroup

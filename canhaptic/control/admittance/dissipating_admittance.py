@@ -11,7 +11,7 @@ sampling creates and not what the drive does.
 
 from math import sqrt
 
-from canhaptic.control.admittance.group_environment import AdmittanceMass
+from canhaptic.control.admittance.admittance_environment import AdmittanceMass
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.unprotected_admittance import NothingToChoose, SampledHold, UnprotectedAdmittance
 from canhaptic.errors import ParameterError

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from math import isfinite, sqrt
 from typing import Any, ClassVar, Generic, TypeVar
 
-from canhaptic.control.admittance.admittance_environment import AdmittanceAxis
-from canhaptic.control.admittance.group_environment import AdmittanceMass, GroupMass, TaskEnvironment
+from canhaptic.control.admittance.admittance_environment import AdmittanceAxis, AdmittanceMass
+from canhaptic.control.admittance.group_environment import GroupMass, TaskEnvironment
 from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold
 from canhaptic.control.admittance.unprotected_admittance import NothingToChoose
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance

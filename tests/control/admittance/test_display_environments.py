@@ -8,10 +8,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, build_display_controller
-from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
+from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment, AdmittanceMass
 from canhaptic.control.admittance.cup_and_ball import CupAndBall
 from canhaptic.control.admittance.dissipating_admittance import next_speed
-from canhaptic.control.admittance.group_environment import AdmittanceMass
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.errors import ParameterError

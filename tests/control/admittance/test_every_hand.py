@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from canhaptic.control.admittance import build_display_controller
-from canhaptic.control.admittance.group_environment import AdmittanceMass
+from canhaptic.control.admittance.admittance_environment import AdmittanceMass
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.errors import ControlError, ParameterError

@@ -14,7 +14,8 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from canhaptic.axis_units import mass_unit
-from canhaptic.control.admittance.group_environment import AdmittanceMass, GroupMass, PathMass
+from canhaptic.control.admittance.admittance_environment import AdmittanceMass
+from canhaptic.control.admittance.group_environment import GroupMass, PathMass
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import CheckFailedError, InputError
