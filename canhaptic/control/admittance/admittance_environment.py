@@ -4,6 +4,12 @@ Commands change at SYNCs only. An environment with states of its own follows the
 certificates may have reduced.
 
 Motion of the rendered environment, its limits, and the queued commands.
+
+`virtual_mass` is a mass with a damper, a spring to ground and walls:
+
+    m u' = F - b u - k (q - rest),   and no further than the walls
+
+The spring acts at the measured position; a wall limits the position and absorbs the remaining momentum (plastic).
 """
 
 from math import inf
@@ -154,12 +160,7 @@ class AdmittanceAxis:
 
 
 class AdmittanceMass(AdmittanceEnvironment):
-    """A mass with a damper, a spring to ground and walls, moved by the hand.
-
-        m u' = F - b u - k (q - rest),   and no further than the walls
-
-    The spring acts at the measured position; a wall limits the position and absorbs the remaining momentum (plastic).
-    """
+    """A mass moved by the hand."""
 
     mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
     """Virtual mass felt at the sensor."""
