@@ -40,7 +40,7 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
     "friction": ("control.friction_watch",),
     "SDO in the cycle": ("drive.can.background_sdo",),
     "SocketCAN": ("host.socketcan_state",),
-    "compiled": ("sim.plant.njit_stepper", "kernels.compiler"),
+    "compiled": ("kernels.compiler",),
     "other command": ("audit", "commission", "lab", "replay"),
 }
 """What a scene may name -> beginnings of the modules that only such a scene loads; a dot at the end: not the table."""

@@ -37,19 +37,19 @@ from canhaptic.control.certificates.torque_bound import doubt_of_late, end_gap
 from canhaptic.errors import EventLimitError, ParameterError
 from canhaptic.kernels import Buffer, Indices
 from canhaptic.kernels.records import Records, records_of
-from canhaptic.lab.batch import closed_loop
+from canhaptic.lab.batch import closed_loop, mode_arrays
 from canhaptic.lab.batch.closed_loop import Signals, Winding
+from canhaptic.lab.batch.mode_arrays import Books, move
 from canhaptic.lab.batch.varied import simulation_with
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.far_side import build_plant, effect_of
 from canhaptic.scene.models import AxisSimulation
-from canhaptic.sim.plant import mode_arrays, splitting, stepper
+from canhaptic.sim.plant import splitting, stepper
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.assembly import PlantModel, collect
 from canhaptic.sim.plant.effort_forces import RIPPLE, Bristle, Effort, bend, mean_force
 from canhaptic.sim.plant.hybrid_automaton import PRODUCTS_EACH, HybridAutomaton
-from canhaptic.sim.plant.mode_arrays import Books, move
 from canhaptic.sim.plant.propagator import TICKS, flow_changes
 from canhaptic.sim.plant.splitting import fixed_point, mean_torque
 from canhaptic.sim.plant.stepper import COUNTS, EVENTS, LIMIT, MISSING, MODE, NONE, ModeTables, StepperSettings, run

@@ -5,8 +5,6 @@ every energy a quadratic form of the state (`hybrid_automaton.py`); what is not 
 around that core (`splitting.py`). A hold that no guard can end costs as little as one without guards
 (`hybrid_automaton.py`). A plant contains only what its parameters name. Time is an integer number of ticks of T / 2^24
 since the plant's epoch, so that k whole sample times are exactly k steps.
-
-Choice of the stepper: interpreted, or compiled by numba, which is imported only in that case.
 """
 
 import math
@@ -39,25 +37,6 @@ from canhaptic.units import Parameters, quantity
 if TYPE_CHECKING:
     from canhaptic.sim.plant.splitting import Splitting
     from canhaptic.sim.plant.timetable import Timetable
-
-
-def machine_type(compiled: bool) -> type[HybridAutomaton]:
-    """Return the class of automaton whose holds are interpreted, or compiled.
-
-    Raises:
-        ParameterError: numba is not installed.
-    """
-    if not compiled:
-        return HybridAutomaton
-    try:
-        from canhaptic.sim.plant.njit_stepper import CompiledMachine
-    except ImportError as error:
-        from canhaptic.extras import install_hint
-
-        raise ParameterError(
-            f"compiled: needs numba ({error}); {install_hint('fast')}, or leave it out", "compiled"
-        ) from error
-    return CompiledMachine
 
 
 _tuple: Final = tuple.__new__  # makes the energies at half the cost of calling their class
@@ -122,8 +101,6 @@ class Plant(SampleClock):
         sample_time_ns: T [ns]; a whole sample time is cheapest.
         seed: Seed of every random effect.
         accuracy: Events and substeps; the defaults when None.
-        compiled: Whether holds run compiled by numba (the extra `fast`). Worth its seconds of compiling for stiff
-            scenes; a light hold is faster when interpreted.
 
     Attributes:
         position: True position of the motor [m or rad].
@@ -143,7 +120,6 @@ class Plant(SampleClock):
         sample_time_ns: int,
         seed: int = 0,
         accuracy: AccuracyParameters | None = None,
-        compiled: bool = False,
     ) -> None:
         super().__init__(sample_time_ns)
         self.parameters = parameters
@@ -153,7 +129,7 @@ class Plant(SampleClock):
         self.seed = seed
         self.scene = collect(parameters, user, effects, sample_time_ns * 1e-9)
         self.has_ideal_encoder = not self.scene.encoders
-        self._machine = machine_type(compiled)(self.scene, self.accuracy.max_events, self.accuracy.event_bits)
+        self._machine = HybridAutomaton(self.scene, self.accuracy.max_events, self.accuracy.event_bits)
         self._splitting = self._split() if self.scene.efforts else None
         self.is_exact = self._splitting is None
         self._timetable: Timetable | None = None
@@ -162,7 +138,7 @@ class Plant(SampleClock):
         self.is_linear = self._hold == self._linear_hold
         self._is_flat = self.is_linear or self._hold == self._commanded_hold
         self._passing = min((command.passes for command in self.scene.commands), default=math.inf)
-        self._looks_ahead = self._passing >= 0.0 and not (compiled or self._is_flat or self.scene.efforts)
+        self._looks_ahead = self._passing >= 0.0 and not (self._is_flat or self.scene.efforts)
         kept = [name for command in self.scene.commands for name in command.state_names]
         kept += [name for effort in self.scene.efforts for name in effort.state_names]
         self.state_names = (*self.scene.names, *kept)

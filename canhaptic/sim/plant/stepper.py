@@ -1,4 +1,4 @@
-"""The one stepper as pure functions on tables: interpreted, or compiled by numba (`njit_stepper.py`).
+"""The one stepper as pure functions on tables: interpreted, or compiled by numba in a loop of the laboratory.
 
 A hold is taken in the largest steps that the mode allows. When a guard is below zero at the end of a step, or the
 strict bound of `assembly.py` does not exclude that it was inside, the step is halved, down to one tick; there the

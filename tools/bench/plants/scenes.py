@@ -45,12 +45,12 @@ class Scene(NamedTuple):
     first: str
     torques: Array
 
-    def plant(self, compiled: bool = False, event_bits: int = 24) -> Plant:
+    def plant(self, event_bits: int = 24) -> Plant:
         """Returns the plant before its start."""
         accuracy = AccuracyParameters(event_bits=event_bits)
         parameters = PlantParameters(mass=MASS, damping=DAMPING)
         effects = [read_effect(effect) for effect in self.effects]
-        return Plant(parameters, self.user, effects, PERIOD_NS, 1, accuracy, compiled)
+        return Plant(parameters, self.user, effects, PERIOD_NS, 1, accuracy)
 
 
 def _hand(user: UserParameters) -> Callable[[float, float, float], float]:

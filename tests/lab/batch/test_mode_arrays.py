@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from canhaptic.sim.plant import mode_arrays, stepper
+from canhaptic.lab.batch import mode_arrays
+from canhaptic.sim.plant import stepper
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e3])

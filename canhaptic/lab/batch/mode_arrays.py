@@ -73,18 +73,6 @@ def stored(storage: Matrix, state: Buffer) -> float:
     return total
 
 
-def book(columns: Matrix, state: Buffer, books: Any) -> None:
-    """Add the work of a step that begins at `state` to the totals; `columns` has shape (n, n * (1 + works))."""
-    only = books[0]
-    move(columns, state, only.rows)
-    size = len(state)
-    for work in range(len(only.totals)):
-        total, first = 0.0, size * (1 + work)
-        for i in range(size):
-            total += only.rows[first + i] * only.rows[i]
-        only.totals[work] += total
-
-
 def flat_tables(modes: Sequence[Mode], targets: Sequence[Sequence[int]], works: int) -> ModeTables:
     """Return the tables of the modes as arrays; guards that a mode does not have are zero.
 
