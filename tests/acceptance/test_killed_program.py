@@ -22,6 +22,7 @@ with canhaptic.open_rig(canhaptic.load_scene(sys.argv[1], sys.argv[2:])) as rig:
         rig["handle"].torque = -100.0 * min(0.0, handle.position + 0.05)
         if turn >= {turn} and rig["handle"].granted > 0.5 and abs(handle.torque) > 0.5:  # sent, and acting
             {way}
+sys.exit(f"ran to its end: granted {{rig['handle'].granted:g}}, limited by {{rig['handle'].limited_by}}")
 """
 WAYS = {
     "SIGKILL": ("os.kill(os.getpid(), signal.SIGKILL)", -9),
@@ -48,7 +49,9 @@ def time_to_zero(way: str, turn: int, listener: Listener, on_bus: list[str]) -> 
         TooBusyError: The rig itself ended the run, with zero torque, as this computer was late for too many SYNCs.
     """
     deed, status = WAYS[way]
-    overrides = [word for word in on_bus if word != "--set"]
+    # The hand of the drive has long been in motion: without an allowance the account may be empty for good, and no torque
+    # would be granted that could be taken away.
+    overrides = [*(word for word in on_bus if word != "--set"), "passivity.energy_allowance=1 J"]
     words = [sys.executable, "-c", PROGRAM.format(way=deed, turn=turn), str(DEMO), *overrides]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with canhaptic("drive", str(DEMO), *on_bus, "--set", "simulation.user.rest=-0.2 m") as drive:

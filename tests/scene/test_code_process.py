@@ -34,11 +34,15 @@ from typing import Annotated
 from canhaptic.extending import OwnEnvironment, quantity
 
 
+CALLS = []
+
+
 class Wall(OwnEnvironment):
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0)] = 200.0
 
     def effort(self, state: float) -> float:
-        if state < -{deep}:
+        CALLS.append(state)
+        if state < -{deep} and len(CALLS) > 200:  # not where the scene is loaded, which tries the law
             {deed}
         return self.stiffness * state + 1e4 * state**3
 """
