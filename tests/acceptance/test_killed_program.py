@@ -49,8 +49,8 @@ def time_to_zero(way: str, turn: int, listener: Listener, on_bus: list[str]) -> 
         TooBusyError: The rig itself ended the run, with zero torque, as this computer was late for too many SYNCs.
     """
     deed, status = WAYS[way]
-    # The hand of the drive has long been in motion: without an allowance the account may be empty for good, and no torque
-    # would be granted that could be taken away.
+    # The hand of the drive has long been in motion: without an allowance the account may be empty for good, and no
+    # torque would be granted that could be taken away.
     overrides = [*(word for word in on_bus if word != "--set"), "passivity.energy_allowance=1 J"]
     words = [sys.executable, "-c", PROGRAM.format(way=deed, turn=turn), str(DEMO), *overrides]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

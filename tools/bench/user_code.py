@@ -11,7 +11,8 @@ The same law at 1 kHz on the simulated drive in real time, in five places:
 Own code is calm; or it spins for 50 ms each second, makes ten million objects and has them collected, or imports large
 packages (scipy, matplotlib, numba, h5py) that its process had not; or it is stopped for 5 s: by SIGSTOP where it is a
 process, else it sleeps. Each run is a process of its own, all take turns; each figure is the median over the rounds.
-`late_holds` is out of the way. For `canopen` the time is from SYNC to RPDO, else that of the computation.
+`late_holds` is out of the way. For `canopen` the time is from SYNC to RPDO, else that of the computation: where a stall
+keeps back the SYNCs too, that time does not show it, and the longest gap between two torques sent does.
 
 A last row is the time from a sample to its torque, through the process, at 1 kHz with nothing else in the loop.
 """
@@ -27,9 +28,9 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from time import monotonic
+from time import monotonic, monotonic_ns
 from types import SimpleNamespace
 from typing import Any, Final, NamedTuple
 
@@ -90,7 +91,42 @@ class Found(NamedTuple):
     p99: float  # of the computation [us]
     skipped: int  # SYNCs
     late: int  # holds without an answer
+    gap: float  # longest time between two torques sent, of all while the loop ran [ms]
     end: str  # why it ended before its time
+
+
+class SentTorques:
+    """The longest time between two torques sent."""
+
+    def __init__(self) -> None:
+        self._last, self.longest = 0, 0
+
+    def note(self) -> None:
+        """Notes that one is sent now, or that the loop has ended."""
+        now = monotonic_ns()
+        self.longest = max(self.longest, now - (self._last or now))
+        self._last = now
+
+    def of_rig(self, rig: Any) -> None:
+        """Notes every torque of a rig."""
+        write = rig.write_torques
+
+        def noted(torques: Sequence[float]) -> None:
+            self.note()
+            write(torques)
+
+        rig.write_torques = noted
+
+    def of_bus(self, bus: Any) -> None:
+        """Notes every RPDO on a bus."""
+        send = bus.send
+
+        def noted(message: Any, timeout: float | None = None) -> None:
+            if message.arbitration_id == peers.RPDO:
+                self.note()
+            send(message, timeout)
+
+        bus.send = noted
 
 
 def deed_of(deed: str, where: str) -> str:
@@ -149,9 +185,14 @@ class LawThread:
 @contextmanager
 def stopped(pid: int) -> Iterator[None]:
     """A process stopped for a while, from a second on."""
+
+    def send(number: int) -> None:
+        with suppress(ProcessLookupError):  # the run has ended before
+            os.kill(pid, number)
+
     timers = [
-        threading.Timer(1.0, os.kill, (pid, signal.SIGSTOP)),
-        threading.Timer(1.0 + STOPPED, os.kill, (pid, signal.SIGCONT)),
+        threading.Timer(1.0, send, (signal.SIGSTOP,)),
+        threading.Timer(1.0 + STOPPED, send, (signal.SIGCONT,)),
     ]
     for timer in timers:
         timer.start()
@@ -171,7 +212,8 @@ def one_run(where: str, deed: str, seconds: float) -> Found:
             code = LawThread(own, experiment) if where == "thread" else experiment.code
             if isinstance(code, LawThread):
                 experiment.cycle.turn = code.turn
-            end = ""
+            end, sent = "", SentTorques()
+            sent.of_rig(experiment.rig)
             try:
                 if deed == "is stopped" and isinstance(code, CodeProcess):
                     with stopped(code.pid):
@@ -183,7 +225,7 @@ def one_run(where: str, deed: str, seconds: float) -> Found:
             if isinstance(code, LawThread):
                 code.close()
             p99 = 1e6 * experiment.cycle.timing["compute"].quantile(0.99)
-            return Found(p99, experiment.rig.skipped_syncs, code.late if code else 0, end)
+            return Found(p99, experiment.rig.skipped_syncs, code.late if code else 0, 1e-6 * sent.longest, end)
 
 
 def by_canopen(deed: str, seconds: float) -> Found:
@@ -196,10 +238,13 @@ def by_canopen(deed: str, seconds: float) -> Found:
         now_and_then()
         return peers.law(position, last)
 
-    cycles = round(seconds * 1e9 / PERIOD)
+    cycles, sent = round(seconds * 1e9 / PERIOD), SentTorques()
     with peers.BroughtUp("real", overrides=["bus.heartbeat_timeout=30"]) as peer:
+        sent.of_bus(peer.bus)
         found = canopen_run(peer, law, cycles)
-    return Found(quantile(found.cycle, 0.99), max(0, cycles - len(found.syncs)), found.missed(), "")
+        sent.note()
+    skipped = max(0, cycles - len(found.syncs))
+    return Found(quantile(found.cycle, 0.99), skipped, found.missed(), 1e-6 * sent.longest, "")
 
 
 def sample_to_torque(samples: int) -> list[float]:
@@ -232,13 +277,15 @@ def in_a_process(case: tuple[str, str], seconds: float) -> Found:
         return pool.submit(one_run, *case, seconds).result()
 
 
-def medians(runs: Sequence[Found]) -> tuple[float, float, float]:
-    """Returns p99 [us], SYNCs skipped and holds without an answer over the rounds."""
-    return (
-        statistics.median(one.p99 for one in runs),
-        statistics.median(one.skipped for one in runs),
-        statistics.median(one.late for one in runs),
-    )
+def medians(runs: Sequence[Found]) -> list[float]:
+    """Returns p99 [us], SYNCs skipped, holds without an answer and the longest gap [ms] over the rounds."""
+    return [statistics.median(values) for values in list(zip(*runs, strict=True))[:4]]
+
+
+def cpu_times() -> tuple[float, float]:
+    """Returns the processor time of the whole computer, and that of this benchmark [s]."""
+    user, nice, system, _idle, _wait, *rest = map(int, Path("/proc/stat").read_text().split("\n")[0].split()[1:9])
+    return (user + nice + system + sum(rest)) / os.sysconf("SC_CLK_TCK"), sum(os.times()[:4])
 
 
 def main() -> None:
@@ -249,15 +296,15 @@ def main() -> None:
     arguments = parser.parse_args()
     cases = [("package", "calm"), *itertools.product(("process", "thread", "cycle", "canopen"), DEEDS)]
     found: dict[tuple[str, str], list[Found]] = {case: [] for case in cases}
-    begin = monotonic()
+    begin, (all_before, own_before) = monotonic(), cpu_times()
     for _ in range(arguments.rounds):
         for case in cases:
             found[case].append(in_a_process(case, arguments.seconds))
             print(f"{monotonic() - begin:.0f} s: {case}: {found[case][-1]}", file=sys.stderr)
-    base, least, _ = medians(found[cases[0]])
+    base, least, _, shortest = medians(found[cases[0]])
     rows = []
     for (where, deed), runs in found.items():
-        p99, skipped, late = medians(runs)
+        p99, skipped, late, gap = medians(runs)
         ends = {one.end for one in runs if one.end}
         note = f"late holds {late:g}" + "".join(f"; ended: {end}" for end in ends)
         is_apart = where == "process"
@@ -269,13 +316,18 @@ def main() -> None:
             Row(f"{where}: {deed}, skipped SYNCs", skipped, "", "no own code", least, None,
                 "no more" if is_apart else "", skipped <= least if is_apart else None)
         )  # fmt: skip
+        rows.append(Row(f"{where}: {deed}, longest gap between torques", gap, "ms", "no own code", shortest))
     times = sample_to_torque(5_000)
     for name, fraction, target in (("p50", 0.5, 30.0), ("p99", 0.99, 150.0)):
         value = times[int(fraction * len(times))]
         rows.append(Row(f"sample to torque through the process, {name}", value, "us", target=f"<= {target:g} us",
                         met=value <= target))  # fmt: skip
-    load = os.getloadavg()[0]
-    policy = f"cores {os.cpu_count()}, scheduling policy {os.sched_getscheduler(0)} (0: SCHED_OTHER), load {load:.1f}"
+    all_after, own_after = cpu_times()
+    others = (all_after - all_before - own_after + own_before) / (monotonic() - begin)
+    policy = (
+        f"cores {len(os.sched_getaffinity(0))} of {os.cpu_count()}, scheduling policy {os.sched_getscheduler(0)} "
+        f"(0: SCHED_OTHER), {others:.2f} cores used by other programs meanwhile, load {os.getloadavg()[0]:.1f}"
+    )
     print(policy)
     publish("user_code", rows, ["canhaptic", "canopen", "python-can"], {"policy": policy})
 
