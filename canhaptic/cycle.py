@@ -320,7 +320,7 @@ def run(
         LogStoppedError: A log failed in a run that must not go on without it; stopped as by the operator.
     """
     if cycle.turn is None and any(hasattr(controller, "ask") for controller in cycle.controllers):
-        raise InputError("guard: the scene is for a program that asks for its torques; run it with canhaptic.open_rig")
+        raise InputError("guard: the scene is for a program that requests its torques; run it with canhaptic.open_rig")
     with running(cycle):
         while (cycles is None or cycle.cycles < cycles) and not stop_requested():
             cycle.step()

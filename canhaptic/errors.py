@@ -138,7 +138,7 @@ class EventLimitError(CanHapticError, RuntimeError):
         remedy = "give the contact damping, widen a gap, or raise accuracy.max_events"
         if products:
             got = f"{products} products in one sample time, expected at most that many at accuracy.max_events {most}"
-            remedy = "it swings too fast to follow: give it damping, more mass or less stiffness, or raise max_events"
+            remedy = "the oscillation is too fast: give it damping, more mass or less stiffness, or raise max_events"
         super().__init__(f"{where}: got more than {got}; {remedy}. State: {state}")
 
 

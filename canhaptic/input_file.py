@@ -109,5 +109,5 @@ def scene_file(path: Path) -> Path:
     if len(path.parts) > 1 and path.parent.is_dir():
         names = [entry.as_posix() for entry in path.parent.glob("*.yaml")] + names
     near = nearest(name, names, 2) or nearest(name, [known.split("/")[-1] for known in names], 2)
-    text = f"{path}: cannot be read (no such file), and no scene of the package has the name"
+    text = f"{path}: cannot be read (no such file), and no scene of the package has this name"
     raise SceneError([f"{text}{near or '; `canhaptic configs` lists the scenes'}"])

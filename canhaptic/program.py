@@ -120,8 +120,8 @@ def _guard_of(scene: Scene, asked: _Guard, *, is_replay: bool) -> str:
     if in_scene is not (asked == "none") and not (scene.simulated or is_replay):
         one, other = ("the scene", 'the call: guard="none"') if in_scene else ("the call", "the scene: guard: none")
         raise InputError(
-            f"{scene.source}: guard: none is said by {one} alone, and the drives are real; a torque without a guard "
-            f"may give out any energy: say it in {other} as well, or leave it out in both"
+            f"{scene.source}: guard: none is set in {one} alone, and the drives are real; a torque without a guard "
+            f"may give out any amount of energy: set it in {other} too, or in neither"
         )
     return "certificates" if asked is None else "none"
 

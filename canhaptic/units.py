@@ -162,7 +162,7 @@ class Unit:
         """
         expected = f"expected {self.words(motion) or 'a number'}"
         if isinstance(value, bool):
-            raise ValueError(f"a truth value is not a number; {expected}")
+            raise ValueError(f"a boolean is not a number; {expected}")
         if not isinstance(value, str):
             return value
         match = _NUMBER_AND_UNIT.fullmatch(value)

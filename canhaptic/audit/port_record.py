@@ -48,7 +48,7 @@ def rows_to_draw(log: EnergyLog, start: float | None, stop: float | None) -> sli
         InputError: It holds no cycle, or none between them.
     """
     if log.rows == 0:
-        raise InputError(f"{log.path}: the log holds no cycle, there is nothing to draw")
+        raise InputError(f"{log.path}: the log holds no cycle, so there is nothing to draw")
     return rows_between(log, start, stop)
 
 
@@ -106,7 +106,7 @@ def impossible_values(log: EnergyLog) -> list[ImpossibleValue]:
                 rows += len(bad)
             if rows:
                 cycle = int(log.timing.read("sync_index", first, first + 1)[0])
-                what = "a count that falls" if name in _COUNTS else "no finite number"
+                what = "a decreasing count" if name in _COUNTS else "not a finite number"
                 found.append({"dataset": f"{group}/{name}", "what": what, "rows": rows, "cycle": cycle})
     if changed := log.changed_rows():
         cycle = int(log.timing.read("sync_index", changed[0], changed[0] + 1)[0])

@@ -115,7 +115,7 @@ def _factor(expression: str, unit: str, found: Mapping[str, float], result: Chec
     for path in found:
         kept = _unit_of(path, result)
         if parse_unit(kept)[1] != dimension:
-            expected = "no unit: it is a pure number" if kept == "1" else f"{kept}, or that with a prefix"
+            expected = "no unit: it is a pure number" if kept == "1" else f"{kept}, or the same with a prefix"
             raise InputError(f"check {expression!r}: got {unit} for {path}, expected {expected}")
     return factor
 

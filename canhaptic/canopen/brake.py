@@ -22,5 +22,5 @@ class Brake(Parameters):
     @model_validator(mode="after")
     def _has_an_output(self) -> "Brake":
         if (self.by == "host") != (self.output is not None):
-            raise ValueError(f"output: got {self.output} with by: {self.by}, expected a bit where the host works it")
+            raise ValueError(f"output: got {self.output} with by: {self.by}, expected a bit only for by: host")
         return self

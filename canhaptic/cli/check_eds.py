@@ -63,7 +63,7 @@ def survey_of(path: Path, mode: Mode | None = None, force_object: str | None = N
     axis = unconfigured_axis(path)
     dictionary = read_dictionary(path, axis.node_id)
     if force_object is not None and mode is None:
-        raise InputError("--force-object: is of an admittance display; add --display velocity or position")
+        raise InputError("--force-object: only for an admittance display; add --display velocity or position")
     try:
         values = {} if mode is None else {"admittance": display_of(dictionary, mode, force_object)}
     except ValidationError as error:
@@ -116,7 +116,7 @@ def _print(console: Console, found: Survey, profile: str | None, *, full: bool) 
     name = " ".join(part for part in (found.vendor, found.product) if part) or "a drive without a name"
     console.print(f"{found.path}: {name}", markup=False, style="bold")
     if profile is not None:
-        console.print(f"judged with the drive profile of its make, drive: {profile}", markup=False)
+        console.print(f"judged with the drive profile of this vendor, drive: {profile}", markup=False)
     console.print(f"[bold {_COLOURS[found.suitability]}]{found.suitability.value}[/]")
     console.print(_statuses(found, profile), markup=False)
     for row in found.reasons or found.conditions:

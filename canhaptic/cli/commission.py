@@ -114,7 +114,7 @@ def _write(scene: Scene, changes: Sequence[Change], place: Path, arguments: argp
     if arguments.in_place:
         write_file(_backup(place), scene.text)
     elif place.exists():
-        raise InputError(f"{place} exists by now; choose another name")
+        raise InputError(f"{place} exists now; choose another name")
     write_file(place, text)
 
 
@@ -123,12 +123,12 @@ def dialogue_of(scene: Scene, *, yes: bool) -> Dialogue:
     if yes:
         if not scene.simulated:
             raise InputError(
-                f"{scene.source}: --yes is for drives that are simulated in this process; at a real one a person at "
+                f"{scene.source}: --yes is for drives simulated in this process; for a real drive a person at "
                 "the machine must answer"
             )
         return Unattended(write_note)
     if not sys.stdin.isatty():
-        raise InputError("this asks before every step and needs a terminal; --yes is for simulated drives")
+        raise InputError("every step is confirmed by a person, which needs a terminal; --yes is for simulated drives")
     return _Terminal()
 
 

@@ -55,4 +55,4 @@ def _copy(target: Path) -> None:
             shutil.copytree(shipped(folder), target / folder)
             note_file(folder, target / folder)
     except OSError as error:
-        raise InputError(f"{target}: cannot be written ({error}); name a folder that can") from error
+        raise InputError(f"{target}: cannot be written ({error}); name a folder that can be written") from error

@@ -29,7 +29,7 @@ def execute(arguments: argparse.Namespace) -> int:
         if not only or frame["kind"].lower() in only:
             write_line(json.dumps(frame) if arguments.json else line(frame))
     if only.isdisjoint(kind.lower() for kind in seen) and only:
-        write_note(f"  no frame is of --only {', '.join(arguments.only)}; the log has: {', '.join(seen) or 'no frame'}")
+        write_note(f"  no frame matches --only {', '.join(arguments.only)}; it has {', '.join(seen) or 'no frame'}")
     if skipped:
         write_note(f"  frames left out: {describe_skipped(skipped)}")
     return 0

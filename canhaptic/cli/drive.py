@@ -28,8 +28,8 @@ def execute(arguments: argparse.Namespace) -> int:
     scene = scene_of(arguments)
     if any(bus.parameters.interface == "virtual" and bus.parameters.channel is None for bus in scene.buses):
         raise InputError(
-            f"{scene.source}: bus.interface 'virtual' ends inside this process, no master can reach the drive; "
-            "name a bus that both use, as --set bus.interface=udp_multicast --set bus.channel=239.74.163.21"
+            f"{scene.source}: bus.interface 'virtual' stays inside this process, so no master can reach the drive; "
+            "name a bus that both use, for example --set bus.interface=udp_multicast --set bus.channel=239.74.163.21"
         )
     with ExitStack() as stack:
         stop = stack.enter_context(StopSignal())

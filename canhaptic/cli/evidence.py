@@ -103,7 +103,7 @@ def _run(
     """Run a scene with both logs, and write its account."""
     torque = "without torque" if no_torque else "at a tenth of torque_limit"
     if not dialogue.confirm(f"a run of {duration:g} s {torque}: hand on the handle. Now?"):
-        raise InputError(f"{name}: was not agreed to; the folder {out} is not complete")
+        raise InputError(f"{name}: not agreed to; the folder {out} is incomplete")
     with build(scene, None, out / f"{name}.h5", out / f"{name}.log", no_torque=no_torque) as experiment:
         account, error = experiment.run_through(round(duration / scene.bus.sample_time), stop.requested)
         _write_json(out / f"{name}.json", account)

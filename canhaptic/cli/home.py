@@ -38,7 +38,7 @@ def execute(arguments: argparse.Namespace) -> int:
                 for text in drive.unrestored:
                     write_note(f"  not as before: {text}")
     if found is None:
-        write_note(f"  {known.name}: stopped before its home was found: halted, and disabled")
+        write_note(f"  {known.name}: stopped before home was found; halted and disabled")
         return stop.exit_status
     before, after = found
     scale = known.direction / known.counts_per_unit

@@ -32,8 +32,8 @@ def execute(arguments: argparse.Namespace) -> int:
         scene = scene_of(arguments)
         if scene.own_code:
             raise InputError(
-                f"{arguments.bus_log}: frames do not say with which code they were made, and the scene names "
-                f"{', '.join(scene.own_code)}; name the energy log of the same run with --energy-log, which does"
+                f"{arguments.bus_log}: the frames do not record the code that made them, and the scene names "
+                f"{', '.join(scene.own_code)}; name the energy log of the same run with --energy-log: it has it"
             )
     result = replay_bus_log(
         arguments.bus_log, scene, realtime=arguments.realtime, from_sync=arguments.from_sync, dry_run=dry_run
@@ -70,7 +70,7 @@ def _replay_report(result: ReplayResult) -> list[Text]:
         return [
             *lines,
             Text(
-                " identical: the master sent every frame byte for byte as recorded (but heartbeats and times)",
+                " identical: the master sent every frame byte for byte as recorded (except heartbeats and times)",
                 style="green",
             ),
         ]

@@ -90,8 +90,8 @@ def _require_allowed(scene: Scene, most: float) -> None:
         energy = getattr(passivity.parameters, "energy_allowance", 0.0)
         if energy > most:
             raise ParameterError(
-                f"{name}: passivity.energy_allowance: got {energy:.3g} J, expected at most {most:g} J; the port may "
-                "give this out before any came in: declare less, or run with --large-allowance"
+                f"{name}: passivity.energy_allowance: got {energy:.3g} J, expected at most {most:g} J; the port "
+                "may give out this energy before any comes in: declare less, or run with --large-allowance"
             )
 
 

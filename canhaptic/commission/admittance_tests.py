@@ -65,7 +65,7 @@ def commission_displays(session: Session) -> None:
         for axis in range(len(session.axes)):
             session.note_objects(axis)
             _rest(session, axis)
-    asked = "hold the handle, push and pull while it shakes a little. Move it?"
+    asked = "hold the handle, and push and pull while it shakes slightly. Start?"
     with session.rig_of(with_hand=True):
         for axis, of in enumerate(session.axes):
             if session.stop_requested() or not session.agreed(
@@ -150,7 +150,7 @@ def _fitted(law: OpenLoop, commands: Array, time: float, *, is_mean: bool) -> _F
             mass, gain, integral, friction = found[:4].tolist()
             best = _Fit(mass, gain, integral, abs(friction) + SURE * spread.item(3), doubt, square, latency)
     if best is None:
-        raise InputError("commission: got no samples, expected some seconds of them")
+        raise InputError("commission: got no samples, expected several seconds of samples")
     return best
 
 
@@ -165,7 +165,7 @@ def _judge(session: Session, axis: int, fit: _Fit) -> None:
     if given is None:
         return
     if fit.doubt > _SURE:
-        text = "push and pull harder and slower while it shakes: the hand's forces separate mass from gain"
+        text = "push and pull harder and more slowly while it shakes: the hand's forces separate mass from gain"
         session.found(axis, "velocity loop", "", f"uncertain by {fit.doubt:.0%}", StepVerdict.UNKNOWN, text)
         return
     right = fit.gain > 0.0
@@ -223,4 +223,4 @@ def _judge_friction(session: Session, axis: int, found: float, declared: Guarded
     stated = f"{declared.drive_friction:.3g} {unit}, an over-estimate"
     session.judged(axis, item, stated, value, good=good, text="not an over-estimate")
     if not good:
-        session.propose(axis, "passivity.drive_friction", _SAFE_FRICTION * found, unit, "1.3 times: at rest it is more")
+        session.propose(axis, "passivity.drive_friction", _SAFE_FRICTION * found, unit, "1.3 times: friction at rest")

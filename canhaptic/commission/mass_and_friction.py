@@ -381,7 +381,7 @@ def _report(session: Session, axis: int, late: tuple[float, float], kept: str) -
         found = f"below what this test resolves (+- {error * 1e6:.2g} us)"
         session.found(axis, _ITEM, configured, found, StepVerdict.AGREES, kept)
     else:
-        text = "declare more, or guarded is not passive"
+        text = "declare a larger value, or guarded is not passive"
         session.judged(axis, _ITEM, configured, found, good=value - error <= declared, text=text)
 
 
@@ -396,7 +396,7 @@ def _propose(session: Session, axis: int, lag: float | None, known: Mapping[str,
     """
     scene = session.axes[axis]
     window = scene.loop.torque_window or 0.0
-    session.propose(axis, "passivity.torque_window", window, "s", "by the bus; the rest is in the lag")
+    session.propose(axis, "passivity.torque_window", window, "s", "from the bus timing; the rest is in the lag")
     comment = f"{_OVER:g} times the measured upper end" if lag is not None else "more than this test resolves"
     session.propose(axis, "passivity.current_lag", lag, "s", comment)
     if lag is None or not _is_lost(session, axis, lag, known):
@@ -405,7 +405,7 @@ def _propose(session: Session, axis: int, lag: float | None, known: Mapping[str,
     allowance = needed_allowance(scene, session.limits.speed, without, lagging)
     text = f"current_lag {lag * 1e6:.3g} us leaves no energy to start a contact"
     if allowance is None:
-        session.found(axis, "wall", "", "not rendered", StepVerdict.DIFFERS, f"{text}; render a softer one")
+        session.found(axis, "wall", "", "not rendered", StepVerdict.DIFFERS, f"{text}; render a softer wall")
         return
     session.found(axis, "wall", "", f"needs energy_allowance {allowance:.3g} J", StepVerdict.MEASURED, text)
     session.propose(axis, "passivity.energy_allowance", allowance, "J", f"{text}; this much may be given out")

@@ -113,7 +113,7 @@ def _identity(session: Session, axis: int, drive: ServoDrive) -> None:
         if not wanted:
             session.found(axis, item, "not given", f"{found:#010x}", StepVerdict.MEASURED)
         else:
-            text = "the EDS is of another drive: take the one of this drive and firmware"
+            text = "the EDS belongs to another drive: use the one for this drive and firmware"
             session.judged(axis, item, f"{wanted:#010x}", f"{found:#010x}", good=found == wanted, text=text)
         if demanded is None and found:
             session.propose(axis, key, found, comment="refuses another drive at this node ID")
@@ -140,7 +140,7 @@ def _rated_torque(session: Session, axis: int, drive: ServoDrive) -> None:
     except SdoError:
         counts = 0
     if not counts:
-        text = "the configuration alone says what 1000 per mille are; see the torque scale below"
+        text = "only the configuration says what 1000 per mille is; see the torque scale below"
         session.found(axis, "rated torque (0x6076)", configured, "0 or not readable", StepVerdict.UNKNOWN, text)
         return
     of_motor = counts * drive.quirks.rated_torque_resolution
@@ -175,7 +175,7 @@ def stand_still(session: Session, axis: int) -> bool:
     drift = abs(law.positions[-1] - law.positions[0])
     swing = max(law.positions) - min(law.positions)
     still = drift <= _DRIFT * session.limits.travel
-    text = f"{name} moves without torque: weight, a wrong offset of the drive, or somebody pushes"
+    text = f"{name} moves without torque: gravity, a wrong drive offset, or somebody pushes"
     found = f"{drift:.3g} {unit}, noise {swing:.3g}"
     session.judged(axis, STANDSTILL, "", found, good=still, text=text, otherwise=StepVerdict.FAILED)
     return still
@@ -191,7 +191,7 @@ def move_by_hand(session: Session, axis: int) -> None:
     unit = parameters.unit
     begin: list[float] = []
     ready = session.dialogue.until_ready(
-        f"{parameters.name}: move the handle by a distance that you can measure, in the direction that shall count as "
+        f"{parameters.name}: move the handle a distance that you can measure, in the direction that is to be "
         "positive; hold it there and press Enter",
         session.cycles(_UNATTENDED),
     )
@@ -210,7 +210,7 @@ def move_by_hand(session: Session, axis: int) -> None:
     truth = session.truth(axis)
     moved = None if truth is None or not begin else truth - begin[0]
     measured = law.positions[-1] - law.positions[0]
-    stated = session.dialogue.number(f"{parameters.name}: how far was it, with its sign?", unit, moved)
+    stated = session.dialogue.number(f"{parameters.name}: distance moved, with its sign?", unit, moved)
     counts = abs(measured) * parameters.counts_per_unit
     if not stated or counts < _FEWEST_COUNTS:
         text = f"the encoder moved by {counts:.0f} counts, at least {_FEWEST_COUNTS} and a measured distance are needed"
@@ -226,16 +226,16 @@ def _judge(session: Session, axis: int, ratio: float) -> None:
     direction = parameters.direction if right else -parameters.direction
     text = "the encoder counts the other way"
     session.judged(axis, "encoder direction", str(parameters.direction), str(direction), good=right, text=text)
-    session.propose(axis, "direction", None if right else direction, comment="by a distance moved by hand")
+    session.propose(axis, "direction", None if right else direction, comment="from a distance moved by hand")
     counts = parameters.counts_per_unit * abs(ratio)
     same = abs(abs(ratio) - 1.0) <= _TOLERANCE
     text = f"every position is wrong by {abs(ratio):.4g}; gear, counts per turn or 0x608F"
     unit = f"count/{parameters.unit}"
     configured, found = f"{parameters.counts_per_unit:g} {unit}", f"{counts:.6g} {unit}"
     session.judged(axis, "encoder counts", configured, found, good=same, text=text)
-    text = "agrees with a distance moved by hand" if same else "by a distance moved by hand; round it to the data"
+    text = "agrees with a distance moved by hand" if same else "from a distance moved by hand; round it to the data"
     session.propose(axis, "counts_per_unit", None if same else counts, unit, text)
-    session.propose(axis, "unit", None, comment="that of a distance moved by hand")
+    session.propose(axis, "unit", None, comment="the unit of the distance moved by hand")
 
 
 _LOST: Final[tuple[str, ...]] = ("missed_tpdos", "late", "error_frames")
@@ -287,7 +287,7 @@ def _end(session: Session) -> None:
         session.rig.stop(ramp=False)
     except RigError as error:
         session.dialogue.tell(f"  {error}")
-    if session.dialogue.confirm("watchdog: reset the faults that this test has made (no drive is enabled by it)?"):
+    if session.dialogue.confirm("watchdog: reset the faults caused by this test (this enables no drive)?"):
         session.rig.reset_faults()
 
 
@@ -355,7 +355,7 @@ def commission(session: Session, timing_duration: float) -> None:
     """
     if session.scene.mechanisms:
         raise InputError(
-            f"{session.scene.source}: commissioning tries one axis after the other, and this simulated mechanism joins "
+            f"{session.scene.source}: commissioning tests one axis at a time, and this simulated mechanism couples "
             "them; leave `mechanisms` out and give every axis a `simulation` of its own"
         )
     tell = session.dialogue.tell

@@ -83,13 +83,13 @@ def verified_axes(session: Session) -> dict[int, Pulse]:
             first = None if session.stop_requested() else pulse(session, axis)
             if first is None:
                 continue
-            question = f"{scene.parameters.name}: by which means is the scale of the torque verified?"
+            question = f"{scene.parameters.name}: how is the scale of the torque verified?"
             firsts[axis], means[axis] = first, session.dialogue.choose(question, _MEANS, _means_of(scene))
             if means[axis] == "mass":
                 _judge(session, axis, "mass", _by_mass(session, axis, first))
     for axis, word in means.items():
         if word == "no":
-            text = "no further torque: a wrong scale is wrong in torque_limit too"
+            text = "no further torque: a wrong scale also makes torque_limit wrong"
             session.found(axis, SCALE, "1", "not compared", StepVerdict.UNKNOWN, text)
         elif word != "mass" and not session.stop_requested():
             hand = _balance(session) if word == "balance" else None
@@ -130,7 +130,7 @@ def _by_mass(session: Session, axis: int, first: Pulse) -> float | None:
     question = f"{name}: moving mass, from a scale or a drawing?"
     known = session.dialogue.number(question, MASS_UNITS[scene.parameters.unit], truth)
     torque, most = first.torque, largest_torque(session, axis)
-    sent = f"{session.shown(axis, torque)}, and of {session.shown(axis, most)} at most"
+    sent = f"{session.shown(axis, torque)}, at most {session.shown(axis, most)}"
     asked = f"{name}: hands off. Doublets of {sent} while it moves too little, now?"
     if not known or known <= 0.0 or not session.agreed(asked, SCALE, [axis]):
         return None
@@ -178,7 +178,7 @@ def _by_force(session: Session, axis: int, means: str) -> float | None:
     seen = _SEEN / parameters.counts_per_unit
     law = RisingTorque(quantum, most, holds, limits.travel, limits.speed * session.sample_time, seen, lifts=lifts)
     pressed = _never if lifts else session.dialogue.until_ready(
-        f"{name}: press Enter at a reading of the balance that you can name", _UNATTENDED * holds
+        f"{name}: press Enter when you can read the balance", _UNATTENDED * holds
     )  # fmt: skip
     laws = [law if n == axis else OpenLoop(NO_TORQUE) for n in range(len(session.axes))]
     cycles = 2 * holds * (2 + math.ceil(most / quantum))
@@ -201,7 +201,7 @@ def _judge(session: Session, axis: int, means: str, ratio: float | None) -> None
     """Report a ratio of true to assumed torque, and propose what follows from it."""
     parameters = session.axes[axis].parameters
     if ratio is None:
-        text = "unclear; take another means, or raise --torque or --travel"
+        text = "unclear; use another method, or raise --torque or --travel"
         session.found(axis, SCALE, "1", "not compared", StepVerdict.UNKNOWN, text)
         return
     same = abs(ratio - 1.0) <= _TOLERANCE

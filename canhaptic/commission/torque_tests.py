@@ -40,7 +40,7 @@ _COMMENTS: Final = {
     "device_damping_bound": f"{_OVER:g} times the measured upper end",
     "device_friction_bound": f"{_OVER:g} times the measured upper end",
     "device_damping": f"{_DERATING:g} of the measured lower end: grease and temperature change it",
-    "device_friction": f"{_DERATING:g} of the measured lower end: warmth, grease and wear take friction away",
+    "device_friction": f"{_DERATING:g} of the measured lower end: heat, grease and wear reduce friction",
 }
 """Values of the device, and how far they are on the safe side."""
 
@@ -89,7 +89,7 @@ def pulse(session: Session, axis: int) -> Pulse | None:
         return None
     is_unclear = not seen or (law.has_gap and moved > 0.0)
     if law.tripped and is_unclear:  # a pulse that was cut short asks for no larger torque, and gives no mass
-        text = f"{law.tripped}; see to it, then commission again"
+        text = f"{law.tripped}; remove the cause, then commission again"
         session.found(axis, "torque sign", "+", "stopped", StepVerdict.UNKNOWN, text)
         return None
     if not seen:
@@ -99,7 +99,7 @@ def pulse(session: Session, axis: int) -> Pulse | None:
         )
         return None
     right = moved > 0.0
-    text = "torque and encoder disagree: every wall would pull in. Swap two motor phases, or 0x607E"
+    text = "torque and encoder disagree: every wall would pull in. Swap two motor phases, or change 0x607E"
     found = f"{moved:+.3g} {parameters.unit} at {session.shown(axis, torque)}"
     session.judged(axis, "torque sign", "+", found, good=right, text=text, otherwise=StepVerdict.FAILED)
     return Pulse(torque * (cycles * session.sample_time) ** 2 / (2.0 * moved), torque) if right else None
@@ -245,7 +245,7 @@ def _report_mass(session: Session, axis: int, found: Dynamics) -> None:
     else:
         verdict, text = (
             StepVerdict.FAILED,
-            f"{text}; moving_mass must be an under-estimate: guarded would not be passive",
+            f"{text}; moving_mass must be an under-estimate, or guarded is not passive",
         )
     configured = "" if declared is None else f"at most {declared:.4g} {mass_unit}"
     session.found(axis, "moving mass", configured, f"{found.mass:.4g} {mass_unit}", verdict, text)
@@ -276,7 +276,7 @@ def _report_least_friction(session: Session, axis: int, found: Dynamics, curve: 
     """Report the least dry friction over every speed that occurred."""
     item, motion = "dry friction, least", session.axes[axis].parameters.unit
     if curve is None or curve.falls_at_its_end(SURE):
-        text = "too little motion both ways" if curve is None else "it still falls at the fastest measured speed"
+        text = "too little motion in both directions" if curve is None else "it falls up to the fastest speed"
         session.found(axis, item, "", "unclear", StepVerdict.UNKNOWN, f"{text}; raise --torque or --travel")
         return
     least, unit = curve.least(_sure_damping(found), SURE), effort_unit(motion)

@@ -326,7 +326,7 @@ def _report_motion(session: Session, axis: int, begin: int, times: HoldTimes) ->
     configured, found, hold = f"{begin} SYNC", _text(begin, times.motion, times.hold), times.hold
     late = quirks_of(parameters.quirks).syncs_late
     if hold is None:
-        text = "raise --torque; until it is clear no account of this drive is checked"
+        text = "raise --torque; until the hold is known, no account of this drive is checked"
         session.found(axis, _MOTION, configured, found, StepVerdict.UNKNOWN, text)
     elif hold == 0:
         session.found(axis, _MOTION, configured, found, StepVerdict.AGREES)
@@ -336,10 +336,10 @@ def _report_motion(session: Session, axis: int, begin: int, times: HoldTimes) ->
         names = [name for name in parameters.quirks if name != _LATE] + [_LATE] * (late + hold)
         text = "every hold is booked with its neighbour's torque"
         session.found(axis, _MOTION, configured, found, StepVerdict.DIFFERS, text)
-        session.propose(axis, "quirks", f"[{', '.join(names)}]", comment="by the motion against the commands")
+        session.propose(axis, "quirks", f"[{', '.join(names)}]", comment="from motion and commands")
     else:
         early = "acts before its SYNC: declare rpdo: event, and commission again"
-        later = "acts later than can be declared: see the drive's own settings of its cycle"
+        later = "acts later than can be declared: check the drive's own cycle settings"
         later = "waits for a SYNC: declare rpdo: synchronous, and commission again" if rpdo == "event" else later
         session.found(axis, _MOTION, configured, found, StepVerdict.FAILED, early if hold < 0 else later)
 
@@ -350,15 +350,15 @@ def _report_booked(session: Session, axis: int, times: HoldTimes) -> None:
     wrong = (times.hold or 0) - (times.shown or 0)
     found, other = _text(0, times.booked, wrong if is_known else None), {1: "after", -1: "before"}.get(wrong)
     if not is_known:
-        text = "the three times do not close" if times.hold is not None else ""
+        text = "the three times are inconsistent" if times.hold is not None else ""
         session.found(axis, _BOOKED, configured, found, StepVerdict.UNKNOWN, text)
     elif not wrong:
         session.found(axis, _BOOKED, configured, found, StepVerdict.AGREES)
-        session.propose(axis, "demand_reported", None, comment="by motion and read-back")
+        session.propose(axis, "demand_reported", None, comment="from motion and read-back")
     elif other is None or other == configured:
-        text = "the drive reports the torque of no neighbouring hold; use read_back: none, or ask the vendor"
+        text = "the reported torque matches no neighbouring hold; use read_back: none, or ask the vendor"
         session.found(axis, _BOOKED, configured, found, StepVerdict.FAILED, text)
     else:
         text = f"every hold is booked with its neighbour's torque: {other}"
         session.found(axis, _BOOKED, configured, found, StepVerdict.DIFFERS, text)
-        session.propose(axis, "demand_reported", other, comment="by motion and read-back")
+        session.propose(axis, "demand_reported", other, comment="from motion and read-back")

@@ -195,16 +195,16 @@ def passive_verdict(
     if is_promised:
         return ("yes", "by certificate") if is_small else ("in doubt", _too_coarse(resolution, energy_in))
     if has_open_hold:
-        return "in doubt", "it ended in holds without a position"
+        return "in doubt", "the run ended in holds without a position"
     if is_estimated:
-        return "in doubt", "what is left open is an estimate"
+        return "in doubt", "the energy of the open holds is an estimate"
     return "in doubt", f"without a certificate, and as low as {certain:.3g} J within its resolution"
 
 
 def _too_coarse(resolution: float, energy_in: float) -> str:
     """Return why a resolution [J] is too coarse, in counts of an encoder: see the module."""
     deep, needed = 2.0 * energy_in / resolution, 2.0 / _LARGEST_DOUBT
-    return f"a contact as if {deep:.2g} counts deep, {needed:.0f} needed"
+    return f"the contact acts as if {deep:.2g} counts deep, {needed:.0f} needed"
 
 
 def is_certified(account: PortResult) -> bool:

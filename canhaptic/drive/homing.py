@@ -123,7 +123,7 @@ def require_homing(axis: AxisParameters, dictionary: ObjectDictionary, order: Ho
     for place in ((od.HOMING_METHOD, 0), (od.HOMING_SPEEDS, 1), (od.HOMING_SPEEDS, 2)):
         if not is_writable(dictionary, *place):
             where = f"{place[0]:#06x}:{place[1]:02x}"
-            text = f"{axis.eds} lists no writable {where}, so that the drive has no homing over the bus"
+            text = f"{axis.eds} lists no writable {where}, so the drive cannot be homed over the bus"
             raise InputError(f"{name}: {text}; home it with the vendor's tool")
     for speed in order.speeds:
         if not (0.0 < speed <= axis.largest_speed and 1 <= round(speed * axis.counts_per_unit) < 1 << 31):

@@ -191,7 +191,7 @@ class Rig:
             reason = StopReason.SYNCS_SKIPPED
             rule = STOP_TABLE[reason]
             what = f"{rule.meaning} at SYNC {self.sync_index}: {self.skipped_syncs} skipped in all"
-            text = f"{what}, of late {limit} more than were sent; torque is zero; {rule.remedy}"
+            text = f"{what}, recently {limit} more than were sent; torque is zero; {rule.remedy}"
             raise self._stopped(reason, text)
 
     def _require_no_other_master(self) -> None:

@@ -39,10 +39,10 @@ _ANALOG_INPUTS: Final = ("0x3160.1", "0x2205.1", "0x2205.0", "0x207C.1")
 """Analog inputs of maxon EPOS4, Elmo Gold, ZeroErr and maxon EPOS2, as their dictionaries list them."""
 _TYPES: Final = (DataType.INTEGER16, DataType.INTEGER32)
 DISPLAY_KEYS: Final = (
-    ("speed_limit, admittance.acceleration_limit", "largest speed and rise of it that may be commanded"),
+    ("speed_limit, admittance.acceleration_limit", "largest speed and acceleration that may be commanded"),
     ("admittance.position_low, position_high", "lowest and highest position to which a command may lead"),
-    ("admittance.velocity_counts", "counts of 0x60FF for 1 m/s or 1 rad/s; left out: those of 0x6064 per second"),
-    ("admittance.handle_acceleration", "largest of the handle, by drive and hand: an over-estimate"),
+    ("admittance.velocity_counts", "counts of 0x60FF for 1 m/s or 1 rad/s; left out: counts of 0x6064 per second"),
+    ("admittance.handle_acceleration", "largest acceleration of the handle by drive and hand: an over-estimate"),
     ("admittance.force.per_count, range, error, slew", "scale and limits of the sensor; canhaptic commission measures"),
     ("admittance.force.frozen_after", "SYNCs with one count after which the sensor counts as frozen"),
 )
@@ -85,7 +85,7 @@ def force_finding(dictionary: ObjectDictionary, display: AdmittanceParameters) -
     """Finding of the dictionary about the force of a display."""
     place = display.force.place
     if place is None:
-        text = "no analog input is known of this drive; name one (--force-object), or give the sensor a node of its own"
+        text = "no analog input is known for this drive; name one (--force-object), or give the sensor its own node"
         return Finding("force sensor", Verdict.UNKNOWN, text)
     item = f"{place[0]:#06x}:{place[1]:02x} force"
     variable = listed(dictionary, *place)
@@ -104,9 +104,7 @@ def limit_findings(dictionary: ObjectDictionary) -> list[Finding]:
     stuck = [index for index in ramps if not is_writable(dictionary, index, 0)]
     listing = ", ".join(f"{index:#06x}" for index in stuck or ramps)
     if stuck:
-        text = (
-            "read-only: a ramp inside the drive is a command that no certificate knows; set it with the vendor's tool"
-        )
+        text = "read-only: no certificate covers a ramp inside the drive; set it with the vendor's tool"
         found.append(Finding(f"{listing} ramps", Verdict.UNKNOWN, text))
     elif ramps:
         found.append(Finding(f"{listing} ramps", Verdict.FIT, "written as steep as they go"))
@@ -365,7 +363,7 @@ def _read_back(dictionary: ObjectDictionary, axis_map: AxisMap | None) -> Survey
             "0x6077 in the TPDO: a measured torque at one instant of the hold; its difference from the torque that "
             "was sent bounds the error of the energy",
         ),
-        "none": (Verdict.UNKNOWN, "no torque can be mapped: the energy is that of the torque sent, without read-back"),
+        "none": (Verdict.UNKNOWN, "no torque can be mapped: the energy is computed from the torque sent"),
     }
     if axis_map is None:
         return SurveyRow("read-back", "torque read back", stated, Verdict.FIT, "no map was found, see below")
@@ -407,7 +405,7 @@ def _limits(dictionary: ObjectDictionary, axis: AxisParameters, findings: dict[s
 
 def _resolution(dictionary: ObjectDictionary) -> list[SurveyRow]:
     encoder = "for orientation; counts_per_unit is the configuration's, confirmed by hand motion"
-    gear = "for orientation; the gear belongs into counts_per_unit and transmission"
+    gear = "for orientation; the gear belongs in counts_per_unit and transmission"
     return [
         _row(dictionary, "resolution", "encoder increments", od.ENCODER_RESOLUTION, Verdict.FIT, encoder, 1),
         _row(dictionary, "resolution", "gear, motor revolutions", od.GEAR_RATIO, Verdict.FIT, gear, 1),
@@ -419,7 +417,7 @@ def _watchdog(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> lis
     refused = objection(dictionary, ObjectUse(od.CONSUMER_HEARTBEAT_TIME, 1, reads=True, writes=True))
     if refused is not None:
         state = "not listed" if refused == "missing" else refused
-        text = f"{state}: the drive cannot notice a killed master; only watchdog: false goes on, at your own risk"
+        text = f"{state}: the drive cannot notice a killed master; only watchdog: false continues, at your own risk"
         verdict = Verdict.UNKNOWN
     else:
         verdict, text = Verdict.FIT, "armed at the start: the drive notices a killed master"
@@ -459,7 +457,7 @@ def _manual_keys(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Ma
         ManualKey("node_id", "as set in the drive"),
         ManualKey("unit, counts_per_unit", "position counts (0x6064) per radian or metre of the axis, gear included"),
         ManualKey("torque_limit", "the largest torque that may ever reach the hand"),
-        ManualKey("direction", "-1 if the positive direction of the drive is not that of the axis"),
+        ManualKey("direction", "-1 if drive and axis have opposite positive directions"),
     ]
     needs: tuple[tuple[str, str, Callable[[], bool]], ...] = (
         (

@@ -115,7 +115,7 @@ def _inspect_interface(channel: str, bus: BusSettings, axes: int, run: Runner) -
         return _judge_link(channel, link, bus, axes)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         seen = " ".join((done.stderr or done.stdout or repr(error)).split())[:80]
-        text = "cannot be checked; this `ip` prints no JSON (that of busybox does not), install iproute2"
+        text = "cannot be checked; this `ip` prints no JSON (busybox's does not), install iproute2"
         return [PreflightFinding(channel, "ip", seen, "note", text)]
 
 
@@ -169,7 +169,7 @@ def _judge_queue(link: Mapping[str, object], axes: int, judged: _Judged) -> None
         return
     if length < needed:
         command = f"ip link set {judged.channel} txqueuelen {4 * needed}"
-        text = f"expected {needed} at least (two cycles of {axes} axes); {command}"
+        text = f"expected at least {needed} (two cycles of {axes} axes); {command}"
         judged.note("txqueuelen", length, text)
     else:
         judged.well("txqueuelen", length)
@@ -235,7 +235,7 @@ def _judge_restart(restart: object, bus: BusSettings, judged: _Judged) -> None:
         )
         judged.refuse("restart-ms", f"{restart} ms", text)
     else:
-        judged.well("restart-ms", f"{restart} ms", "after a bus-off the interface comes back, the run does not")
+        judged.well("restart-ms", f"{restart} ms", "after a bus-off the interface recovers, the run does not")
 
 
 def _judge_errors(counters: Mapping[str, int], statistics: Mapping[str, int], judged: _Judged) -> None:

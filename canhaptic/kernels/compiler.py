@@ -194,7 +194,7 @@ def _say_that_nothing_is_kept() -> None:
     if parent_process() is None:
         text = (
             "compiled code is not kept, and each run compiles for 1 to 10 s: the folder canhaptic/kernels in "
-            "XDG_CACHE_HOME, or in ~/.cache, cannot be written, or others can read it; make it yours alone (chmod 700)"
+            "XDG_CACHE_HOME, or in ~/.cache, cannot be written, or others can read it; make it private (chmod 700)"
         )
         warnings.warn(text, RuntimeWarning, stacklevel=2)
 

@@ -89,7 +89,7 @@ def filled(function: _Function, **places: Callable[..., object]) -> _Function:
         taken = len(words) if code is None else code.co_argcount
         if taken != len(words):
             raise ParameterError(
-                f"{given.__name__}: takes {taken} arguments in the place of {name}, expected {len(words)}: "
+                f"{given.__name__}: takes {taken} arguments in place of {name}, expected {len(words)}: "
                 f"({', '.join(words)}); see docs/extending.md"
             )
     return cast(_Function, FunctionType(kernel.__code__, {**kernel.__globals__, **places}, kernel.__name__))

@@ -91,6 +91,6 @@ class BusLogWriter(WriterProcess):
 def _check_channels(channels: Sequence[str]) -> None:
     for name in channels:
         if not name or any(letter.isspace() for letter in name):
-            raise ParameterError(f"channel {name!r}: expected a name without spaces, since every line has it")
+            raise ParameterError(f"channel {name!r}: expected a name without spaces, since every line repeats it")
     if not 0 < len(channels) <= _MOST_BUSES or len(set(channels)) < len(channels):
         raise ParameterError(f"channels {channels}: expected 1 to {_MOST_BUSES} names, all different")

@@ -219,7 +219,7 @@ def _bounded_memory(needed: int = 0) -> Iterator[None]:
         try:
             yield
         except MemoryError as error:
-            raise OSError("a text or chunk claims more memory than any in a log takes") from error
+            raise OSError("a text or chunk claims more memory than any log needs") from error
         finally:
             resource.setrlimit(resource.RLIMIT_AS, before)
 

@@ -358,7 +358,7 @@ def _require_push(scene: Scene, controllers: Sequence[object]) -> None:
             raise InputError(
                 f"{scene.source}: passivity of {axis.parameters.name}: hand_push: not declared, expected the largest "
                 f"force with which the hand pushes against the effort: environment {axis.environment.name!r} has more "
-                "than one way out, and where they meet the hand pushes out of one contact into the next; declare it "
+                "than one exit, and where they meet the hand pushes out of one contact into the next; declare it "
                 "(hand_push: 20 N), or hand_force: null with another certificate"
             )
 

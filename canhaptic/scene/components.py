@@ -158,7 +158,7 @@ class ComponentOf:
         of_file = [key for key, at in section.keys_at.items() if key in section and not at.source.startswith("--set ")]
         gone = [key for key in of_file if key in self._model(was).model_fields.keys() - fields.keys()]
         if gone and not reading.simulated:
-            text = f"which has no {', '.join(gone)}; drives may be real, and nothing is dropped: take it"
+            text = f"which has no {', '.join(gone)}; the drives may be real, so no key is dropped: take it"
             raise self._refused(f"got {name!r} in place of {was!r}, {text} out of the scene")
         path, motion = ".".join(section.mark.path), section.motion or reading.motion
         needed = {key: field for key, field in fields.items() if field.is_required() and key not in section}

@@ -100,7 +100,7 @@ def _check_demand_reported(scene: Scene, entries: list[MarkedMapping], faults: D
         if axis.parameters.demand_reported == "after" and scene.bus_of(axis).rpdo == "event":
             faults.add(
                 entry.value_at("demand_reported"),
-                "got 'after', but with bus.rpdo: event no torque changes at SYNC: the TPDO shows that of the hold "
+                "got 'after', but with bus.rpdo: event no torque changes at SYNC: the TPDO has the torque of the hold "
                 "that ended; leave it out, or set rpdo: synchronous",
             )
         losses = getattr(scene.passivity_of(axis).parameters, "max_consecutive_losses", 0)
@@ -136,7 +136,7 @@ def _check_hold(scene: Scene, entries: list[MarkedMapping], faults: Diagnostics)
                 faults.add(entry.value_at("hold_dither"), text)
         if axis.group and quirks.syncs_late != late.setdefault(axis.group, quirks.syncs_late):
             text = f"the axes of group {axis.group!r} act in different holds"
-            faults.add(entry.value_at("quirks"), f"{text}; expected acts_a_sync_late of all of them, or of none")
+            faults.add(entry.value_at("quirks"), f"{text}; expected acts_a_sync_late on all of them, or on none")
 
 
 def _why_unchecked(scene: Scene, axis: AxisScene) -> str:
@@ -144,10 +144,10 @@ def _why_unchecked(scene: Scene, axis: AxisScene) -> str:
     if axis.parameters.admittance is not None:
         return "of a drive that holds a velocity; leave it out"
     if axis.loop.moving_mass is None:
-        return "without moving_mass, by which its motion is kept small; declare it (canhaptic commission measures it)"
+        return "without moving_mass, which keeps its motion small; declare it (canhaptic commission measures it)"
     if axis.parameters.torque_verified == "no" and not scene.simulated:
         return "of a torque whose scale is not verified; run canhaptic commission first"
-    return "of axes that a simulated mechanism joins; leave it out" if scene.mechanisms else ""
+    return "of axes that a simulated mechanism couples; leave it out" if scene.mechanisms else ""
 
 
 def _check_buses(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
@@ -216,7 +216,7 @@ def _check_loop(axis: AxisScene, passivity: MarkedMapping, scene: Scene, faults:
         faults.add(
             passivity.value_at("presliding_stiffness" if cogging is None else "device_cogging_bound"),
             "friction brakes only where device_friction_bound, device_cogging_bound within it and presliding_stiffness "
-            "are all declared; declare them, or leave both of the latter out",
+            "are all declared; declare them, or leave the last two out",
         )
     if abs(axis.loop.sample_time - scene.bus.sample_time) > 1e-9:
         faults.add(
@@ -327,7 +327,7 @@ def _check_mechanisms(scene: Scene, sections: MarkedMapping, faults: Diagnostics
                 text = f"got {axis.parameters.name!r} with unit {axis.parameters.unit}, expected unit: {motion}, in"
                 faults.add(at, f"{text} which the motors of a {name} move")
         if len({axis.bus for axis in members}) > 1:
-            faults.add(at, "got axes of several buses, expected one bus for what is simulated as one")
+            faults.add(at, "got axes of several buses, expected one bus for axes simulated together")
         try:
             if len(faults) == before:
                 build_mechanism(of, scene.bus.sample_time_ns)

@@ -50,7 +50,7 @@ def build_group_of_displays(scene: Scene, group: GroupScene) -> "GroupController
     others = [axis.parameters.name for axis in axes if axis.parameters.admittance is None]
     if others:
         raise ParameterError(
-            f"group {group.name!r} has admittance displays and {', '.join(others)}, which is none; expected one kind"
+            f"group {group.name!r} mixes admittance displays and {', '.join(others)}; expected one kind"
         )
     properties, kinematics = [display_properties(of) for of in axes], cast("Kinematics", group.kinematics.parameters)
     return build_display_group(
@@ -72,7 +72,7 @@ def check_display(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: D
         )
     if scene.bus.rpdo == "event":
         faults.add(
-            at, "got an admittance display with rpdo: event, whose commands act at no known time; use synchronous"
+            at, "got an admittance display with rpdo: event, whose commands act at an unknown time; use synchronous"
         )
     if simulation is not None and simulation.admittance is None:
         faults.add(at, "got an admittance display, but simulation.admittance is missing; add loop, grip and sensor")

@@ -68,9 +68,7 @@ def allowance_words(energy: float, loop: LoopProperties, unit: str) -> str:
     """Return the effect of an energy allowance [J], in words, for an axis in m or rad."""
     mass, mass_unit = loop.moving_mass or 1.0, "kg" if unit == "m" else "kg*m^2"
     speed = sqrt(2.0 * energy / mass)
-    return (
-        f"at no time more than this beyond what came in since the start: {mass:.2g} {mass_unit} at {speed:.2g} {unit}/s"
-    )
+    return f"never more than this beyond what came in since the start: {mass:.2g} {mass_unit} at {speed:.2g} {unit}/s"
 
 
 class Hint(NamedTuple):
@@ -296,7 +294,7 @@ def _encoder_hint(axis: AxisScene) -> list[Hint]:
         return []
     what, unit = f"stiffness kept {ENCODER}", axis.parameters.unit
     if not friction:
-        text = "pressed to and fro the wall fades: give passivity.device_friction (canhaptic commission)"
+        text = "pressed back and forth the wall loses stiffness: give passivity.device_friction (canhaptic commission)"
         if asked:
             text += f"; {asked * count:.2g} {effort_unit(unit)} of it would keep the wall asked, and k count^2 = "
             text += f"{asked * count * count:.2g} J is in doubt for each count to and fro"
@@ -436,14 +434,12 @@ def _of_guard(axis: AxisScene, known: GuardedAdmittanceParameters, speed_unit: s
         Hint(name, "speed at which motion starts", start, None, speed_unit, "by energy_allowance, with nothing stored"),
     ]
     if known.integral_gain:
-        text = (
-            "of a drive with an integral (mode 8) nothing is certified where holds are uneven: what fills it is unknown"
-        )
+        text = "of a drive with an integral (mode 8) nothing is certified where holds are uneven: its value is unknown"
         hints.append(Hint(name, "SYNC jitter of a certificate", 0.0, properties.jitter, "", text))
     elif known.hand_stiffness:
         hand = declared_hand_settings(known, loop_settings(known, properties), properties.latency)
         carried = lightest(hand, properties.speed_limit)
-        text = "at speed_limit, with a hand as declared (hand_stiffness); heavier at less" + about
+        text = "at speed_limit, with a hand as declared (hand_stiffness); heavier at lower speed" + about
         hints.append(Hint(name, "mass carried for the declared hand", carried, None, unit, text))
         if asked is not None and asked < never:
             border = damping_border(mass, gain, asked, known.hand_stiffness, lag)
@@ -482,7 +478,7 @@ def _of_offset(axis: AxisScene, known: GuardedAdmittanceParameters, properties: 
     low, high = (getattr(axis.parameters.admittance, key, None) for key in ("position_low", "position_high"))
     room = None if low is None or high is None else high - low
     unit = "J/N" if axis.parameters.unit == "m" else "J/(N*m)"
-    text = "an offset times the room between the limits of the position, never more"
+    text = "at most the offset times the distance between the position limits"
     if known.drive_friction is None:
         text += "; found by commission only"
         return Hint(axis.parameters.name, "sensor with an offset", room, None, unit, text)

@@ -197,7 +197,7 @@ def _put_buses(scene: MarkedMapping, written: MarkedMapping, faults: Diagnostics
 def _further_bus(entry: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
     common = [key for key in entry if key in BusParameters.model_fields and key not in FurtherBus.model_fields]
     for key in common:
-        faults.add(entry.keys_at[key], "holds for all buses of the rig; give it in the first one")
+        faults.add(entry.keys_at[key], "applies to all buses of the rig; give it in the first")
     return entry.without(*common)
 
 
@@ -337,7 +337,7 @@ def _check_names(
     if groups and names and all(any(name in group.axes for group in groups) for name in names):
         for key in OWN_SECTIONS:
             if written.get(key) is not None:
-                faults.add(written.keys_at[key], "no axis renders by itself; give it in the group, or leave it out")
+                faults.add(written.keys_at[key], "every axis is in a group; give it in the group, or leave it out")
     own = None if simulation is None else simulation.get("axes")
     if simulation is not None and own is not None:
         entries = read_mapping(own, simulation.value_at("axes"), faults, "an axis name to its parts")

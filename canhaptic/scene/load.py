@@ -206,7 +206,7 @@ def for_program(scene: Scene, guard: str) -> Scene:
         what = "renders in a group" if axis.group else "is an admittance display" if axis.parameters.admittance else ""
         if what:
             raise InputError(
-                f"{scene.source}: {axis.parameters.name}: {what}; a program asks for the torque of axes that stand "
+                f"{scene.source}: {axis.parameters.name}: {what}; a program requests torques of axes that stand "
                 "alone: take the axis out of the group, or render an environment with `canhaptic run`"
             )
     axes = tuple(_for_program(axis, guard) for axis in scene.axes)

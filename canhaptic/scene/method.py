@@ -105,7 +105,7 @@ def dear_holds(scene: Scene) -> list[str]:
         if phase > LONG_SWING:
             products = _PER_RADIAN * phase
             lines.append(
-                f"{axis.parameters.name}: DEAR while it swings: {phase:.2g} rad in one sample time ({mode}), up to "
+                f"{axis.parameters.name}: SLOW while it oscillates: {phase:.2g} rad in one sample time ({mode}), up to "
                 f"{products:.1g} products and about {products * _PER_PRODUCT:.1g} s each; give it damping or more "
                 "mass, or less stiffness"
             )
@@ -214,7 +214,7 @@ def plant_errors(scene: Scene) -> list[str]:
 
 def _error_of(axis: AxisScene, simulation: AxisSimulation, scene: Scene) -> str:
     if axis.group or axis.parameters.admittance is not None:
-        return "not exact, ERROR NOT KNOWN: it is estimated for an axis that renders by itself"
+        return "not exact, ERROR NOT KNOWN: it is estimated only for axes outside groups"
     whole = _MOST if scene.run.duration is None else round(scene.run.duration / scene.bus.sample_time)
     holds = max(2, min(_LOOKED_AT, whole))
     try:

@@ -211,11 +211,11 @@ class SceneContext(UnitContext):
 CheckItem = Literal["motor_data", "dry_run", "torque", "zero", "limits", "brake", "sto", "emergency_stop"]
 CHECK_LIST: Final[Mapping[CheckItem, str]] = {
     "motor_data": "motor data and current limit are set with the vendor's tool",
-    "dry_run": "a dry run (--no-torque) was moved by hand, and what it withheld was read",
+    "dry_run": "the handle was moved in a dry run (--no-torque), and the withheld torques were read",
     "torque": "the scale of the torque is verified",
     "zero": "the counts begin where position_reference says, and the walls lie where they should",
-    "limits": "torque_limit and speed_limit are what the hand may meet",
-    "brake": "the brake holds, and lets go before a torque; or there is none",
+    "limits": "torque_limit and speed_limit are safe for the hand",
+    "brake": "the brake holds, and releases before any torque; or there is none",
     "sto": "STO takes the torque away",
     "emergency_stop": "the emergency stop is in reach and takes the power away",
 }

@@ -153,7 +153,7 @@ def build_axis_controller(axis: AxisScene) -> Controller:
     """
     if axis.group:
         raise ParameterError(
-            f"{axis.parameters.name}: group {axis.group!r} renders on this axis, expected one that renders by itself"
+            f"{axis.parameters.name}: group {axis.group!r} renders on this axis, expected an axis outside groups"
         )
     if axis.parameters.admittance is not None:
         from canhaptic.scene.displays import display_properties
@@ -270,6 +270,6 @@ def require_torque_axis(axis: AxisScene) -> None:
     """
     if axis.parameters.admittance is not None:
         raise InputError(
-            f"{axis.parameters.name}: an admittance display has no run without torque: its drive holds a velocity of 0 "
-            "with all the torque it has; leave --no-torque out, and lower speed_limit and admittance.acceleration_limit"
+            f"{axis.parameters.name}: an admittance display cannot run without torque: its drive holds zero velocity "
+            "with its full torque; leave --no-torque out, and lower speed_limit and admittance.acceleration_limit"
         )

@@ -87,7 +87,7 @@ def _table(table: Table) -> str:
         f'<a download="table.{kind}" href="data:{media};charset=utf-8,{quote(text)}">{kind.upper()}</a>'
         for kind, media, text in (("csv", "text/csv", table.csv()), ("json", "application/json", table.json()))
     )
-    return f'<div class="table">{table.html()}<small>a heading sorts; take it as {links}</small></div>'
+    return f'<div class="table">{table.html()}<small>click a heading to sort; download as {links}</small></div>'
 
 
 _SUMS: Final[dict[Literal["passive", "passive_at_sensor", "passive_at_handle"], str]] = {

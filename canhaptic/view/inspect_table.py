@@ -106,9 +106,9 @@ def _finding_line(finding: ImpossibleValue) -> Text:
 def _recomputed_line(recomputed: Recomputed) -> Text:
     if recomputed["mismatch"] is None and recomputed["unchecked_rows"]:
         lost = f"{recomputed['missing_rows']} rows are missing"
-        skipped = "a SYNC was skipped, and how long its hold lasted is in the bus log alone: add --bus-log"
+        skipped = "a SYNC was skipped, and only the bus log has the length of its hold: add --bus-log"
         words = (
-            f" {recomputed['port']}: the first {recomputed['rows']} cycles recomputed, equal bit for bit; behind them "
+            f" {recomputed['port']}: the first {recomputed['rows']} cycles recomputed, equal bit for bit; after them "
         )
         return Text(words + (lost if recomputed["missing_rows"] else skipped), style="bold red")
     mismatch = recomputed["mismatch"]

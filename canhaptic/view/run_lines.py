@@ -98,7 +98,7 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
     said = (port["passive"], port.get("passive_at_handle"))
     if word in ("yes", "no") and plant is not None and word not in said:
         is_misled = word == "no" and "yes" in said
-        known = "the account says yes, so that a declaration is false" if is_misled else "the account alone cannot tell"
+        known = "the account says yes, so a declaration is false" if is_misled else "the account alone cannot tell"
         found.append((", ", f"by the plant; {known}"))
     if word == "no":
         found += [(", ", f"for certain from {port['active_since']:.4g} s on")] if "active_since" in port else []

@@ -176,7 +176,7 @@ def test_own_code_sends_no_torque_in_a_dry_run(tmp_path: Path) -> None:
 def test_a_display_has_no_dry_run_and_leaves_no_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "run.h5"
     assert main(["run", str(CONFIGS / "admittance" / "wall.yaml"), "--no-torque", "--log", str(log)]) == 2
-    assert "an admittance display has no run without torque" in capsys.readouterr().err
+    assert "an admittance display cannot run without torque" in capsys.readouterr().err
     assert not log.exists()
 
 

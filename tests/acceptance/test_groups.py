@@ -125,7 +125,7 @@ def test_a_recomputed_group_shows_a_row_that_was_tampered_with(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("overrides", "limit", "words"),
     [
-        ([], "singular", "closer to a singular one"),
+        ([], "singular", "closer to a singularity"),
         (
             ["groups.0.kinematics.workspace_lower=[-0.1, 0.1]", "groups.0.kinematics.workspace_upper=[0.1, 0.325]"],
             "workspace",

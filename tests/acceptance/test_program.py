@@ -124,7 +124,7 @@ def test_what_was_cut_and_why_is_said_in_the_next_turn() -> None:
 def test_a_real_rig_goes_without_a_guard_only_where_scene_and_call_say_so(scene: str | None) -> None:
     said = FAR | ({"guard": scene} if scene else {})
     call = None if scene else "none"
-    with pytest.raises(InputError, match=r"is said by .* alone"):
+    with pytest.raises(InputError, match=r"is set in .* alone"):
         canhaptic.open_rig(DEMO, said, guard=call)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"is said by the scene alone"):
         canhaptic.open_rig(DEMO, FAR | {"passivity": {"algorithm": "unprotected"}})

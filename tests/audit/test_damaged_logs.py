@@ -336,7 +336,7 @@ def test_a_running_count_that_falls_is_found(whole: Path, tmp_path: Path, capsys
     with h5py.File(path, "r+") as file:
         file["ports/handle/uncommanded"][7:9] = (900, 3)
     assert typed.inspect(path, "--recompute", "--check", "in >= 0") == 1
-    assert "uncommanded: 2 rows are a count that falls, first in cycle 8" in capsys.readouterr().out
+    assert "uncommanded: 2 rows are a decreasing count, first in cycle 8" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -200,7 +200,7 @@ def test_checks_that_cannot_be_read_are_refused(log: Path, expression: str, mess
 @pytest.mark.parametrize(
     ("expression", "message"),
     [
-        ("margin >= -1 m", "got m for ports.handle.margin.value, expected J, or that with a prefix"),
+        ("margin >= -1 m", "got m for ports.handle.margin.value, expected J, or the same with a prefix"),
         ("handle.margin.time < 1 J", "expected s, or that"),
         ("peak_torque < 1 kg", "expected N, or that"),
         ("damping_rendered.most < 1 N/m", "expected N*s/m, or that"),

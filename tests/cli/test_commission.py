@@ -185,7 +185,7 @@ def test_what_differs_ends_with_status_one(capsys: pytest.CaptureFixture[str]) -
 
 def test_yes_is_refused_at_a_real_drive(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["commission", str(CONFIGS / "socketcan_example.yaml"), "--yes"]) == 2
-    assert "--yes is for drives that are simulated" in capsys.readouterr().err
+    assert "--yes is for drives simulated" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -205,9 +205,9 @@ def test_limits_beyond_reason_are_refused(words: list[str], capsys: pytest.Captu
 ANSWERS = {
     "Enable the drives": "y",
     "press Enter": "",
-    "how far was it": "0.1",
+    "distance moved": "0.1",
     "Pulses of": "yes",
-    "by which means": "mass",
+    "how is the scale": "mass",
     "moving mass, from a scale": "0.25 kg",
     "Doublets of": "y",
     "A sweep of": "y",

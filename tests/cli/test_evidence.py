@@ -103,7 +103,7 @@ def test_what_was_confirmed_and_when_is_kept_and_changes_no_configuration() -> N
     given: dict[CheckItem, str] = {"brake": "2026-11-23 10:00 UTC"}
     lines = list(check_list(given))
     assert [line for line in lines if line.startswith("x")] == [
-        "x brake: the brake holds, and lets go before a torque; or there is none; 2026-11-23 10:00 UTC"
+        "x brake: the brake holds, and releases before any torque; or there is none; 2026-11-23 10:00 UTC"
     ]
     assert sum(line.endswith("not confirmed") for line in lines) == len(CHECK_LIST) - 1
     scene = load_scene(DEMO, ['confirmed={brake: "2026-11-23 10:00 UTC"}'])

@@ -91,7 +91,7 @@ def test_a_signal_in_the_middle_ends_with_its_status_and_zero_torque(
     words = [int.from_bytes(data[:2], "little") for data in images]
     assert 0x1F in words
     assert (words[-1], 0x10F in words) == (0x00, True)
-    assert "stopped before its home was found" in capsys.readouterr().err
+    assert "stopped before home was found" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -126,4 +126,4 @@ def test_yes_is_for_simulated_drives_alone(tmp_path: Path, capsys: pytest.Captur
     real = ("bus.interface=udp_multicast", "bus.channel=239.74.163.99")
     words = [word for value in real for word in ("--set", value)]
     assert main(["home", scene(tmp_path), *words, *WORDS, "--yes"]) == 2
-    assert "at a real one a person at the machine must answer" in capsys.readouterr().err
+    assert "for a real drive a person at the machine must answer" in capsys.readouterr().err

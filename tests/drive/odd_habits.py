@@ -142,7 +142,7 @@ HABITS = [
     Habit("ignores its RPDO", "refused", "enable", deaf_to(0x205)),
     Habit("sends no TPDO", "refused", "sends no TPDO on SYNC", sets(tpdo_every=1 << 60)),
     Habit("sends a TPDO of another length", "refused", "no TPDO 0x185 of the right length", sets(tpdo_length=7)),
-    Habit("sends every second TPDO", "refused", "TPDO 0x185: no answer to one SYNC of two", sets(tpdo_every=2)),
+    Habit("sends every second TPDO", "refused", "TPDO 0x185: no answer to one of two SYNCs", sets(tpdo_every=2)),
     Habit("sends its TPDO 0.7 cycles late", "refused", "0x185", sets(tpdo_after=7 * MILLISECOND)),
     Habit(
         "sends its TPDO 1.2 cycles late",

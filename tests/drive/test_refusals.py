@@ -208,7 +208,7 @@ def test_two_axes_with_one_node_id_are_refused(bench: MakeBench) -> None:
 
 
 def test_a_drive_with_the_node_id_of_the_master_is_refused(bench: MakeBench) -> None:
-    with pytest.raises(InputError, match=r"node_id 126 is that of the master.*bus\.master_id"):
+    with pytest.raises(InputError, match=r"node_id 126 is used by the master.*bus\.master_id"):
         bench([axis(126)])
 
 

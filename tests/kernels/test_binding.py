@@ -40,7 +40,7 @@ def test_a_filled_kernel_is_bound_anew_as_any_other() -> None:
 
 
 def test_a_function_of_other_arguments_is_refused_where_it_is_put() -> None:
-    with pytest.raises(ParameterError, match=r"^two: takes 2 arguments in the place of respond, expected 1: \("):
+    with pytest.raises(ParameterError, match=r"^two: takes 2 arguments in place of respond, expected 1: \("):
         filled(step, respond=two)
 
 

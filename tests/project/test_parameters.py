@@ -48,7 +48,7 @@ def test_a_string_with_a_unit_is_read_in_si(text: str, value: float) -> None:
         ({"stiffness": math.nan}, "got nan, expected 0 <= stiffness"),
         ({"stiffness": math.inf}, "got inf, expected 0 <= stiffness"),
         ({"stiffness": "inf"}, "not a number"),
-        ({"stiffness": True}, "truth value"),
+        ({"stiffness": True}, "boolean"),
         ({"stiffness": None}, "got nothing, expected 0 <= stiffness"),
         ({"stiffness": 1.0, "pause": 0.5}, "got 0.5, expected 1 <= pause"),
         ({"stiffness": 1.0, "stifness": 1.0}, "unknown key; did you mean 'stiffness'?"),

@@ -204,7 +204,7 @@ def test_one_bus_lost_stops_every_axis(lost: str, effect: str) -> None:
         ("bus.1.name=left", "bus.1.name: got 'left', which is the name of another bus already"),
         ("bus.1.name=a b", "bus.1.name: got 'a b'"),
         ("bus.1.name=null", "bus.1.name"),
-        ("bus.1.rate=500", "bus.1.rate: holds for all buses of the rig; give it in the first one"),
+        ("bus.1.rate=500", "bus.1.rate: applies to all buses of the rig; give it in the first"),
         ("bus.1.chanel=x", "bus.1.chanel: unknown key; did you mean 'channel'?"),
         ("bus.1.bitrate=5", "bus.1.bitrate: got 5, expected 10000 <= bitrate <= 1e6"),
         ("bus.1.bitrate=100 kbit/s", "bus.1.rate: the cycle does not fit the bus"),

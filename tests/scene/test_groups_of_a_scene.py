@@ -62,7 +62,7 @@ def faults(path: Path, *overrides: str) -> list[str]:
         (STAGE, "groups.0.passivity.algorithm=a_priori_dissipation", "unknown group algorithm 'a_priori_dissipation'"),
         (STAGE, "groups.0.passivity.delay=0", "groups.0.passivity.delay: got 0, but bus.rpdo: synchronous"),
         (STAGE, "groups=5", "groups: got 5, expected a list of groups"),
-        (STAGE, "environment={type: free_space}", "environment: no axis renders by itself"),
+        (STAGE, "environment={type: free_space}", "environment: every axis is in a group"),
         (STAGE, "axes.x.environment={type: free_space}", "group 'stage' renders on this axis; leave it out"),
         (STAGE, "axes.x.passivity={alpha: 3 s/m^2}", "renders on this axis; give it in the group"),
         (LINKS, "groups.0.kinematics.base=2 m", "base: got 2 m, expected < 0.7 m"),

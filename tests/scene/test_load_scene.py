@@ -61,7 +61,7 @@ def test_a_synchronous_torque_is_one_hold_late(tmp_path: Path) -> None:
             ("  damping: 10", "  damping: .nan"),
             "scene.yaml:14:12: environment.damping: got nan, expected 0 <= damping <= 1e7 [N*s/m]",
         ),
-        (("  damping: 10", "  damping: true"), "scene.yaml:14:12: environment.damping: got true, a truth value is not"),
+        (("  damping: 10", "  damping: true"), "scene.yaml:14:12: environment.damping: got true, a boolean is not"),
         (
             ("  damping: 10", "  damping: hard"),
             "scene.yaml:14:12: environment.damping: got 'hard', not a number with an optional unit; expected [N*s/m]",

@@ -174,7 +174,7 @@ def test_of_a_real_bus_nothing_is_dropped(key: str) -> None:
         load_scene(CONFIGS / "socketcan_example.yaml", [f"{key}=unprotected"])
     assert raised.value.faults == (
         f"--set {key}=unprotected: {key}: got 'unprotected' in place of 'guarded', which has no hand_force, hand_push; "
-        "drives may be real, and nothing is dropped: take it out of the scene",
+        "the drives may be real, so no key is dropped: take it out of the scene",
     )
 
 

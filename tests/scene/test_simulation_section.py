@@ -113,7 +113,9 @@ def test_a_run_and_a_check_announce_a_swing_that_makes_holds_dear(tmp_path: Path
     stop = "simulation.effects=[{type: hard_stop, position: 0.2, stiffness: 1e9 N/m}]"
     swinging = ["simulation.plant={mass: 1e-6 kg}", "simulation.user.damping=0.01", stop]
     [line] = dear_holds(load_scene(path, swinging))
-    assert "DEAR while it swings: 6.3e+03 rad in one sample time (upper_stop touching), up to 3e+04 products" in line
+    assert (
+        "SLOW while it oscillates: 6.3e+03 rad in one sample time (upper_stop touching), up to 3e+04 products" in line
+    )
     given = [word for item in swinging for word in ("--set", item)]
     assert main(["run", path, "--duration", "0.01", *given]) == 0
     assert line in capfd.readouterr().err

@@ -44,7 +44,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
             if getattr(parameters, key):
                 raise ParameterError(
                     f"guarded: {key}: got {getattr(parameters, key):g}, expected 0 for several axes: "
-                    "such a hand is proved for one axis only"
+                    "the proof for such a hand covers one axis only"
                 )
         self._allowance = self.energy_allowance = parameters.energy_allowance
         self.max_consecutive_losses = parameters.max_consecutive_losses

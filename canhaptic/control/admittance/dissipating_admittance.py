@@ -47,7 +47,7 @@ class DissipatingAdmittance(UnprotectedAdmittance):
         if not isinstance(environment, AdmittanceMass):
             raise ParameterError(
                 f"internal_dissipation: got {type(environment).__name__}, expected environment: virtual_mass; the "
-                "balance is solved for a mass, use guarded"
+                "balance is solved for a virtual mass only; use guarded"
             )
         super().__init__(environment, parameters, properties)
 

@@ -101,9 +101,9 @@ def contradiction(of: str, by_force: float, by_encoder: float) -> str:
         by_encoder: Least energy received, by encoder and commands [J].
     """
     return (
-        f"{of}: by its forces at most {by_force:.3g} J came in, by encoder and commands at least {by_encoder:.3g} J: "
+        f"{of}: its forces say at most {by_force:.3g} J came in, encoder and commands at least {by_encoder:.3g} J: "
         "its sign, scale or offset is wrong, it is frozen, commands do not reach the drive, or drive_mass or loop_gain "
-        "is wrong; the velocity is zero, check sensor, bus and drive [FORCE_CONTRADICTED]"
+        "is wrong; the velocity is zero; check sensor, bus and drive [FORCE_CONTRADICTED]"
     )
 
 
@@ -131,10 +131,10 @@ class Disagreement(NamedTuple):
     def text(self, of: str = "force sensor") -> str:
         """Return the disagreement in words, with the remedy."""
         return (
-            f"{of}: it shows {self.shown:.3g} on average over {self.over:g} s, by encoder and commands the force is "
+            f"{of}: it shows {self.shown:.3g} on average over {self.over:g} s, but encoder and commands put the force "
             f"between {self.low:.3g} and {self.high:.3g} [N or N*m]: its offset, sign or scale is wrong, it is frozen, "
             "commands do not reach the drive, or drive_mass, loop_gain, drive_friction or drive_damping is wrong; the "
-            "velocity is zero, check sensor, bus and drive [FORCE_CONTRADICTED]"
+            "velocity is zero; check sensor, bus and drive [FORCE_CONTRADICTED]"
         )
 
 

@@ -107,7 +107,7 @@ class PathMass(GroupMass):
         if len(self.points) < 2 or any(len(point) != len(self.points[0]) for point in self.points):
             raise ValueError(f"points: got {len(self.points)}, expected at least 2 with equally many coordinates")
         if any(a == b for a, b in pairwise(self._ends)):
-            raise ValueError("points: got the same point twice in a row, expected pieces with a length")
+            raise ValueError("points: got the same point twice in a row, expected neighbouring points that differ")
         return self
 
     @property
@@ -178,7 +178,7 @@ class TaskEnvironment:
         if kinematics.axes != kinematics.dimensions:
             raise ParameterError(
                 f"kinematics: got {kinematics.axes} motor axes and {kinematics.dimensions} task coordinates, expected "
-                "as many: only then does every speed in task space have one of the motors"
+                "equal numbers: otherwise the motors cannot follow every velocity in task space"
             )
         self._environment, self._kinematics, self._ahead = environment, kinematics, time_ahead
         self._jacobian: _Rows = ()
@@ -187,9 +187,7 @@ class TaskEnvironment:
     def require(self, axes: int) -> None:
         """Check that it fits a number of motor axes; raise ParameterError."""
         if axes != self._kinematics.axes:
-            raise ParameterError(
-                f"kinematics: has {self._kinematics.axes} motor axes, expected {axes}, those of the group"
-            )
+            raise ParameterError(f"kinematics: has {self._kinematics.axes} motor axes, expected {axes} as in the group")
         self._environment.require(self._kinematics.dimensions)
 
     def of_axis(self, _axis: int) -> AdmittanceMass:

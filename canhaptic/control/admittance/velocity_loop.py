@@ -363,12 +363,12 @@ def _require_what_a_hand_needs(parameters: GuardedAdmittanceParameters, properti
             if getattr(parameters, key):
                 raise ParameterError(
                     f"guarded: {key}: got {getattr(parameters, key):g}, expected 0 without hand_stiffness, which "
-                    "declares the hand; declare that too"
+                    "declares the hand; declare hand_stiffness too"
                 )
         return
     if parameters.drive_friction is None:
         raise ParameterError(
-            "guarded: drive_friction: got none, expected an over-estimate with hand_stiffness, and of drive_damping: "
+            "guarded: drive_friction: with hand_stiffness: got none, expected over-estimates of it and drive_damping: "
             "the proof for such a hand needs them"
         )
     why = "the motion that the commands make must be known"

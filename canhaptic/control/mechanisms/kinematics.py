@@ -185,7 +185,7 @@ def check_box(lower: Sequence[float] | None, upper: Sequence[float] | None, dime
             raise ValueError(f"{name}: got {len(edge)} entries, expected {dimensions}")
     if lower is not None and upper is not None and any(low >= high for low, high in zip(lower, upper, strict=True)):
         raise ValueError(
-            f"got workspace_lower {lower} not below workspace_upper {upper} everywhere, expected an inside"
+            f"got workspace_lower {lower} not below workspace_upper {upper} everywhere, expected lower < upper"
         )
 
 

@@ -92,7 +92,7 @@ _GROUP, _HELD = Branch.GROUP.value, Branch.HELD.value
 
 _LIMIT_TEXTS = {
     Limit.WORKSPACE.value: "the mechanism is outside its declared workspace: no torque until it is back",
-    Limit.SINGULAR.value: "the pose is closer to a singular one than declared: no torque until it is away",
+    Limit.SINGULAR.value: "the pose is closer to a singularity than declared: no torque until it has moved away",
     Limit.UNSOLVED.value: "the network's equation did not converge: no torque until it does",
 }
 """Limit -> its meaning for the user, for logs."""

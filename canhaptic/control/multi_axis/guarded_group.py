@@ -184,14 +184,14 @@ def _refuse_keys_of_one_axis(parameters: GuardedParameters) -> None:
     if push > pull:
         raise ParameterError(
             f"guarded group: got hand_push {push:g}, expected none above hand_force ({pull:g}); a group knows no way "
-            f"out of its contacts, and hand_force counts along every torque: declare hand_force {push:g}, or leave out "
+            f"out of its contacts, so hand_force counts along every torque: declare hand_force {push:g}, or leave out "
             "hand_push"
         )
     for key in ("earned_energy", "drag"):
         if value := getattr(parameters, key):
             raise ParameterError(
                 f"guarded group: got {key} {value:g}, expected 0; a group keeps no energy for later contacts: leave it "
-                "out, and declare energy_allowance where a contact has to start faster"
+                "out, and declare energy_allowance where a contact must start faster"
             )
 
 
@@ -199,7 +199,7 @@ def _require_certificates(axes: AxisLimits, loops: tuple[LoopProperties, ...]) -
     if not (axes.by_hand or axes.by_damping or axes.path):
         raise ParameterError(
             "guarded group: got neither moving_mass of every axis with hand_force, nor device_damping of every "
-            "axis, nor hand_speed, expected one of them; without any no torque can be certified"
+            "axis, nor hand_speed, expected one of them; without one of them no torque can be certified"
         )
     if axes.by_hand and any(loop.device_damping_bound is None for loop in loops):
         raise ParameterError(

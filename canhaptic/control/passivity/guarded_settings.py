@@ -285,8 +285,8 @@ def kept_for_contacts(
         kept = start_energy(response, holds, half if stiffness is None else min(stiffness, half))
     if parameters.drag > 0.0 and not kept:
         raise ParameterError(
-            f"guarded: got drag {parameters.drag:g} with earned_energy 0, expected the energy that it is to earn; "
-            "it acts while less is there: declare earned_energy, 5 mJ for instance, or leave out the drag"
+            f"guarded: got drag {parameters.drag:g} with earned_energy 0, expected the energy it is to earn; "
+            "the drag acts until that is stored: declare earned_energy, for example 5 mJ, or leave out drag"
         )
     return kept or 0.0
 
@@ -295,7 +295,7 @@ def _require_certifiable(parameters: GuardedParameters, loop: LoopProperties, *,
     if not (by_hand_force or loop.device_damping or loop.device_friction or parameters.hand_speed):
         raise ParameterError(
             "guarded: got neither moving_mass with hand_force, nor device_damping, nor device_friction, nor "
-            "hand_speed, expected one of them; without any no torque can be certified: declare what is known "
+            "hand_speed, expected one of them; without one of them no torque can be certified: declare what is known "
             "(--set passivity.moving_mass=0.2 --set passivity.hand_force=0) or choose another algorithm"
         )
 

@@ -265,7 +265,7 @@ class AdmittanceBringUp(CanBringUp):
         with self.step(step):
             seen = sensor.read(od.DEVICE_TYPE) & 0xFFFF
             if seen == od.CIA402_PROFILE if device_type is None else seen != device_type:
-                raise self.refusal(step, f"0x1000 has the low word {seen}", str(device_type or "that of no drive"))
+                raise self.refusal(step, f"0x1000 has the low word {seen}", str(device_type or "any but a drive's"))
             before = sensor.read(*place)
             if before != od.SYNCHRONOUS_EVERY_SYNC:
                 sensor.write(*place, od.SYNCHRONOUS_EVERY_SYNC, 1)

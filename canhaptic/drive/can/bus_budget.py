@@ -214,12 +214,12 @@ def budget_of(drives: Sequence[ServoDrive], bus: BusParameters) -> BusBudget:
     for drive in drives:
         node_id, name = drive.axis.node_id, drive.axis.name
         if node_id in names:
-            raise InputError(f"{name}: node_id {node_id} is that of {names[node_id]} on the same bus; give it its own")
+            raise InputError(f"{name}: node_id {node_id} is used by {names[node_id]} on the same bus; change it")
         names[node_id] = name
         sensor = drive.axis.admittance.force.node if drive.axis.admittance else None
         if sensor is not None and sensor.node_id is not None:
             if sensor.node_id in names:
-                text = f"{name}: admittance.force.node.node_id {sensor.node_id} is that of {names[sensor.node_id]}"
+                text = f"{name}: admittance.force.node.node_id {sensor.node_id} is used by {names[sensor.node_id]}"
                 raise InputError(f"{text} on the same bus; give it its own")
             names[sensor.node_id] = f"the force sensor of {name}"
     return require_budget(drives[0].bus if drives else bus, [drive.map for drive in drives])

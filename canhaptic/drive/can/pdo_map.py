@@ -177,7 +177,7 @@ def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
     for needed in (_CONTROLWORD, target, _STATUSWORD, _POSITION):
         if dictionary.get_variable(needed.index, needed.subindex) is None:
             kind = "cyclic torque" if axis.admittance is None else "an admittance display"
-            raise DictionaryError(f"{axis.name}: {axis.eds}: has no object {needed}; {kind} cannot do without")
+            raise DictionaryError(f"{axis.name}: {axis.eds}: has no object {needed}; {kind} needs it")
         if (text := objection(dictionary, ObjectUse(needed.index, 0, needed.data_type))) is not None:
             raise DictionaryError(f"{axis.name}: {axis.eds}: {needed} is {text}; correct the dictionary")
     read_back, torque = _force(dictionary, axis) if axis.admittance else _read_back(dictionary, axis)

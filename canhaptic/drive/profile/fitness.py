@@ -121,7 +121,7 @@ _PERIOD_EXPONENTS: Final = (-3, -4, -5, -6)  # of 0x60C2:02, coarsest first: som
 _ANY_EXPONENT: Final = -3
 _LIMIT_NEEDED: Final = (
     "set torque_limit in the drive with the vendor's tool and say so with admittance.limit_in_drive: true; an "
-    "admittance display on a real interface is refused without"
+    "admittance display on a real interface is refused without it"
 )
 RAMPS: Final = (od.PROFILE_ACCELERATION, od.PROFILE_DECELERATION, od.MAX_ACCELERATION, od.MAX_DECELERATION)
 """Objects that bend a velocity inside the drive, in its counts of velocity per second."""
@@ -208,7 +208,7 @@ def _used(dictionary: Dictionary, use: ObjectUse, name: str) -> Finding:
     """Finding of an object that every start and cycle uses."""
     item = f"{use.index:#06x} {name}"
     if (text := objection(dictionary, use)) is not None:
-        hint = "this drive cannot serve without" if text == "missing" else _CORRECT
+        hint = "this drive cannot be used without it" if text == "missing" else _CORRECT
         return Finding(item, Verdict.REFUSED, f"{text}; {hint}")
     return Finding(item, Verdict.FIT, "listed")
 
@@ -337,7 +337,7 @@ def _ramps(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[Finding]:
         return []
     unit = f"{axis.unit}/s^2"
     text = f"take {steepest:.3g} {unit} at most, expected admittance.acceleration_limit {display.acceleration_limit:g}"
-    hint = "a ramp inside the drive is a command that no certificate knows; lower acceleration_limit"
+    hint = "no certificate covers a ramp inside the drive; lower acceleration_limit"
     return [Finding("0x60c5 ramps", Verdict.REFUSED, f"{text} {unit}; {hint}, or correct the limits in the dictionary")]
 
 

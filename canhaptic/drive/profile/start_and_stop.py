@@ -176,8 +176,8 @@ def _require_order(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> No
         drive, bring_up = drives[wrong[0]], bring_ups[wrong[0]]
         if exchange.now() - begin > round(drive.axis.step_timeout * 1e9):
             is_late = drive.unasked > before[wrong[0]]
-            seen = "process data that answer no SYNC, or an older one" if is_late else "no answer to one SYNC of two"
-            wanted = "each SYNC answered before the part tpdo_timeout of its cycle ends, and nothing sent between"
+            seen = "process data that answer no SYNC, or an older one" if is_late else "no answer to one of two SYNCs"
+            wanted = "each SYNC answered within the fraction tpdo_timeout of its cycle, and nothing sent in between"
             raise bring_up.refusal("PDO exchange", f"{drive.culprit}: {seen}", wanted, _ORDER)
 
 
@@ -198,7 +198,7 @@ def _check_positions(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> 
         distance = (by_tpdo - by_sdo + _WRAP // 2) % _WRAP - _WRAP // 2
         if abs(distance) >= _PLAUSIBLE_COUNTS:
             seen = f"{by_tpdo} counts in the TPDO"
-            raise bring_up.refusal("position", seen, f"{by_sdo} counts as by SDO (0x6064)")
+            raise bring_up.refusal("position", seen, f"{by_sdo} counts, as read by SDO (0x6064)")
 
 
 def _enable(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:

@@ -357,12 +357,12 @@ def why_not_batchable(scene: Scene) -> str:
 def why_not_compiled(case: LoopCase) -> str:
     """Return "" when a loop can be compiled together with its plant, else the reason by name."""
     if case.simulation is None:
-        return "the plant is not that of a scene"
+        return "the plant does not come from a scene"
     reason = _why_not_moved(case.simulation, case.algorithm, case.own)
     if reason:
         return reason
     if plain(case.environment) is case.environment:
-        return f"environment {type(case.environment).__name__} has no plain form (it asks its base by super())"
+        return f"environment {type(case.environment).__name__} has no plain form (it calls its base class with super())"
     return "" if kernel_of(case.algorithm) else f"algorithm {case.algorithm} is not written as a kernel"
 
 
@@ -389,7 +389,7 @@ def why_not_beforehand(scene: Scene) -> str:
 
 def _why_not_moved(simulation: AxisSimulation, algorithm: str, own: type[Any] | None) -> str:
     if simulation.admittance is not None:
-        return "an admittance display runs one by one"
+        return "admittance displays run one by one"
     if own is not None:
         return f"algorithm {algorithm} is own code"
     if simulation.user is not None and not simulation.user.has_equations:
@@ -435,7 +435,7 @@ def not_in_loop(scene: Scene, *, is_batched: bool) -> str:
         return ""
     passed = ("drop",) if is_batched and losses_of(scene).exists else ()
     left_out = ", ".join(name for name in scene.bus_effects.named if name not in passed)
-    return f"not in this loop: simulation.bus {left_out}; canhaptic run has it" if left_out else ""
+    return f"not in this loop: simulation.bus {left_out}; canhaptic run includes it" if left_out else ""
 
 
 def many_loops(case: LoopCase, numbers: Numbers, varied: Mapping[str, Array]) -> BatchCase:
@@ -492,7 +492,7 @@ def check_values(scene: Scene, varied: Mapping[str, Array]) -> int:
     for key, values in varied.items():
         split_key(key)
         if not np.isfinite(values).all():
-            raise ParameterError(f"varied: got {key} that is not finite, expected numbers in SI")
+            raise ParameterError(f"varied: got a {key} that is not finite, expected numbers in SI")
         rows |= {int(np.argmin(values)), int(np.argmax(values))}
     for row in sorted(rows):
         one = scene_with(scene, {key: float(values[row]) for key, values in varied.items()})

@@ -32,7 +32,7 @@ def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
         raise ParameterError(f"engine: got {engine!r}, expected auto, numba or python")
     there = find_spec("numba") is not None
     if engine == "numba" and not there:
-        raise ParameterError(f"engine: got numba, which is not installed; {install_hint('fast')}, or take python")
+        raise ParameterError(f"engine: got numba, which is not installed; {install_hint('fast')}, or use python")
     if engine == "auto":
         return "numba" if there and pays else "python"
     return engine

@@ -105,7 +105,7 @@ def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
         raise ParameterError(f"{scene.source}: spectral radius: own code or a recording moves the hand; run the scenes")
     for effect in simulation.effects:
         if effect.name not in _IN_IT:
-            raise ParameterError(f"{scene.source}: spectral radius: effect {effect.name} is not in it; leave it out")
+            raise ParameterError(f"{scene.source}: spectral radius: effect {effect.name} is not modelled; leave it out")
     count, user = check_values(scene, varied), simulation.user or UserParameters()
 
     def number(key: str, value: float) -> Any:

@@ -66,7 +66,7 @@ def split_key(key: str) -> tuple[str, str]:
             return section, name
     known = ", ".join(f"{section}.{{{', '.join(names)}}}" for section, names in BATCH_KEYS.items())
     raise ParameterError(
-        f"varied: got key {key!r}, expected one of {known}; run scenes that differ otherwise one by one"
+        f"varied: got key {key!r}, expected one of {known}; run scenes that differ in other keys one by one"
     )
 
 

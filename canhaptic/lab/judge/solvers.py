@@ -173,7 +173,7 @@ def _solve_ivp() -> Callable[..., Any]:
 def _require_running(stop: Callable[[], bool] | None) -> None:
     """Raise InputError where a stop was requested."""
     if stop is not None and stop():
-        raise InputError("stopped before the reference was there; nothing can be compared without it")
+        raise InputError("stopped before the reference was computed; nothing can be compared without it")
 
 
 def _hold(

@@ -289,7 +289,7 @@ def require_single_axes(scene: Scene, command: str, axis: str | None = None) -> 
         if axis is None or axis in group.axes:
             raise InputError(
                 f"{scene.source}: group {group.name!r} renders on the axes {', '.join(group.axes)} together, expected "
-                f"axes that render by themselves: {command} judges one axis at a time; `canhaptic run` and "
+                f"axes outside groups: {command} judges one axis at a time; `canhaptic run` and "
                 "`canhaptic inspect` give the account of a group"
             )
 
@@ -354,7 +354,7 @@ def environment_of(axis: AxisScene) -> Environment:
     """
     if axis.group:
         raise InputError(
-            f"{axis.parameters.name}: group {axis.group!r} renders on this axis, expected one that renders by itself"
+            f"{axis.parameters.name}: group {axis.group!r} renders on this axis, expected an axis outside groups"
         )
     return cast(Environment, axis.environment.parameters)
 

@@ -76,7 +76,7 @@ def draw_accuracy(result: Row, path: str | Path) -> None:
         _draw_display(result, path)
         return
     if not result["plant"]:
-        raise InputError("nothing was measured, there is nothing to draw")
+        raise InputError("nothing was measured, so there is nothing to draw")
     with drawing() as figure_type:
         base = base_loop(result)
         felt = base is None or base["largest_torque"] > 0.0
@@ -248,7 +248,7 @@ def _drawn(result: Row) -> list[Row]:
     """
     rows = [row for row in result["loop"] if "position_error" in row]
     if not rows:
-        raise InputError("nothing was measured, there is nothing to draw")
+        raise InputError("nothing was measured, so there is nothing to draw")
     return rows
 
 

@@ -55,7 +55,7 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
     require_matplotlib()
     most = max(len(_drawn(axis)) for axis in comparison.axes)
     if most == 0:
-        raise InputError("no algorithm ran, there is nothing to draw; the table says why")
+        raise InputError("no algorithm ran, so there is nothing to draw; the table says why")
     bands = -(-most // _ACROSS)
     columns = -(-most // bands)
     rows = 3 * bands * len(comparison.axes)

@@ -274,9 +274,7 @@ def _of_display(axis: str, found: Row) -> Row:
 def _of_groups(scene: Scene, names: Sequence[str], cycles: int, engine: Engine, progress: Progress | None) -> Row:
     """Return the comparison of groups: over the whole CAN path, or each with its motors compiled without a bus."""
     if alone := ", ".join(axis.parameters.name for axis in scene.axes if not axis.group):
-        raise InputError(
-            f"{scene.source}: has groups and axes that render by themselves ({alone}); make a scene of each"
-        )
+        raise InputError(f"{scene.source}: has groups, and axes outside groups ({alone}); make a scene of each")
     chosen = chosen_engine(engine, len(names) * len(scene.groups) * cycles >= WORTH_COMPILING_GROUPS)
     accounts = _groups_over_can if chosen == "python" else _groups_compiled
     found = accounts(scene, names, cycles, progress)

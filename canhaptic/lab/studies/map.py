@@ -138,11 +138,11 @@ def fields_of(table: SweepTable, axis: str | None = None, *, allow_code: bool = 
     if name not in table.axes:
         raise InputError(f"{table.folder}: has no axis {name!r}, expected one of: {', '.join(table.axes)}")
     if not table.done().any():
-        raise InputError(f"{table.folder}: no chunk is finished yet, there is nothing to draw; let the sweep run on")
+        raise InputError(f"{table.folder}: no chunk is finished yet, so there is nothing to draw; let the sweep run on")
     controllers = list(dict.fromkeys(table.values(CONTROLLER))) if CONTROLLER in table.keys else [""]
     fields = [MapField(table, name, str(controller), allow_code=allow_code) for controller in controllers]
     if not fields[0].keys:
-        raise InputError(f"{table.folder}: no key with numbers was varied, there is no axis to draw along")
+        raise InputError(f"{table.folder}: no key with numbers was varied, so there is no axis to draw along")
     return fields
 
 

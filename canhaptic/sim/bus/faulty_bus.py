@@ -116,7 +116,7 @@ class BusEffects(Parameters):
             raise ValueError(f"names no effect, expected one of: {', '.join(_EFFECTS)}; leave it out for an ideal bus")
         for name, what in (("ids", "COB-ID"), ("foreign_ids", "COB-ID"), ("buses", "name")):
             if getattr(self, name) == ():
-                raise ValueError(f"{name} is empty, expected at least one {what}; leave it out for the usual ones")
+                raise ValueError(f"{name} is empty, expected at least one {what}; leave it out for the defaults")
         most = 1.0 if self.drop_burst is None else self.drop_burst / (1.0 + self.drop_burst)
         if self.drop > most:
             raise ValueError(

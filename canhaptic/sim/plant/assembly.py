@@ -198,7 +198,7 @@ class PlantModel:
     def add_state(self, name: str, initial: float = 0.0) -> None:
         """Add a state; names are unique in a scene."""
         if name in self.states:
-            raise ParameterError(f"state {name!r} twice, expected once; give each effect of one type its own place")
+            raise ParameterError(f"got state {name!r} twice, expected once; give effects of one type different places")
         self.states[name] = initial
 
     def claim(self, slot: str, effect: str) -> None:

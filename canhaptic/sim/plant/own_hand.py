@@ -39,7 +39,7 @@ class OwnHand(UserParameters):
             ParameterError: The handle is not the motor's body.
         """
         if len(scene.bodies) > 1:
-            raise ParameterError("user: a hand of one's own holds the motor's body; leave shaft_compliance out", "user")
+            raise ParameterError("user: a hand of your own holds the motor's body; leave shaft_compliance out", "user")
         super().add_to(scene)
         scene.efforts.append(_OwnForce(self))
 

@@ -181,4 +181,4 @@ def test_a_command_that_cost_energy_since_a_late_force_hides_no_contradiction(sh
         axis.fall(change)
     assert axis.by_encoder < axis.by_force == 0.0
     found = axis.contradiction("sensor", BookedHold(0.0, 0.0, False, 0.0, TIME, 0.0), 0.0, is_first=False)
-    assert ("by its forces at most 0 J" in found) is contradicts
+    assert ("its forces say at most 0 J" in found) is contradicts

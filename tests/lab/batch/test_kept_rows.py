@@ -35,7 +35,7 @@ def test_a_row_holds_what_a_recorder_takes():
 def test_what_cannot_be_compiled_runs_in_python_and_says_why():
     case = case_of(load_scene("configs/demo.yaml"))
     moved_from_outside = render_by("numba", replace(case, simulation=None), 20)
-    assert moved_from_outside.engine == "python: the plant is not that of a scene"
+    assert moved_from_outside.engine == "python: the plant does not come from a scene"
     assert moved_from_outside.position.tolist() == render_by("python", case, 20).position.tolist()
 
 

@@ -33,7 +33,7 @@ class GuidedPath(Parameters):
             raise ValueError(f"points: got {len(self.points)}, expected at least 2 with equally many coordinates")
         ends = (*self.points, self.points[0]) if self.closed else self.points
         if any(a == b for a, b in pairwise(ends)):
-            raise ValueError("points: got the same point twice in a row, expected pieces with a length")
+            raise ValueError("points: got the same point twice in a row, expected neighbouring points that differ")
         return self
 
     def build(self, dimensions: int) -> Rendered:

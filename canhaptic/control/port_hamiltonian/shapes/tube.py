@@ -27,8 +27,8 @@ class Tube(Surface):
         """Return the tube; see `NetworkEnvironment`."""
         if dimensions < 2:
             raise ParameterError(
-                f"tube: got a task space of {dimensions} dimension, expected at least 2: the motion along it is free, "
-                "so that nothing would be felt; use a box"
+                f"tube: got a task space of {dimensions} dimension, expected at least 2: motion along it is free, "
+                "so nothing would be felt; use a box"
             )
         check_length("tube", "point", len(self.point), dimensions)
         direction = unit_vector("tube", "direction", self.direction, dimensions)

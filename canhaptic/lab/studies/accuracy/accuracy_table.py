@@ -231,7 +231,7 @@ def advice_lines(result: Row) -> list[str]:
         ]
     lines.append(_loop_advice(result))
     for other in advice["cheaper_elsewhere"][:1]:
-        lines.append(f"no scene can name it, but fewer evaluations: {other['method']}, {other['setting']}")
+        lines.append(f"fewer evaluations, but not available to a scene: {other['method']}, {other['setting']}")
     return [line for line in (*lines, *_effect_advice(result)) if line]
 
 
@@ -458,8 +458,8 @@ def _doubt(row: Row) -> str:
     if row["fitted"] is None or row["declared"] is None or row["fitted"] >= LEAST_ORDER * row["declared"]:
         return ""
     return (
-        f"errors fall with an order of {row['fitted']:.2g} in the substep where {row['declared']} is declared, so that "
-        "none of them tells what another scene or a longer run would show; raise the rate, or give finer substeps"
+        f"errors fall with an order of {row['fitted']:.2g} in the substep where {row['declared']} is declared, so "
+        "none of them predicts another scene or a longer run; raise the rate, or give finer substeps"
     )
 
 

@@ -139,9 +139,9 @@ def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, Row]]:
 def _why(figures: list[_Figures], mass: float, trial: _Trial) -> str:
     shares = [of["mass_felt.share"] for of in figures]
     return (
-        f"no mass is felt as asked by every hand, the nearest is {mass:.3g} {trial.unit} (felt {min(shares):.3g} to "
+        f"no mass is felt as asked by every hand; the nearest is {mass:.3g} {trial.unit} (felt {min(shares):.3g} to "
         f"{max(shares):.3g} times that, {si(max(0.0, -min(of['least_interaction'] for of in figures)), 'J', 3)} given "
-        "out): look for a hand that leaves speed_limit or acceleration_limit, lower the doubt of the force "
+        "out): look for a hand that exceeds speed_limit or acceleration_limit, lower the uncertainty of the force "
         "(admittance.force.sampling: mean, slew, error), or raise bus.rate"
     )
 

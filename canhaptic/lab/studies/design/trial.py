@@ -129,8 +129,8 @@ def _general(network: General, name: str) -> NetworkScale:
     stiffest = max((_stiffness(storage) for _, storage in at_ports), default=0.0)
     if stiffest == 0.0:
         raise InputError(
-            f"network {name!r} has no spring that a port moves, so no stiffness to design; its masses and inner "
-            "springs are what the scene says"
+            f"network {name!r} has no spring at its ports, so no stiffness to design; its masses and inner "
+            "springs stay as the scene gives them"
         )
     most = max((_viscous(part) for part in network.dissipators), default=0.0)
     dissipators = network.dissipators if most else (*network.dissipators, *_in_proportion(network, at_ports))
@@ -292,7 +292,7 @@ class Trial:
     def __init__(self, scene: Scene, tolerance: float, engine: Engine = "auto") -> None:
         if len(scene.axes) != 1:
             names = ", ".join(axis.parameters.name for axis in scene.axes)
-            raise InputError(f"{scene.source}: has the axes {names}; a wall is designed for one, make a scene of each")
+            raise InputError(f"{scene.source}: has the axes {names}; design takes one axis: make a scene of each")
         [axis] = scene.axes
         self._tolerance = tolerance
         force = LEAN * axis.parameters.torque_limit
@@ -474,7 +474,7 @@ class GroupTrial:
         self, scene: Scene, tolerance: float, engine: Engine = "auto", executor: Executor | None = None
     ) -> None:
         if len(scene.groups) != 1 or any(not axis.group for axis in scene.axes):
-            raise InputError(f"{scene.source}: has more than one group; one is designed for, make a scene of each")
+            raise InputError(f"{scene.source}: has more than one group; design takes one: make a scene of each")
         (group,) = scene.groups
         self._scale = network_scale(group.network.parameters, group.network.name)
         self.scene, self._tolerance, self._executor = scene, tolerance, executor
