@@ -4,7 +4,7 @@
         for sample in rig:                                       # one SYNC per turn
             rig["knob"].torque = -2.0 * sample["knob"].position  # sent at its end, as far as the guard lets it pass
 
-Bring-up, limits, link policy, account, logs and verdict are those of `canhaptic run`; the program takes the place of
+Bring-up, limits, link policy, account, logs and verdict are as in `canhaptic run`; the program takes the place of
 environment and algorithm. The drives are enabled at the first turn and not before, as SYNCs must follow one another
 on. However the loop ends, zero torque is sent first and the drives are disabled second. Where no code can
 react (SIGKILL, `os._exit`, a crash of the interpreter), each drive's watchdog acts; a rig without one is refused.

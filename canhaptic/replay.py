@@ -59,7 +59,7 @@ from canhaptic.scene.recorded_names import Channels, describe_nodes
 _ENABLE_BITS: Final = int(od.Controlword.ENABLE_OPERATION)
 
 Address = tuple[int, int]
-"""Place of the bus among those of the scene, COB-ID."""
+"""Index of the bus in the scene, COB-ID."""
 
 
 class Roles(NamedTuple):
@@ -242,7 +242,7 @@ class _Departure(NamedTuple):
 class RecordedSide:
     """Plays the frames of other nodes (a `SimulatedPeer`), and compares the master's frames except heartbeats.
 
-    Order and times are those of the recording: a frame is played once the master has sent everything recorded
+    Order and times follow the recording: a frame is played once the master has sent everything recorded
     before it. Recorded frames of the drives that precede a frame of the master have reached it when it sends
     that frame.
 
@@ -550,7 +550,7 @@ def replay_bus_log(
     """Replay a recording and report whether the master sends the same frames today.
 
     Boot, SDO answers, TPDOs, heartbeats and EMCYs come from the recording, on python-can's virtual bus; rig,
-    controllers and accounts are those of the scene. A recording without the start of the drives is replayed from the
+    controllers and accounts are the scene's. A recording without the start of the drives is replayed from the
     first SYNC that found every axis enabled, with the maps of the scene and controllers at rest.
 
     Args:
@@ -568,7 +568,7 @@ def replay_bus_log(
 
 
 class OpenReplay:
-    """A replay, built; the arguments are those of `replay_bus_log`.
+    """A replay, built; arguments as for `replay_bus_log`.
 
     Attributes:
         cycle: Rig, controllers and accounts, ready to run.

@@ -5,7 +5,7 @@
 
 `passive` is the account's own verdict, from frames alone, on the sum of the energy received against the motor's
 torque (eq. 3); `passive_at_handle`, where a damping of the device is declared, on that sum with the energy that the
-device dissipated. `plant_passive` and `plant_passive_at_handle` are those of the simulated plant. `verdict` is the
+device dissipated. `plant_passive` and `plant_passive_at_handle` judge the simulated plant. `verdict` is the
 headline word: the plant's verdict where there is one, else the account's.
 
 A port is an axis or a group of axes. An axis in a group has `group` and the energy received and given out by it; the

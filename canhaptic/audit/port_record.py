@@ -106,7 +106,7 @@ def impossible_values(log: EnergyLog) -> list[ImpossibleValue]:
                 rows += len(bad)
             if rows:
                 cycle = int(log.timing.read("sync_index", first, first + 1)[0])
-                what = "a decreasing count" if name in _COUNTS else "not a finite number"
+                what = "a decreasing count" if name in _COUNTS else "not finite"
                 found.append({"dataset": f"{group}/{name}", "what": what, "rows": rows, "cycle": cycle})
     if changed := log.changed_rows():
         cycle = int(log.timing.read("sync_index", changed[0], changed[0] + 1)[0])

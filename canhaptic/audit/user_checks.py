@@ -101,7 +101,7 @@ def _verdicts(result: Checked, expression: str) -> list[Outcome]:
 
 
 def _factor(expression: str, unit: str, found: Mapping[str, float], result: Checked) -> float:
-    """Factor from a unit to that of the figures found; 1 without a unit.
+    """Factor from a given unit to the unit of the figures; 1 without a unit.
 
     Raises:
         InputError: The unit cannot be read, or measures another quantity than one of the figures.

@@ -8,7 +8,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class Brake(Parameters):
-    """A holding brake, such as that of a vertical axis."""
+    """A holding brake, such as on a vertical axis."""
 
     by: Literal["drive", "host"] = "drive"
     """drive: it opens and sets the brake itself when it is enabled and disabled; host: by `output`."""

@@ -38,7 +38,7 @@ class ForceNode(Parameters):
     """Bytes of the frame; None: up to the end of the value."""
 
     device_type: Annotated[int, quantity("1", ge=1, le=0xFFFF)] | None = None
-    """Low word of its 0x1000: 404 of a transducer, 401 of an analogue input; None: any but that of a drive."""
+    """Low word of its 0x1000: 404 for a transducer, 401 for an analogue input; None: any but a drive's."""
     tare: bool | Literal["autozero"] = False
     """Whether the start writes "tara" to 0x6139:01 (CiA 404), or `autozero`: "zero" to 0x6125:01; no hand may touch the
     handle then; not of an impulse."""

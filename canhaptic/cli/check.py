@@ -293,7 +293,7 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool, full: boo
 
 
 def _print_findings(console: Console, found: _CheckFindings, *, full: bool) -> None:
-    """Print the load of the bus, the drives, the limits and the host; in brief what is amiss and what counts."""
+    """Print the load of the bus, the drives, the limits and the host; in brief only problems and key figures."""
     for name, budget in found.budgets.items():
         bus, used, most = f"bus {name}".rstrip(), 1e6 * budget.worst_cycle, 1e6 * budget.sample_time
         if full:

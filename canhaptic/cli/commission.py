@@ -57,7 +57,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def walk(session: Session, duration: float) -> tuple[list[str], CanHapticError | None]:
-    """Walk the steps; return what is missing or failed, and the error that ended them."""
+    """Walk the steps; return the missing or failed items, and the error that ended them."""
     scene, error = session.scene, None
     displays = any(axis.parameters.admittance is not None for axis in scene.axes)
     try:

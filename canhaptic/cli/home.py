@@ -71,7 +71,7 @@ def _require_torque(axis: AxisScene, torque: float) -> None:
 
 
 def _questions(drive: homing.HomingDrive) -> list[str]:
-    """Return what a person must agree to: what moves, which way, how fast, with how much torque."""
+    """Return the questions a person must answer with yes: what moves, which way, how fast, at what torque."""
     axis, order = drive.axis, drive.order
     torque, speed = f"{axis.torque_limit:g} {effort_unit(axis.unit)}", " and ".join(f"{v:g}" for v in order.speeds)
     counts = " and ".join(str(round(v * axis.counts_per_unit)) for v in order.speeds)

@@ -2,7 +2,7 @@
 
 SIGINT and SIGTERM as the operator's stop: the first requests it, the second does not wait for the ramp.
 
-What a person reads before a real rig applies any torque: limits, check list, and where the walls lie.
+Information shown before a real rig applies any torque: limits, check list and positions of the walls.
 """
 
 import signal

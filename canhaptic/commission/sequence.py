@@ -29,7 +29,7 @@ _MODES: Final = ("pp", "vl", "pv", "tq", "", "hm", "ip", "csp", "csv", "cst")
 
 
 def _scan(link: Link, known: Sequence[int], master: int) -> list[int]:
-    """Node IDs that answer on a bus besides those of the configuration; each is asked for 0x1000.
+    """Node IDs that answer on a bus and are not configured; each is asked for 0x1000.
 
     Args:
         link: The bus.
@@ -96,7 +96,7 @@ def _presence(session: Session, axis: int, drive: ServoDrive) -> None:
 
 
 def _identity(session: Session, axis: int, drive: ServoDrive) -> None:
-    """Compare 0x1018 with the configuration's values, or else with those of the dictionary."""
+    """Compare 0x1018 with the configuration's values, or else with the dictionary's."""
     information = drive.dictionary.device_information
     expected = {
         "vendor_id": (1, drive.axis.vendor_id, information.vendor_number),

@@ -506,7 +506,7 @@ class Session:
             torques: One torque per cycle [N or N*m].
             cycles: Largest number of cycles.
             ready: Function that ends the run early when true.
-            limits: Limits that replace those of the session.
+            limits: Limits that replace the session's.
 
         Raises:
             RigError: Drive or link failed; torque is zero.

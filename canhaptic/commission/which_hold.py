@@ -84,7 +84,7 @@ class _Windows(NamedTuple):
 
 
 class _Model(NamedTuple):
-    """What is unknown in each window projected out, and the resonance (rad / sample time, damping) of a shaft."""
+    """Model without the unknowns of each window, and the resonance (rad / sample time, damping) of a shaft."""
 
     rest: _Array
     mode: tuple[float, float] | None
@@ -159,7 +159,7 @@ def _response(times: _Array, lag: float, mode: tuple[float, float] | None) -> _A
 
 
 def _left(windows: _Windows, model: _Model, delay: float, lag: float) -> tuple[float, _Array]:
-    """Sum of the squares of what a delay and a lag leave over, and its mean over the windows."""
+    """Sum of the squared residuals for a delay and a lag, and its mean over the windows."""
     times = np.arange(-windows.half, windows.half + 1)[:, None] - np.arange(-windows.half - _BEFORE, windows.half + 1)
     rigid = _response(times - delay, lag, None)
     shapes = [rigid, np.cumsum(rigid, axis=0)]  # of the torque, and of a damping
@@ -345,7 +345,7 @@ def _report_motion(session: Session, axis: int, begin: int, times: HoldTimes) ->
 
 
 def _report_booked(session: Session, axis: int, times: HoldTimes) -> None:
-    """Report whether the torque read back is that of the hold that it is booked with."""
+    """Report whether the torque read back belongs to the hold that it is booked with."""
     configured, is_known = session.axes[axis].parameters.demand_reported, times.hold is not None and times.closes
     wrong = (times.hold or 0) - (times.shown or 0)
     found, other = _text(0, times.booked, wrong if is_known else None), {1: "after", -1: "before"}.get(wrong)

@@ -66,7 +66,7 @@ class Branch(IntEnum):
 
 
 class Certificate(IntEnum):
-    """Certificate that bounded the torque of the next hold; the numbers are those of the logs, see `WEAKEST_LAST`."""
+    """Certificate that bounded the torque of the next hold; numbered as in the logs, see `WEAKEST_LAST`."""
 
     EXACT = 0  # no bound was active
     DEVICE_DAMPING = 1  # by what the device dissipates, in dry friction too: for every hand

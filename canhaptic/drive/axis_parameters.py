@@ -115,7 +115,7 @@ class BusParameters(Parameters):
 
 
 class AxisParameters(TorqueAxisParameters):
-    """One servo drive and the axis behind it. Torques are those of the axis: N*m where it turns, N where it slides."""
+    """One servo drive and the axis behind it. Torques are at the axis: N*m (rotary) or N (linear)."""
 
     node_id: _NodeId
     """CANopen node ID of the drive; unique on its bus."""

@@ -43,7 +43,7 @@ _FAST_SYNCS: Final = 5  # in a row: the new zero makes one step
 
 
 class HomingOrder(NamedTuple):
-    """What a person asked for."""
+    """Homing as a person requested it."""
 
     method: int  # 0x6098
     speeds: tuple[float, float]  # 0x6099:01 and :02 [m/s or rad/s]
@@ -79,7 +79,7 @@ class HomingDrive(ServoDrive):
         return _HomingBringUp(self)
 
     def watch_statusword(self) -> None:
-        """Watch the state alone, and that the bus commands it: bits 10, 12 and 13 are those of the homing."""
+        """Watch the state alone, and that the bus commands it: bits 10, 12 and 13 have the meaning of homing mode."""
         remote = self.statusword & int(StatusBit.REMOTE)
         self._watched, self._expected = ENABLED_MASK | remote, ENABLED_VALUE | remote
 

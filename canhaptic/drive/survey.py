@@ -313,7 +313,7 @@ def _judged(dictionary: ObjectDictionary, group: Group, finding: Finding, mode: 
 
 
 def _is_right(index: int, saved: int, mode: int) -> bool:
-    """Whether a value that a DCF saved is as needed; `mode` is that of the axis."""
+    """Whether a value that a DCF saved is as needed; `mode` is the axis's."""
     if index == od.SUPPORTED_DRIVE_MODES:
         return bool(saved >> mode - 1 & 1)
     return index != od.DEVICE_TYPE or saved & 0xFFFF == od.CIA402_PROFILE

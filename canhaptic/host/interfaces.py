@@ -100,7 +100,7 @@ def _known_interfaces() -> list[str]:
 
 @cache
 def _accepted_options(interface: str) -> frozenset[str] | None:
-    """Return the keyword arguments that a backend reads, in addition to those of the scene; None when unknown.
+    """Return the keyword arguments that a backend reads, in addition to the scene's; None when unknown.
 
     Args:
         interface: A name that python-can knows.

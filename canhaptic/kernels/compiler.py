@@ -1,6 +1,6 @@
 """Kernels compiled by numba, each with every kernel that it reaches; needs the extra `fast`.
 
-The source is that of the functions; only their global names are bound to compiled functions. No floating-point
+The source code is taken from the functions; only their global names are bound to compiled functions. No floating-point
 operation is reordered or fused, and a division by zero gives an infinity, so that both forms give the same bits.
 Reference counts of arrays are left out - a kernel makes no array - which makes it ten times faster.
 
@@ -131,7 +131,7 @@ class CheckedCache(caching.FunctionCache):
 
 
 def _is_whole(content: bytes, version: str = "") -> bool:
-    """Return whether the digest at the end is that of the rest, without the version in front of an index."""
+    """Return whether the digest at the end matches the rest, without the version in front of an index."""
     start = len(pickle.dumps(version, protocol=-1)) if version else 0
     return content[-_DIGEST:] == hashlib.sha256(content[start:-_DIGEST]).digest()
 
@@ -246,7 +246,7 @@ METHODS: Final = (
     "add_change",
     "fill_structure",
 )
-"""What a kernel may ask an environment, a mechanism, a geometry and the functions of a network."""
+"""Methods that a kernel may call on an environment, a mechanism, a geometry and the functions of a network."""
 
 _PROCESS: Final = token_hex(8)
 """A part of the name of every function that this process compiles. numba names a record type by a number that counts
@@ -378,7 +378,7 @@ class _Compiling(Binding):
         return super().of(name, value)
 
     def _take_unit(self, function: FunctionType) -> None:
-        """Compile a function by itself, so that what is kept of it depends on nothing else."""
+        """Compile a function by itself, so that its cached code depends on nothing else."""
         unit = _Compiling(self._instead_of, self._calls, parts=self._parts)
         made = self._wrapped(unit.rebound(function))
         unit.keep(made, function)

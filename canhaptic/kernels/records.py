@@ -1,4 +1,4 @@
-"""What a kernel is compiled with: replaced functions, and records and arrays in place of dataclasses.
+"""Substitutes in a compiled kernel: replaced functions, and records and arrays in place of dataclasses.
 
 Copies of a kernel, and of every kernel that it reaches, with some functions replaced.
 """

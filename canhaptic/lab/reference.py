@@ -349,7 +349,7 @@ def continuous_group(
 
 
 class _Coupled:
-    """Motors and network; state: that of the motors, x of the network, impulse of every motor, energy taken."""
+    """Motors and network; state: of the motors, x of the network, impulse of every motor, energy taken."""
 
     def __init__(self, scene: Scene) -> None:
         (group,) = scene.groups
@@ -369,13 +369,13 @@ class _Coupled:
         self.start = [*self.model.start, *begun, *(0.0,) * self.axes, 0.0]
 
     def rates(self, time: float, state: GroupState, torque: float, modes: Modes) -> list[float]:
-        """Return the rate of every state; see `SwitchedModel`, whose torque is that of the network here."""
+        """Return the rate of every state; see `SwitchedModel`, whose torque here comes from the network."""
         torques, moved, taken = self._felt(time, state)
         motors = state[: len(self.model.start)]
         return [*self.model.rates(time, motors, torques, modes), *moved, *torques, taken]
 
     def ways(self, modes: Modes) -> list[Transition]:
-        """Every transition out of these modes, which are those of the motors; see `SwitchedModel`."""
+        """Every transition out of these modes, which belong to the motors; see `SwitchedModel`."""
         return [way._replace(value=partial(self._guard, way)) for way in self.model.ways(modes)]
 
     def _guard(self, way: Transition, time: float, state: GroupState, _torque: float) -> float:

@@ -125,7 +125,7 @@ class LogSchema:
         return columns
 
     def stored(self) -> list[_LogColumn]:
-        """Return the columns of the file: those of the ring that have a path, and the digest of these."""
+        """Return the columns of the file: columns of the ring that have a path, and the digest of these."""
         digest = [_LogColumn(DIGEST, "1", "u4")] if self.version > _LAST_WITHOUT_DIGEST else []
         return [column for column in self.columns() if column.path] + digest
 

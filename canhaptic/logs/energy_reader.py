@@ -59,7 +59,7 @@ def checked_rows(path: Path, file: Hdf5File, ports: Sequence[str], status: str) 
 
 
 def found_columns(path: Path, file: Hdf5File, ports: Sequence[str]) -> tuple[FoundColumns, FoundColumns]:
-    """Return the columns of the rows and those of the events, by path.
+    """Return the columns of the rows and of the events, by path.
 
     The format of an older version has fewer columns.
 
@@ -287,7 +287,7 @@ class EnergyLog:
         return np.asarray(self.deadlines() * (self.sample_time_ns * 1e-9))
 
     def deadlines(self, start: int = 0, stop: int | None = None) -> Array:
-        """Return the sample times from the first SYNC to that of each row; for an older log, the index of the SYNC."""
+        """Return the sample times from the first SYNC to each row's SYNC; for an older log, the index of the SYNC."""
         return self.timing.read("deadline_index" if "deadline_index" in self.timing else "sync_index", start, stop)
 
     def time_of(self, sync_index: int) -> float:

@@ -101,7 +101,7 @@ def _write_mat(log: EnergyLog, path: Path) -> None:
 def _write_mcap(log: EnergyLog, path: Path) -> None:
     """Write one JSON message per port and SYNC, with its schema, as Foxglove opens it.
 
-    Topics: /PORT, /true/PORT (the simulated plant), /timing, /events. Time: that of the SYNC since the first, from 0.
+    Topics: /PORT, /true/PORT (the simulated plant), /timing, /events. Time: of the SYNC since the first, from 0.
     """
     writer_module: Any = importlib.import_module("mcap.writer")
     groups = {"/timing": log.timing}

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
-"""A column; its type is that of its content."""
+"""A column; its type follows from its content."""
 Attribute = str | bytes | int | float | np.generic
 
 _TABLE_CACHE: Final = 1 << 18  # [B]

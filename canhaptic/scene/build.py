@@ -258,7 +258,7 @@ class Experiment:
     ) -> tuple[RunResult, CanHapticError | None]:
         """Run to the end, good or bad, and close; return the account and the error that ended the run.
 
-        The arguments are those of `canhaptic.cycle.run`.
+        The arguments are as for `canhaptic.cycle.run`.
         """
         clock, error = WallClock(), None
         begin = clock.now()
@@ -388,7 +388,7 @@ def _code_process(scene: Scene, pace: _Pace, cycle: Cycle, stack: ExitStack) -> 
 def _jitters(scene: Scene, pace: str) -> list[float] | None:
     """Jitter of each axis's hold, as a part of the sample time.
 
-    None in a simulation in real time: the declared jitter is that of the simulated bus, and this computer adds its own.
+    None in a simulation in real time: the declared jitter covers the simulated bus, and this computer adds its own.
     """
     if scene.simulated and pace != "free":
         return None

@@ -275,7 +275,7 @@ def _check_display(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: 
 
 
 def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) -> SourceLocation:
-    """Place in the scene of what a plant refuses: an effect of this type, or the plant."""
+    """Place in the scene of the part that a plant refuses: an effect of this type, or the plant."""
     axes = simulation.get("axes")
     own = axes.get(axis.parameters.name) if isinstance(axes, MarkedMapping) else None
     for owner in (own, simulation):

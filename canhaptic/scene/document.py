@@ -156,7 +156,7 @@ class MarkedMapping(dict[str, Any]):
 
 
 class MarkedList(list[Any]):
-    """A list of the scene; `mark` is its own location, `values_at` has those of its entries."""
+    """A list of the scene; `mark` is its own location, `values_at` has the locations of its entries."""
 
     def __init__(self, mark: SourceLocation) -> None:
         super().__init__()

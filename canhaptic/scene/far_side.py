@@ -112,7 +112,7 @@ def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"]
         bus: Opened connection.
         scene: Scene with `bus_effects`.
         side: Side that owns the connection.
-        index: Index of the bus among those of the scene.
+        index: Index of the bus in the scene.
     """
     from canhaptic.sim.bus.faulty_bus import FaultyBus
 

@@ -182,7 +182,7 @@ def share_of_wall(axis: AxisScene, fastest: float, declared: Mapping[str, float]
     Args:
         axis: Axis with its environment and algorithm.
         fastest: Largest speed of the handle [m/s or rad/s].
-        declared: Values of `passivity` that replace those of the axis, SI.
+        declared: Values of `passivity` that replace the axis's, SI.
     """
     if not can_be_tried(axis) or axis.passivity.own is not None:
         return 1.0

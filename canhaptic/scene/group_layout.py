@@ -39,7 +39,7 @@ class Members(NamedTuple):
     axes: tuple[str, ...]
 
     def as_group(self, units: dict[str, Motion]) -> MarkedMapping:
-        """Return a group in the units of its axes, and what it renders in those of its task space."""
+        """Return a group in the units of its axes, and its rendering in the units of its task space."""
         motions = {units[name] for name in self.axes if name in units}
         motor = next(iter(motions)) if len(motions) == 1 else None
         section = self.section.copy()

@@ -176,7 +176,7 @@ def _of_plain_wall(
 
 
 def _known(axis: AxisScene, key: str, of_plant: str) -> tuple[float | None, str]:
-    """Return a property of the device and where it comes from: declared, else that of the simulated plant."""
+    """Return a property of the device and where it comes from: declared, else the simulated plant's."""
     declared = getattr(axis.loop, key)
     if declared is not None:
         return float(declared), f"{key} declared"

@@ -11,7 +11,7 @@
 Every value keeps its place in the file; errors of the layout itself are noted here, the values are validated by
 `Scene`.
 
-Path of an axis's object dictionary: next to the scene, or among those of the package.
+Path of an axis's object dictionary: next to the scene, or in the package.
 """
 
 import os
@@ -64,7 +64,7 @@ def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMappin
 
 
 def path_for_scene(dictionary: Path, scene: Path | None) -> str:
-    """Return the path by which a scene file refers to a dictionary.
+    """Return the path with which a scene file refers to a dictionary.
 
     Args:
         dictionary: Path of the dictionary, relative to the current folder.
@@ -313,7 +313,7 @@ def _own_over_shared(
 
 
 def _loop_in_group(section: MarkedMapping, group: "Members", faults: Diagnostics) -> MarkedMapping | None:
-    """Loop of an axis in a group: its own `passivity` over that of the group."""
+    """Loop of an axis in a group: its own `passivity` on top of the group's."""
     renders = f"group {group.section.get('name')!r} renders on this axis;"
     if section.get("environment") is not None:
         faults.add(section.keys_at["environment"], f"{renders} leave it out")

@@ -193,7 +193,7 @@ def _completed(scene: Scene) -> Scene:
 def for_program(scene: Scene, guard: str) -> Scene:
     """Scene whose axes apply the torques requested by a program.
 
-    If the algorithm is `guarded` its declarations are kept; for any other only those of the loop.
+    If the algorithm is `guarded` its declarations are kept; for any other only the loop's.
 
     Args:
         scene: Scene as loaded.

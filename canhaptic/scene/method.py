@@ -202,7 +202,7 @@ def _moved(step: float, travel: float) -> str:
 def plant_errors(scene: Scene) -> list[str]:
     """Return one line for each plant that is not exact: its estimated error, or ERROR NOT KNOWN and why.
 
-    For commands that show figures of many loops of a scene: the error is that of the unmodified scene.
+    For commands that show figures of many loops of a scene: the error applies to the unmodified scene.
     """
     lines = []
     for axis in scene.axes:
@@ -316,6 +316,6 @@ def _priced(prices: Sequence[PlantPrice]) -> str:
 
 
 def _spent(plants: Sequence[Plant], periods: int) -> str:
-    """Events and products of all plants together; products are those of one plant on average."""
+    """Events and products of all plants together; products are per plant on average."""
     events, products = sum(plant.events for plant in plants), sum(plant.products for plant in plants)
     return f"{events} event{'' if events == 1 else 's'}, {products / len(plants) / periods:.2g} products per period"

@@ -65,13 +65,13 @@ class FurtherBus(Parameters):
     name: BusName
     """Name used in an axis's `bus`."""
     interface: PrintableText | None = None
-    """python-can interface; None: that of the first bus."""
+    """python-can interface; None: as the first bus."""
     channel: PrintableText | int | None = None
     """Channel of the interface; None: a private one for `virtual`."""
     bitrate: Annotated[int, quantity("bit/s", ge=10_000, le=1_000_000)] | None = None
-    """Bit rate of classic CAN; None: that of the first bus."""
+    """Bit rate of classic CAN; None: as the first bus."""
     options: dict[str, Any] | None = None
-    """Further keyword arguments of `can.Bus`; None: those of the first bus."""
+    """Further keyword arguments of `can.Bus`; None: as the first bus."""
 
     def over(self, first: BusParameters) -> BusParameters:
         """Return all parameters of this bus."""
@@ -383,7 +383,7 @@ LATER_LOOP_KEYS: Final = (
 )
 """Keys of the loop that logs of the first release do not have."""
 _OF_DISPLAYS: Final = ("admittance", "simulation.admittance", "simulation.drive.display")
-"""Keys of an axis without which the configuration is that of a release before admittance displays."""
+"""Keys of an axis without which the configuration fits a release before admittance displays."""
 _LATER: Final[Mapping[str, tuple[object, ...]]] = {
     "start_timeout": (5.0,),
     "drive_objects": ({},),
@@ -453,7 +453,7 @@ class Scene:
         return next(bus.parameters for bus in self.buses if bus.name == axis.bus)
 
     def passivity_of(self, axis: AxisScene) -> ComponentSpec:
-        """Return the algorithm that renders on an axis: its own, or that of its group."""
+        """Return the algorithm that renders on an axis: its own, or its group's."""
         return next((group.passivity for group in self.groups if group.name == axis.group), axis.passivity)
 
     @property

@@ -32,7 +32,7 @@ _SELECTOR: Final = "algorithm"
 
 
 def overrides_now(overrides: Iterable[str]) -> list[str]:
-    """Return overrides of an earlier release under today's names, without those of removed keys."""
+    """Return overrides of an earlier release under today's names, without removed keys."""
     found = []
     for text in overrides:
         path, equals, value = text.partition("=")

@@ -29,7 +29,7 @@ _RETURN_NUMBERS: Final[Mapping[str, tuple[str, ...]]] = {
     "environment": ("potential", "effort", "true_state", "admissible", "stored_energy", "state_of_energy", "relaxed"),
     "passivity algorithm": ("step", "hold"),
 }
-"""Kind -> methods watched from the start; those of hands and effects are where the plant is put together."""
+"""Kind -> methods watched from the start; methods of hands and effects are added where the plant is put together."""
 _MARK: Final = ".py:"
 _LARGEST: Final = 1_000_000  # [bytes]
 ENTRY_POINT_GROUPS: Final[Mapping[str, str]] = {

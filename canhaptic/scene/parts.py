@@ -176,7 +176,7 @@ def build_axis_controller(axis: AxisScene) -> Controller:
 
 
 def build_axis_controllers(scene: Scene) -> list[Controller]:
-    """Return one controller for each axis outside groups; those of groups are in `build_axis_groups`."""
+    """Return one controller for each axis outside groups; controllers of groups are in `build_axis_groups`."""
     return [build_axis_controller(axis) for axis in scene.axes if not axis.group]
 
 

@@ -20,7 +20,7 @@ def _twin_of(axis: Mapping[str, Any]) -> dict[str, Any]:
     """Keys of the simulated drive that follow from an axis, as far as that is right.
 
     Args:
-        axis: Its keys as the scene has them, with those of its profile.
+        axis: Its keys as the scene has them, with its profile's.
     """
     twin: dict[str, Any] = {}
     names = axis.get("quirks")

@@ -87,7 +87,7 @@ def _absent(found: Survey) -> dict[_Place, int]:
 
 
 def _cob_ids(dictionary: ObjectDictionary) -> dict[_Place, int]:
-    """Return the COB-ID of every PDO as delivered: that of the predefined connection set, or disabled."""
+    """Return the COB-ID of every PDO as delivered: from the predefined connection set, or disabled."""
     found: dict[_Place, int] = {}
     for first, bases in ((od.RPDO_COMMUNICATION, od.RPDO_BASE), (od.TPDO_COMMUNICATION, od.TPDO_BASE)):
         for index in _indices(dictionary, first):

@@ -69,7 +69,7 @@ class LiveLog:
         self._run: tuple[int, str, tuple[str, ...]] | None = None
 
     def look(self) -> News | None:
-        """Return what is new; None while there is no readable log."""
+        """Return new data; None while there is no readable log."""
         try:
             if self._run is None:
                 require_readable(self.path)

@@ -1,6 +1,6 @@
 """Style of every picture of the package, how matplotlib is imported, and how a picture is written.
 
-Colours of every picture and page: those of Okabe and Ito, which colour-blind readers distinguish, and two greys.
+Colours of every picture and page: from Okabe and Ito, which colour-blind readers distinguish, and two greys.
 
 Lines differ in width and style too.
 """

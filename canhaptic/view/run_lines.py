@@ -21,7 +21,7 @@ _SHOWN_AT_ZERO: Final = frozenset({"deadlines_missed", "missing", "missed_tpdos"
 _WHOLE: Final = 0.995
 """Rendered share of a stiffness above which the wall is whole; a damper adds to the effort while the hand goes in."""
 _LOSSES: Final = ("skipped_syncs", "missed_tpdos", "missing")
-"""What is amiss on a link where it is not zero."""
+"""Link counters that show a problem where they are not zero."""
 STYLES: Final[dict[Headline, str]] = {
     "yes": "bold green",
     "no contact": "bold",

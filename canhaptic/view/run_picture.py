@@ -324,7 +324,7 @@ def energy_figure(
     others: Sequence[EnergyLog] = (),
     labels: Sequence[str] = (),
 ) -> "Figure":
-    """Return the matplotlib figure of a run; the arguments are those of `draw_energy`.
+    """Return the matplotlib figure of a run; arguments as for `draw_energy`.
 
     Args:
         log: An open energy log.

@@ -153,4 +153,4 @@ def _status(news: News, last: News) -> str:
 
 
 _COUNTED: Final = ("SYNCs skipped", "cycles not in the log")
-"""Losses that the status counts; of those of the ports it gives the share."""
+"""Losses that the status counts; for losses of the ports it gives the share."""

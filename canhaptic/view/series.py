@@ -63,7 +63,7 @@ COLUMNS: Final = {
     "surplus": "h_dis",
     "damping": "damping_rendered",
 }
-"""What is drawn as it is logged -> its column in the log; energies in one entry are summed."""
+"""Quantity drawn as it is logged -> its column in the log; energies in one entry are summed."""
 _ENERGIES: Final = ("taken_in", "dissipated", "margin", "upper", "surplus", "deficit")
 
 

@@ -45,7 +45,7 @@ def run_progress(
 ) -> Iterator["RunProgress | None"]:
     """Progress of a run; None where it would be piped and the pace is real.
 
-    The arguments are those of `RunProgress`.
+    The arguments are as for `RunProgress`.
     """
     if _is_piped() and (pace == "real" or cycles is None):
         yield None

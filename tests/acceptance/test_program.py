@@ -126,7 +126,7 @@ def test_a_real_rig_goes_without_a_guard_only_where_scene_and_call_say_so(scene:
     call = None if scene else "none"
     with pytest.raises(InputError, match=r"is set in .* alone"):
         canhaptic.open_rig(DEMO, said, guard=call)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"is said by the scene alone"):
+    with pytest.raises(InputError, match=r"is set in the scene alone"):
         canhaptic.open_rig(DEMO, FAR | {"passivity": {"algorithm": "unprotected"}})
     both = canhaptic.open_rig(DEMO, FAR | {"guard": "none"}, guard="none")
     assert both.scene.axes[0].guard == "none"

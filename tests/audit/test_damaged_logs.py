@@ -185,7 +185,7 @@ def test_a_finding_is_shown_with_its_column_and_cycle(whole: Path, capsys: pytes
         file[name][7:9] = np.nan
 
     assert typed.inspect(damaged(whole, put, "ports/handle/h_m"), "--check", "deficit >= 0") == 1
-    assert "ports/handle/h_m: 2 rows are no finite number, first in cycle 7" in capsys.readouterr().out
+    assert "ports/handle/h_m: 2 rows are not finite, first in cycle 7" in capsys.readouterr().out
 
 
 def too_long(file: Any, name: str) -> None:

@@ -201,15 +201,15 @@ def test_checks_that_cannot_be_read_are_refused(log: Path, expression: str, mess
     ("expression", "message"),
     [
         ("margin >= -1 m", "got m for ports.handle.margin.value, expected J, or the same with a prefix"),
-        ("handle.margin.time < 1 J", "expected s, or that"),
-        ("peak_torque < 1 kg", "expected N, or that"),
-        ("damping_rendered.most < 1 N/m", "expected N*s/m, or that"),
+        ("handle.margin.time < 1 J", "expected s, or the same"),
+        ("peak_torque < 1 kg", "expected N, or the same"),
+        ("damping_rendered.most < 1 N/m", "expected N*s/m, or the same"),
         ("branches.free > 3 s", "expected no unit: it is a pure number"),
         ("contact.holds > 3 J", "expected no unit"),
         ("max_consecutive_losses < 1 J", "expected no unit"),
         ("cycles == 4000 Hz", "expected no unit"),
-        ("rate > 1 s", "expected Hz, or that"),
-        ("wakeup_lateness.max < 1 m", "expected s, or that"),
+        ("rate > 1 s", "expected Hz, or the same"),
+        ("wakeup_lateness.max < 1 m", "expected s, or the same"),
         ("knob.passive", "the run has no account of that name"),
     ],
 )
@@ -401,8 +401,8 @@ def test_what_json_lacks_is_null(log: Path, tmp_path: Path, capsys: pytest.Captu
     assert typed.inspect(path, "--json") == 1
     result = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert result["findings"] == [
-        {"dataset": "ports/handle/h_m", "what": "no finite number", "rows": 1, "cycle": 7},
-        {"dataset": "ports/handle/leak", "what": "no finite number", "rows": 1, "cycle": 7},
+        {"dataset": "ports/handle/h_m", "what": "not finite", "rows": 1, "cycle": 7},
+        {"dataset": "ports/handle/leak", "what": "not finite", "rows": 1, "cycle": 7},
         {"dataset": "digest", "what": "not as the run wrote it", "rows": 1, "cycle": 7},
     ]
     assert result["ports"]["handle"]["leaked"] is None

@@ -172,7 +172,7 @@ HABITS = [
     Habit(
         "has an inhibit time of 50 ms",
         "refused",
-        "frame 0x1a1 of the force sensor: no answer to one SYNC",
+        "frame 0x1a1 of the force sensor: no answer to one of two SYNCs",
         sensor(inhibit=50 * MILLISECOND),
         "sensor",
     ),
@@ -282,7 +282,9 @@ HABITS = [
     Habit("sends an EMCY of two bytes", "ended", "EMCY 0x3210", in_motion(sends(0x085, "10 32"))),
     Habit("sends a boot-up and goes on", "ended", "left NMT OPERATIONAL", in_motion(sends(0x705, "00"))),
     Habit("stops quickly by itself", "ended", "left OPERATION ENABLED", in_motion(sets(state="quick stop"))),
-    Habit("is commanded by the bus no more", "ended", "no more (bit 9", in_motion(sets(statusword=0x1010))),
+    Habit(
+        "is commanded by the bus no more", "ended", "no longer obeys the bus (bit 9", in_motion(sets(statusword=0x1010))
+    ),
     Habit("falls back to SWITCHED ON", "ended", "left OPERATION ENABLED", in_motion(sets(state="on"))),
     Habit("falls silent", "ended", "heartbeat stopped", in_motion(sets(has_heartbeat=False))),
     Habit("sends no more TPDOs", "ended", "no TPDO for too many SYNCs", in_motion(sets(tpdo_every=1 << 60))),

@@ -203,7 +203,7 @@ def test_a_bus_that_is_too_slow_is_refused_with_the_arithmetic_and_a_way_out(ben
 
 
 def test_two_axes_with_one_node_id_are_refused(bench: MakeBench) -> None:
-    with pytest.raises(InputError, match="node_id 5 is that of left"):
+    with pytest.raises(InputError, match="node_id 5 is used by left"):
         bench([axis(5, name="left"), axis(5, name="right")])
 
 

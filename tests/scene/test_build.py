@@ -245,7 +245,7 @@ def test_an_environment_that_turns_needs_the_push_of_the_hand(tmp_path: Path) ->
         "passivity={algorithm: guarded, moving_mass: 0.2, hand_force: 5}",
     ]
     path = scene_file(tmp_path)
-    with pytest.raises(InputError, match=r"hand_push: not declared.* 'detents' has more than one way out"):
+    with pytest.raises(InputError, match=r"hand_push: not declared.* 'detents' has more than one exit"):
         build(load_scene(path, changes), energy_log=tmp_path / "run.h5")
     assert not (tmp_path / "run.h5").exists()
     with pytest.raises(InputError, match="hand_push"):

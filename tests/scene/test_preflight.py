@@ -106,7 +106,7 @@ def test_what_would_fail_or_harm_refuses_the_run(stdout: str, item: str, words: 
 @pytest.mark.parametrize(
     ("stdout", "item", "words"),
     [
-        (changed('"txqlen":64', '"txqlen":5'), "txqueuelen", "expected 8 at least (two cycles of 1 axes)"),
+        (changed('"txqlen":64', '"txqlen":5'), "txqueuelen", "expected at least 8 (two cycles of 1 axes)"),
         (changed('"tx":0,"rx":0}', '"tx":128,"rx":0}'), "error counters", "expected below 96"),
         (changed('"state":"ERROR-ACTIVE"', '"state":"ERROR-PASSIVE"'), "state", "no node acknowledges"),
         (changed('"bus_off":0', '"bus_off":3'), "bus-offs so far", "find the cause"),

@@ -5,7 +5,7 @@
 The command is constant in a hold, so that the ball swings there in a frame at rest (Stoermer and Verlet), and the force
 of the ball on the cup is known as the change of the ball's momentum along the path, m l cos(a) w. At a SYNC the speed
 changes at once by du: the ball takes dw = -du cos(a) / l, and the cup resists with M + m sin(a)^2.
-The task of Hasson, Shen and Sternad, J. Neurophysiology 108, 2012; 2.4 kg, 0.6 kg and 0.45 m are those of that rig as
+The task of Hasson, Shen and Sternad, J. Neurophysiology 108, 2012; 2.4 kg, 0.6 kg and 0.45 m are that rig's, as
 they are usually cited; the source was not consulted.
 """
 

@@ -19,7 +19,7 @@ no encoder is differentiated twice. With abs(F') <= L, abs(v') <= A and an encod
     error + L T^2 / 6H + friction + damping (mean of abs(v) + A T / 4)
     + c (A T^2 / 6H + e / H) + k (e + A T^2 / 8) + 2 M e / H^2      and half the range of M, c and k times their terms;
 
-the terms in T^2 / 6H are those of a weight that changes inside a hold. Point samples add the error of `port`. A SYNC
+the terms in T^2 / 6H come from a weight that changes inside a hold. Point samples add the error of `port`. A SYNC
 that comes early or late by up to j T shifts a weight, which costs j T / H (2 max + total change) of the force, and c
 times that of the command. The energy of a constant offset o is o times the displacement, so that until it is noticed it
 gives out o times the distance moved, and never more than o times the range between the position limits.
@@ -154,7 +154,7 @@ class _Half:
 
 @dataclass(slots=True)
 class _Memory:
-    """What is remembered from SYNC to SYNC."""
+    """State kept from SYNC to SYNC."""
 
     position: float = 0.0  # at the end of the last hold that was taken [m or rad]
     force: float = 0.0  # shown there

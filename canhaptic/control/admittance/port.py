@@ -75,7 +75,7 @@ class AdmittanceProperties(Parameters):
 
     @property
     def is_impulse(self) -> bool:
-        """Whether the mean is that since the last force that came, however many were lost."""
+        """Whether the mean covers the time since the last received force, however many were lost."""
         return self.sampling == "impulse"
 
     @property

@@ -123,7 +123,7 @@ def taken_along(
 
     They take less while the axis still moves inward, and more afterwards: what they take until then is at most
     what they take by the end, or zero. The base is the largest displacement in the next hold without a torque; infinite
-    for an unknown hand. `speed` is that of the hand [m/s or rad/s]; 0: unused.
+    for an unknown hand. `speed` is the hand's [m/s or rad/s]; 0: unused.
     """
     response, torques, first = declared.response, memory.under_way, bound.first
     hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
@@ -662,7 +662,7 @@ def largest_torques(
 def by_hand_force(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float) -> float:
     """Return the largest torque along `sign` [N or N*m] for a hand within its declared force.
 
-    It equals that of `largest_in_sum` where nothing else is declared. `energy` [J] is the budget.
+    It equals the result of `largest_in_sum` where nothing else is declared. `energy` [J] is the budget.
     """
     response, before, hand = declared.response, sign * bound.torque, hand_along(declared, bound, sign)
     if hand == inf:  # the hand is unknown along it

@@ -280,7 +280,7 @@ def hand_force_bound(budget: float, base: float, gain: float) -> float:
     """Return the largest torque F >= 0 [N or N*m] with F (base + gain F) <= budget; infinite if all satisfy it.
 
     Where none does (a budget below zero by more than an inward motion can bring in): the one that brings in most.
-    For a group the torques are l W: base and gain are those of W, in [J], and the result is the share l.
+    For a group the torques are l W: base and gain belong to W, in [J], and the result is the share l.
 
     Args:
         budget: Energy budget [J].

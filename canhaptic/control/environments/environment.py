@@ -10,7 +10,7 @@ which state and velocity the energy account permits; the environment maps them t
 An environment as a plain object with the same methods, without pydantic.
 
 A pydantic model routes every attribute access through a Python hook, at ten times the price of a plain object, and its
-methods read several. The functions here are those of the model's class, not copies of them. Properties are evaluated
+methods read several. The functions here belong to the model's class; they are no copies. Properties are evaluated
 once: an environment never changes.
 
 Common part of environments with a surface: its solid side, and a storage that stays on that side.
@@ -110,7 +110,7 @@ def knows_turns(environment: Environment) -> bool:
 
 
 def _is_ours(environment: Environment, *methods: str) -> bool:
-    """Whether methods are those of this package, whose surfaces are fixed in space."""
+    """Whether methods come from this package, whose surfaces are fixed in space."""
     ours = __name__.rpartition(".")[0]
     return all(getattr(type(environment), name).__module__.startswith(ours) for name in methods)
 
@@ -147,7 +147,7 @@ def plain_with(kind: Any, fields: Mapping[str, Any]) -> Any:
 
 
 def _numbers_of(twin: Any) -> dict[str, float]:
-    """Every number of a plain object by name, including those of its class; NaN for None."""
+    """Every number of a plain object by name, including its class attributes; NaN for None."""
     values = {
         **{name: value for base in type(twin).__mro__[-2::-1] for name, value in vars(base).items()},
         **vars(twin),

@@ -31,7 +31,7 @@ _MOST_STEPS: Final = 100  # of the root finder; bisection alone ends within 64
 _SMALLEST: Final = 1e-9  # [m or rad] first state that is tried
 _DOUBLINGS: Final = 60
 _NO_FORCE: Final = 1e-9
-"""Force that may be rounding, as that of a sine at pi [N or N*m]."""
+"""Force that may be rounding, such as a sine at pi [N or N*m]."""
 _SLOPE_ROUNDING: Final = 1e-14
 _TRIED: Final = tuple(10.0 ** (power / 16) for power in range(-80, 1))
 """Sizes of states at which the direction of a force is looked at when a scene is loaded: 10 um to 1 m or rad."""
@@ -227,7 +227,7 @@ def _panel(function: Callable[[float], float], left: float, right: float) -> tup
 
 
 def _jump(function: Callable[[float], float], middle: float, half: float) -> float:
-    """Return what a jump beyond the outermost point may add to an integral over [-1, 1]; of a smooth function 0.
+    """Return the most that a jump beyond the outermost point adds to an integral over [-1, 1]; 0 for a smooth function.
 
     A smooth function changes less from that point to the end than twice what it changes from the point before.
     """

@@ -2,7 +2,7 @@
 
 Task forces become motor torques by the transposed Jacobian, tau = J(q)' F. The account stays in motor coordinates,
 where the torque is constant during the hold; -tau . dq and -F . dp differ by at most |F| c |dq|^2 / 2, with c the
-largest curvature of the map along dq, because F and J are those of the start of the hold.
+largest curvature of the map along dq, because F and J are evaluated at the start of the hold.
 
 Common parts of mechanisms: place and Jacobian from the pose, a workspace box, and the test of a Jacobian.
 

@@ -37,7 +37,7 @@ GROUP_ALGORITHMS: Final[dict[str, str]] = {
     "guarded": f"{_HERE}.guarded_group:GuardedGroup",
     "step_scaling": f"{_RIVALS}.scaled_group:ScaledGroup",
 }
-"""Name in a scene -> "module:Class". Every class has `parameters_type`, as those of `passivity.ALGORITHMS`."""
+"""Name in a scene -> "module:Class". Every class has `parameters_type`, as in `passivity.ALGORITHMS`."""
 
 
 def build_group_controller(

@@ -25,7 +25,7 @@ is dissipated for certain, the others are uncertain.
 
 Buffers of the account of a group, by axis.
 
-Energy given out by late torques in a group; `group_certificates` bounds that of the torques held.
+Energy given out by late torques in a group; `group_certificates` bounds the energy of the torques held.
 
 Let W be the torques of the next free hold, l W those sent, and g_i in [lowest_i, highest_i] the older torques that
 axis i still has at its SYNC. With p_i as in (1) of `hold_timing`, different for every axis, the motors give out in
@@ -237,7 +237,7 @@ def reach_of(axes: AxisLimits, memory: AccountMemory, i: int, sign: float, hold:
 def given_early(
     axes: AxisLimits, memory: AccountMemory, held: Buffer, fixed: float, size: float, hold: int, norms: Norms
 ) -> LateShare:
-    """Energy that older torques give out in a hold, beyond that of the torques held in it; see (1).
+    """Energy that older torques give out in a hold, beyond the energy of the torques held in it; see (1).
 
     Args:
         axes: Properties of the motor axes.
@@ -340,7 +340,7 @@ def given_in_debt(axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorq
 
 
 def older_size(axes: AxisLimits, memory: AccountMemory, torques: Buffer) -> float:
-    """Return the size of the older torques at the SYNC of W over that of W, in the norm |f|_P."""
+    """Return the size of the older torques at the SYNC of W divided by the size of W, in the norm |f|_P."""
     older = size = 0.0
     for i in range(len(torques)):
         most = max(memory.now.highest[i], -memory.now.lowest[i])
@@ -735,7 +735,7 @@ def share_beyond(energy: float, base: float, gain: float, late: LateShare, size:
 def share_in_debt(at: Accounting, torques: Buffer, base: float, gain: float) -> float:
     """Return the share of torques that absorbs energy for certain, where older ones may give out more than the budget.
 
-    The range in `now` is that at the SYNC of the torques; the other arguments are as for `by_hand_force`.
+    The range in `now` applies at the SYNC of the torques; the other arguments are as for `by_hand_force`.
     """
     own = given_in_debt(at.settings.axes, at.memory, at.under_way, torques)
     return min(1.0, hand_force_bound(0.0, base + own.linear, max(0.0, gain + own.square)))

@@ -6,7 +6,7 @@ coordinates, exactly, for every mechanism between motors and hand (eq. 2). Kinem
 Axes that render together: every axis still has a sample, a torque and its part of the energy, the group one account.
 
 The energy of an axis in a group is -torque * displacement as for any other (eq. 2), but alone it proves nothing: what
-comes in by one axis may go out by another. Store, dissipation, surplus and certificate are those of the group; the
+comes in by one axis may go out by another. Store, dissipation, surplus and certificate belong to the group; the
 balance of the axis says `Branch.GROUP`, and it holds h_i alone.
 """
 
@@ -177,7 +177,7 @@ class AxisGroup:
         return Sample(samples[0].sync_index, 0.0, square**0.5, words, fresh)
 
     def truth(self, truths: Sequence[Truth]) -> Truth:
-        """Return the true energies of its axes together; work of movers counts as that of motors.
+        """Return the true energies of its axes together; work of movers counts like work of motors.
 
         Args:
             truths: True energies, one for each axis of the rig.
@@ -217,7 +217,7 @@ class GroupedControllers:
                 controller.lasted(float(periods))
 
     def step(self, samples: Sequence[Sample]) -> list[EnergyBalance]:
-        """Return one balance per axis; those of the groups are in `AxisGroup.balance`."""
+        """Return one balance per axis; balances of groups are in `AxisGroup.balance`."""
         balances = self._balances.copy()
         for axis, controller in self._singles:
             sample = samples[axis]

@@ -1,6 +1,6 @@
 """`guarded`: the paper's energy balance with a certified bound on the torque of every hold. The default for rigs.
 
-What is rendered is the environment at its true state, predicted to the hold in which the torque acts (`prediction`). A
+The environment is rendered at its true state, predicted to the hold in which the torque acts (`prediction`). A
 torque held at the middle value lets a spring absorb, and give back, what a continuous one would; a torque held at the
 starting value gives k D^2 / 2 too much in every hold, which is where the energy of a sampled wall comes from. Aimed a
 quarter of a hold further ahead, a spring without a damper calms down. The damper uses the predicted velocity too.

@@ -1,4 +1,4 @@
-"""A sign sequence in the torques of `guarded`, by which a run itself shows in which hold they act.
+"""A sign sequence in the torques of `guarded`, from which a run itself finds the hold in which they act.
 
 Smooth motion in contact does not show a shift by one hold: to first order it looks like a hand's damping. So every
 torque f in contact becomes f or f - 2 a towards zero, as a random sign d = 1 or -1 says: f - a + a d, which no

@@ -2,7 +2,7 @@
 
 The state and velocity of the model come straight from the position. `unprotected` is exactly this; every other
 algorithm changes its efforts. What sampling creates is booked as `gen`, what it loses as `leak`, so that the account
-closes like every other. Such an algorithm is a parameter model, the state that it keeps beyond that of every axis, and
+closes like every other. Such an algorithm is a parameter model, its own state beyond an axis's common one, and
 one function `respond`; `sampled_kernel` makes the kernel of them::
 
     class Limp(SteppedController):

@@ -339,7 +339,7 @@ def rest_of(available: float, used: float) -> float:
 
 
 def leave(storage: Storage, account: HoldAccount) -> HoldAccount:
-    """Turn the account of the last hold of a contact into that of an exit: everything left is leaked."""
+    """Convert the account of a contact's last hold into an exit: everything left is leaked."""
     _, h_r, gen, deficit, leak = account
     leak += storage.h_s
     empty(storage)

@@ -210,7 +210,7 @@ class Network:
         )
 
     def _constant(self, structure: _Rows | Callable[[Sequence[float]], _Rows] | None) -> _Rows:
-        """Return J, or that of a function at the state 0, after checking that it is skew."""
+        """Return J, or its value at the state 0 where it is a function, after checking that it is skew."""
         n = self.states
         if callable(structure):
             chance = np.random.default_rng(0)
@@ -270,7 +270,7 @@ class Network:
         )  # fmt: skip
 
     def _rows_of(self, damper: Damper, structure: _Rows, gain: _Rows) -> tuple[list[float], list[float]]:
-        """Return the rows a and b of a damper; in parallel to a storage they are those of its flow."""
+        """Return the rows a and b of a damper; in parallel to a storage the rows of its flow."""
         where = damper.beside
         if where is not None:
             if not 0 <= where < self.states:

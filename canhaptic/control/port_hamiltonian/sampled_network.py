@@ -292,7 +292,7 @@ def _descend(model: NetworkModel, sample: NetworkSample, before: float) -> tuple
 def by_power(model: NetworkModel, sample: NetworkSample, spent: int) -> int:
     """Continue where the residual no longer falls; return all evaluations, negative if they were not enough.
 
-    The first step is a full one: after it the equations without forces hold, and the power is that of the forces.
+    The first step is a full one: after it the equations without forces hold, and the power is the forces' power.
     """
     room, worst = sample.room, evaluate(model, sample)
     evaluations, whole = spent + 1, True

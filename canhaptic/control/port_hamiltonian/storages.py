@@ -92,7 +92,7 @@ class UserEnergy:
 
 
 Storage: TypeAlias = Annotated[Spring | DoubleWell | Mass | QuadraticForm, Field(discriminator="type")]
-"""What a scene can name."""
+"""Names that a scene can use."""
 
 
 def symmetric_positive(matrix: tuple[_Row, ...], name: str, consequence: str) -> None:
@@ -191,7 +191,7 @@ class DampingMatrix(Parameters):
 
 
 Dissipator: TypeAlias = Annotated[Damper | DampingMatrix, Field(discriminator="type")]
-"""What a scene can name."""
+"""Names that a scene can use."""
 
 
 StructureFunction: TypeAlias = Callable[[Sequence[float]], Sequence[Sequence[float]]]
@@ -238,7 +238,7 @@ class UserFunctions:
     """
 
     def __init__(self, storages: Sequence[Any], structure_at: StructureFunction | None) -> None:
-        """Take the user's storages among those of a network.
+        """Take the user-defined storages of a network.
 
         Raises:
             ParameterError: A gradient is not that of its energy, or an energy is below 0.

@@ -304,7 +304,7 @@ class SdoChannel:
             raise self._unanswered("write", index, subindex, error) from error
 
     def _note(self, changes: list[Written], change: Written) -> None:
-        """Record a write with the value before: that of the write before it, or as the drive has it."""
+        """Record a write with the value before: from the write before it, or as the drive has it."""
         earlier = next((c.after for c in reversed(changes) if c.place == change.place), None)
         if earlier is None:
             try:

@@ -107,7 +107,7 @@ class ServoDrive(TorqueAxis):
         return "-".join(parts)
 
     def own_bring_up(self) -> "BringUp | None":
-        """Return the start of a drive in a mode of its own; None: that of the cyclic torque."""
+        """Return the start of a drive in a mode of its own; None: the start for cyclic torque."""
         return None
 
     def reset(self) -> None:

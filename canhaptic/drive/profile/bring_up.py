@@ -1,6 +1,6 @@
 """The fail-closed start of one drive by its objects: every step confirmed or refused.
 
-The steps are those of CiA 402. A derived class adds the fieldbus: its states, watchdog and process data.
+The steps follow CiA 402. A derived class adds the fieldbus: its states, watchdog and process data.
 """
 
 import tomllib

@@ -363,7 +363,7 @@ def _max_torque_value(axis: TorqueAxisParameters, rated_torque: float) -> int:
 
 
 def _rated_torque_objection(dictionary: Dictionary, axis: TorqueAxisParameters) -> str | None:
-    """Return why 0x6076 cannot be read, or cannot hold what the configuration says; limits are those of writing."""
+    """Return why 0x6076 cannot be read, or cannot hold what the configuration says; the limits apply to writing."""
     variable = listed(dictionary, od.RATED_TORQUE)
     text = objection(dictionary, ObjectUse(od.RATED_TORQUE, reads=True))
     if text is not None or variable is None or axis.rated_torque is None:

@@ -58,7 +58,7 @@ TWINS: Final[Mapping[str, Mapping[str, Any]]] = {name: of["twin"] for name, of i
 
 @cache
 def quirks_of(names: Sequence[str]) -> Quirks:
-    """Return the deviations of a drive; without names, those of a plain CiA 402 drive.
+    """Return the deviations of a drive; without names, of a plain CiA 402 drive.
 
     Args:
         names: A tuple of names of `_QUIRKS`.

@@ -1,4 +1,4 @@
-"""Restores what a start wrote into a drive, last written first, once the drive reports that it is disabled.
+"""Restores the values that a start wrote into a drive, last written first, once the drive reports that it is disabled.
 
 A drive in a fault, or a silent one, is left as it is. Commands are not settings, and stay at rest.
 """

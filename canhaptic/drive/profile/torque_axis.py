@@ -477,7 +477,7 @@ class TorqueAxis(ABC):
 
         While TPDOs are missing, the torque held when the first went missing, reduced by its ramp, is an upper bound;
         the operator's stop may ask for less. After a skipped SYNC the last torque is the bound: a controller takes the
-        motion of several sample times for that of one and would brake several times too hard.
+        motion of several sample times for the motion of one and would brake several times too hard.
 
         Raises:
             ControlError: The torque is not finite.

@@ -31,7 +31,7 @@ def _by_place(objects: object) -> object:
 
 
 class TorqueAxisParameters(Parameters):
-    """Properties of an axis that the profile needs. Torques are those of the axis: N*m (rotary) or N (linear)."""
+    """Properties of an axis that the profile needs. Torques are at the axis: N*m (rotary) or N (linear)."""
 
     name: Name
     """Name of the axis in messages, tables and logs; no other axis has it."""

@@ -6,7 +6,7 @@
 
 **One source.** The kernels of a controller (`canhaptic.kernels`), the plant and the sums of the figures run in one loop
 (`closed_loop`): in machine code, or in Python with the same bits (but for the functions of the C library, sine and
-exponential, whose last bit is that of its library). A linear plant moves by its flow over a hold (`plants`), one with
+exponential, whose last bit depends on its library). A linear plant moves by its flow over a hold (`plants`), one with
 events by the stepper of `canhaptic.sim.plant` (`event_plant`). Scenes are computed one after the other, and none
 depends on another.
 

@@ -322,7 +322,7 @@ def _linear(case: BatchCase, count: int) -> _Linear:
 
 
 def _fastest(linear: _Linear) -> Array:
-    """Bound of the rates of each scene [rad/s]: those of an oscillator, and those of the hand's motion."""
+    """Upper bound on the rates of each scene [rad/s]: of an oscillator, and of the hand's motion."""
     found = np.zeros(len(linear.lower))
     for rates in linear.rates:
         hand = np.abs(rates[:, 2:-1]).max(axis=(1, 2)) if rates.shape[1] > 3 else 0.0

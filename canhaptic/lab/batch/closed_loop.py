@@ -1,6 +1,6 @@
 """One plant and one controller in one loop, from SYNC to SYNC: a kernel, and its parts shared with other loops.
 
-The order and the rounding are those of `direct_rig.DirectRig`. A linear plant moves by the exact flow of one hold, its
+The order and the rounding are as in `direct_rig.DirectRig`. A linear plant moves by the exact flow of one hold, its
 rows summed term by term; for one with events `plants.EventPlant` takes its place, and for any other the plant itself.
 
 The continuous environment of one loop, from SYNC to SYNC: a kernel.

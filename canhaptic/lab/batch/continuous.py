@@ -49,7 +49,7 @@ def continuous_reference(
         environment: Environment to render without sampling.
         plant: Moving mass.
         user: The hand.
-        effects: Effects of the plant; those of encoder and command are left out.
+        effects: Effects of the plant; effects on encoder and command are left out.
         sample_time_ns: T [ns], the grid of the result.
         cycles: SYNCs.
 

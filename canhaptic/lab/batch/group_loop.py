@@ -1,6 +1,6 @@
 """One group of a scene in a loop without a bus: motors, the controller of the group, and a record of every SYNC.
 
-Order and rounding are those of `DirectRig`: the true positions, the encoders' counts, the step, the torque that the
+Order and rounding are as in `DirectRig`: the true positions, the encoders' counts, the step, the torque that the
 drives apply for the command.
 
 Motors and the controller of a group in one loop, from SYNC to SYNC: a kernel, as `closed_loop` is for one axis.
@@ -528,7 +528,7 @@ def _stage(stage: XYMotion, order: Sequence[int]) -> LinearMotors:
 
     Args:
         stage: Stage without dry friction.
-        order: Places of the motors of the group among those of the stage.
+        order: Index of each motor of the group among the motors of the stage.
     """
     flow, start = stage.whole_flow(), stage.state
     forces = [stage.force_places[at] for at in order]

@@ -224,7 +224,7 @@ def run_batch(
         engine: "numba" needs the extra `fast`; "auto" takes it where it is installed and worthwhile, else "python".
         metrics: Names of `ALL`; None for `METRICS`. Those of
             `CONTINUOUS` march a continuous run with every loop and are NaN where it has no closed form.
-        seeds: Seed of everything random in each scene, shape (n_scenes,); by default that of the scene.
+        seeds: Seed of everything random in each scene, shape (n_scenes,); by default the scene's seed.
         stopped: Called with the numbers of scenes whose plant could not be advanced, and why; their figures are NaN.
 
     Raises:

@@ -2,13 +2,13 @@
 
     m v' = torque - b v + K (x_u - q) + D (v_u - v) + push   (`user` and `plant` of canhaptic.sim.plant)
 
-The states are those of `Plant`, in its order, and so is the flow: exp(F T) by a series and doubling. The sum of a row
+States and their order are as in `Plant`, and so is the flow: exp(F T) by a series and doubling. The sum of a row
 is taken term by term and not by a matrix product, so that a position may differ from that of `Plant` by a few units in
 its last place per hold. Plants with other linear effects are made one by one, each distinct one once.
 
 A plant with events in the loop of a batch: replacements of `closed_loop.move_plant`; kernels.
 
-The modes, the stepper and what is solved over substeps are those of `canhaptic.sim.plant`, on arrays of all modes,
+The modes, the stepper and the solution over substeps come from `canhaptic.sim.plant`, on arrays of all modes,
 which are compiled before the loop begins.
 
 Forces that are not piecewise affine, in the loop of a batch: `canhaptic.sim.plant.splitting` on arrays; kernels.
@@ -288,7 +288,7 @@ CALLS: Final = (
 
 
 Plants = closed_loop.LinearPlants | EventPlants
-"""What a loop of a batch moves."""
+"""Plants that a loop of a batch moves."""
 Stopped = Callable[[Plants, int, int], None]
 """Takes plants, the number of a scene, and the SYNC to which its plant could not be moved."""
 
@@ -511,7 +511,7 @@ _ANY_NS: Final = 1_000_000
 
 
 class LinearMotion(NamedTuple):
-    """How many plants move, each by its own flow; n = 1 where all are the same. States: those of `Plant`."""
+    """How many plants move, each by its own flow; n = 1 where all are the same. States as in `Plant`."""
 
     flows: Array  # state after a hold, shape (n, k, k)
     starts: Array  # shape (n, k)

@@ -6,7 +6,7 @@ One group compiled with its motors, with a record of every SYNC; see `compiled_l
 
 One group of a scene in a loop without a bus, with the names of the batch.
 
-Figures of one axis apply to a group as follows: energies are those of all its motors and of a mover; torques are
+Figures of one axis apply to a group as follows: energies are sums over all its motors and a mover; torques are
 Euclidean norms, `torque_peak` is the largest of any motor. Travel, stiffness and comparisons with a continuous run are
 NaN: a group has no position.
 """
@@ -66,7 +66,7 @@ from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.plant import Plant
 
 _OF_A_SUBSTEP: Final = 4
-"""Cost of a substep, whose force is found by a secant, over that of a cycle."""
+"""Ratio of the cost of a substep, whose force is found by a secant, to a cycle's."""
 
 
 class ObjectPlant:

@@ -1,7 +1,7 @@
 """The figures of a run: each is defined here once, by name, unit and the sums it needs.
 
-The sums are those of `meter`, taken during a run, or from recorded rows.
-Energies [J] are those of the plant unless named as accounted ones (`believed_...`).
+The sums come from `meter`, taken during a run, or from recorded rows.
+Energies [J] are the plant's unless named as accounted (`believed_...`).
 
 The figures of an admittance display in a sweep, by name; a name of impedance displays means the same here.
 """

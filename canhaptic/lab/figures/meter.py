@@ -160,7 +160,7 @@ def diverge(meter: Meter) -> None:
 
 
 def compare(meter: Meter, position: float, torque: float, continuous_position: float, continuous_torque: float) -> None:
-    """Compare one SYNC with that of the continuous environment.
+    """Compare one SYNC with the continuous environment.
 
     Args:
         meter: Meter of the run; changed.

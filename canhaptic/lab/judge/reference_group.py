@@ -1,6 +1,6 @@
 """Motion of several motors as ordinary differential equations: axes of their own, an X-Y stage, a five-bar.
 
-The links of the five-bar are those of the simulated one; the method is another: `M(q) v' = torque + ... - C(q, v)`, in
+The five-bar has the links of the simulated one; the method differs: `M(q) v' = torque + ... - C(q, v)`, in
 accelerations and for any solver, where the simulated one takes steps of a discrete gradient in momenta.
 """
 
@@ -167,7 +167,7 @@ class _TwoMotors:
 
 
 class StageModel(_TwoMotors):
-    """An X-Y stage; its modes are those of the dry friction of its guides."""
+    """An X-Y stage; its modes come from the dry friction of its guides."""
 
     def __init__(self, stage: XYStage, hand: TaskHand | None) -> None:
         super().__init__(hand, stage.initial_position)

@@ -5,7 +5,7 @@ work of the user. Every effect that acts on the motion is included; effects of t
 
 Forces of the reference plant, one element each: its forces on the bodies, and its transitions between modes.
 
-An element adds to `forces` (one per body, motor first) and to `rates`. Signs, units and sources are those of the effect
+An element adds to `forces` (one per body, motor first) and to `rates`. Signs, units and sources are as in the effect
 of the same name in `canhaptic.sim.plant.effects`.
 
 Motion of the states found by a reference method, and the difference of two motions.
@@ -408,7 +408,7 @@ class Model:
     def add(self, element: Element) -> None:
         """Add a further element that acts on the motor, such as an environment.
 
-        Its forces come before those of dry friction, which balances the remaining force.
+        Its forces come before dry friction, which balances the remaining force.
         """
         dry = 1 if self._friction is not None else 0
         self._elements.insert(len(self._elements) - dry, element)

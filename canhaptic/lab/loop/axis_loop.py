@@ -393,7 +393,7 @@ def loop_case(axis: AxisScene, scene: Scene) -> LoopCase:
 
 
 def _device_damping(axis: AxisScene) -> float:
-    """Declared damping of the device, else that of the simulated plant."""
+    """Declared damping of the device, else the simulated plant's."""
     if axis.loop.device_damping is not None:
         return axis.loop.device_damping
     if axis.simulation is None:
@@ -402,7 +402,7 @@ def _device_damping(axis: AxisScene) -> float:
 
 
 def viscous_friction(simulation: AxisSimulation) -> float:
-    """Return the damping that effects add to that of the plant [N*s/m or N*m*s/rad]."""
+    """Return the damping that effects add to the plant's [N*s/m or N*m*s/rad]."""
     viscous = (effect.parameters for effect in simulation.effects if effect.name == "viscous_friction")
     return sum((float(getattr(effect, "damping", 0.0)) for effect in viscous), 0.0)
 

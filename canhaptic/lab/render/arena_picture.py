@@ -97,7 +97,7 @@ def _lines(found: Found, part: str, figure: Callable[[Row], float]) -> dict[str,
     Args:
         found: Result of an arena.
         part: Part of the result with a row for each point.
-        figure: Figure of a row by which lines differ.
+        figure: Figure of a row that distinguishes the lines.
     """
     names = found["algorithms"]
     means = {name: float(np.mean([figure(row) for row in found[part] if row["algorithm"] == name])) for name in names}

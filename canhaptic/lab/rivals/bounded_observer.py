@@ -38,7 +38,7 @@ from canhaptic.units import quantity
 
 
 class BoundedObserverParameters(DamperVelocity):
-    """Bounds of the passivity controller; the defaults are those of the source."""
+    """Bounds of the passivity controller; the defaults come from the source."""
 
     speed_offset: Annotated[float, quantity("m/s", "rad/s", gt=0.0, le=10.0)] = 0.01
     """delta: keeps the force bounded where the motion comes to rest."""
@@ -59,7 +59,7 @@ class _BoundedObserverState(ObserverState):
 def settings_of(
     environment: Environment, parameters: BoundedObserverParameters, loop: LoopProperties
 ) -> SampledSettings[Any]:
-    """Constants of a run; the limit is that of the force."""
+    """Constants of a run; the limit applies to the force."""
     limit = inf if parameters.force_limit is None else parameters.force_limit
     return sampled_settings(environment, parameters, loop, limit)
 

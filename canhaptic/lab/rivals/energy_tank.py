@@ -76,7 +76,7 @@ def part_applied(parts: Buffer, place: int, missed: int) -> float:
 
 
 def constant_force(stiffness: float, depth: float, spring: float) -> float:
-    """Return the force of the constant spring, not larger than that of the environment [N or N*m]."""
+    """Return the force of the constant spring, not larger than the environment's [N or N*m]."""
     force = stiffness * depth
     return force if abs(force) < abs(spring) else spring
 

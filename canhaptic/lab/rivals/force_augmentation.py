@@ -28,7 +28,7 @@ _START: Final = Branch.START.value
 
 
 class ForceAugmentationParameters(DamperVelocity):
-    """The soft spring and the growth of the offset; the defaults are those of the source."""
+    """The soft spring and the growth of the offset; the defaults come from the source."""
 
     feedback_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)] = 1200.0
     """k: of the soft spring."""

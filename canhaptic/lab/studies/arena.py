@@ -306,7 +306,7 @@ def _at_delay(scene: Scene, delay: int) -> Scene:
 def theory(rig: Path, delay: int) -> dict[str, Rows]:
     """Return the theoretical limits in the K-B plot by name, each a list of damping and stiffness.
 
-    They are those of the plain wall, and the largest stiffness that a certificate of `guarded` holds; see
+    They apply to the plain wall, and the largest stiffness that a certificate of `guarded` holds; see
     `lab.studies.map`.
     """
     plain, ours = (_at_delay(scene_under(rig, name), delay) for name in ("unprotected", "guarded"))
@@ -468,7 +468,7 @@ def given_out(algorithms: Sequence[str], cases: Sequence[Row]) -> dict[str, dict
 _KIND: Final = "arena"
 _LARGEST: Final = 100_000_000  # [B], of the files that a case is made of
 _COMPUTES: Final = ("control", "kernels", "scene", "sim", "lab")
-"""Folders of the package whose code decides what a case gives."""
+"""Folders of the package whose code determines the result of a case."""
 
 
 class ArenaStore(Store):
@@ -651,7 +651,7 @@ def _job(group: CaseGroup, finished: Sequence[Row], store: ArenaStore, count: Co
 
 
 def _of_rig(plan: ArenaPlan, stop_requested: Callable[[], bool]) -> Row:
-    """Return what is measured on the rig; what a request to stop leaves out is missing."""
+    """Return the figures measured on the rig, without any that a request to stop left out."""
     found: dict[str, list[Row]] = {"borders": [], "impedance": []}
     for name in plan.algorithms:
         for delay in plan.delays:

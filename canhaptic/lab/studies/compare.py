@@ -127,7 +127,7 @@ def compare(
 
 
 def _require_rate(scene: Scene, *, displays: bool, over_can: bool) -> None:
-    """Refuse another rate than that of the scene.
+    """Refuse a rate other than the scene's.
 
     Raises:
         InputError: The drives of the runs have that of the scene.
@@ -318,7 +318,7 @@ def _groups_compiled(scene: Scene, names: Sequence[str], cycles: int, progress: 
 
 
 def _compiled(scene: Scene, name: str, cycles: int) -> Row:
-    """Return the account of one group; whether it was passive is what the plant's own energies say."""
+    """Return the account of one group; the plant's own energies say whether it was passive."""
     try:
         run = render_group("numba", _groups_under(scene, name), cycles)
     except ParameterError as error:

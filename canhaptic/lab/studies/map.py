@@ -358,7 +358,7 @@ _FEW: Final = 8
 _LOG_SPAN: Final = 8.0
 """Ratio of largest and least value from which an axis is logarithmic."""
 CurveStyle = Literal["measured", "ours", "colgate", "abbott_okamura", "eigenvalues", "certificate"]
-"""What a line is of."""
+"""What a line represents."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -601,7 +601,7 @@ def _together(fields: list[MapField], chosen: Chosen) -> list[Lines]:
 
 
 def _keys(field: MapField, chosen: Chosen) -> tuple[str, str, str | None]:
-    """Return what is searched, what is across and what has one line or panel each."""
+    """Return the key that is searched, the key across, and the keys with one line or panel each."""
     free = [key for key in field.keys if key != chosen.x] or field.keys
     z = _STIFFNESS if _STIFFNESS in free else free[-1]
     others = sorted((key for key in field.keys if key != z), key=_preference)
@@ -712,7 +712,7 @@ def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
 
 
 def _shown(field: MapField, metric: str) -> tuple[Array, str, str]:
-    """Return a figure as it is drawn: energies below zero as what is missing, renderings as shares of the asked."""
+    """Return a figure as it is drawn: energies below zero as the missing amount, renderings as shares of requests."""
     values = field.figure(metric)
     if metric in ("margin", "least_interaction", "believed_margin"):
         words = {"margin": "missing in the margin, eq. 4", "least_interaction": "given out beyond what came in"}

@@ -178,7 +178,7 @@ def run_jobs(
     where: object,
     in_flight: int = 4,
 ) -> None:
-    """Run jobs until all are finished or a stop is requested; what is under way then is finished, too.
+    """Run jobs until all are finished or a stop is requested; jobs under way are still finished.
 
     Args:
         jobs: The jobs, in the order of their submission.

@@ -60,7 +60,7 @@ class TouchJob:
         number: Number of the run; another number in shared memory ends it.
         text: Text of the scene.
         source: File of the scene.
-        overrides: Values that replace those of the scene.
+        overrides: Values that override the scene.
         axis: Axis to touch; None for the first.
         allow_code: Whether files that the scene names may run.
         pace: "even" or "real".
@@ -108,9 +108,9 @@ def no_run(number: int, ended: str) -> TouchStatus:
 
 
 def columns(touched: TouchScene) -> list[str]:
-    """Return the names of the columns of a row: time, token, position of the hand, then those of each side.
+    """Return the names of the columns of a row: time, token, position of the hand, then the columns of each side.
 
-    `force` is that of the display on the hand; for an admittance display, the hand's force from its sensor.
+    `force` is the display's force on the hand; for an admittance display, the hand's force from its sensor.
     """
     names = ["time", "token", *(f"hand.{d}" for d in touched.directions)]
     parts = ("position", "force", "velocity", "command") if touched.is_display else ("position", "force")
@@ -307,7 +307,7 @@ class TouchHand:
 
     Attributes:
         touched: Scene of the present run.
-        changes: Values that replace those of the scene, by key.
+        changes: Values that override the scene, by key.
     """
 
     def __init__(self, scene: Scene, axis: str | None = None, pace: TouchPace = "even") -> None:

@@ -45,7 +45,7 @@ class Side:
     """One handle.
 
     Attributes:
-        name: Name of the side, that of its algorithm.
+        name: Name of the side: the algorithm's name.
         axes: Names of its axes in the rig.
         group: Name of the group that renders on them; empty without a group.
         allowance: Energy that its algorithm may give out before any was received [J].
@@ -107,7 +107,7 @@ class TouchScene:
 
 
 def sliders_of(section: str, values: Parameters, names: Sequence[str], unit: str) -> tuple[TouchSlider, ...]:
-    """Sliders for those of the given parameters that a section has.
+    """Sliders for the given parameters that a section has.
 
     Args:
         section: Path of the section in the scene.
@@ -162,7 +162,7 @@ def on_two_buses(
 
 
 _OVER: Final = 1.05
-"""What is declared of a simulated drive over its true values, where the scene declares nothing."""
+"""Ratio of declared to true values of a simulated drive, where the scene declares nothing."""
 _DISPLAY_SLIDERS: Final = ("mass", "cup", "damping")
 
 

@@ -96,7 +96,7 @@ class BusEffects(Parameters):
     foreign_rate: Annotated[float, quantity("Hz", ge=0.0, le=1e5)] = 0.0
     """Frames of other devices per second, at random times (Poisson), seen by master and drives."""
     foreign_ids: tuple[_CobId, ...] = (0x7F0,)
-    """COB-IDs that these frames take in turn; those of an axis make them impostors."""
+    """COB-IDs that these frames take in turn; COB-IDs of an axis make them impostors."""
     wire_time: bool = False
     """Whether each frame takes its worst-case time at `bus.bitrate`, one at a time, lowest COB-ID first."""
     freeze: tuple[Window, ...] = ()

@@ -52,7 +52,7 @@ class AdmittanceScaling(Parameters):
     velocity_counts: Annotated[float, quantity("count*s/m", "count*s/rad", gt=0.0)] | None = None
     """Counts of 0x60FF for 1 m/s or 1 rad/s; None: those of the position, as for counts per second."""
     ramp: Annotated[float, quantity("m/s^2", "rad/s^2", gt=0.0, le=1e6)] | None = None
-    """A ramp in the drive that no object shows, besides those of 0x6083 and 0x60C5; None: none."""
+    """A ramp in the drive that no object shows, besides 0x6083 and 0x60C5; None: none."""
 
 
 class SimulatedDriveParameters(Parameters):
@@ -82,8 +82,8 @@ class SimulatedDriveParameters(Parameters):
         follow_delay: Time in OPERATION ENABLED until the torque follows; bit 12 of the statusword is 0 until then.
         sdo_size_indicated: False for a drive that leaves out the length of expedited answers.
         sync_losses_to_fault: Communication cycle periods (0x1006) without SYNC until the drive faults.
-        brake: A brake that holds the motor; by default that of the axis.
-        display: Scales of an admittance display; by default those of the axis.
+        brake: A brake that holds the motor; by default the axis's.
+        display: Scales of an admittance display; by default the axis's.
     """
 
     counts_per_unit: Annotated[float, quantity("count/m", "count/rad", gt=0.0, le=1e12)]

@@ -4,7 +4,7 @@
         def force(self, time: float, position: float, velocity: float) -> float:
             return -5.0 if 1.0 < time < 1.2 else 0.0
 
-Stiffness, damping, push and motion of the grip are those of every hand; the force adds to them. It is held over
+Stiffness, damping, push and motion of the grip are as for every hand; the force adds to them. It is held over
 each substep at the middle of the substep and solved together with the motion (`splitting.py`): second order in the
 substep where it is smooth.
 """

@@ -49,7 +49,7 @@ class SimulatedForceSensor(Parameters):
     noise: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] = 0.0
     """Standard deviation of each value; it is cut at three of it."""
     quantum: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] = 0.0
-    """Step of the values, in addition to that of the object that carries them."""
+    """Step of the values, in addition to the step of the object that carries them."""
     latency: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Delay of a value in whole samples."""
     freeze_at: Annotated[float, quantity("s", ge=0.0, le=1e6)] | None = None
@@ -351,7 +351,7 @@ class AdmittancePlant(Plant):
         AdmittancePlant.__init__(self, parameters, display, user, effects, sample_time_ns, seed, accuracy)
 
     def feed_forward(self, torque: float) -> None:
-        """Add a torque to that of the loop from now on, replacing the previous one, as 0x60B2 does.
+        """Add a torque to the loop's torque from now on, replacing the previous one, as 0x60B2 does.
 
         With an integral it is added to the integral; otherwise it is converted to an additional velocity command.
 

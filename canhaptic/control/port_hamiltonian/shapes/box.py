@@ -23,7 +23,7 @@ class Box(Surface):
     lower: Coordinates
     """Least task coordinates [m or rad] of the box."""
     upper: Coordinates
-    """Largest task coordinates [m or rad]; each more than that of `lower`."""
+    """Largest task coordinates [m or rad]; each above its entry of `lower`."""
     side: Literal["inside", "outside"] = "inside"
     """Where free space is."""
 

@@ -21,7 +21,7 @@ class CoupledHandles(Parameters):
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
     """Damping coefficient between the handles."""
     scale: Annotated[float, quantity("1", gt=0.0, le=1e3)] = 1.0
-    """Motion of the first handle over that of the second."""
+    """Ratio of the first handle's motion to the second's."""
     offset: Coordinates | None = None
     """p1 - scale p2 without force [m or rad]; None: zeros."""
 

@@ -10,7 +10,7 @@ from canhaptic.units import Numbers, quantity
 class MovingWall(Surface):
     """Material where normal . p < offset + w(t), w(t) = amplitude (1 - cos(2 pi f t)) / 2: from 0 to the amplitude.
 
-    The wall can push: its energy is that of its mover, `GroupBalance.supplied`, and the promise of the account is
+    The wall can push: its energy comes from its mover, `GroupBalance.supplied`, and the promise of the account is
     sum(h_i) >= 0 with the mover's energy in it.
     """
 

@@ -29,7 +29,7 @@ _FEW_BITS: Final = (8, 16, 24)
 """Where substeps are to be chosen too."""
 _SUBSTEPS: Final = (1, 2, 4, 8, 16, 32)
 FLOOR: Final = 2e-13
-"""Part of the travel below which errors are those of the reference, or rounding: they count as equal."""
+"""Fraction of the travel below which errors count as equal: they come from the reference, or rounding."""
 LEAST_ORDER: Final = 0.5
 """Part of the declared order: where the errors of a scene fall by less, no setting of it is advised or chosen."""
 _CEILING: Final = 3e-2
@@ -193,7 +193,7 @@ def holds_of(scene: Scene, duration: float | None = None) -> int:
 
 
 def require_own_axis(axis: AxisScene, scene: Scene) -> None:
-    """Refuse an axis whose motion is not that of one plant under one controller.
+    """Refuse an axis that does not move as one plant under one controller.
 
     Raises:
         InputError: A group renders on it, or it moves a mechanism with others.

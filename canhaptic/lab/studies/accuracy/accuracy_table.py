@@ -57,7 +57,7 @@ def accuracy_report(result: Row, *, tables: bool = False) -> RenderableType:
 
 
 def is_of_display(result: Row) -> bool:
-    """Whether a study is that of an admittance display."""
+    """Whether a study is about an admittance display."""
     return "tolerance" not in result
 
 

@@ -74,17 +74,17 @@ def continuous_loop(
 
 
 FINEST: Final = 4
-"""Highest rate over that of the scene; the reference is read at that rate."""
+"""Ratio of the highest rate to the scene's; the reference is read at that rate."""
 RATES: Final = (0.25, 0.5, 2.0, float(FINEST))
-"""Sample rates that are tried, over that of the scene."""
+"""Sample rates that are tried, as multiples of the scene's."""
 _RANGE: Final = (1.0, 20_000.0)
 """Least and highest rate of a scene [Hz]."""
 _SUBSTEPS: Final = 32
 """Substeps of the plant in one sample time of the scene: the finest of the ladder, whose error is the floor here."""
 _GROUP_SUBSTEPS: Final = 8
-"""The same of plants of a group: of order 2, the error of a mechanism is far below that of its loop."""
+"""The same for plants of a group: of order 2, the error of a mechanism is far below its loop's."""
 _TRAVELS: Final = 10.0
-"""Distance from the origin that counts as divergence of a group, in that of the continuous run."""
+"""Distance from the origin that counts as divergence of a group, as a multiple of the continuous run's."""
 _ENCODER_EFFECTS: Final = ("encoder_noise", "encoder_quantisation")
 
 
@@ -98,7 +98,7 @@ class Variant:
         scene: Scene of the axis or group alone, changed.
         is_scene: Whether nothing is changed.
         remark: Values that its algorithm took from the plant.
-        fineness: Times that of the scene, infinite for ideal; None where nothing is finer.
+        fineness: Multiple of the scene's, infinite for ideal; None where nothing is finer.
     """
 
     group: str
@@ -294,7 +294,7 @@ _Values = Mapping[str, float | None]
 
 
 def _changed(axis: AxisScene, loop: _Values, parameters: _Values) -> AxisScene:
-    """Return an axis with changes to what is known of its loop, and to its drive."""
+    """Return an axis with changes to the known properties of its loop, and to its drive."""
     given = axis.parameters.model_copy(update=parameters)
     return replace(axis, loop=axis.loop.model_copy(update=loop), parameters=given)
 

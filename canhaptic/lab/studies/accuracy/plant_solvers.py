@@ -204,7 +204,7 @@ class PlantSide:
         scene: Scene of the axis.
         holds: Number of holds.
         stop: Polled regularly; true aborts.
-        torques: Torque of each hold [N or N*m]; None: those of the scene's own controller.
+        torques: Torque of each hold [N or N*m]; None: from the scene's own controller.
         settings: Settings to try; None: every one that makes a difference for this plant.
 
     Attributes:
@@ -305,7 +305,7 @@ class PlantSide:
         return orders_of(self.candidates, self.rows, self.travel, self.declared)
 
     def declared(self, method: str) -> int | None:
-        """Return the order that a method has on this scene: that of the effects for ours, 1 where modes switch."""
+        """Return the order that a method has on this scene: the effects' order for ours, 1 where modes switch."""
         if method == OURS:
             return declared_order(self._simulation)
         own = next(candidate.order for candidate in self.candidates if candidate.method == method)

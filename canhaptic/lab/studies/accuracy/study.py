@@ -319,7 +319,7 @@ _LONGEST: Final = 4000
 _AFTER: Final = 100
 """Sample times of the second contact that are compared."""
 _JUDGED_WITH: Final = "unprotected"
-"""Algorithm that shows what a loop costs whose own algorithm lets no torque through."""
+"""Algorithm with which a loop is timed whose own algorithm lets no torque through."""
 
 
 class Length(NamedTuple):

@@ -29,7 +29,7 @@ from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.view.si import si
 
 _HANDS: Final = ((1.0, 1.0), (0.3, 1.0), (3.0, 1.0), (1.0, 0.3), (1.0, 3.0))
-"""Hands that are tried: (mass at the grip, stiffness of the hand), times those of the scene."""
+"""Hands that are tried: (mass at the grip, stiffness of the hand), as multiples of the scene's."""
 _DURATION: Final = 2.0  # of a trial [s]
 _PLACES: Final = (17, 7, 5)  # masses in the whole range, then in each interval found
 _RANGE: Final = (0.05, 1.1)  # of the mass from which the guard never acts
@@ -105,7 +105,7 @@ class _Trial:
 
 
 def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, Row]]:
-    """Yield (masses tried so far, what is known of the lightest), from heavy to light.
+    """Yield (masses tried so far, result for the lightest), from heavy to light.
 
     Raises:
         CheckFailedError: None passes.
@@ -147,7 +147,7 @@ def _why(figures: list[_Figures], mass: float, trial: _Trial) -> str:
 
 
 def _account(trial: _Trial, mass: float, figures: list[_Figures]) -> Row:
-    """Return what a mass is and costs; the worst of all hands."""
+    """Return the figures of a mass; the worst over all hands."""
     shares = [of["mass_felt.share"] for of in figures]
     return {
         "mass": mass,
@@ -165,7 +165,7 @@ def _account(trial: _Trial, mass: float, figures: list[_Figures]) -> Row:
 def never_acts(scene: Scene) -> float:
     """Return the mass above which every display is passive without a guard, M + c tau [kg or kg*m^2].
 
-    For `guarded` the declared values count, for another algorithm those of the simulated plant.
+    For `guarded` the declared values count, for another algorithm the simulated plant's.
     """
     return max(_of_axis(axis, scene) for axis in scene.axes)
 

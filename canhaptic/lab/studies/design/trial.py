@@ -7,7 +7,7 @@ A wall passes if both hands find its stiffness, and the second its damping, with
 came out than went in. Certain damping b of the device, where it is declared, covers energy of the port: `guarded` then
 promises sum(h_i) + (b / T) sum(dq^2) >= 0 by proof, which is judged, and the energy that the port alone gave out is
 
-reported. The rig is that of the scene. For a scene with real drives the plant is what `passivity` declares: the least
+reported. The rig is the scene's. For a scene with real drives the plant is what `passivity` declares: the least
 moving mass and damping, on which the certificates rest.
 
 One stiffness and one damping for every network in a design: the largest, with which all others scale.

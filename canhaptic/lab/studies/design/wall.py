@@ -189,7 +189,7 @@ class _Places(NamedTuple):
 _COMPILED: Final = _Places((128, 64), (32, 32), 10)
 _ONE_BY_ONE: Final = _Places((12, 6, 6), (8, 6), 5)
 _GROUPS: Final = _Places((12, 6), (6,), 3)
-"""Places where Python runs the loop of a group, which takes four times as long as that of an axis."""
+"""Places where Python runs the loop of a group, which takes four times as long as the loop of an axis."""
 
 
 def design(

@@ -134,11 +134,11 @@ class Recipe:
     Attributes:
         source: File of the scene, the base of relative paths.
         text: Text of the scene.
-        overrides: Values that replace those of the scene before anything varies.
+        overrides: Values that override the scene before anything varies.
         varied: The keys; a range has only its ends.
         places: Override paths of each key, in the order of `varied`.
         axes: Names of the axes outside groups, and of the groups.
-        duration: Length of every run [s]; None: that of the scene.
+        duration: Length of every run [s]; None: the scene's.
         cycles: SYNCs of every scene; None: from the duration.
         metrics: Requested metrics.
         engine: Engine for scenes that fit a batch; chosen once, so that all workers agree.

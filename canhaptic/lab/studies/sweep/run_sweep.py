@@ -154,7 +154,7 @@ def make_sweep(
         controllers: Passivity algorithms to run every point under; none: the scene's own.
         samples: Points of a Latin hypercube; 0 for the grid of all values.
         seed: Seed of the hypercube.
-        duration: Length of every run [s]; by default that of the scene.
+        duration: Length of every run [s]; by default the scene's.
         cycles: SYNCs of every scene, instead of a duration.
         metrics: Names of `FIGURES`; by default `usual_figures`, which need no continuous run of each scene.
         engine: Engine for scenes that fit a batch; "auto" is numba where it is installed and worthwhile.

@@ -120,7 +120,7 @@ class SweepTable(Store):
         self.write(_name(chunk), content.getvalue())
 
     def _column(self, name: str, found: NDArray[Any]) -> NDArray[Any]:
-        """Return a column, filled with what is finished."""
+        """Return a column, filled with the finished rows."""
         for chunk in np.flatnonzero(self.done()).tolist():
             (found[slice(*self.span(chunk))],) = self._read(chunk, name)
         return found
@@ -145,7 +145,7 @@ def create(path: Path, chunk: int, identity: Row, notes: dict[str, str], *, repl
     Args:
         path: Folder.
         chunk: Scenes per chunk.
-        identity: What a resumed sweep must agree with.
+        identity: Facts that a resumed sweep must match.
         notes: Texts about the sweep.
         replace: Whether to replace a sweep that is there.
 

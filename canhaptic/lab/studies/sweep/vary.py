@@ -62,7 +62,7 @@ class Varied:
 
     @property
     def ends(self) -> tuple[Value, ...]:
-        """Values whose validity decides that of all: the ends of a range, or each value of a list."""
+        """Values whose validity decides for all: the ends of a range, or each value of a list."""
         if self.spacing == "list":
             return self.values
         return tuple(dict.fromkeys((self.values[0], self.values[-1])))
@@ -262,7 +262,7 @@ class Points:
         return math.prod(self.shape)
 
     def numbers(self, key: str) -> NDArray[np.intp]:
-        """Return the place of every scene's value among those of a key of the grid, shape (n,)."""
+        """Return the index of every scene's value within a key of the grid, shape (n,)."""
         place = 0 if self.samples else [varied.key for varied in self.varied].index(key)
         return np.unravel_index(np.arange(len(self)), self.shape)[place]
 

@@ -326,7 +326,7 @@ class ProcessData:
         return steps[(len(steps) - 1) // 2] if steps else None
 
     def send_events(self) -> None:
-        """Send the event-driven TPDOs; those of transmission type 0 follow at the next SYNC."""
+        """Send the event-driven TPDOs; TPDOs of transmission type 0 follow at the next SYNC."""
         for pdo in self._sync_tpdos:
             pdo.is_due = True
         for pdo in self._event_tpdos:

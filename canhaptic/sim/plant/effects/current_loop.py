@@ -3,7 +3,7 @@
     d(tau)/dt = (held - tau) / time_constant
 
 `time_constant` is L / R of the winding, or the closed current loop's. States added: motor_torque. Exact for any ratio
-of sample time to time constant. Energy: motor work is that of the true torque. Typical: 50 us .. 1 ms.
+of sample time to time constant. Energy: motor work uses the true torque. Typical: 50 us .. 1 ms.
 Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2003; Leonhard, "Control of Electrical Drives", 2001.
 """
 

@@ -3,7 +3,7 @@
     time_constant dT/dt = thermal_resistance * copper_loss * torque^2 - (T - ambient)
 
 States added: winding_temperature. Exact under a held torque; the limit is taken at the start of each hold (order 1 in
-the sample time), and with a current loop the heating is that of the held torque. Energy: copper loss is electrical,
+the sample time), and with a current loop the heating follows the held torque. Energy: copper loss is electrical,
 no part of the mechanical balance. Typical: 0.5..5 K/W, 10..1000 s. Source: IEC 60034-11; Leonhard,
 "Control of Electrical Drives", 2001, ch. 4.
 """

@@ -1,6 +1,6 @@
 """Torque quantisation: the current controller resolves the torque in steps of `quantum`.
 
-States added: none. Exact. Energy: motor work is that of the rounded torque. Typical: rated torque / 1000 .. / 10 000.
+States added: none. Exact. Energy: motor work uses the rounded torque. Typical: rated torque / 1000 .. / 10 000.
 Source: CiA 402-2, 0x6071 in per mille of 0x6076; current sensors of 10..12 bits.
 """
 

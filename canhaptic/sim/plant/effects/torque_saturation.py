@@ -1,6 +1,6 @@
 """Torque saturation: the drive cannot give more than `limit`. The held torque is clipped before it reaches the motor.
 
-States added: none. Exact. Energy: motor work is that of the clipped torque. Typical: 2..4 times the rated torque.
+States added: none. Exact. Energy: motor work uses the clipped torque. Typical: 2..4 times the rated torque.
 Source: CiA 402-2, object 0x6072; any drive's peak current.
 """
 

@@ -4,7 +4,7 @@
 
 Within the supply the current follows as in `current_loop`; at the supply it follows the winding's own equation. In SI
 the torque per ampere equals the back-EMF per unit of speed. Above supply / back_emf the motor brakes, torque or none.
-Needs `current_loop`. States added: none (3 modes). Exact. Energy: motor work is that of the true torque.
+Needs `current_loop`. States added: none (3 modes). Exact. Energy: motor work uses the true torque.
 Typical: 24..48 V, 0.05..5 ohm, 0.05..5 mH. Source: Leonhard, "Control of Electrical Drives", 2001, ch. 5 and 7.
 """
 

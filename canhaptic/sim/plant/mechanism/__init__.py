@@ -47,7 +47,7 @@ class Mechanism(Protocol):
     def energy(self, axis: int) -> PlantEnergy:
         """True energies through one motor axis since the start [J].
 
-        The sum over the axes is that of the mechanism. `motor` is the sum of torque times displacement of that motor,
+        The sum over the axes is the mechanism's. `motor` is the sum of torque times displacement of that motor,
         so that minus it is the true sum of its h_i.
         """
 
