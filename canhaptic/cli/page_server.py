@@ -10,7 +10,10 @@ import re
 import secrets
 import signal
 import socket
+import webbrowser
 from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from canhaptic.cli.interrupt import say_interrupted
@@ -22,6 +25,7 @@ from canhaptic.view.run_lines import make_console
 _HOST: Final = "127.0.0.1"  # no other computer may read, or load, what runs here
 _NAMES: Final = (_HOST, "localhost")
 _OURS: Final = re.compile(rf"({'|'.join(map(re.escape, _NAMES))})(:[0-9]{{1,5}})?")
+_SCRIPT: Final = re.compile(r"/static/js/[\w-][\w.-]*")
 _SECRET: Final = 16  # [B]
 _WAITING: Final = 2  # visitors whose browser has not come yet; those before them are ended
 _CHECK: Final = 1000  # [ms] between two looks for visitors to end
@@ -44,7 +48,7 @@ class _Door:
         host = request.headers.get("Host", "")
         is_ours = _OURS.fullmatch(host)
         is_same_origin = request.headers.get("Origin", f"http://{host}") == f"http://{host}"
-        is_known = request.path in self._paths or request.path.startswith("/static/js/")
+        is_known = request.path in self._paths or _SCRIPT.fullmatch(request.path)
         return {} if is_ours and is_same_origin and is_known else None
 
 
@@ -96,14 +100,25 @@ def serve_page(page: Callable[[Any], object], arguments: argparse.Namespace, tit
     server = BaseServer(IOLoop.current(), pages, http)
     ended_by = _stop_on_signals(server.io_loop)
     make_console().print(f" {title} at http://{_HOST}:{port}{path}   Ctrl-C ends", soft_wrap=True)
-    if arguments.open:
-        server.io_loop.add_callback(server.show, path)
-    server.start()
-    server.io_loop.start()
-    server.stop()
+    with TemporaryDirectory(prefix="canhaptic-") as folder:
+        if arguments.open:
+            server.io_loop.add_callback(_open_browser, f"http://{_HOST}:{port}{path}", Path(folder))
+        server.start()
+        server.io_loop.start()
+        server.stop()
     if ended_by[0] == signal.SIGINT:
         say_interrupted()
     return SHELL_OFFSET + ended_by[0]
+
+
+def _open_browser(address: str, folder: Path) -> None:
+    """Open an address in a browser by way of a file in a private folder.
+
+    Every user of the computer can read the command line of the browser, and the address has the secret.
+    """
+    page = folder / "open.html"
+    page.write_text(f'<meta http-equiv="refresh" content="0; url={address}">', encoding="ascii")
+    webbrowser.open(page.as_uri())
 
 
 def _stop_on_signals(loop: Any) -> list[int]:

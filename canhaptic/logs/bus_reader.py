@@ -1,11 +1,13 @@
 """Reads recorded frames: candump text directly, to the microsecond; BLF, TRC and ASC through python-can."""
 
 import re
+import struct
+import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import BinaryIO, Final, Literal, NamedTuple
 
 import can
 
@@ -14,6 +16,9 @@ from canhaptic.logs.log_file import CONVERTIBLE, log_file
 
 _ERROR_FLAG: Final = 0x2000_0000  # of an identifier in candump text (CAN_ERR_FLAG of linux/can.h)
 _LATEST: Final = 4_000_000_000_000_000_000  # [ns], in the year 2096
+_CONTAINER: Final = 10  # type of a BLF object
+_ZLIB: Final = b"\2\0"  # method of compression of a container
+_UNPACKED: Final = 1 << 26  # [bytes], of a container; usual are 1 << 17
 _LONGEST: Final = 4096  # letters of a line
 _LINE: Final = re.compile(
     r"\((\d{1,12})\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#([0-9A-Fa-f]*)(?:\s+([RTrt]))?\s*"
@@ -142,10 +147,28 @@ def _messages(path: Path) -> Iterator[can.Message]:
     suffix = path.suffix.lower()
     if suffix == ".blf":
         with path.open("rb") as binary:
+            _require_small_containers(binary)
             yield from can.BLFReader(binary)
         return
     with _Lines(path.open("rb")) as text:
         yield from can.TRCReader(text) if suffix == ".trc" else can.ASCReader(text, relative_timestamp=False)
+
+
+def _require_small_containers(file: BinaryIO) -> None:
+    """Refuse a BLF container that claims little and unpacks to much: python-can unpacks each at once.
+
+    Raises:
+        ValueError: A container is larger than any that a tool writes.
+        zlib.error: A container cannot be unpacked.
+    """
+    file.seek(int.from_bytes(file.read(8)[4:], "little"))
+    while len(header := file.read(16)) == 16:
+        size, kind = struct.unpack("<8xLL", header)
+        content, _ = file.read(size - 16), file.read(size % 4)
+        is_packed = kind == _CONTAINER and content[:2] == _ZLIB
+        if is_packed and len(zlib.decompressobj().decompress(content[16:], _UNPACKED)) == _UNPACKED:
+            raise ValueError(f"a container of {len(content)} bytes unpacks to {_UNPACKED} bytes or more")
+    file.seek(0)
 
 
 def convert(source: Path, target: Path) -> None:

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Final, NamedTuple, Self, TypeVar
+from typing import Any, Final, NamedTuple, Self, TypeVar
 
 import numpy as np
 
@@ -110,7 +110,7 @@ def usual_length(columns: FoundColumns) -> int:
     return max(counts, key=lambda length: (counts[length], length))
 
 
-_Json = TypeVar("_Json", list[str], dict[str, float], dict[str, dict[str, str]])
+_Json = TypeVar("_Json", list[str], dict[str, float], dict[str, dict[str, Any]])
 
 DAMAGE: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError, OverflowError)
 """What h5py and NumPy raise for one kind of damage or another."""
@@ -248,7 +248,7 @@ class EnergyLog:
             return default
         try:
             value = json.loads(str(self.attributes[name]))
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise LogFormatError(
                 f"{self.path}: attribute {name} cannot be read ({error}); the file is damaged"
             ) from error
@@ -304,13 +304,21 @@ class EnergyLog:
         return int(self.timing["dropped_before"].sum(dtype=np.int64))
 
     def changed_rows(self) -> list[int]:
-        """Return the rows that are not as they were written, by their digests; none of a log without these."""
+        """Return the rows that are not as they were written, by their digests; none of a log without these.
+
+        Raises:
+            LogFormatError: A column cannot be read.
+        """
         if DIGEST not in self._file.names("/"):
             return []
         columns = list(found_columns(self.path, self._file, list(self.ports))[0].values())
         found: list[int] = []
         for start in range(0, self.rows, _BLOCK):
-            *values, digests = (column.read(start, min(self.rows, start + _BLOCK)) for column in columns)
+            try:
+                *values, digests = (column.read(start, min(self.rows, start + _BLOCK)) for column in columns)
+            except DAMAGE as error:
+                text = f"{self.path}: the data is damaged ({error}); `inspect --repair` saves the rest"
+                raise LogFormatError(text) from error
             found += (start + np.flatnonzero(row_digests(values) != digests)).tolist()
         return found
 

@@ -26,9 +26,15 @@ _BOUND: Final = RLock()
 
 
 class Dataset:
-    """One column of a file."""
+    """One column of a file.
+
+    Raises:
+        OSError: Its values are in another file, which may be a pipe.
+    """
 
     def __init__(self, dataset: h5py.Dataset) -> None:
+        if dataset.external or dataset.is_virtual:
+            raise OSError(f"{dataset.name} has its values in another file, which no log has")
         self._dataset = dataset
 
     def __len__(self) -> int:
@@ -140,14 +146,28 @@ class Hdf5File:
         return Dataset(self._file.create_dataset(path, (0,), maxshape=(None,), dtype=dtype, chunks=(chunk,), **options))
 
     def __getitem__(self, path: str) -> Dataset:
+        self._require_own(path)
         with _bounded_memory():
             found = self._file[path]
         if not isinstance(found, h5py.Dataset):
             raise KeyError(f"{path} is no column")
         return Dataset(found)
 
+    def _require_own(self, path: str) -> None:
+        """Require that a path leads to something in this file.
+
+        Raises:
+            OSError: It goes through a link, which may lead to another file or to a pipe.
+        """
+        names = path.strip("/").split("/")
+        with _bounded_memory():
+            for name in filter(None, ("/".join(names[: n + 1]) for n in range(len(names)))):
+                if not isinstance(self._file.get(name, h5py.HardLink(), getlink=True), h5py.HardLink):
+                    raise OSError(f"{name} is a link, which no log has")
+
     def names(self, group: str) -> list[str]:
         """Return the names inside a group; empty when the group is missing."""
+        self._require_own(group)
         with _bounded_memory():
             return list(self._file[group]) if isinstance(self._file.get(group), h5py.Group) else []
 
@@ -177,6 +197,7 @@ class Hdf5File:
     def copy_to(self, other: "Hdf5File") -> None:
         """Copy everything, compressed chunks as they are, and the root's attributes."""
         for name in self._file:
+            self._require_own(name)
             self._file.copy(name, other._file)  # noqa: SLF001 - the same class
         for name, value in self.attributes.items():
             other.set_attribute(name, value)

@@ -59,7 +59,8 @@ class LogLock:
 
     def release(self) -> None:
         """Delete the lock's file and release it."""
-        self._path.unlink(missing_ok=True)
+        with suppress(OSError):  # a disk that has become read-only, for one
+            self._path.unlink(missing_ok=True)
         os.close(self._descriptor)
 
 

@@ -27,6 +27,7 @@ from canhaptic.logs.ring import allocate
 from canhaptic.logs.writer_process import isolated_program
 from canhaptic.registry import load
 from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.own_code import require_same_code
 from canhaptic.scene.parts import build_axis_controller
 from canhaptic.signals import Sample
 
@@ -286,7 +287,8 @@ def _spawned(scene: Scene, shared: int, wake: int, answers: int, pace: str) -> "
     """Return the process, started; it ends with this one."""
     job = {
         "text": scene.text, "source": scene.source, "overrides": scene.overrides, "path": sys.path,
-        "pace": pace, "spin": scene.bus.spin_margin, "period": scene.bus.sample_time_ns,
+        "own_code": dict(scene.own_code), "pace": pace,
+        "spin": scene.bus.spin_margin, "period": scene.bus.sample_time_ns,
     }  # fmt: skip
     descriptors = (shared, wake, answers)
     process = isolated_program("canhaptic.scene.code_process", descriptors, descriptors)
@@ -331,6 +333,7 @@ def main() -> None:
     sys.stdout, sys.stderr = _Printed(sys.stdout), _Printed(sys.stderr)
     try:
         scene = load(_BUILD, "scene", "reader")(job["text"], job["source"], job["overrides"], allow_code=True)
+        require_same_code(scene.own_code, job["own_code"], "the cycle")  # a file may be replaced in between
         law = LaterLaw(scene)
         os.write(answers, b"\0")
         _answer(law, memory, wake, answers if job["pace"] == "free" else -1, job)

@@ -62,8 +62,10 @@ class Diagnostics:
         self._lines.setdefault(line, (mark.line, mark.column))
 
     def error(self, kind: type[SceneError] = SceneError) -> SceneError:
-        """Return the error with every fault noted so far, in the order of the file; overrides come first."""
-        return kind(sorted(self._lines, key=lambda line: self._lines[line]))
+        """Return the error with the first faults noted so far, in the order of the file; overrides come first."""
+        lines = sorted(self._lines, key=lambda line: self._lines[line])
+        more = len(lines) - _MOST_SHOWN
+        return kind([*lines[:_MOST_SHOWN], *([f"and {more} more faults"] if more > 0 else [])])
 
     def raise_if_any(self, kind: type[SceneError] = SceneError) -> None:
         """Raise the error if there is any fault."""
@@ -73,6 +75,7 @@ class Diagnostics:
 
 NOTED: Final = object()
 """Replaces a value whose fault is noted already."""
+_MOST_SHOWN: Final = 200  # faults of one scene
 _MAX_NODES: Final = 20_000  # a scene has a few hundred; more is an alias bomb
 _TAG: Final = "tag:yaml.org,2002:"
 _MERGE: Final = _TAG + "merge"

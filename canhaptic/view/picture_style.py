@@ -5,14 +5,16 @@ Colours of every picture and page: from Okabe and Ito, which colour-blind reader
 Lines differ in width and style too.
 """
 
+import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
 from canhaptic.host.output_file import replacing
+from canhaptic.input_file import read_regular
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,6 +43,8 @@ STYLE: Final[Any] = {
     "text.parse_math": False,  # a name may have dollars
 }
 """For `matplotlib.rc_context`."""
+_FOREIGN: Final = "matplotlibrc"  # of the current folder, which matplotlib reads before any other
+_LARGEST: Final = 1_000_000  # [bytes]
 _PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"), (1e-12, "p"))
 
 
@@ -51,10 +55,15 @@ def require_matplotlib() -> None:
         InputError: It is not installed.
     """
     try:
+        if not os.path.isdir(_FOREIGN):
+            with suppress(FileNotFoundError):
+                read_regular(
+                    _FOREIGN, _LARGEST
+                )  # which a pipe or a device is not; matplotlib would read it without end
         import matplotlib.figure  # noqa: F401 - raises where it is not installed
     except ImportError as error:
         raise InputError(f"a picture needs matplotlib; install it with: {install_hint('plot')}") from error
-    except (OSError, ValueError) as error:  # it reads a `matplotlibrc` of the current folder
+    except (OSError, ValueError) as error:
         raise InputError(
             f"matplotlib cannot be loaded ({error}); look for a file matplotlibrc in this folder"
         ) from error

@@ -10,7 +10,6 @@ Mechanism and network come from the log of the run; a log without them, a task s
 a network without a surface have no such picture.
 """
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
@@ -180,7 +179,7 @@ def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
         rows: Rows of the log.
     """
     try:
-        group = json.loads(str(log.attributes["config_resolved"]))["groups"][name]
+        group = log.decoded("config_resolved", dict[str, dict[str, Any]]())["groups"][name]
         kinematics = _build(KINEMATICS, group["kinematics"])
         if kinematics.dimensions != 2:
             return None

@@ -2,12 +2,15 @@
 
 import os
 import random
+import re
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import threading
 import unicodedata
+import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,9 +20,10 @@ import numpy as np
 import pytest
 
 from canhaptic.cli.main import main
-from canhaptic.errors import LogFormatError
-from canhaptic.logs import repair
+from canhaptic.errors import InputError, LogFormatError
+from canhaptic.logs import bus_reader, repair
 from canhaptic.logs.repair import in_own_process
+from canhaptic.view.picture_style import require_matplotlib
 from tools import mutated_files
 from tools.mutated_files import outcome_of
 
@@ -100,6 +104,79 @@ def test_what_is_no_regular_file_is_refused_at_once_in_every_place(
         assert "\n" not in capsys.readouterr().err.strip().removeprefix("canhaptic: errors:\n"), words
     for suffix in (".blf", ".trc", ".asc"):
         assert main(["decode", f"{made(tmp_path / f'bus{suffix}')}"]) == 2
+
+
+def outside(name: str, pipe: Path, log: Path) -> None:
+    """Puts the column of a log into another file: a pipe."""
+    with h5py.File(log, "r+") as file:
+        group = file["ports/handle"]
+        shape = group["position"].shape
+        del group["position"]
+        if name == "external storage":
+            group.create_dataset("position", shape, "f8", external=[(f"{pipe}", 0, h5py.h5f.UNLIMITED)])
+        elif name == "virtual":
+            layout = h5py.VirtualLayout(shape, "f8")
+            layout[:] = h5py.VirtualSource(f"{pipe}", "x", shape)
+            group.create_virtual_dataset("position", layout)
+        else:
+            group["position"] = h5py.ExternalLink(f"{pipe}", "/x") if name == "link" else h5py.SoftLink("/ports/handle")
+
+
+@pytest.mark.parametrize("name", ["external storage", "virtual", "link", "loop"])
+def test_a_log_has_no_values_in_another_file(
+    name: str, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """HDF5 would open a pipe and wait for ever, which takes no processor time."""
+    path = tmp_path / "run.h5"
+    shutil.copy(log, path)
+    outside(name, a_pipe(tmp_path / "pipe"), path)
+    for words in (["inspect", f"{path}"], ["inspect", f"{path}", "--repair", f"{tmp_path / 'saved.h5'}"]):
+        assert main(words) == 2
+        assert re.search("in another file|is a link", capsys.readouterr().err)
+
+
+def test_a_text_of_a_log_that_is_nested_too_deeply_is_one_error(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "run.h5"
+    shutil.copy(log, path)
+    with h5py.File(path, "r+") as file:
+        file.attrs["config_resolved"] = "[" * 30_000
+    assert main(["inspect", f"{path}", "--recompute"]) == 2
+    assert "config_resolved cannot be read" in capsys.readouterr().err
+
+
+def test_a_container_that_unpacks_to_gigabytes_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bus_reader, "_UNPACKED", 1 << 20)
+    content = struct.pack("<HHLLL", 2, 0, 0, 100, 0) + zlib.compress(bytes(1 << 21), 9)  # it claims 100 bytes
+    path = tmp_path / "bus.blf"
+    header = struct.pack("<4sL136x", b"LOGG", 144)
+    path.write_bytes(header + struct.pack("<4sHHLL", b"LOBJ", 16, 1, 16 + len(content), 10) + content)
+    assert main(["decode", f"{path}"]) == 2
+    assert "unpacks to 1048576 bytes or more" in capsys.readouterr().err
+
+
+def test_a_scene_with_thousands_of_faults_is_told_in_two_hundred_lines(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text("".join(f"k{number}: 1\n" for number in range(300)))
+    assert main(["check", f"{path}"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 202  # with the heading
+    assert lines[-1].startswith("and 1")
+
+
+@pytest.mark.parametrize("made", [a_pipe, a_device])
+def test_a_matplotlibrc_that_never_ends_is_refused(
+    made: Callable[[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made(tmp_path / "matplotlibrc")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"is a pipe|is a device"):
+        require_matplotlib()
 
 
 def own_megabytes() -> float:

@@ -330,6 +330,19 @@ def test_a_damaged_table_of_names_is_repaired_or_one_error(whole: Path, step: in
                 repair(path, whole.with_name("saved.h5"))
 
 
+@pytest.mark.parametrize("column", ["digest", "timing/compute", "ports/handle/branch"])
+def test_a_chunk_that_cannot_be_unpacked_is_one_error(column: str, whole: Path, tmp_path: Path) -> None:
+    path = tmp_path / "damaged.h5"
+    path.write_bytes(whole.read_bytes())
+    with h5py.File(path) as file:
+        chunk = file[column].id.get_chunk_info(0)
+    with path.open("r+b") as file:
+        file.seek(chunk.byte_offset)
+        file.write(b"\xff" * chunk.size)
+    with pytest.raises(LogFormatError, match="the data is damaged"):
+        typed.inspect(path, "--check", "in >= 0")
+
+
 def test_a_running_count_that_falls_is_found(whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "damaged.h5"
     path.write_bytes(whole.read_bytes())

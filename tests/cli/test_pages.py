@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +15,7 @@ from types import SimpleNamespace
 import pytest
 
 from canhaptic.cli.page_server import _Door
+from tests.logs.patience import wait_for
 from tests.view.chromium import chromium
 
 ROOT = Path(__file__).parents[2]
@@ -51,7 +53,9 @@ RIGHT: tuple[Mapping[str, str], ...] = (
 )
 OTHER_PATHS = ("/", "", "/ws", "/autoload.js", "/metadata", "/favicon.ico", "/none", "TOKEN/autoload.js",
                "TOKEN/autoload.js?bokeh-autoload-element=1", "TOKEN/metadata", "TOKEN/../TOKEN", "TOKENx", "TOKEN//",
-               "/static/extensions/none.js", "/static/../page_server.py", "http://evil.com/TOKEN")  # fmt: skip
+               "/static/extensions/none.js", "/static/../page_server.py", "http://evil.com/TOKEN", "/static/js/",
+               "/static/js/%00", "/static/js/..", "/static/js/../../application.py", "/static/js//etc/passwd",
+               "/static/js/..%2f..%2f..%2f..%2fetc%2fpasswd")  # fmt: skip
 
 
 def test_a_request_comes_in_only_by_the_name_of_this_host_and_from_the_page_itself() -> None:
@@ -100,7 +104,8 @@ def served(*words: str) -> Iterator[Served]:
             assert len(path) >= 22  # 16 random bytes
             yield Served(port=int(port), path=f"/{path}", process=process)
         finally:
-            os.killpg(process.pid, signal.SIGKILL)
+            with contextlib.suppress(ProcessLookupError):  # a test may have ended it
+                os.killpg(process.pid, signal.SIGKILL)
 
 
 @pytest.mark.slow
@@ -140,6 +145,34 @@ def test_the_hand_stays_with_its_visitor_until_another_comes_with_the_address() 
         assert "taken" not in visitor.value(STATUS)
         assert page.ask("TOKEN", {"Host": HERE}).status == 200
         visitor.wait_for(f"{STATUS}.includes('another page has taken the hand')", 60.0)
+
+
+@pytest.mark.slow
+def test_a_visitor_who_left_does_not_shut_the_page_for_the_next() -> None:
+    with served("touch", str(STIFF)) as page:
+        for _ in range(3):
+            assert page.ask("TOKEN", {"Host": HERE}).status == 200
+            threading.Event().wait(18.0)  # Bokeh ends a session that nobody has used for 15 s
+
+
+@pytest.mark.slow
+def test_the_command_line_of_the_browser_does_not_tell_the_secret(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every user of a computer reads the command lines of all the others."""
+    browser, told = tmp_path / "browser", tmp_path / "told"
+    browser.write_text(f'#!/bin/sh\nprintf %s "$1" > {told}.new\nmv {told}.new {told}\n')
+    browser.chmod(0o700)
+    monkeypatch.setenv("BROWSER", f"{browser} %s")
+    with served("scope", str(tmp_path / "run.h5"), "--open") as page:
+        wait_for(told.exists)
+        file = Path(told.read_text().removeprefix("file://"))
+        assert page.path not in told.read_text()
+        assert f"url=http://127.0.0.1:{page.port}{page.path}" in file.read_text()
+        assert file.parent.stat().st_mode & 0o077 == 0
+        page.process.send_signal(signal.SIGINT)
+        assert page.process.wait(60) == 130
+        assert not file.parent.exists()
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@ import contextlib
 import os
 import random
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -195,6 +196,42 @@ def test_a_lost_power_and_a_full_disk_leave_logs_that_are_readable_to_the_last_f
     whole = bus.read_text().rpartition("\n")[0]
     bus.write_text(whole + "\n")
     assert sum(1 for _ in read_bus_log(bus)) == whole.count("\n") + 1
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    sys.platform != "linux" or os.geteuid() != 0 or not shutil.which("mkfs.ext4"),
+    reason="mounts a file system of its own, which only root may",
+)
+def test_a_disk_that_becomes_read_only_ends_the_run_and_keeps_what_was_flushed(tmp_path: Path) -> None:
+    image, mount = tmp_path / "image", tmp_path / "mount"
+    with image.open("wb") as file:
+        file.truncate(64 << 20)
+    mount.mkdir()
+    subprocess.run(["mkfs.ext4", "-q", "-F", image], check=True)
+    if subprocess.run(["mount", "-o", "loop", image, mount], check=False).returncode != 0:
+        pytest.skip("no loop device")
+    try:
+        path, bus = mount / "run.h5", mount / "run.log"
+        program = RUN.format(folder=str(Path(__file__).parents[2]), path=str(path), bus=str(bus))
+        with subprocess.Popen(
+            [sys.executable, "-c", program], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+        ) as run:
+            wait_for(lambda: bus.exists() and bus.stat().st_size > 20_000)
+            subprocess.run(["mount", "-o", "remount,abort", mount], check=True)  # as the kernel does after a bad write
+            sizes = path.stat().st_size, bus.stat().st_size
+            assert run.stderr is not None
+            message = run.stderr.read().decode()
+        assert run.returncode == 3, message
+        assert "Traceback" not in message
+        assert message.count("Read-only file system; the run was stopped") == 1
+        assert sizes == (path.stat().st_size, bus.stat().st_size)
+        with EnergyLog.open(path) as log:
+            assert log.status == "running"  # nothing can be written any more, as when power is lost
+            assert np.array_equal(log.timing["sync_index"], np.arange(log.rows))
+            assert log.changed_rows() == []
+    finally:
+        subprocess.run(["umount", mount], check=True)
 
 
 def writers(parent: int) -> dict[int, set[str]]:

@@ -248,3 +248,12 @@ def test_code_that_does_not_start_is_refused_before_the_rig_does(tmp_path: Path)
     (tmp_path / "wall.py").write_text("raise RuntimeError('not today')\n")
     with pytest.raises(InputError, match="not today"):
         build(scene, "free")
+
+
+@pytest.mark.slow
+def test_code_that_was_replaced_since_the_cycle_read_it_is_refused(tmp_path: Path) -> None:
+    scene = scene_in(tmp_path)
+    with (tmp_path / "wall.py").open("a") as file:
+        file.write("# another\n")
+    with pytest.raises(InputError, match=r"wall\.py: is not the code of the cycle"):
+        build(scene, "free")

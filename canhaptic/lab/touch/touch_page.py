@@ -2,6 +2,7 @@
 
 import html
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final
 
 import numpy as np
@@ -91,8 +92,9 @@ class TouchPage:
 
     def end(self, text: str) -> None:
         """Stop the updates, and state the reason."""
-        self._document.remove_periodic_callback(self._looking)
-        self._document.add_next_tick_callback(lambda: setattr(self._status, "text", html.escape(text)))
+        with suppress(ValueError, AttributeError):  # the visitor has left: Bokeh took the document apart
+            self._document.remove_periodic_callback(self._looking)
+            self._document.add_next_tick_callback(lambda: setattr(self._status, "text", html.escape(text)))
 
     def update(self) -> None:
         """Draw new rows, once the page has drawn the last ones: a slow browser must not fall behind."""
