@@ -158,7 +158,7 @@ def test_a_container_that_unpacks_to_gigabytes_is_refused(
     assert "unpacks to 1048576 bytes or more" in capsys.readouterr().err
 
 
-def test_a_scene_with_thousands_of_faults_is_told_in_two_hundred_lines(
+def test_of_a_scene_with_hundreds_of_faults_the_first_two_hundred_are_printed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "scene.yaml"

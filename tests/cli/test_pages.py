@@ -152,7 +152,7 @@ def test_a_visitor_who_left_does_not_shut_the_page_for_the_next() -> None:
     with served("touch", str(STIFF)) as page:
         for _ in range(3):
             assert page.ask("TOKEN", {"Host": HERE}).status == 200
-            threading.Event().wait(18.0)  # Bokeh ends a session that nobody has used for 15 s
+            threading.Event().wait(18.0)  # Bokeh ends a session that was not used for 15 s
 
 
 @pytest.mark.slow
