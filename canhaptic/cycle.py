@@ -189,7 +189,7 @@ class Cycle:
         return f"{meter.name}: sum of interaction {meter.energy + supplied:.3g} J, {limit}"
 
     def _lost_to_friction(self, axis: int, samples: Sequence[Sample]) -> float:
-        """Energy that the device dissipated for certain [J] where it has dry friction, on which certificates count."""
+        """Energy that the device certainly dissipated [J] where it has dry friction, on which certificates count."""
         known = self.meters.axes[axis]
         friction, blur = known.accuracy.device_friction, 2.0 * known.accuracy.position
         if not friction:
@@ -269,14 +269,14 @@ class Cycle:
 
 
 def _judge(axes: int, groups: "Sequence[AxisGroup]") -> "EnergyAudit":
-    """Return what compares the accounts with the simulated plant; a run with real drives loads nothing of it."""
+    """Return the comparison of the accounts with the simulated plant; a run with real drives loads nothing of it."""
     from canhaptic.control.energy_audit import EnergyAudit
 
     return EnergyAudit(axes, groups)
 
 
 def _grouped(controllers: Sequence[Controller], groups: "Sequence[AxisGroup]", dry_run: bool) -> "GroupedControllers":
-    """Return what steps groups and axes together; no other run loads it."""
+    """Return the stepper of groups and axes together; no other run loads it."""
     from canhaptic.control.multi_axis.group_controller import GroupedControllers
 
     return GroupedControllers(controllers, groups, dry_run)

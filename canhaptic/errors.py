@@ -92,7 +92,7 @@ class OverrideWarning(UserWarning):
 
 
 class SceneConflictError(SceneError):
-    """A scene whose values are valid on their own but do not fit together: a rate that its bus cannot carry."""
+    """A scene with values that are valid separately but not together, such as a rate that its bus cannot carry."""
 
 
 class DictionaryError(InputError):
@@ -267,7 +267,7 @@ class CommandLostError(LinkError):
 
 
 class SecondMasterError(LinkError):
-    """A frame that this master alone may send came from elsewhere."""
+    """A frame that only this master may send came from elsewhere."""
 
 
 class BusFailedError(LinkError):
@@ -275,7 +275,7 @@ class BusFailedError(LinkError):
 
 
 class OwnCodeLateError(ControlError):
-    """User code in a process of its own did not answer for too many holds."""
+    """User code in a separate process did not answer for too many holds."""
 
 
 class SyncsSkippedError(RigError):
@@ -291,7 +291,7 @@ class ForceContradictedError(ControlError):
 
 
 class TorqueNotFiniteError(ControlError):
-    """The controller asked for a torque that is no finite number."""
+    """The controller requested a torque that is not finite."""
 
 
 class CycleFailedError(ControlError):

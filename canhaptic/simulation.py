@@ -115,7 +115,7 @@ class Account(Mapping[str, PortAccount]):
 
     @property
     def passive(self) -> Verdict:
-        """The worst verdict of all ports, by the account alone."""
+        """The worst verdict of all ports, judged only by the account."""
         return self._passive
 
     @property

@@ -88,7 +88,7 @@ _LEAST, _MOST = 1e-30, 1e30
 
 @dataclass(slots=True)
 class UnitContext:
-    """Context of a validation by pydantic: linear or rotary axis whose parameters are read; None: unknown."""
+    """Context of a validation by pydantic: linear or rotary axis whose parameters are being read; None: unknown."""
 
     motion: Motion | None = None
 
@@ -367,7 +367,7 @@ class Parameters(BaseModel, metaclass=_ParametersMeta):
 
 
 class OnDemand:
-    """Annotation of a field whose model is imported only where there is a section for it.
+    """Annotation of a field whose model is imported only where the scene has a section for it.
 
     Args:
         path: Path "module:Class" of the model.
@@ -385,7 +385,7 @@ class OnDemand:
         return core_schema.with_info_plain_validator_function(self.read)
 
     def read(self, value: object, info: ValidationInfo[Any]) -> object:
-        """Return the parameters of a section, in the units of its axis or of what the model itself moves in."""
+        """Return the parameters of a section, in the units of its axis or of the model's own motion."""
         model, context = self.model_of(), info.context
         if isinstance(value, model):
             return value

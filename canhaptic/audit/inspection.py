@@ -252,7 +252,7 @@ def _record(log: EnergyLog, name: str, rows: slice) -> PortResult:
 
 
 def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> LedgerSummary:
-    """The account of rows in arrays; what `Ledger` sums up one row at a time."""
+    """The account of rows held in arrays; `Ledger` sums the same one row at a time."""
     h_i, h_r = column("h_i"), column("h_r")
     margin, margin_row = _least(_running(h_i - h_r))
     running = _running(h_i)
@@ -290,7 +290,7 @@ def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> Led
 
 
 def _known(log: EnergyLog, name: str, values: Array, count: int) -> Array:
-    """Values of a column of codes, of which there are `count`.
+    """Values of a column of codes, from 0 to `count` - 1.
 
     Raises:
         LogFormatError: A value is none of them.

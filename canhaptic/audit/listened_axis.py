@@ -28,7 +28,7 @@ _DISAGREES: Final = 0.01
 
 
 OF_A_NODE: Final = -1
-"""In place of an object: a node of its own sends the force."""
+"""In place of an object: a separate node sends the force."""
 
 
 class DeclaredForce(NamedTuple):

@@ -53,7 +53,7 @@ def rows_to_draw(log: EnergyLog, start: float | None, stop: float | None) -> sli
 
 
 def contacts(branch: Array) -> list[tuple[int, int]]:
-    """Return (first, last) row of every stretch in which a hold was booked by another branch than `free`.
+    """Return (first, last) row of every stretch in which every hold was booked by a branch other than `free`.
 
     A contact continues across a hold whose sample was lost.
     """

@@ -4,7 +4,7 @@ import can
 
 
 class DataFrame(can.Message):
-    """A message of python-can whose identifier, data and time alone differ from frame to frame.
+    """A message of python-can in which only identifier, data and time differ from frame to frame.
 
     Everything else belongs to the class: a frame is made and filled for less than the constructor of `Message` costs.
     The sender fills all five slots, hands it over, and neither changes nor sends it again, so that a bus inside

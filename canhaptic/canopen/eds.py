@@ -268,7 +268,7 @@ def _read_variable(source: _Source, section: str, index: int, subindex: int, nam
 
 
 def _set_limits(variable: ODVariable, low: Any, high: Any) -> None:
-    """Set the limits of a number; those that contradict each other or what the object holds are left out."""
+    """Set the limits of a number; limits that contradict each other or the object's value are left out."""
     if variable.data_type not in datatypes.NUMBER_TYPES or (low is not None and high is not None and low > high):
         return
     held = [value for value in (variable.default, variable.value) if value is not None]

@@ -18,7 +18,7 @@ _ORDERS: Final = {"little": "<", "big": ">"}
 
 
 class ForceNode(Parameters):
-    """The frame of a force sensor with a node of its own."""
+    """The frame of a force sensor with its own CAN node."""
 
     node_id: Annotated[int, quantity("1", ge=1, le=127)] | None = None
     """Node ID of a CANopen node, which the start sets operational; None: it sends by itself."""

@@ -160,7 +160,7 @@ def _objects_of_drives(scene: Scene) -> dict[str, list[Finding]]:
 
 
 _USUAL: Final = 0.01
-"""Part of the largest speed of an axis at which the halves of a detent are judged."""
+"""Fraction of an axis's largest speed at which the halves of a detent are judged."""
 
 
 class _CheckFindings(NamedTuple):
@@ -211,7 +211,7 @@ class _CheckFindings(NamedTuple):
         return [hint for hint in self.hints if hint.exceeded and hint.concerns]
 
     def verdict(self) -> str:
-        """Verdict in one line: whether the scene can run, and what to look at."""
+        """Verdict in one line: whether the scene can run, and points to look at."""
         load = max(budget.periodic_load for budget in self.budgets.values())
         parts = [
             "" if inf in self.felt.values() else self.wall(),
@@ -319,7 +319,7 @@ def _print_findings(console: Console, found: _CheckFindings, *, full: bool) -> N
 
 
 def _guess_line(unset: list[Guess]) -> Text:
-    """The values to set in a few lines; the file says at each what belongs there."""
+    """The values to set in a few lines; the file explains each one."""
     return Text(
         ", ".join(f"{f'line {guess.line} ' if guess.line else ''}{guess.key}: {guess.value}" for guess in unset)
     )

@@ -190,7 +190,7 @@ class _Terminal:
         termios.tcflush(self._input, termios.TCIFLUSH)
 
     def _line(self) -> str:
-        """One line as typed; read around Python's buffer, in which lines would wait unseen."""
+        """One line as typed; read directly, since lines would wait unseen in Python's buffer."""
         return os.read(self._input, _LONGEST_LINE).decode(errors="replace")
 
 

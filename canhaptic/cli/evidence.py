@@ -116,6 +116,6 @@ def _write_json(path: Path, value: Any) -> None:
 
 
 def _versions() -> dict[str, str]:
-    """Versions of what ran, without the name of the computer."""
+    """Versions of the software that ran, without the name of the computer."""
     found = {"python": platform.python_version(), "system": f"{platform.system()} {platform.release()}"}
     return found | {name: version(name) for name in _PACKAGES}

@@ -63,7 +63,7 @@ def _axis(scene: Scene, name: str | None) -> AxisScene:
 
 
 def _require_torque(axis: AxisScene, torque: float) -> None:
-    """Refuse more than the scene allows, of which an unverified scale leaves a hundredth; raise InputError."""
+    """Refuse more than the scene allows, a hundredth of it with an unverified scale; raise InputError."""
     limit, unit = axis.loop.torque_limit or axis.parameters.torque_limit, effort_unit(axis.parameters.unit)
     if not 0.0 < torque <= limit:
         text = "; verify its scale first (canhaptic commission)" if limit < axis.parameters.torque_limit else ""

@@ -9,7 +9,7 @@ from typing import Final, Self
 
 INTERRUPTED: Final = 130
 _PATIENCE: Final = 0.7
-"""Time in which a command may end by itself, with what it has so far [s]."""
+"""Time for a command to end by itself with its results so far [s]."""
 _SIGINT: Final = bytes([signal.SIGINT])
 _END: Final = b"\0"
 _LINE: Final = "canhaptic: interrupted\n"

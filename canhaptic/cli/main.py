@@ -19,7 +19,7 @@ from canhaptic.errors import CanHapticError, InputError, OverrideWarning
 from canhaptic.registry import nearest
 
 COMMANDS: Final = {name: of["about"] for name, of in table().items()}
-"""Subcommand -> what it does."""
+"""Subcommand -> its description."""
 _BROKEN_PIPE: Final = 1
 _COMPLETION: Final = "_ARGCOMPLETE"
 """Environment variable that a shell sets which asks for completions."""

@@ -71,7 +71,7 @@ def _with_checked_holds(scene: Scene, stop: StopSignal, arguments: argparse.Name
 
 
 def _dear_holds(scene: Scene) -> list[str]:
-    """Return what to say of simulated plants before they cost their time; real drives load nothing of it."""
+    """Return the warnings about slow simulated plants; real drives load nothing of it."""
     if not scene.simulated:
         return []
     from canhaptic.scene.method import dear_holds

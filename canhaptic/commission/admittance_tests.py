@@ -27,7 +27,7 @@ _TRAVELS: Final = 3.0  # of the limit: it is the hand that pushes the drive away
 _HALF: Final = 5e-3  # half the width of the hat [s]
 _LATEST: Final = 4  # latest a force may be [samples]
 REQUIRED: Final = ("force at rest", "mass of the drive", "gain of the velocity loop")
-"""What must have been verified of every display before its scene is one to run."""
+"""Items that must be verified on every display before its scene may run."""
 _SAFE: Final = 1.1  # over what was measured, for what is to be declared over
 _SAFE_FRICTION: Final = 1.3  # a drive at rest sticks more
 _SLOWEST: Final = 2.0  # [1/s] of an integral that counts as one

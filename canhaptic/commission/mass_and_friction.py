@@ -27,16 +27,16 @@ _Array = NDArray[np.float64]
 
 _FEWEST_EQUATIONS: Final = 20
 _RANGES: Final = 6
-"""Ranges of speed; friction is found in each by itself."""
+"""Ranges of speed; friction is found separately in each."""
 _FEWEST_RANGES: Final = 3
 _FEWEST_OF_A_RANGE: Final = 8
 """Windows in each direction that a range of speed needs."""
 _OVERLAP: Final = 2.0
-"""Windows begin every quarter of their length: n of them tell as much as n / 4 that do not overlap."""
+"""Windows begin every quarter of their length: n of them hold the information of n / 4 that do not overlap."""
 _PARTS: Final = 8
 """Parts of a window; the axis must move on in each."""
 _REVERSAL_PARTS: Final = 4
-"""The same of a window about a reversal of the torque, which is short."""
+"""The same for a window about a reversal of the torque, which is short."""
 _SLOWEST: Final = 0.2
 """Part of the fastest motion below which a window says nothing of a late torque: the axis sticks or turns in it."""
 _STILL: Final = 1e-12  # [m or rad] in one sample time: the sign of the speed is then 0

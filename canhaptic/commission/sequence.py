@@ -152,7 +152,7 @@ def _rated_torque(session: Session, axis: int, drive: ServoDrive) -> None:
 
 
 STANDSTILL: Final = "standstill at zero torque"
-"""What the report calls the step."""
+"""Name of the step in the report."""
 _WATCHED: Final = 1.0  # [s] that an axis must stand still
 _UNATTENDED: Final = 0.4  # [s] of the simulated hand's motion
 _LONGEST: Final = 120.0  # [s] that a person may take
@@ -339,7 +339,7 @@ def _words(counts: dict[str, float]) -> str:
 
 
 REQUIRED: Final = (STANDSTILL, "torque sign", SCALE, "moving mass", "mass on a shaft", "torque lag", "watchdog")
-"""What must have been verified of every axis before its scene is one to run."""
+"""Items that must be verified on every axis before its scene may run."""
 
 
 def commission(session: Session, timing_duration: float) -> None:

@@ -613,7 +613,7 @@ _OF_A_HAND: Final = ("tremor", "grasp_change")
 
 
 def _no_hand(_: AxisScene) -> None:
-    """Return the hand at a handle that is let go."""
+    """Return the hand on a released handle."""
 
 
 def _with_hands(scene: Scene, hand: Callable[[AxisScene], Any]) -> Scene:

@@ -16,7 +16,7 @@ _LOOK: Final = 0.05  # [s] between two looks at the operator's stop
 
 
 def checked_holds(scene: Scene, tell: Callable[[str], None], stop_requested: Callable[[], bool]) -> Scene:
-    """Check the hold of each axis with `check_hold: each_start`; return the scene with what agreed as `hold_checked`.
+    """Check the hold of each axis with `check_hold: each_start`; return the scene with confirmed `hold_checked`.
 
     Each drive is started, its torque reversed as in `canhaptic commission`, within a tenth of its rated torque, and
     stopped. An axis whose hold stays unclear, because a hand was at the handle for instance, keeps what the scene says
@@ -57,14 +57,14 @@ def _refuse_other_holds(report: Report) -> None:
 
 
 class _Announced(Unattended):
-    """Dialogue that announces each test, and leaves a person at a real drive the time to let go or to stop."""
+    """Dialogue that announces each test, and gives a person at a real drive time to let go or to stop."""
 
     def __init__(self, tell: Callable[[str], None], stop_requested: Callable[[], bool], scene: Scene) -> None:
         super().__init__(tell)
         self._stop_requested, self._waits = stop_requested, not scene.simulated
 
     def confirm(self, question: str) -> bool:
-        """Announce; return whether the operator let it go on."""
+        """Announce; return whether the operator let it continue."""
         begin = f" in {_ANNOUNCED:g} s" if self._waits else ", now"
         self.tell(question.replace("Reversals", "check_hold: reversals").replace(", now?", begin))
         clock = WallClock()

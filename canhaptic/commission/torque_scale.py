@@ -198,7 +198,7 @@ def _never() -> bool:
 
 
 def _judge(session: Session, axis: int, means: str, ratio: float | None) -> None:
-    """Report a ratio of true to assumed torque, and propose what follows from it."""
+    """Report a ratio of true to assumed torque, and propose the resulting values."""
     parameters = session.axes[axis].parameters
     if ratio is None:
         text = "unclear; use another method, or raise --torque or --travel"

@@ -297,7 +297,7 @@ def _age(commands: _Array, shown: _Array) -> int | None:
 
 
 def report_hold(session: Session, axis: int, times: HoldTimes) -> None:
-    """Report the three times and what to declare."""
+    """Report the three times and the values to declare."""
     begin = session.axes[axis].loop.delay
     _report_motion(session, axis, begin, times)
     if not times.is_read_back:
@@ -321,7 +321,7 @@ def _text(begin: int, found: TorqueDelay | None, hold: int | None) -> str:
 
 
 def _report_motion(session: Session, axis: int, begin: int, times: HoldTimes) -> None:
-    """Report in which hold a torque acts; no scene is ready where that is another one than it can declare."""
+    """Report in which hold a torque acts; no scene is ready where it cannot declare that hold."""
     parameters, rpdo = session.axes[axis].parameters, session.drives[axis].bus.rpdo
     configured, found, hold = f"{begin} SYNC", _text(begin, times.motion, times.hold), times.hold
     late = quirks_of(parameters.quirks).syncs_late

@@ -110,7 +110,7 @@ class EnergyBalance(NamedTuple):
 
 
 OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value, Branch.HELD.value, Branch.GROUP.value)
-"""Branches of holds without a contact of their own; one that is held on is booked, and counted, with the next."""
+"""Branches of holds without a contact of their own; a prolonged hold is booked, and counted, with the next."""
 
 AT_REST: Final = EnergyBalance(
     torque=0.0,

@@ -26,7 +26,7 @@ _STRETCH: Final = 0.01  # [s]
 
 @dataclass(frozen=True, slots=True)
 class FrictionDeclared:
-    """Declared friction and hand that a run is checked against: numbers alone, so that a log can hold them."""
+    """Declared friction and hand that a run is checked against: only numbers, so that a log can hold them."""
 
     friction: float  # f_c, at least [N or N*m]
     mass: float  # at least [kg or kg*m^2]

@@ -34,9 +34,9 @@ ROUNDING: Final = 1e-9
 ACTIVE_AT_MOTOR: Final = 1
 """Bit of the column `active`: the sum at the motor fell below the allowance for certain."""
 ACTIVE_AT_HANDLE: Final = 2
-"""The same of the sum at the handle."""
+"""The same for the sum at the handle."""
 NOT_CHECKED: Final = "not checked"
-"""`hold` of a port of which no hands-off test says in which hold its torques act."""
+"""`hold` of a port without a hands-off test of the hold in which its torques act."""
 _LARGEST_DOUBT: Final = 0.1
 """Resolution over the energy that came in beyond which no certificate says yes."""
 _SMALLEST_DOUBT: Final = 1e-5
@@ -331,7 +331,7 @@ def headline(account: PortResult) -> Headline:
 
 
 def _is_silent(account: PortResult, contact: ContactHolds) -> bool:
-    """Return whether less than a tenth was rendered: of the efforts asked for, else of the damping.
+    """Return whether less than a tenth of the requested efforts, or else of the damping, was rendered.
 
     The request is unknown for a group, or an admittance display: there no torque at all is silence.
     """
@@ -344,7 +344,7 @@ def _is_silent(account: PortResult, contact: ContactHolds) -> bool:
 
 
 def claim_nothing(account: PortResult) -> None:
-    """Remove from a port's account what only a sent torque can prove: certificates and rendered shares.
+    """Remove everything from a port's account that only a sent torque can prove: certificates and rendered shares.
 
     Args:
         account: Account of the port; changed.

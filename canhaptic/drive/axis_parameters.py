@@ -53,7 +53,7 @@ class BusParameters(Parameters):
     stop_cycles: Annotated[int, quantity("count", ge=1, le=10_000)] = 20
     """Missed cycles after which the rig stops; between hold and stop the torque ramps to zero."""
     tpdo_timeout: Annotated[float, quantity("1", gt=0.0, le=0.95)] = 0.5
-    """Part of the sample time after SYNC in which the TPDOs must arrive; later ones count as late."""
+    """Fraction of the sample time within which the TPDOs must arrive after SYNC; later ones count as late."""
     compute_latency: Annotated[float, quantity("s", ge=0.0, le=0.1)] = 20e-6
     """Time between the last TPDO and the first RPDO that the bus budget reserves for the host."""
     emcy_reserve: Annotated[int, quantity("count", ge=0, le=128)] = 1
@@ -64,7 +64,7 @@ class BusParameters(Parameters):
     """Time before a deadline from which the clock spins instead of sleeping."""
 
     realtime: RealtimeParameters = RealtimeParameters()
-    """What the thread of the cycle asks of the operating system."""
+    """Requests of the cycle's thread to the operating system."""
 
     @model_validator(mode="after")
     def _check(self) -> "BusParameters":
@@ -84,7 +84,7 @@ class BusParameters(Parameters):
 
     @property
     def delay(self) -> int:
-        """Whole holds between the computation of a torque and the hold in which it acts."""
+        """Whole holds from the computation of a torque to the hold in which it acts."""
         return 1 if self.rpdo == "synchronous" else 0
 
     @property

@@ -71,7 +71,7 @@ class HomingDrive(ServoDrive):
 
     @property
     def mode_code(self) -> int:
-        """Value of 0x6060 in which the drive runs."""
+        """Value of 0x6060 for the drive's mode."""
         return od.HOMING
 
     def own_bring_up(self) -> CanBringUp:
@@ -134,7 +134,7 @@ def require_homing(axis: AxisParameters, dictionary: ObjectDictionary, order: Ho
 
 
 def home(drive: HomingDrive, stopped: Callable[[], bool]) -> tuple[int, int] | None:
-    """Home a drive, alone, and leave it disabled.
+    """Home one drive and leave it disabled.
 
     Returns:
         0x6064 before and after; None where it was stopped.

@@ -184,7 +184,7 @@ class Rig:
             samples.append(drive.sample(self.sync_index, self.periods, is_whole=is_whole))
 
     def _count_skips(self, periods: int) -> None:
-        """Stop where more SYNCs were skipped than sent, for long: a drive goes on with its last torque meanwhile."""
+        """Stop when more SYNCs were skipped than sent for too long: meanwhile a drive holds its last torque."""
         self._behind = max(0, self._behind + periods - 2)
         limit = max(self.bus.stop_cycles, round(_LONGEST_BEHIND / self.bus.sample_time))
         if self._behind > limit:
@@ -331,7 +331,7 @@ class Rig:
         return error(f"{text} [{reason.name}]", self.records, axis)
 
     def _disable(self, trust: Trust) -> list[str]:
-        """Send zero and disable every drive, then give back what the operating system granted."""
+        """Send zero and disable every drive, then release the operating system's privileges."""
         try:
             for line in self._sdo_lines:
                 line.close()

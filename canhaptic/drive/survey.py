@@ -136,7 +136,7 @@ Group = Literal["identity", "torque", "motion", "read-back", "force", "limits", 
 
 
 class Suitability(Enum):
-    """Verdict on a drive from its dictionary alone."""
+    """Verdict on a drive, from only its dictionary."""
 
     FIT = "fit"
     CONDITIONAL = "fit with conditions"

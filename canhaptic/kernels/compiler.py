@@ -200,7 +200,7 @@ def _say_that_nothing_is_kept() -> None:
 
 
 def cache_folder() -> Path | None:
-    """Folder of compiled kernels, created if need be; None where it is not the user's alone."""
+    """Folder of compiled kernels, created if needed; None where others can access it."""
     root = os.environ.get("XDG_CACHE_HOME", "")
     try:
         base = Path(root) if Path(root).is_absolute() else Path.home() / ".cache"
@@ -310,7 +310,7 @@ def compiled(
 
 
 def _link(made: _Dispatcher) -> None:
-    """Let a function compile with what it calls linked into it."""
+    """Let a function compile with its callees linked in."""
     of_numba = made._compile_for_args  # noqa: SLF001
 
     def compile_for(*args: object, **named: object) -> object:

@@ -20,7 +20,7 @@ from numba.core.registry import cpu_target
 # mypy: allow-untyped-calls
 
 _KNOWN: Final = ((0, 60), (0, 69))
-"""Versions of numba from the first up to, but not including, the second, whose `finalize` is as here."""
+"""Versions of numba from the first up to, but not including, the second, whose `finalize` matches this one."""
 _LEVEL: Final = 2
 """Optimisation by LLVM; a loop is as fast with it as with the highest."""
 _under_way = False
@@ -41,7 +41,7 @@ class _CodeGenerator(Protocol):
 
 
 class _Library(codegen.JITCodeLibrary):
-    """A function compiled for callers alone: within `linked`, neither optimised nor made machine code.
+    """A function compiled for its callers only: within `linked`, neither optimised nor made machine code.
 
     Attributes:
         is_linked: Whether that is so.
@@ -50,7 +50,7 @@ class _Library(codegen.JITCodeLibrary):
     is_linked = False
 
     def finalize(self) -> None:
-        """Link what it calls; as numba does where Python calls it, or outside of `linked`."""
+        """Link its callees; as numba does where Python calls it, or outside of `linked`."""
         if not (_under_way and self._object_caching_enabled) or self._is_called_from_python():
             super().finalize()
             _set_environments(cast(_CodeGenerator, self._codegen))

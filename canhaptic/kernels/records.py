@@ -171,7 +171,7 @@ def _flat(kind: _Kind, path: str = "", offset: int = 0) -> Iterable[_Part]:
 
 
 def arrays_of(value: _Value) -> _Value:
-    """Return a NamedTuple of buffers, nested ones included, with arrays of its own.
+    """Return a NamedTuple of buffers, nested ones included, with its own arrays.
 
     The kind of a field follows from its annotation: `Buffer`, `Indices`, `Matrix`, or anything else.
     """

@@ -51,7 +51,7 @@ from canhaptic.sim.plant.propagator import Array
 
 _ROUNDING: Final = 1e-12  # [m or rad]
 _BETWEEN_EVENTS: Final = 2.5e-4
-"""Step at whose ends friction, stops and flanks are looked at [s]."""
+"""Step at the ends of which friction, stops and flanks are checked [s]."""
 _BETWEEN_SURFACES: Final = 2e-3
 """The same where nothing but the environment switches: a handle crosses a surface and returns in no less [s]."""
 _SURFACES: Final[dict[type, tuple[str, ...]]] = {
@@ -118,7 +118,7 @@ def surfaces(environment: Environment) -> list[float]:
 
 
 def _has_own_surfaces(environment: Environment) -> bool:
-    """Whether a user's own environment defines its switching surfaces, and is a force of position alone.
+    """Whether a user's own environment defines its switching surfaces, and is a force that depends only on position.
 
     `surfaces` must be defined in the class of `contact` and `true_state`, or below: otherwise it may not match them.
     """

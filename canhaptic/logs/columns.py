@@ -10,7 +10,7 @@ from canhaptic.logs.ring import RingShape
 from canhaptic.signals import CycleTiming, Measured, PlantEnergy, Sample
 
 FORMAT_VERSION: Final = 4
-"""1: without `timing/deadline_index` and without what a run measures of its ports (`Measured`). 2: without `active`.
+"""1: without `timing/deadline_index` and without what a run measures at its ports (`Measured`). 2: without `active`.
 3: without `digest`."""
 _LAST_WITHOUT_DIGEST: Final = 3
 DIGEST: Final = "digest"
@@ -23,13 +23,13 @@ GROUP_AXES: Final = "group_axes"
 """`NAME.group_axes`: of a port that is a group, the names of its axes (JSON). It has the account and no position."""
 
 ACTIVE_LIMITS: Final = "active_limits"
-"""`NAME.active_limits`: what the column `active` follows from, see `ActiveLimits`; infinite ones left out (JSON)."""
+"""`NAME.active_limits`: limits behind the column `active`, see `ActiveLimits`; infinite ones left out (JSON)."""
 
 DRY_RUN: Final = "dry_run"
-"""In the log of a run in which no torque was sent; `torque_command` is what the controller asked for."""
+"""In the log of a run in which no torque was sent; `torque_command` is the controller's request."""
 
 FRICTION_DECLARED: Final = "friction_declared"
-"""`NAME.friction_declared`: what the motion of an axis is compared with, see `friction_watch` (JSON)."""
+"""`NAME.friction_declared`: values with which the motion of an axis is compared, see `friction_watch` (JSON)."""
 
 _INTEGERS: Final = {
     "statusword": "u2",
@@ -150,7 +150,7 @@ class LogSchema:
 
 
 def _port_columns(port: PortDescription, version: int) -> list[_LogColumn]:
-    """Columns of a port; older versions have fewer of what a run measures of its ports."""
+    """Columns of a port; older versions have fewer of the quantities measured at the ports."""
     effort = effort_unit(port.unit)
     units = {
         **dict.fromkeys(("statusword", "fresh", "branch", "certificate", "longest_hold", "uncommanded", "active"), "1"),

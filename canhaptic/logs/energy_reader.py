@@ -113,7 +113,7 @@ def usual_length(columns: FoundColumns) -> int:
 _Json = TypeVar("_Json", list[str], dict[str, float], dict[str, dict[str, Any]])
 
 DAMAGE: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError, OverflowError)
-"""What h5py and NumPy raise for one kind of damage or another."""
+"""Exceptions of h5py and NumPy for damaged files."""
 _LONGEST_NS: Final = 10_000_000_000
 _BLOCK: Final = 65_536  # rows held in memory at a time
 _OURS = ("format", "format_version", "sample_time_ns", "ports", "status", "rows_lost")

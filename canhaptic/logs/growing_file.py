@@ -48,7 +48,7 @@ def open_regular(path: Path, flags: int) -> int:
 
 
 def cause_of(error: Exception) -> str:
-    """Return why a file could not be written, in few words; HDF5 tells the system's number in its text alone."""
+    """Return briefly why a file could not be written; HDF5 gives the system's error number only in its text."""
     found = re.search(r"\[Errno (\d+)\]|errno = (\d+)", str(error))
     number = int(found[1] or found[2]) if found else 0
     return NO_SPACE if number in _FULL else os.strerror(number) if number else str(error)

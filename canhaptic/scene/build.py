@@ -374,7 +374,7 @@ def require_buildable(scene: Scene) -> None:
 
 
 def _code_process(scene: Scene, pace: _Pace, cycle: Cycle, stack: ExitStack) -> "CodeProcess | None":
-    """Return the process of own code, ready to be asked; None where the cycle runs it, or there is none."""
+    """Return the process of own code, ready to be asked; None where the cycle runs it or no own code exists."""
     if scene.run.guard is not None or scene.run.code_runs_in != "process" or not any(a.guard for a in scene.axes):
         return None
     from canhaptic.scene.code_process import CodeProcess
@@ -441,7 +441,7 @@ def _truths(far_side: "Drives | None") -> Callable[[], Sequence[Truth]] | None:
 
 
 def experiment_account(experiment: Experiment, status: str, elapsed: float) -> RunResult:
-    """Return what `canhaptic run --json` prints; energies in [J], times in [s].
+    """Return the account as `canhaptic run --json` prints it; energies in [J], times in [s].
 
     Args:
         experiment: The experiment after its run, completed or not.
@@ -481,7 +481,7 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
 
 
 def _add_of_axes(experiment: Experiment, ports: Mapping[str, PortResult]) -> None:
-    """Add what signs in the torques say of the hold of each axis, and what keeps a wall away that was not felt."""
+    """Add the evidence of the sign sequence on each axis's hold, and the reason why a wall was not felt."""
     controllers = iter(experiment.cycle.controllers)
     for axis in experiment.scene.axes:
         port, controller = ports[axis.parameters.name], None if axis.group else next(controllers)

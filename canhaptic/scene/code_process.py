@@ -41,7 +41,7 @@ _TRIES: Final = 3  # of reading a slot that is being written
 
 
 def apart(scene: Scene) -> Scene:
-    """Scene whose user-defined code runs in a separate process; the same scene where it runs in the cycle.
+    """Scene whose user-defined code runs in a separate process; unchanged where it runs in the cycle.
 
     The cycle requests the torques that it answers, under the certificates of `guarded` if that is their algorithm. It
     runs them itself in a simulation, unless `code_runs_in` says otherwise.
@@ -56,7 +56,7 @@ def apart(scene: Scene) -> Scene:
 
 
 def require_law(scene: Scene) -> None:
-    """Return when own code that was to run in a process of its own can.
+    """Return if own code that is to run in a separate process can do so.
 
     Raises:
         InputError: It is hands and effects alone.
@@ -109,7 +109,7 @@ class LaterLaw:
 
 
 def ask_in_cycle(scene: Scene, cycle: Cycle) -> None:
-    """Let a cycle run the user code itself, with the delay of the process: for replays."""
+    """Run user code in the cycle itself, with the delay of a process, for replays."""
     law, controllers = LaterLaw(scene), askers(scene, cycle.controllers)
     due = [0.0] * len(controllers)
 
@@ -300,7 +300,7 @@ def _spawned(scene: Scene, shared: int, wake: int, answers: int, pace: str) -> "
 
 
 class _Printed:
-    """Standard output of the code, as far as it is read: what comes behind is left out."""
+    """Standard output of the code, as far as it is read; the rest is left out."""
 
     def __init__(self, stream: Any) -> None:
         self._stream, self._left = stream, _PRINTED
@@ -315,7 +315,7 @@ class _Printed:
         return len(text)
 
     def flush(self) -> None:
-        """Print what waits."""
+        """Print the pending text."""
         self._stream.flush()
 
 

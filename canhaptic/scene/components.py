@@ -17,11 +17,11 @@ from canhaptic.scene.document import MarkedMapping
 from canhaptic.units import OnDemand, Parameters, example, shown
 
 READY: Final = "ready"
-"""Type of an error of pydantic whose text needs no value in front."""
+"""Type of an error of pydantic whose text needs no preceding value."""
 
 
 CodeUse = Literal["refused", "run", "left"]
-"""What happens to own code that a scene names: refused with one error, run, or left unread."""
+"""Treatment of own code that a scene names: refused with one error, run, or left unread."""
 OWN_MODULE: Final = "_canhaptic_own_"
 """Begins the name of the private module of a file of own code."""
 

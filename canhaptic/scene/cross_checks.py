@@ -113,7 +113,7 @@ def _check_demand_reported(scene: Scene, entries: list[MarkedMapping], faults: D
 
 
 def _check_hold(scene: Scene, entries: list[MarkedMapping], faults: Diagnostics) -> None:
-    """Note axes whose torque acts in another hold than the bus says."""
+    """Note axes whose torque acts in a hold other than the bus says."""
     late: dict[str, int] = {}  # of the first axis of each group
     for axis, entry in zip(scene.axes, entries, strict=True):
         quirks, rpdo = quirks_of(axis.parameters.quirks), scene.bus_of(axis).rpdo
@@ -140,7 +140,7 @@ def _check_hold(scene: Scene, entries: list[MarkedMapping], faults: Diagnostics)
 
 
 def _why_unchecked(scene: Scene, axis: AxisScene) -> str:
-    """Return why no test at a start tells the hold of an axis, and the remedy; empty where one does."""
+    """Return why no test at a start can find the hold of an axis, with the remedy; empty where one can."""
     if axis.parameters.admittance is not None:
         return "of a drive that holds a velocity; leave it out"
     if axis.loop.moving_mass is None:

@@ -74,7 +74,7 @@ class Diagnostics:
 
 
 NOTED: Final = object()
-"""Replaces a value whose fault is noted already."""
+"""Replaces a value whose fault has already been noted."""
 _MOST_SHOWN: Final = 200  # faults of one scene
 _MAX_NODES: Final = 20_000  # a scene has a few hundred; more is an alias bomb
 _TAG: Final = "tag:yaml.org,2002:"
@@ -227,7 +227,7 @@ def compose(text: str) -> yaml.Node | None:
 
 
 class _Builder:
-    """Turns composed nodes into marked values; every fault is noted and reading goes on."""
+    """Turns composed nodes into marked values; every fault is noted and reading continues."""
 
     def __init__(self, source: str, lined: bool, faults: Diagnostics) -> None:
         self._source = source

@@ -106,7 +106,7 @@ def _replaced(text: str, node: yaml.Node | None, change: Change) -> str:
 
 
 def _after_comment(text: str, end: int, column: int) -> int:
-    """Return where the lines end that go on with the comment of a line: comments alone, right of a column."""
+    """Return the end of the lines that continue a line's comment: pure comments, right of a column."""
     while following := re.compile(rf"\n {{{column + 1},}}#.*").match(text, end):
         end = following.end()
     return end

@@ -47,7 +47,7 @@ def note_errors(model: type, section: MarkedMapping, error: ValidationError, fau
 
 
 def _either(texts: Iterable[str]) -> str:
-    """Error text of a value, and what each of its types expects."""
+    """Error text of a value, and the expectation of each of its types."""
     first, *others = dict.fromkeys(texts)
     return " or ".join([first, *(text.partition("expected ")[2] or text for text in others)])
 
@@ -184,7 +184,7 @@ def _tag_fault(annotation: object, seen: object) -> str:
 
 
 def _expected(found: _KeyLocation) -> str:
-    """Return `0 < stiffness <= 1e8 [N/m]` for a number with a unit, what a component needs, else ``."""
+    """Return `0 < stiffness <= 1e8 [N/m]` for a number with a unit, the required form for a component, else ``."""
     for item in parts_of(found.annotation):
         if isinstance(item, ComponentOf):
             return item.expected

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _SEEDS_APART: Final = 1_000_003  # from one bus to the next
 _BOUNDS: Final = ("device_damping_bound", "device_friction_bound")
 _NO_LAG: Final = 1.0
-"""Lag of a torque whose own is not bounded [s]: the largest that is accepted, with which nothing is certified."""
+"""Lag of a torque without a declared bound [s]: the largest accepted, with which nothing is certified."""
 _CHOICES: Final = {"auto": "canhaptic.lab.studies.accuracy.accuracy_choice:with_chosen_accuracy"}
 """Automatic accuracy -> "module:function" that chooses it; the laboratory, loaded only for a scene that asks for it."""
 

@@ -33,7 +33,7 @@ _PHASE: Final = 0.37
 _SPEEDS: Final = tuple(3.0**-power for power in range(9))
 """Speeds that are tried, as parts of the largest of the axis."""
 _PARTS: Final = (1.0, 0.5, 0.25, 0.125)
-"""Parts of the largest speed of a handle at which the share of a wall is judged."""
+"""Fractions of a handle's largest speed at which the rendered share of a wall is judged."""
 _STEPS: Final = 6
 """Bisections of a speed or of a value."""
 _TO_BLAME: Final = ("current_lag", "torque_window", "hand_force", "device_friction_bound", "device_damping_bound")
@@ -236,7 +236,7 @@ def _share_pressed(axis: AxisScene, speed: float, lost: float) -> float:
 
 
 def _contact(axis: AxisScene, speed: float) -> Iterator[tuple[float, float]]:
-    """Yield the effort asked for and the torque sent in each hold of a contact [N or N*m]."""
+    """Yield the requested effort and the torque sent in each hold of a contact [N or N*m]."""
     environment, loop, limit = _environment(axis), axis.loop, axis.parameters.torque_limit
     found = _inward(environment)
     if found is None:

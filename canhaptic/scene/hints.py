@@ -116,7 +116,7 @@ def later_hints(scene: Scene) -> list[Hint]:
 
 
 def group_hints(scene: Scene) -> list[Hint]:
-    """Return what the certificates of each group permit on each of its axes alone, in motor coordinates.
+    """Return the limits that each group's certificates permit on each single axis, in motor coordinates.
 
     The network's stiffness is in task space; both agree where the kinematics are `identity`.
     """
@@ -142,7 +142,7 @@ def _losses(axis: AxisScene) -> int:
 
 
 def _apart_hint(axis: AxisScene, axes: int) -> list[Hint]:
-    """Cost of certifying each axis by itself while several move together.
+    """Cost of certifying each axis separately while several move together.
 
     Of torques f and -f on axes that both move by D = v T in a hold, the one that gives f D out counts for all H holds
     and the other not: H f D <= f^2 / 2k leaves the extension f / k >= 2 H T v.
@@ -288,7 +288,7 @@ def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list
 
 
 def _encoder_hint(axis: AxisScene) -> list[Hint]:
-    """Stiffness that `guarded` renders for ever with the encoder, f_c / count, and the count for the wall asked."""
+    """Stiffness that `guarded` renders indefinitely with the encoder, f_c / count, and the count for the wall asked."""
     count, friction, asked = axis.loop.encoder_count, axis.loop.device_friction or 0.0, _asked(axis, "stiffness")
     if not count or axis.group or axis.passivity.name != "guarded":
         return []
@@ -345,7 +345,7 @@ def _felt_hints(axis: AxisScene, response: DisplacementResponse, lag: int, text:
 
 
 def _energy_hint(axis: AxisScene, response: DisplacementResponse, lag: int, stiffness: float) -> list[Hint]:
-    """Energy with which a contact of any speed is felt; no hint where none is needed."""
+    """Energy needed to feel a contact at any speed; no hint where none is needed."""
     energy, unit, parameters = start_energy(response, lag, stiffness), axis.parameters.unit, axis.passivity.parameters
     if energy in {0.0, math.inf}:
         return []

@@ -80,7 +80,7 @@ SECTIONS: Final = (
     *RunParameters.model_fields,
 )
 OWN_SECTIONS: Final = ("environment", "passivity")
-"""Shared sections of which an axis may have its own."""
+"""Shared sections that an axis may have for itself."""
 
 
 def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence[str], faults: Diagnostics) -> Any:

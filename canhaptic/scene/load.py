@@ -28,7 +28,7 @@ _OF_GUARDS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
     "certificates": ("guarded", {"hand_force": None}),
     "none": ("unprotected", {}),
 }
-"""Guard of a program -> algorithm in its place, and what it knows where the scene has another one."""
+"""Guard of a program -> algorithm in its place, and its settings where the scene has another one."""
 
 
 def load_scene(

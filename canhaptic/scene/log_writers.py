@@ -78,7 +78,7 @@ def _log_channels(scene: Scene) -> list[str]:
 
 
 def _run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, Attribute]:
-    """Return what belongs to the whole run: configuration, versions, clock, and where the walls are."""
+    """Return the attributes of the whole run: configuration, versions, clock, and where the walls are."""
     attributes: dict[str, Attribute] = {
         "canhaptic_version": version("canhaptic"),
         "config": scene.text,
@@ -110,7 +110,7 @@ def _run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, At
 
 
 def _active_attributes(scene: Scene) -> dict[str, Attribute]:
-    """Attributes from which the column `active` of each port with an account of its own follows."""
+    """Attributes from which the column `active` of each port with its own account is computed."""
     meters = {axis.parameters.name: meter for axis, meter in zip(scene.axes, build_axis_meters(scene), strict=True)}
     ports = {axis.parameters.name: ([axis.parameters.name], axis.passivity) for axis in scene.axes if not axis.group}
     ports |= {group.name: (list(group.axes), group.passivity) for group in scene.groups}

@@ -100,7 +100,7 @@ class LogParameters(Parameters):
     last: Annotated[float, quantity("s", ge=0.0, le=3600.0)] = 0.0
     """Above 0: the bus log is written only after a bad end, and holds this much of the run before it."""
     on_failure: Literal["stop", "continue"] = "stop"
-    """Whether a run stops when one of its logs can no longer be written, or goes on without it."""
+    """Whether a run stops when one of its logs can no longer be written, or continues without it."""
 
     @model_validator(mode="after")
     def _check(self) -> "LogParameters":
@@ -234,7 +234,7 @@ class RunParameters(Parameters):
     algorithm, and this is their guard. `none` lets a real rig give them as they are only where the call says so too.
     None: the environment is rendered."""
     code_runs_in: Literal["process", "cycle"] | None = None
-    """Whether own environments and algorithms run in a process of their own, one hold later, or in the cycle, which
+    """Whether own environments and algorithms run in a separate process, one hold later, or in the cycle, which
     they may stall. None: the process where the drives are real, the cycle in a simulation."""
     late_holds: Annotated[int, quantity("count", ge=1, le=100_000)] = 20
     """Holds in a row without an answer of that process after which the run ends."""

@@ -13,7 +13,7 @@ from canhaptic.units import shown
 
 _PATH: Final = re.compile(r'(?:"[^"]*"|[^".=]+)(?:\.(?:"[^"]*"|[^".=]+))*')
 _SELECTORS: Final = ("type", "algorithm")
-"""Keys that choose what the other keys of their section are."""
+"""Keys that determine the other keys of their section."""
 _LONGEST: Final = 120  # characters of an override that a message shows
 _PART: Final = re.compile(r'"([^"]*)"|([^".=]+)')
 

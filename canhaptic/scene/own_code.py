@@ -38,7 +38,7 @@ ENTRY_POINT_GROUPS: Final[Mapping[str, str]] = {
     "effect": "canhaptic.effects",
     "hand": "canhaptic.hands",
 }
-"""What may be a user's own -> group of the entry points of plug-ins."""
+"""Kind of user-defined part -> group of the entry points of plug-ins."""
 
 
 def _names_own_code(name: object) -> bool:

@@ -35,7 +35,7 @@ _PROGRAMS: Final = {
     "certificates": "canhaptic.control.passivity.asked_torque:GuardedProgram",
     "none": "canhaptic.control.passivity.asked_torque:UnguardedProgram",
 }
-"""Guard -> "module:Class" of the controller of an axis whose torque a program asks for."""
+"""Guard -> "module:Class" of the controller of an axis whose torque a program requests."""
 _SIGMAS: Final = 6.0
 """Standard deviations of a noise beyond which no sample is expected: 2e-9 of them."""
 
@@ -128,7 +128,7 @@ def _largest_torque(effects: Mapping[str, Parameters]) -> float:
 
 
 def _unasked(effects: Mapping[str, Parameters], axis: AxisScene) -> float:
-    """Largest torque apart from that asked for of a motor whose supply its back-EMF may reach; 0 where it may not."""
+    """Largest unrequested torque of a motor with a back-EMF that can reach its supply; 0 where it cannot."""
     if "voltage_limit" not in effects:
         return 0.0
     supply, constant, resistance = (_value(effects, "voltage_limit", of, 0.0) for of in _OF_A_WINDING)

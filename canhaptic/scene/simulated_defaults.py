@@ -96,7 +96,7 @@ def _own_parts(name: str, simulation: MarkedMapping, faults: Diagnostics) -> Mar
 
 
 def _drive(parts: MarkedMapping, axis: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
-    """Return the simulated drive's parameters; its scaling is the axis's unless it is given one of its own."""
+    """Return the simulated drive's parameters; its scaling is the axis's unless it has its own."""
     at = parts.value_at("drive")
     written = MarkedMapping(at)
     if parts.get("drive") is not None:

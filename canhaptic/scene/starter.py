@@ -309,7 +309,7 @@ def _rated_lines(dictionary: ObjectDictionary, stated: float | None) -> str:
 
 
 def _torque_limit(dictionary: ObjectDictionary, rated: float) -> float:
-    """Return a cautious torque limit [N*m] that a 0x6072 with limits of its own takes."""
+    """Return a cautious torque limit [N*m] that a 0x6072 with its own limits accepts."""
     variable = dictionary.get_variable(od.MAX_TORQUE, 0)
     limit = _CAUTIOUS * rated
     if variable is not None and variable.writable:

@@ -73,7 +73,7 @@ def si_ticks(unit: str) -> CustomJSTickFormatter:
 
 
 def _si_hover(unit: str) -> CustomJSHover:
-    """Return what writes a value under the pointer with five digits and its SI prefix."""
+    """Return the formatter of a value under the pointer: five digits and SI prefix."""
     return CustomJSHover(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_VALUE)
 
 

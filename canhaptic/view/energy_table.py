@@ -80,7 +80,7 @@ def _cell(cell: Callable[[_Port], str | Styled], port: _Port) -> str | Styled:
 
 
 def _counted(ports: Sequence[Result], key: _Counts) -> list[str]:
-    """Return the names of what happened at some port."""
+    """Return the names of the events at any port."""
     return list(dict.fromkeys(name for port in ports for name, count in port.get(key, {}).items() if count))
 
 
@@ -159,7 +159,7 @@ def _surplus(which: Literal["end", "max"]) -> Callable[[PortResult], str]:
 
 
 def _friction(port: PortResult) -> str | Styled:
-    """Return by how much an axis was faster than the declared friction and hand let it be."""
+    """Return by how much an axis was faster than declared friction and hand permit."""
     excess = port["friction_excess"]
     return Styled(f"{excess:.3g} {effort_unit(port['unit'])}   ", "bold red") if excess else "none   "
 

@@ -92,7 +92,7 @@ def _facts(result: "Inspection") -> str:
 
 
 def _moments(result: "Inspection") -> Iterator[tuple[str, float]]:
-    """Yield title and time [s] of the moments that are drawn once more, larger."""
+    """Yield title and time [s] of the moments that are drawn again, larger."""
     if result["to"] - result["from"] <= 2.0 * _SPAN:
         return
     for name, port in result["ports"].items():
@@ -108,7 +108,7 @@ def _moments(result: "Inspection") -> Iterator[tuple[str, float]]:
 
 
 def _further(log: EnergyLog, rows: slice) -> tuple[_Panels, list[str]]:
-    """Return the panels of what the picture of a run leaves out, and the names of those that hold only zeros."""
+    """Return the panels that the picture of a run leaves out, and the names of those that hold only zeros."""
     span = rows.start, rows.stop
     time = log.deadlines(*span) * log.sample_time
 

@@ -110,7 +110,7 @@ class LiveLog:
         )
 
     def _summed(self, port: str, name: str, values: Array) -> Array:
-        """Return the running sum of a column, which goes on where the last look ended."""
+        """Return the running sum of a column, which continues where the last look ended."""
         total = self._sums.get((port, name), 0) + np.cumsum(values)
         if len(total):
             self._sums[port, name] = total[-1]

@@ -55,7 +55,7 @@ def make_console(file: IO[str] | None = None) -> Console:
 
 
 def headline_text(name: str, port: PortResult) -> Text:
-    """Return the first line of a port that has an account of its own.
+    """Return the first line of a port with its own account.
 
     Args:
         name: Name of the port.
@@ -70,7 +70,7 @@ def headline_text(name: str, port: PortResult) -> Text:
 
 
 def _first_figures(port: PortResult) -> list[str]:
-    """Return the figures of the first line: energies, the part of a wall that was there, and what guarantees them."""
+    """Return the figures of the first line: energies, the rendered share of a wall, and the guarantee."""
     if port["verdict"] in ("no contact", "dry run"):
         return []
     found = [f"{si(port['in'], 'J', 3)} in, {si(port['out'], 'J', 3)} out"] if "in" in port else []
@@ -86,7 +86,7 @@ def _first_figures(port: PortResult) -> list[str]:
 
 
 def _reasons(port: PortResult) -> list[tuple[str, str]]:
-    """Return what follows the word, each with what separates it from the words before."""
+    """Return the texts after the verdict, each with its separator."""
     word, plant = port["verdict"], port.get("plant_passive")
     found: list[tuple[str, str]] = []
     if word == "yes":
@@ -133,7 +133,7 @@ def brief_report(result: Result) -> RenderableType:
 
 
 def headlines(result: Result) -> list[RenderableType]:
-    """First line of each port that has an account of its own."""
+    """First line of each port with its own account."""
     ports = {name: result["ports"][name] for name in ordered(result.get("ports", {}))}
     return [headline_text(name, of) for name, of in ports.items() if "verdict" in of]
 

@@ -208,7 +208,7 @@ class PortPicture:
         _finish(axes, "torque" if unit == "N*m" else "force", f"{prefix}{unit}")
 
     def _draw_torques_of_axes(self, axes: "Axes") -> None:
-        """Draw what each axis of a group applied; what was commanded is drawn wide and pale behind it."""
+        """Draw the torque that each axis of a group applied; the command is wide and pale behind it."""
         applied = self._of_movers("torque_applied")
         commands = [] if self._is_display else self._of_movers("torque_command")
         unit = self._movers[0].unit("torque_applied")

@@ -133,7 +133,7 @@ def _stream(source: ColumnDataSource, time: Array, columns: Mapping[str, Array])
 
 
 def _status(news: News, last: News) -> str:
-    """Return what the log says by now, with the values of the last look that found rows."""
+    """Return the current status of the log, with the values of the last look that found rows."""
     facts = [
         f"<b>{html.escape(news.status)}</b>",
         f"{news.rows} cycles",

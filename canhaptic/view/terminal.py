@@ -28,7 +28,7 @@ _SHOWN: Final = {code: f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" fo
 
 
 def visible(text: str) -> str:
-    r"""Return a text with what would steer a terminal written out: escape as `\x1b`; lines and tabs stay."""
+    r"""Return a text with terminal control characters written out: escape as `\x1b`; lines and tabs stay."""
     return text if text.isprintable() else text.translate(_SHOWN)
 
 

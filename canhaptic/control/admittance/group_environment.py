@@ -100,7 +100,7 @@ class PathMass(GroupMass):
     closed: bool = False
     """Whether the last point is joined to the first."""
     return_time: Annotated[float, quantity("s", gt=0.0, le=10.0)] = 0.1
-    """Time constant with which a handle off the path is led back."""
+    """Time constant with which a handle is led back to the path."""
 
     @model_validator(mode="after")
     def _is_a_line(self) -> "PathMass":

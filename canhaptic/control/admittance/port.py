@@ -37,7 +37,7 @@ class AdmittanceProperties(Parameters):
     delay: Annotated[int, quantity("count", ge=0, le=16)] = 1
     """Whole holds between the computation of a command and the hold in which it acts."""
     sampling: Literal["point", "mean", "impulse"] = "point"
-    """What one force is: its value at a SYNC, its mean since the one before, or since the last that came (impulse)."""
+    """Meaning of one force: its value at a SYNC, its mean since the one before or the last that came (impulse)."""
     latency: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Delay of a force in whole samples."""
     filter: Annotated[float, quantity("Hz", ge=0.0, le=1e6)] = 0.0

@@ -349,7 +349,7 @@ _FIRST: Final = 1e-3  # [N or N*m]
 
 
 def start_energy(response: DisplacementResponse, delay: int, stiffness: float) -> float:
-    """Return the energy [J] with which a contact of any speed is held; infinite where the stiffness is too large.
+    """Return the energy [J] that suffices to hold a contact of any speed; infinite where the stiffness is too large.
 
     Args:
         response: Displacement response of the axis, with the force of the hand.

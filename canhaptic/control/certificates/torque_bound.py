@@ -191,7 +191,7 @@ def end_hold(
 
 
 def dissipate(bound: TorqueBound, energy: float) -> None:
-    """Add an energy [J] that the device dissipated for certain."""
+    """Add an energy [J] that the device certainly dissipated."""
     bound.dissipated += energy
     bound.certain += energy
 
@@ -433,13 +433,13 @@ def excursion_unseen(declared: Declared, bound: TorqueBound, displacement: float
 
 
 class Dissipated(Protocol):
-    """Energy that the device dissipated for certain, less what was discarded [J]."""
+    """Energy that the device certainly dissipated, less what was discarded [J]."""
 
     dissipated: float
 
 
 def keep(bound: Dissipated, energy: float, enough: float) -> None:
-    """Discard the device's dissipation beyond what reaches `enough` [J] together with `energy`.
+    """Discard the device's dissipation beyond the amount that reaches `enough` [J] together with `energy`.
 
     Otherwise a contact could live, and buzz, on what the device dissipated long ago.
     """

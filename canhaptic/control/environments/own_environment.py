@@ -34,7 +34,7 @@ _NO_FORCE: Final = 1e-9
 """Force that may be rounding, such as a sine at pi [N or N*m]."""
 _SLOPE_ROUNDING: Final = 1e-14
 _TRIED: Final = tuple(10.0 ** (power / 16) for power in range(-80, 1))
-"""Sizes of states at which the direction of a force is looked at when a scene is loaded: 10 um to 1 m or rad."""
+"""Sizes of states at which the direction of a force is checked when a scene is loaded: 10 um to 1 m or rad."""
 _DERIVATIVE_STEP: Final = 6e-6  # cube root of the rounding error: least error of a central difference
 # Kronrod's 15 points on [-1, 1] with their weights, and the weights of Gauss's 7 points among them
 # (Piessens and others, QUADPACK, 1983).

@@ -13,10 +13,10 @@ class ViscoelasticMedium(LinearSpring):
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
     """Stiffness of the spring that relaxes."""
     relaxation_time: Annotated[float, quantity("s", gt=0.0)]
-    """Time in which a spring left alone falls to 1/e: series damping over stiffness."""
+    """Time in which an undisturbed spring relaxes to 1/e: series damping over stiffness."""
 
     relaxes: ClassVar[bool] = True
 
     def relaxed(self, state: float, sample_time: float) -> float:
-        """Return x exp(-T / relaxation time): exact for a hold in which nothing moves."""
+        """Return x exp(-T / relaxation time): exact for a hold without motion."""
         return state * math.exp(-sample_time / self.relaxation_time)

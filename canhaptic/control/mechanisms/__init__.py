@@ -12,5 +12,5 @@ KINEMATICS: Final[dict[str, str]] = {
 }
 """Name in a scene -> "module:Class"; the class is the parameter model and the mechanism in one (`Kinematics`).
 
-A mechanism of one's own is `user_function.UserFunction(forward, jacobian, at, limit)`, in Python only.
+A user-defined mechanism is `user_function.UserFunction(forward, jacobian, at, limit)`, in Python only.
 """

@@ -733,7 +733,7 @@ def share_beyond(energy: float, base: float, gain: float, late: LateShare, size:
 
 
 def share_in_debt(at: Accounting, torques: Buffer, base: float, gain: float) -> float:
-    """Return the share of torques that absorbs energy for certain, where older ones may give out more than the budget.
+    """Return the share of torques that certainly absorbs energy, where older ones may give out more than the budget.
 
     The range in `now` applies at the SYNC of the torques; the other arguments are as for `by_hand_force`.
     """

@@ -175,7 +175,7 @@ def settings_of(
 
 
 def _refuse_keys_of_one_axis(parameters: GuardedParameters) -> None:
-    """Refuse what the certificates of a single axis alone can use.
+    """Refuse keys that only the certificates of a single axis can use.
 
     Raises:
         ParameterError: Such a key is declared; it names it.

@@ -42,7 +42,7 @@ _LONGEST_WINDOW = 0.02
 
 
 class Program(FreeSpace):
-    """A program in the place of an environment, of which nothing is known."""
+    """A program in place of an environment; nothing is known about it."""
 
 
 class AskedEffort(StoresNothing):
@@ -125,7 +125,7 @@ def granted(
 
 
 class _Asks(SteppedController):
-    """A controller whose torque is asked for before each step."""
+    """A controller whose torque is requested before each step."""
 
     def __init__(self, parameters: Parameters, loop: LoopProperties) -> None:
         self._effort = AskedEffort()
@@ -136,7 +136,7 @@ class _Asks(SteppedController):
 
     @property
     def asked(self) -> float:
-        """Torque that was asked for last [N or N*m]."""
+        """Torque requested last [N or N*m]."""
         return self._effort.asked
 
     def ask(self, torque: float) -> None:
@@ -163,7 +163,7 @@ class _Asks(SteppedController):
 def _settings_of(
     environment: AskedEffort, parameters: GuardedParameters, loop: LoopProperties
 ) -> GuardedSettings:  # fmt: skip
-    """Constants of a run whose torque may turn at any SYNC: the hand counts with its push both ways.
+    """Constants of a run whose torque may turn at any SYNC: the hand's push counts in both directions.
 
     Args:
         environment: The program.

@@ -13,7 +13,7 @@ class LoopProperties(Parameters):
     sample_time: Annotated[float, quantity("s", ge=1e-6, le=1.0)]
     """Time T from SYNC to SYNC."""
     delay: Annotated[int, quantity("count", ge=0, le=16)] = 0
-    """Whole holds between the computation of a torque and the hold in which it acts: 0 event RPDO, 1 synchronous."""
+    """Whole holds from the computation of a torque to the hold in which it acts: 0 event RPDO, 1 synchronous."""
     moving_mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0)] | None = None
     """UNDER-estimate of the inertia rigid with the encoder."""
     device_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] | None = None
@@ -29,14 +29,14 @@ class LoopProperties(Parameters):
     """Part of that bound that pulls: cogging, weight, wind-up of a gear. The rest only brakes where
     `presliding_stiffness` is declared too. None: all of it pulls, as in a group."""
     presliding_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0)] | None = None
-    """UNDER-estimate of the stiffness with which dry friction gives way before it slides. It has to be some 20 times
+    """UNDER-estimate of the stiffness of dry friction before it slides. It has to be some 20 times
     the moving mass over T^2, or nothing is gained. None: not known."""
     sync_jitter: Annotated[float, quantity("1", ge=0.0, le=0.5)] | None = None
     """Every hold, from position to position, lasts T (1 +- jitter). None: not known; 0 in a bare loop."""
     torque_window: Annotated[float, quantity("s", ge=0.0, le=1.0)] | None = None
     """Latest time after a SYNC at which its torque acts (event RPDO, wire time). None: not known, as above."""
     current_lag: Annotated[float, quantity("s", ge=0.0, le=1.0)] | None = None
-    """Largest time constant with which the motor's torque follows. None: not known, as above."""
+    """Largest time constant of the motor's torque. None: not known, as above."""
     encoder_count: Annotated[float, quantity("m", "rad", ge=0.0)] = 0.0
     """Displacement of one encoder count; 0 for an ideal encoder."""
     torque_quantum: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
@@ -44,9 +44,9 @@ class LoopProperties(Parameters):
     torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0)] | None = None
     """Largest torque the drive applies."""
     torque_rate_limit: Annotated[float, quantity("N/s", "N*m/s", gt=0.0)] | None = None
-    """Largest rise of the torque per second that the limiter lets pass."""
+    """Largest rate of rise of the torque that the limiter permits."""
     power_limit: Annotated[float, quantity("W", gt=0.0)] | None = None
-    """Largest power into the user's side that the limiter lets pass."""
+    """Largest power into the user's side that the limiter permits."""
 
     @property
     def brakes(self) -> bool:

@@ -316,7 +316,7 @@ def certain_energy(state: GuardedState, energy: float) -> float:
 
 
 def within_limits(settings: GuardedSettings, newest: float, sign: float, moved: float) -> float:
-    """Return the largest torque along `sign` that the limiter lets pass [N or N*m]; see `drive.profile.limiter`.
+    """Return the largest torque along `sign` that the limiter permits [N or N*m]; see `drive.profile.limiter`.
 
     If the limiter reduced a certified torque, it would absorb less energy than the next torque counts on.
 

@@ -38,7 +38,7 @@ from canhaptic.kernels import Buffer
 from canhaptic.units import Parameters, quantity
 
 PREDICTION_HOLDS: Final = 0.75
-"""Prediction beyond the delay [holds]: 0.5 aims at the middle of the hold, and what is more calms a spring."""
+"""Prediction beyond the delay [holds]: 0.5 aims at the middle of the hold, and a larger value calms a spring."""
 _LEARNT: Final = 0.0625
 """Share of a prediction error that corrects the force of the hand in a hold."""
 _RISE_LEARNT: Final = _LEARNT * _LEARNT / 4.0
@@ -162,7 +162,7 @@ class GuardedParameters(Parameters):
     contact under a hand force starts at any speed. sum(h_i) stays >= 0. None: as much as the environment needs for
     that, by the hand's force or speed, and none in a group; 0: none."""
     drag: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
-    """Largest drag felt in free motion, while less than `earned_energy` is there; 0: none. There too the hand pulls
+    """Largest drag felt in free motion, while less than `earned_energy` is stored; 0: none. There too the hand pulls
     away from the environment with no more than `hand_force`."""
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""

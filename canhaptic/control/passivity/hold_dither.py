@@ -124,7 +124,7 @@ class DitheredGuarded(Guarded):
         super().__init__(environment, parameters, loop)
 
     def reset(self) -> None:
-        """Clear the state, and what was found."""
+        """Clear the state and the findings."""
         super().reset()
         self._random: random.Random | None = None
         self._open = self._applied = self._moved = 0.0
@@ -132,7 +132,7 @@ class DitheredGuarded(Guarded):
 
     @property
     def hold_found(self) -> str:
-        """What contradicts the declared hold; empty: nothing so far."""
+        """Contradictions of the declared hold; empty: none so far."""
         return self._watch.found
 
     @property
@@ -162,7 +162,7 @@ class DitheredGuarded(Guarded):
         return balance._replace(certificate=_NONE) if watch.found else balance
 
     def _lowered(self, balance: EnergyBalance) -> EnergyBalance:
-        """Return a balance whose torque is 2 a nearer to zero, and so in the commands under way."""
+        """Return a balance whose torque is 2 a nearer to zero, as in the queued commands."""
         torque, quantum, steps = balance.torque, self._settings.quantum, self._steps
         down = -self._down if torque < 0.0 else self._down
         lowered = (round(torque / quantum) - (steps if torque > 0.0 else -steps)) * quantum if steps else torque - down

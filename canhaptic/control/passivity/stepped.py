@@ -42,7 +42,7 @@ def no_commands(delay: int, make_buffer: MakeBuffer) -> Commands:
 
 
 def send(commands: Commands, oldest: int, torque: float, damper: float, modulated: float) -> int:
-    """Replace the command whose hold ended; return the index of the next oldest."""
+    """Replace the command whose hold ended; return the index of the oldest one left."""
     commands.torques[oldest] = torque
     commands.dampers[oldest] = damper
     commands.modulated[oldest] = modulated

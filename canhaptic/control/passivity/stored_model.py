@@ -276,7 +276,7 @@ def start(environment: Environment, storage: Storage, change: float, elapsed: fl
 def move(
     environment: Environment, storage: Storage, change: float, elapsed: float, h_r: float, h_m: float, limited: bool
 ) -> tuple[float, float]:
-    """Take a state change found by eq. 8; return (h_r with what relaxation dissipates, leak) [J].
+    """Take a state change found by eq. 8; return (h_r including dissipation by relaxation, leak) [J].
 
     Args:
         environment: The rendered environment.
@@ -299,7 +299,7 @@ def move(
 def approximate(
     environment: Environment, storage: Storage, elapsed: float, dissipation: float, h_m: float
 ) -> HoldAccount:
-    """Dissipate a given energy, as far as it is available, and take the state of what remains (eqs. 6, 7, 18).
+    """Dissipate a given energy, as far as it is available, and set the state of the remaining energy (eqs. 6, 7, 18).
 
     Args:
         environment: The rendered environment.

@@ -234,7 +234,7 @@ _LONGER: Final = 3.0
 _LEVEL: Final = 0.5
 """Share of the power at the start of a step that is level enough for its end."""
 _INSIDE: Final = 0.1
-"""Share of the way between two places, at either end, in which no place between them is tried."""
+"""Fraction of the interval between two places, at either end, in which no further place is tried."""
 
 
 def advance(model: NetworkModel, sample: NetworkSample) -> int:

@@ -318,7 +318,7 @@ class UserFunctions:
 
 
 Functions: TypeAlias = NoFunctions | UserFunctions
-"""What the kernels of a network ask where `NetworkTables.by_functions`."""
+"""Functions that the kernels of a network call where `NetworkTables.by_functions`."""
 
 
 def check_gradient(storage: UserEnergy) -> None:

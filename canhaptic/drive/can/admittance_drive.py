@@ -83,7 +83,7 @@ class AdmittanceDrive(ServoDrive):
         return AdmittanceBringUp(self)
 
     def _force_handler(self, node: "ForceNode") -> Callable[[bytearray], None]:
-        """Handler of the frames of a sensor with a node of its own: one more part of the sample."""
+        """Handler of the frames of a sensor with its own node: one more part of the sample."""
         bit = self._all_tpdos + 1
         self._all_tpdos |= bit
         length, value_in = node.frame_length, node.value_in
@@ -108,7 +108,7 @@ class AdmittanceDrive(ServoDrive):
         return f"{frames}, ".lstrip(", ") + f"frame {sensor.frame_id:#05x} of the force sensor"
 
     def command_sensor(self, command: od.NmtCommand) -> None:
-        """Send an NMT command to a sensor that is a CANopen node of its own.
+        """Send an NMT command to a sensor that is its own CANopen node.
 
         Raises:
             LinkError: It could not be sent.
@@ -246,7 +246,7 @@ class AdmittanceBringUp(CanBringUp):
             self._write_confirmed(step, index, 0, value)
 
     def command_operational(self) -> None:
-        """Send NMT start to the drive and to a sensor with a node of its own, tared if configured; raise StartError."""
+        """Send NMT start to the drive and to a sensor with its own node, tared if configured; raise StartError."""
         node, channel = self._drive.display.force.node, self._drive.sensor_sdo()
         if channel is not None and node is not None:
             if self._drive.restores:  # an older master left the sensor alone
@@ -273,7 +273,7 @@ class AdmittanceBringUp(CanBringUp):
         self._drive.elsewhere = [f"force sensor: 0x1800:02 = 1, {before} before"] if before != 1 else []
 
     def check_rest(self) -> None:
-        """Refuse a sensor that shows a force while nothing pushes: an offset would move the handle by itself."""
+        """Refuse a sensor that shows a force while nothing pushes: an offset alone would move the handle."""
         drive = self._drive
         if not drive.checks_rest:
             return

@@ -73,7 +73,7 @@ _PDO_OBJECTS: Final = range(od.RPDO_COMMUNICATION, od.TPDO_MAPPING + od.PDO_COUN
 
 
 class _Request:
-    """One transfer, from the thread that asked for it to the one that hands the result over."""
+    """One transfer, from the requesting thread to the thread that delivers the result."""
 
     __slots__ = ("attempts", "convert", "drive", "frame", "future", "index", "object", "subindex", "transfer", "verb")
 
@@ -316,7 +316,7 @@ class SdoLine:
 
 
 def _hand_over(done: "SimpleQueue[tuple[_Request, Any] | None]") -> None:
-    """Set the results in a thread of its own, where their callbacks run."""
+    """Set the results in a separate thread, where their callbacks run."""
     while (entry := done.get()) is not None:
         request, result = entry
         if request.future.done() or not (request.future.running() or request.future.set_running_or_notify_cancel()):

@@ -38,7 +38,7 @@ Transfer = Generator[bytes, bytes, bytes]
 
 
 class ProtocolError(Exception):
-    """An answer that does not match the request; its text says what arrived."""
+    """An answer that does not match the request; its text quotes the answer."""
 
 
 def address(index: int, subindex: int) -> bytes:

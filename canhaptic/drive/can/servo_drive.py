@@ -175,7 +175,7 @@ class ServoDrive(TorqueAxis):
             self.link.send(od.SDO_REQUEST_BASE + self.axis.node_id, frame)
 
     def command_nmt(self, command: od.NmtCommand) -> None:
-        """Send an NMT command to this node alone.
+        """Send an NMT command to this node only.
 
         Raises:
             LinkError: It could not be sent.

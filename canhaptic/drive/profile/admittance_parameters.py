@@ -25,7 +25,7 @@ Mode = Literal["velocity", "position"]
 
 
 class ForceParameters(Parameters):
-    """The force sensor of an admittance display: in the TPDO of its drive, or a node of its own."""
+    """The force sensor of an admittance display: in the TPDO of its drive, or with its own node."""
 
     object: str | None = None
     """Object of the drive that shows the force, `0x3160.1` (index.subindex, hexadecimal); INTEGER16 or INTEGER32."""
@@ -80,7 +80,7 @@ class ForceParameters(Parameters):
 
     @property
     def place(self) -> tuple[int, int] | None:
-        """(index, subindex) of the object; None for a sensor that is a node of its own."""
+        """(index, subindex) of the object; None for a sensor with its own node."""
         match = _OBJECT.fullmatch(self.object or "")
         if match is None:
             return None

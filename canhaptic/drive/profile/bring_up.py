@@ -84,7 +84,7 @@ class BringUp(ABC):
 
     @abstractmethod
     def _command_pre_operational(self) -> None:
-        """Command the state in which a drive is configured; raise LinkError."""
+        """Command the state for configuring a drive; raise LinkError."""
 
     def _explain_absence(self) -> None:
         """Raises StartError where it is found why the drive does not answer."""
@@ -96,7 +96,7 @@ class BringUp(ABC):
 
     @abstractmethod
     def _await_pre_operational(self) -> None:
-        """Confirm the state in which a drive is configured."""
+        """Confirm the state for configuring a drive."""
 
     @abstractmethod
     def _arm(self) -> None:
@@ -108,7 +108,7 @@ class BringUp(ABC):
 
     @abstractmethod
     def command_operational(self) -> None:
-        """Command the state in which process data are exchanged."""
+        """Command the state for exchanging process data."""
 
     @abstractmethod
     def operational(self) -> Confirmation:
@@ -296,7 +296,7 @@ class BringUp(ABC):
         drive.scaling = axis_scaling(drive.axis, rated_torque)
 
     def _write_rated_torque(self) -> int:
-        """Write rated_torque to a 0x6076 that is 0, if the drive is of that kind; return what the drive then has."""
+        """Write rated_torque to a 0x6076 that is 0, if the drive needs that; return its value then."""
         drive, rated_torque = self._drive, self._drive.axis.rated_torque
         if not drive.quirks.writes_rated_torque or rated_torque is None:
             return 0
@@ -319,7 +319,7 @@ class BringUp(ABC):
             self._write_confirmed("drive objects", *place, value)
 
     def _set_brake(self) -> None:
-        """Set a brake that the host works, and let its output be written."""
+        """Set a brake that the host operates, and enable writing of its output."""
         drive, outputs = self._drive, od.DIGITAL_OUTPUTS
         if drive.axis.brake is None or drive.axis.brake.output is None:
             return

@@ -147,7 +147,7 @@ class Finding(NamedTuple):
 def profile_findings(
     dictionary: Dictionary, axis: TorqueAxisParameters, sample_time_ns: int | None = None
 ) -> list[Finding]:
-    """Return what the objects of CiA 402 in a dictionary say about its fitness for cyclic torque.
+    """Return the findings on the CiA 402 objects of a dictionary: its fitness for cyclic torque.
 
     Args:
         dictionary: Dictionary of the drive.

@@ -143,5 +143,5 @@ class DryRunLimiter(TorqueLimiter):
 
 
 def _cut(torque: float, intervals: tuple[tuple[float, float], ...]) -> int:
-    """Return which intervals a torque lies outside of, a bit for each, in the order of `Saturation`."""
+    """Return the intervals that exclude a torque, as one bit each, in the order of `Saturation`."""
     return sum(1 << place for place, (least, most) in enumerate(intervals) if not least <= torque <= most)

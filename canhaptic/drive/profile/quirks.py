@@ -22,7 +22,7 @@ class Quirks(Parameters):
     writes_interpolation_period: bool = True
     """Whether 0x60C2 is written where the dictionary allows it; some drives want it for cyclic modes."""
     reads_rated_torque: bool = True
-    """Whether 0x6076 is read where the dictionary lists it; False: rated_torque of the configuration alone counts."""
+    """Whether 0x6076 is read where the dictionary lists it; False: only rated_torque of the configuration counts."""
     writes_rated_torque: bool = False
     """Whether rated_torque of the configuration is written to a 0x6076 that is 0."""
     rated_torque_resolution: float = 1e-3

@@ -53,7 +53,7 @@ def _write(drive: TorqueAxis, change: Written) -> None:
 
 
 def _differences(drive: TorqueAxis, first: Written) -> Iterator[str]:
-    """Yield what an object has now and had before the start, where that is not the same; raise SdoError."""
+    """Yield the values of an object now and before the start, where they differ; raise SdoError."""
     name = drive.sdo.describe(*first.place)
     if first.before is None:
         yield f"{name} = {first.after}, unknown before"

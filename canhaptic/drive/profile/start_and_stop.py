@@ -118,7 +118,7 @@ def _cycle(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
 def _cycle_until(
     exchange: CyclicExchange, bring_ups: Sequence[BringUp], confirmation: Callable[[BringUp], Confirmation]
 ) -> None:
-    """Cycles until every drive has confirmed; those that have not are asked again now and then.
+    """Cycles until every drive has confirmed; the others are asked again at intervals.
 
     Raises:
         StartError: One did not within its time.
@@ -159,7 +159,7 @@ def _exchange_zero_torque(exchange: CyclicExchange, bring_ups: Sequence[BringUp]
 
 
 def _require_order(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
-    """Cycles until every drive answers two SYNCs, of which the first is followed by a pause, and sends nothing in it.
+    """Cycles until every drive answers two SYNCs, with a pause after the first in which it sends nothing.
 
     What comes in the pause answers an older SYNC, or none: it would be taken for the answer of the next.
     """
@@ -310,7 +310,7 @@ def ramp_down(exchange: CyclicExchange, duration: float) -> None:
 
 
 def _set_brake(drive: TorqueAxis, sample_time_ns: int) -> int:
-    """Let the brake of an axis be set; return the cycles until it holds, for which the axis keeps its torque."""
+    """Let the brake of an axis be set; return the cycles until it holds; the axis keeps its torque until then."""
     brake = drive.axis.brake
     if brake is None:
         return 0

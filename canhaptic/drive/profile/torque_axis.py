@@ -248,7 +248,7 @@ class TorqueAxis(ABC):
 
     @property
     def mode_code(self) -> int:
-        """Value of 0x6060 in which the drive runs."""
+        """Value of 0x6060 for the drive's mode."""
         return self.axis.mode_code
 
     @property

@@ -106,11 +106,11 @@ class TorqueAxisParameters(Parameters):
     restore_limits: bool = False
     """Whether the stop puts 0x6072, 0x607F and 0x6080 back too, as it does with all else that the start wrote."""
     sdo_timeout: Annotated[float, quantity("s", ge=1e-3, le=10.0)] = 0.3
-    """Time in which the drive must answer an SDO request; then it is repeated."""
+    """Time allowed for the answer to an SDO request before it is repeated."""
     start_timeout: Annotated[float, quantity("s", ge=0.0, le=60.0)] = 5.0
-    """Time in which the drive must answer for the first time, as after its power came on."""
+    """Time allowed for the first answer, for example after power-on."""
     step_timeout: Annotated[float, quantity("s", ge=1e-2, le=60.0)] = 1.0
-    """Time in which the drive must confirm one step of the start."""
+    """Time allowed for the drive to confirm one step of the start."""
 
     @property
     def largest_speed(self) -> float:
@@ -133,7 +133,7 @@ class TorqueAxisParameters(Parameters):
 
     @property
     def mode_code(self) -> int:
-        """Value of 0x6060 in which the drive runs."""
+        """Value of 0x6060 for the drive's mode."""
         return od.CYCLIC_SYNC_TORQUE if self.admittance is None else self.admittance.mode_code
 
     @property

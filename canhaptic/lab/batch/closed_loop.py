@@ -126,7 +126,7 @@ def force(settings: ReferenceSettings, memory: ReferenceMemory) -> float:
 
 
 def move_step(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
-    """Move by one step, and again in pieces where an event may lie in it."""
+    """Move by one step, repeated in pieces where it may contain an event."""
     state, moved, mode = memory.state, memory.moved, reference.mode
     size, flow = len(state), memory.flows[mode]
     for row in range(size - 1):
@@ -315,7 +315,7 @@ class AxisState(Protocol):
 
 
 AxisRun: TypeAlias = Run[Any, AxisState, Any]
-"""What the kernel of any algorithm of one axis works on."""
+"""State on which the kernel of any algorithm of one axis works."""
 
 
 class LinearPlant(NamedTuple):

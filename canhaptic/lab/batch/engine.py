@@ -7,7 +7,7 @@ from canhaptic.errors import ParameterError
 from canhaptic.extras import install_hint
 
 Engine = Literal["auto", "numba", "python"]
-"""As asked for."""
+"""As requested."""
 ChosenEngine = Literal["numba", "python"]
 
 WORTH_COMPILING: Final = 1e6
@@ -15,7 +15,7 @@ WORTH_COMPILING: Final = 1e6
 and friction), and compiling 4 to 14 s once for a kind of scene; compiled code takes 0.5 us at most."""
 
 WORTH_COMPILING_GROUPS: Final = 3e5
-"""The same of groups, for each of which Python takes some 150 us, compiling 20 s once."""
+"""The same for groups, for each of which Python takes some 150 us, compiling 20 s once."""
 
 
 def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:

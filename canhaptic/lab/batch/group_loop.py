@@ -524,7 +524,7 @@ def _side_by_side(plants: Sequence[Plant]) -> LinearMotors:
 
 
 def _stage(stage: XYMotion, order: Sequence[int]) -> LinearMotors:
-    """Return a stage, whose forces are states that do not change.
+    """Return a stage, whose forces are constant states.
 
     Args:
         stage: Stage without dry friction.
@@ -546,7 +546,7 @@ _PER_MILLE: Final = 1e-3
 
 
 class Motors(NamedTuple):
-    """The motors of a group, as plants of their own or a mechanism."""
+    """The motors of a group, as separate plants or a mechanism."""
 
     sample_time_ns: int
     positions: Callable[[], Sequence[float]]  # true

@@ -147,7 +147,7 @@ def march(
 
 
 def _last_from(case: BatchCase, cycles: int) -> Array | float:
-    """SYNC with which the last part of each run begins."""
+    """SYNC at which the last part of each run begins."""
     period = np.asarray(case.number("loop", "sample_time"), dtype=float)
     found = {value: float(last_rows(cycles, value).start) for value in np.unique(period).tolist()}
     return np.array([found[value] for value in period.tolist()]) if period.ndim else found[float(period)]

@@ -166,7 +166,7 @@ def run_ticks(plant: EventPlant, ticks: int, most: int) -> int:
 
 
 def run_on(plant: EventPlant, ticks: int, most: int) -> int:
-    """Move by some ticks with the stepper alone, through every event."""
+    """Move by a number of ticks with only the stepper, through every event."""
     plant.counts[LIMIT] = most
     state, _, left = run(
         plant.tables, plant.settings, plant.state, plant.spare, plant.books, plant.counts, plant.values, ticks
@@ -505,7 +505,7 @@ def _winding(derating: Any, sample_time: float) -> Winding:
 
 
 _IN_ARRAYS: Final = ("viscous_friction", "tremor")
-"""Effects whose place in the equation of motion is known here."""
+"""Effects with a known place in the equation of motion."""
 _ANY_NS: Final = 1_000_000
 """A sample time, where it does not matter [ns]."""
 

@@ -49,7 +49,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _require_picture(scene: Scene) -> None:
-    """Refuse a picture of what has no continuous run.
+    """Refuse a picture of parts without a continuous run.
 
     Raises:
         InputError: The scene has admittance displays or groups.

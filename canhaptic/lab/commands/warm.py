@@ -15,7 +15,7 @@ _SYNCS = 2
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Run two SYNCs of the scene under each algorithm, compiled, and print what runs them; return 0.
+    """Run two SYNCs of the scene under each algorithm, compiled, and print the engine of each; return 0.
 
     Raises:
         InputError: numba is not installed, or the scene cannot be swept.

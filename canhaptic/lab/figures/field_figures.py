@@ -70,7 +70,7 @@ NEAR: Final = 0.05
 """Largest relative error of a stiffness that counts as rendered accurately."""
 
 _WINDOW: Final = 0.02
-"""After the first contact, in which the force rises [s]."""
+"""Time after the first contact in which the force rises [s]."""
 
 
 def energy_given_out(run: LoopRun) -> float:

@@ -22,7 +22,7 @@ from canhaptic.lab.reference import REST, ContinuousReference
 from canhaptic.scene.models import Scene
 
 _LAST_PART: Final = 0.1
-"""Part of a run, at its end, in which rest and limit cycles are looked at; at most `_LONGEST_LAST` [s]."""
+"""Last part of a run, in which rest and limit cycles are judged; at most `_LONGEST_LAST` [s]."""
 _LONGEST_LAST: Final = 2.0
 _LEAST_EFFORT: Final = 1e-9
 """Effort below which there is nothing to be rendered [N or N*m]."""
@@ -94,7 +94,7 @@ METRICS: Final[dict[str, Figure]] = {
     "branches.depleted": Figure("holds that took more than was stored", "", ("depleted",)),
     "branches.exit": Figure("holds that ended a contact", "", ("exit",)),
 }  # fmt: skip
-"""Figures of a loop alone. One with a label is a row of `compare`, and needs no other file."""
+"""Figures of a loop by itself. One with a label is a row of `compare`, and needs no other file."""
 
 _RMS: Final = ("position_squares", "cycles")
 _AT_REST: Final = ("last_force", "last_state", "last_asked", "last", *_LAST)

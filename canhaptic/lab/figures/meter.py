@@ -128,7 +128,7 @@ def miss(
     environment: Environment, settings: MeterSettings, meter: Meter, cycle: int, true_position: float, torque: float,
     interaction: float,
 ) -> None:  # fmt: skip
-    """Take a SYNC whose position did not reach the controller; see `take`."""
+    """Record a SYNC whose position did not reach the controller; see `take`."""
     nothing, surplus = 0.0, meter.surplus
     balance = new(EnergyBalance, (
         nothing, nothing, nothing, nothing, nothing, nothing, surplus, nothing, nothing, nothing, nothing, _HELD,

@@ -64,7 +64,7 @@ class ReferenceGroup(SwitchedModel, Protocol):
 
 
 class AxesModel:
-    """Motors that each move a plant of their own; its modes are the modes of the plants in sequence."""
+    """Motors that each move a separate plant; its modes are the modes of the plants in sequence."""
 
     def __init__(self, models: Sequence[Model], masses: Sequence[float]) -> None:
         self._models, self._masses = models, masses

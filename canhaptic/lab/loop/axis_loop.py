@@ -45,7 +45,7 @@ Array = NDArray[np.float64]
 FURTHEST: Final = 1e3
 """Distance that counts as divergence unless something is known of the motion [m or rad]."""
 _TRAVELS: Final = 10.0
-"""The same in travels of an axis whose motion is known."""
+"""The same, in multiples of the travel of an axis whose motion is known."""
 _LEAST_TRAVEL: Final = 5e-3  # [m or rad]
 _APART: Final = (Branch.FREE.value, Branch.EXIT.value)
 _COUNTED: Final = [EnergyBalance._fields.index(name) for name in ("branch", "certificate")]
@@ -311,7 +311,7 @@ def _of_group(scene: Scene, group: GroupScene) -> Scene:
 
 
 def mechanism_of_group(scene: Scene) -> MechanismScene | None:
-    """Return the mechanism that the one group of a scene moves; None where each of its axes has a plant of its own.
+    """Return the mechanism that the one group of a scene moves; None where each of its axes has a separate plant.
 
     Raises:
         InputError: Its motors move with others.

@@ -199,7 +199,7 @@ def _draw_loop(panel: "Axes", loop: Sequence[Row], result: Row) -> None:
 
 
 def _draw_effects(panel: "Axes", effects: Sequence[Row], result: Row) -> None:
-    """Draw one row per effect: the error of leaving it out, with what that saves in words."""
+    """Draw one row per effect: the error of leaving it out, and the saving in words."""
     across = panel.get_yaxis_transform()
     for place, row in enumerate(effects):
         panel.plot([row["position_error"]], [place], "o", color=VERMILION, markersize=6.0)

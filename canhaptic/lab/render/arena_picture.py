@@ -120,12 +120,12 @@ def _lines(found: Found, part: str, figure: Callable[[Row], float]) -> dict[str,
 
 
 def _size(row: Row) -> float:
-    """Return how far an impedance is from the one asked for, in octaves and radians together."""
+    """Return how far an impedance is from the request, in octaves and radians together."""
     return 0.0 if row["size"] is None else abs(float(np.log2(row["size"]))) + abs(row["angle"])
 
 
 def _draw_impedance(found: Found, path: Path) -> None:
-    """Draw the impedance rendered over the one asked for, size and angle, without delay and late.
+    """Draw the ratio of the rendered to the requested impedance, size and angle, without delay and late.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.

@@ -116,7 +116,7 @@ _Scale = tuple[float, str, tuple[float, float]]
 
 
 def _comparable(lines: list[Array]) -> list[Array]:
-    """Return the lines without those whose range would flatten the rest."""
+    """Return the lines, except any whose range would flatten the rest."""
     ranges = [float(np.ptp(line)) for line in lines]
     usual = float(np.median(ranges))
     return [line for line, size in zip(lines, ranges, strict=True) if size <= _FLATTENING * usual]

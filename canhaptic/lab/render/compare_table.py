@@ -56,7 +56,7 @@ def _heading(result: _Account) -> Text:
 
 
 def _engines(result: _Account) -> list[str]:
-    """Return what computed the runs: python, numba."""
+    """Return the engines that computed the runs: python, numba."""
     every = (account.get("engine") for _, part, _ in _parts(result) for account in part["algorithms"].values())
     return sorted({engine.partition(":")[0] for engine in every if engine}) or ["python"]
 

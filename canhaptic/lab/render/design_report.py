@@ -73,7 +73,7 @@ def _price(result: Row) -> list[Text]:
 
 
 def _felt(result: Row) -> list[RenderableType]:
-    """Return what the hand feels: walls that are held for a push, what drags it, and when a contact begins."""
+    """Return what the hand feels: walls held against a push, drag, and the start of a contact."""
     if "felt" not in result:
         return []
     felt, motion = result["felt"], result["unit"]
@@ -103,7 +103,7 @@ def _felt(result: Row) -> list[RenderableType]:
 
 
 def _drags(rows: list[Row], motion: str) -> list[RenderableType]:
-    """Return what drags in free motion earn for the contacts after them."""
+    """Return the energy that drags in free motion earn for later contacts."""
     if not rows:
         return []
     title = f"energy of a start, {si(rows[0]['energy'], 'J', 2)}, earned before a contact"

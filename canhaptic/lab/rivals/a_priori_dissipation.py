@@ -81,7 +81,7 @@ def touch(
 
 
 def exchange(environment: Environment, settings: StoredModelSettings[Any], storage: Storage, hold: Hold) -> HoldAccount:
-    """Dissipate what the velocity inside the torque of this hold demands (eqs. 6, 7)."""
+    """Dissipate the energy that the velocity within this hold's torque demands (eqs. 6, 7)."""
     lost = dissipation(settings, hold)
     account = approximate(environment, storage, hold.elapsed, lost, hold.h_i - hold.h_pas)
     if storage.h_s == 0.0:

@@ -29,7 +29,7 @@ from canhaptic.units import quantity
 
 
 class AdaptiveReferenceParameters(PassivityObserverParameters):
-    """Limits of the braking force, and the speed from which it acts."""
+    """Limits of the braking force, and the speed above which it acts."""
 
     least_speed: Annotated[float, quantity("m/s", "rad/s", ge=0.0, le=10.0)] = 0.002
     """Below it the damper is off, as in the source."""

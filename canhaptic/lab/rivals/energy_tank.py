@@ -82,7 +82,7 @@ def constant_force(stiffness: float, depth: float, spring: float) -> float:
 
 
 def fill(given: EnergyTankParameters, state: _EnergyTankState, hold: Hold, part: float) -> None:
-    """Add to the tank what damper and variable spring took up in a hold, `part` of its force being the latter's."""
+    """Add the energy that damper and variable spring absorbed in a hold (`part` of its force from the latter)."""
     state.brought += part * hold.h_i
     dissipated = hold.damper * hold.displacement
     if dissipated > 0.0 and given.initial_energy + state.brought < given.most_energy:

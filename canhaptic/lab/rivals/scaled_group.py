@@ -65,7 +65,7 @@ _SEARCH: Final = 20
 _PIECES: Final = 8
 """Pieces of a step, searched for a place that takes up the energy received where the end of the step does not."""
 FURTHEST: Final = 2.0
-"""Largest share of a step, in either direction; what more energy would need is left over."""
+"""Largest share of a step, in either direction; a demand beyond that is left over."""
 _ROUNDING: Final = 1e-15
 
 

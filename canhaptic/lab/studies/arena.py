@@ -241,7 +241,7 @@ DAMPINGS: Final = (0.0, 0.05, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 
 _STIFFNESSES: Final = (1e2, 1e6)  # [N/m]
 FREQUENCIES: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # [Hz]
 _SPRING: Final = SpringDamperWall(stiffness=1000.0, damping=5.0)
-"""What the impedance is measured of: the hand presses on it with `_PRESS` and never leaves it."""
+"""Object of the impedance measurement: the hand presses on it with `_PRESS` and never leaves it."""
 _HAND: Final = UserParameters(stiffness=2000.0, damping=20.0)
 _AMPLITUDE: Final = 5e-3  # [m]
 _PRESS: Final = -0.05  # middle of the motion of the hand [m]
@@ -639,7 +639,7 @@ def run_arena(
 
 
 def _job(group: CaseGroup, finished: Sequence[Row], store: ArenaStore, count: Count) -> Job:
-    """Return the job that runs what of a group is not in the store."""
+    """Return the job that runs the cases of a group that are not in the store."""
 
     def take(found: Sequence[Row]) -> None:
         store.add(group, found)

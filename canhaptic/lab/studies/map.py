@@ -147,7 +147,7 @@ def fields_of(table: SweepTable, axis: str | None = None, *, allow_code: bool = 
 
 
 def _scene(table: SweepTable, axis: str, controller: str, allow_code: bool) -> Scene:
-    """Return the scene before anything varied, of one axis alone."""
+    """Return the scene before anything varied, of only one axis."""
     overrides = json.loads(table.note("overrides"))
     scene = scene_from_text(table.note("scene"), table.note("source"), overrides, allow_code=allow_code)
     chosen = next(one for one in scene.axes if axis in (one.parameters.name, one.group))
@@ -183,7 +183,7 @@ def _unit_of(scene: Scene, key: str) -> str:
 
 _ANGLES: Final = 4096
 _TRIED: Final = np.geomspace(1.0, 1e8, 801)
-"""Stiffnesses of which the loop's eigenvalues are taken [N/m or N*m/rad]."""
+"""Stiffnesses at which the loop's eigenvalues are computed [N/m or N*m/rad]."""
 
 
 def colgate_stiffness(damping: float, wall_damping: float, sample_time: float, delay: int) -> float:
@@ -264,7 +264,7 @@ JUDGEMENTS: Final = {
     "settled": "true sum(h_i) at the end >= 0",
     "covered": "true sum(h_i) + what the device dissipates >= 0",
 }
-"""Name -> what passing means, in words."""
+"""Name -> meaning of passing, in words."""
 _ENERGIES: Final = {
     "passive": "least_interaction",
     "margin": "margin",
@@ -522,7 +522,7 @@ def _panel(fields: list[MapField], z: str, x: str, at: dict[str, float]) -> Line
 
 
 def _theory(fields: list[MapField], x: str, places: Array, at: dict[str, float]) -> list[PanelCurve]:
-    """Return the lines of theory: of the plain wall, and what the certificates of `guarded` hold."""
+    """Return the lines of theory: of the plain wall, and the walls that the certificates of `guarded` hold."""
     plain = next((one for one in fields if one.algorithm == "unprotected"), fields[0])
     found = [theory_at(plain, {**at, x: float(place)}) for place in places]
     lines = [PanelCurve(label, places, _column(found, name), name) for name, label in _OF_PLAIN_WALL.items()]
@@ -549,7 +549,7 @@ _ERROR: Final = "position_error.rms"
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """Keys and figure of a map; None: chosen by what was varied."""
+    """Keys and figure of a map; None: chosen from the varied keys."""
 
     x: str | None = None
     y: str | None = None
@@ -594,7 +594,7 @@ def _below(together: list[Lines], columns: list[list[Panel]]) -> list[list[Panel
 
 
 def _together(fields: list[MapField], chosen: Chosen) -> list[Lines]:
-    """Return the panels of all algorithms, unless one judgement was asked for or one key varied."""
+    """Return the panels of all algorithms, unless one judgement was requested or only one key varied."""
     if chosen.judgement is not None or len(fields[0].keys) == 1:
         return []
     return headline(fields, *_keys(fields[0], chosen))

@@ -20,7 +20,7 @@ from canhaptic.extras import install_hint
 T = TypeVar("T")
 
 _CONNECT: Final = 10.0
-"""Time in which a scheduler must answer [s]."""
+"""Time allowed for a scheduler to answer [s]."""
 _LOOK: Final = 0.2
 """Time between two looks at a request to stop [s]."""
 _MOST_LOSSES: Final = 3
@@ -250,7 +250,7 @@ class _Run:
             self._losses = 0
 
     def _lost(self, error: BrokenExecutor) -> None:
-        """Begin anew with new workers after one died, unless that does not help."""
+        """Begin anew with new workers after one died, unless that has failed before."""
         self._waiting += self._out.values()
         self._out.clear()
         self._losses += 1

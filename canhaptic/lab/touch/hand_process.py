@@ -40,7 +40,7 @@ from canhaptic.sim.plant.plant import Plant
 
 TouchPace = Literal["even", "real"]
 X, Y, TOKEN, ARRIVED, RUN = range(5)
-"""Places in the shared array: of the pointer, what the page sent with it, when it arrived [ns], and which run is on."""
+"""Places in the shared array: of the pointer, the page's data with it, its time of arrival [ns], current run."""
 SHARED: Final = 5
 _SETTLING: Final = (
     0.006  # [s] time constant with which the hand follows the pointer: pages send some 60 places a second
@@ -150,7 +150,7 @@ class _HandRun:
         self._answered, self._lateness = DurationHistogram(), DurationHistogram()
 
     def run(self) -> None:
-        """Run until another run is asked for, or something fails; the last parcel says why it ended."""
+        """Run until another run is requested, or something fails; the last parcel says why it ended."""
         ended = ""
         try:
             touched = self._job.touched()

@@ -116,7 +116,7 @@ class TouchPage:
         self._hand.move(place, new["token"][0])
 
     def _begin(self, changes: dict[str, str]) -> None:
-        """Begin a run anew with values of the controls."""
+        """Restart the run with the values of the controls."""
         try:
             self._hand.begin(changes)
         except CanHapticError as error:
@@ -297,7 +297,7 @@ class _SideView:
 
 
 class _Controls:
-    """Sliders of environment and loop; a change begins a run anew."""
+    """Sliders of environment and loop; a change restarts the run."""
 
     def __init__(self, hand: TouchHand, begin: Callable[[dict[str, str]], object]) -> None:
         self._begin = begin

@@ -406,7 +406,7 @@ def _plane(scene: Scene, name: str) -> TouchScene:
 
 
 def _walled(axis: AxisScene, box: Box, direction: int) -> AxisScene:
-    """Return an axis that renders the two faces of a box in its direction by itself, unprotected."""
+    """Return a separate axis that renders the two faces of a box in its direction, unprotected."""
     wall = TwoSidedWall(
         stiffness=box.stiffness, damping=box.damping, lower=box.lower[direction], upper=box.upper[direction]
     )

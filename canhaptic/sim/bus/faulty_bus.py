@@ -104,11 +104,11 @@ class BusEffects(Parameters):
     stall: tuple[Window, ...] = ()
     """When the master's host is stalled; needs the master in the same process."""
     bus_off: tuple[Window, ...] = ()
-    """When nothing can be sent and what arrives is lost."""
+    """Times at which nothing can be sent and arriving frames are lost."""
     bring_up: bool = False
     """Whether frames before the first SYNC suffer too."""
     buses: tuple[str, ...] | None = None
-    """Names of the buses that suffer, each from faults of its own; None: all."""
+    """Names of the buses that suffer, each from separate faults; None: all."""
 
     @model_validator(mode="after")
     def _check(self) -> "BusEffects":
@@ -213,7 +213,7 @@ _Change = Callable[[BusEffects, Random, Flight], list[Flight] | None]
 _CHANGES: Final[dict[str, _Change]] = {
     "drop": _lost, "truncate": _truncated, "corrupt": _corrupted, "duplicate": _doubled, "reorder": _overtaken,
 }  # fmt: skip
-"""Effect -> what becomes of a frame that it strikes; None where there is nothing to change."""
+"""Effect -> its action on a frame; None where there is nothing to change."""
 
 
 class _Strike:
@@ -313,7 +313,7 @@ class Wire:
         heapq.heappush(self._waiting, (message.arbitration_id, self._number, message, deliver))
 
     def run(self, now: int, frozen_until: int) -> None:
-        """End the frame whose time is over and begin the next; called at `next_due` and after each request.
+        """End the frame that has been sent and begin the next; called at `next_due` and after each request.
 
         Args:
             now: Time [ns].

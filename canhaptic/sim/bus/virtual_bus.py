@@ -18,7 +18,7 @@ from canhaptic.canopen.data_frame import DataFrame
 
 
 class _Frame(can.Message):
-    """A frame whose fields are all set after its creation: the constructor of `Message` costs more than the rest."""
+    """A frame with all fields set after its creation: the constructor of `Message` costs more than the rest."""
 
     __slots__ = ()
     __init__ = object.__init__

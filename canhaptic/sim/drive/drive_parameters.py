@@ -42,7 +42,7 @@ class AdmittanceScaling(Parameters):
     """Scales of a simulated drive that serves an admittance display."""
 
     force_object: str | None = None
-    """Object that shows the force; None: a node of its own does."""
+    """Object that shows the force; None: a separate node shows it."""
     force_node: Annotated[ForceNode, OnDemand("canhaptic.canopen.force_node:ForceNode")] | None = None
     """That node; None: an object of the drive shows the force."""
     force_per_count: Annotated[float, quantity("N", "N*m")]

@@ -513,5 +513,5 @@ def initial_state(scene: PlantModel) -> Array:
 
 
 def first_key(scene: PlantModel) -> tuple[str, ...]:
-    """Return the mode in which every part starts."""
+    """Return the initial mode of all parts."""
     return tuple(part.modes[0] for part in scene.parts)

@@ -19,7 +19,7 @@ class DryFriction(Parameters):
     kinetic: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
     """Friction while it slides; of a fast slide, where it depends on the velocity."""
     static: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
-    """Force at which it breaks away; at least `kinetic`."""
+    """Breakaway force; at least `kinetic`."""
 
     @model_validator(mode="after")
     def _static_is_not_below_kinetic(self) -> Self:

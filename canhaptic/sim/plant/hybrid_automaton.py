@@ -334,7 +334,7 @@ class HybridAutomaton:
         )
 
     def _enter_missing(self) -> None:
-        """Compile the mode behind the guard at which the stepper waits; the stepper then passes it by itself."""
+        """Compile the mode behind the guard at which the stepper waits, which can then pass it."""
         mode, guard = int(self._counts[stepper.MODE]), int(self._counts[stepper.MISSING])
         self._counts[stepper.MISSING] = NONE
         self.connect(mode, guard)

@@ -55,7 +55,7 @@ class PlantParameters(Parameters):
     initial_position: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
     """Where it is before the start."""
     initial_velocity: Annotated[float, quantity("m/s", "rad/s", ge=-1e3, le=1e3)] = 0.0
-    """Velocity with which the plant starts."""
+    """Initial velocity of the plant."""
 
     def add_to(self, scene: PlantModel) -> None:
         """Add the motor's body and its bearings."""

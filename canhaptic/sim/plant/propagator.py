@@ -137,7 +137,7 @@ def flow_changes(rates: Array) -> Array:
 
 
 class SampleClock:
-    """Base of what moves by ticks since its epoch; at rest until `begin`.
+    """Base of parts that move in ticks since an epoch; at rest until `begin`.
 
     Args:
         sample_time_ns: T [ns].

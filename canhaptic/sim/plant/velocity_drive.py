@@ -37,7 +37,7 @@ class SimulatedForceSensor(Parameters):
     """The errors of a simulated force sensor; an ideal one by default."""
 
     sampling: Literal["point", "mean", "impulse"] = "point"
-    """What one value is: the force at the SYNC, its mean since the last, or its integral since the start."""
+    """Meaning of one value: the force at the SYNC, its mean since the last, or its integral since the start."""
     filter: Annotated[float, quantity("Hz", ge=0.0, le=1e6)] = 0.0
     """Corner of a first-order filter before the sample; 0: none."""
     gain: Annotated[float, quantity("1", ge=-100.0, le=100.0)] = 1.0
@@ -125,7 +125,7 @@ _INTEGRAL: Final = "loop_integral"
 _ON_THE_DEVICE: Final = frozenset(
     {_LOOP, _SENSOR, "bearings", "viscous_friction", "coulomb_friction", "stribeck_friction", "lugre_friction"}
 )
-"""Works of what lies before the sensor."""
+"""Work terms of the parts before the sensor."""
 
 
 class VelocityLoopParameters(Parameters):
@@ -143,7 +143,7 @@ class GripParameters(Parameters):
     """Grip between the sensor and the hand."""
 
     mass: Annotated[float, quantity("kg", "kg*m^2", ge=LEAST_MASS, le=1e6)]
-    """Behind the sensor: handle, and what of the hand moves with it."""
+    """Behind the sensor: handle, and the part of the hand that moves with it."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e10)] = 1e5
     """Stiffness of sensor and grip together."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0

@@ -15,9 +15,9 @@ class General(Parameters):
     """xdot = (J - R) e + g u, y = g'e + S u; see `canhaptic.control.port_hamiltonian.network.Network`."""
 
     storages: tuple[Storage, ...]
-    """What stores energy, in the order of the states x."""
+    """Energy storages, in the order of the states x."""
     dissipators: tuple[Dissipator, ...] = ()
-    """What dissipates: R and S of the equation."""
+    """Dissipators: R and S of the equation."""
     structure: _Rows | None = None
     """J, skew; None: zero."""
     gain: _Rows

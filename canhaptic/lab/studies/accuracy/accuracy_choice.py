@@ -84,7 +84,7 @@ def with_chosen_accuracy(scene: Scene) -> Scene:
 
 
 def choose(axis: AxisScene, scene: Scene, tolerance: float) -> AccuracyChoice:
-    """Return the cheapest accuracy of one axis whose position errs by no more than a tolerance [m or rad].
+    """Return the cheapest accuracy of one axis with an error of the position within a tolerance [m or rad].
 
     Raises:
         InputError: scipy is missing, no setting keeps the tolerance, or the errors do not fall as declared.
@@ -177,7 +177,7 @@ def _tried_setting(
     torques: Sequence[float],
     exact: Motion,
 ) -> Setting:
-    """Return what one setting errs by and costs under the torques."""
+    """Return the error and the cost of one setting under the torques."""
     plant = build_plant(replace(simulation, accuracy=accuracy), sample_time_ns)
     motion = observed(plant, torques)
     error = difference(motion, exact, simulation.plant.mass, sample_time_ns * 1e-9)

@@ -116,7 +116,7 @@ def _method_prices(result: Row, unit: str, floor: float) -> list[tuple[str, list
 
 
 def _effect_prices(result: Row) -> list[tuple[str, list[str]]]:
-    """Return what leaving each effect out errs by, and what it saves."""
+    """Return the error and the saving of leaving each effect out."""
     entries = []
     for row in (result["advice"] or {"effects": ()})["effects"]:
         if row.get("position_error") is not None:
@@ -236,7 +236,7 @@ def advice_lines(result: Row) -> list[str]:
 
 
 def _effect_advice(result: Row) -> list[str]:
-    """Return which effects did nothing, and what cannot be left out."""
+    """Return the effects that did nothing, and the effects that cannot be left out."""
     effects, lines = result["advice"]["effects"], []
     idle = [effect["effect"] for effect in effects if effect.get("position_error") == 0.0]
     if idle:
@@ -245,7 +245,7 @@ def _effect_advice(result: Row) -> list[str]:
 
 
 def _loop_advice(result: Row) -> str:
-    """Return what brings the rendered axis nearer to the continuous one and fits the bus, best first."""
+    """Return the changes that fit the bus and bring the rendered axis nearer to the continuous one, best first."""
     base = base_loop(result)
     if base is None:
         return ""
@@ -423,7 +423,7 @@ def front(points: Sequence[tuple[float, float]]) -> set[tuple[float, float]]:
 
 
 def advice(rows: Sequence[Row], effects: Sequence[Row], tolerance: float, orders: Sequence[Row] = ()) -> Row:
-    """Return what to write into the scene, with the reason.
+    """Return the values to write into the scene, with the reason.
 
     Args:
         rows: Rows of the ladder.

@@ -219,7 +219,7 @@ def _variants(scene: Scene) -> Iterator[Variant]:
 
 
 def _under_others(scene: Scene) -> Iterator[tuple[str, Scene]]:
-    """Yield the scene under every other algorithm that needs nothing which it does not say."""
+    """Yield the scene under every other algorithm that needs no value missing from it."""
     own = scene.groups[0].passivity.name if scene.groups else scene.axes[0].passivity.name
     for name in DISPLAY_GROUP_ALGORITHMS if scene.groups else DISPLAY_ALGORITHMS:
         if name != own:

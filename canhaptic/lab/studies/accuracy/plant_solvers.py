@@ -148,7 +148,7 @@ def ours(
 
 
 def _setting_of(accuracy: AccuracyParameters, plant: Plant) -> str:
-    """Return what of an accuracy matters to a plant."""
+    """Return the part of an accuracy that matters to a plant."""
     words = []
     if any(part.has_guards for part in plant.scene.parts):
         words.append(f"{accuracy.event_bits} bits")
@@ -266,7 +266,7 @@ class PlantSide:
             self.effects.append(self._effect_row(name, accuracy, motion, evaluations))
 
     def _effect_row(self, name: str, accuracy: AccuracyParameters, whole: Motion, base: int) -> Row:
-        """Return what leaving an effect out changes at one accuracy, the error of the method apart."""
+        """Return the change from leaving an effect out at one accuracy, apart from the method's error."""
         order = next(getattr(e.parameters, "order", None) for e in self._simulation.effects if e.name == name)
         without, name, problem = self._left_out(name)
         if problem:
@@ -285,7 +285,7 @@ class PlantSide:
         }
 
     def _left_out(self, name: str) -> tuple[AxisSimulation, str, str]:
-        """Return the plant without an effect, what was left out, and why it cannot be.
+        """Return the plant without an effect, the effect left out, or the reason why it cannot be.
 
         An effect that another needs, as a backlash its shaft, is left out together with that one.
         """
@@ -395,7 +395,7 @@ def group_side(scene: Scene, holds: int, stop: Callable[[], bool]) -> "Plants":
 
 
 class _OwnPlants:
-    """Plants that each axis of the group has by itself; see `PlantSide`."""
+    """Separate plants of the axes of a group; see `PlantSide`."""
 
     def __init__(self, scene: Scene, torques: Array, stop: Callable[[], bool]) -> None:
         axes = [scene.axis(name) for name in scene.groups[0].axes]
@@ -455,7 +455,7 @@ class _OwnPlants:
 
 
 def _rung(candidate: Candidate) -> tuple[str, object]:
-    """Return what a rung is on every plant; a setting of ours names only what matters to one of them."""
+    """Return a rung on every plant; our own setting names only the parts that matter to one of them."""
     return candidate.method, candidate.accuracy or candidate.setting
 
 

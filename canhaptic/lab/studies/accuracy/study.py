@@ -138,7 +138,7 @@ class _TimedFarSide:
         self._far_side = far_side
 
     def process(self, now: int) -> None:
-        """Handle what is due."""
+        """Handle everything that is due."""
         begin = self.clock.now()
         self._far_side.process(now)
         self.spent += self.clock.now() - begin
@@ -262,7 +262,7 @@ class StudiedPart:
         return PlantSide(self.scene.axes[0], self.whole, holds, stop)
 
     def remarks(self) -> list[str]:
-        """Return what could not be run, and why."""
+        """Return the methods that could not run, with reasons."""
         moved = (of.mechanism.name for of in self.scene.mechanisms)
         return [f"Euler and midpoint methods: not run on a {name}" for name in moved]
 
@@ -373,7 +373,7 @@ _TENTH: Final = 0.1
 _REPEATS: Final = 3
 _WORKLOAD: Final = "workload"
 _IDEAL: Final = 1e9
-"""Fineness of what has no step, as a number that JSON can hold."""
+"""Fineness of a method without a step, as a number that JSON can hold."""
 
 
 def study_accuracy(
@@ -499,7 +499,7 @@ class AccuracyStudy:
                 self._advance(part, min(1.0, number / count))  # every plant of a group runs each of them
 
     def _counted_stop(self, part: str) -> Stop:
-        """Return `stop` that moves the bar on, by less and less: a reference does not tell how far it is."""
+        """Return `stop` that advances the bar by ever smaller steps: a reference reports no progress."""
         asked = 0
 
         def stop() -> bool:

@@ -89,7 +89,7 @@ class _Trial:
         return [display_figures(_with_mass(_with_hand(self._scene, *hand), mass), cycles, _METRICS) for hand in _HANDS]
 
     def passes(self, figures: list[_Figures]) -> bool:
-        """Whether a mass is felt as asked by every hand, and gives nothing out."""
+        """Whether every hand feels the mass as requested and no energy is given out."""
         floor = -self.allowance - PASSIVE_TOLERANCE
         return all(
             of["diverged"] == 0.0
@@ -99,7 +99,7 @@ class _Trial:
         )
 
     def off(self, figures: list[_Figures]) -> float:
-        """Return how far the mass felt is from the mass asked, for the worst hand."""
+        """Return the deviation of the felt mass from the request, for the worst hand."""
         shares = [abs(of["mass_felt.share"] - 1.0) for of in figures]
         return 1e9 if np.isnan(shares).any() else max(shares)
 

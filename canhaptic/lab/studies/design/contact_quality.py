@@ -80,7 +80,7 @@ class Leg(NamedTuple):
 
 
 class GuidedPlant(Plant):
-    """A plant whose hand is given new rates at the beginning of each leg.
+    """A plant with a hand that gets new rates at the beginning of each leg.
 
     Args:
         parameters: Mass, bearings and start.
@@ -135,7 +135,7 @@ def guided_case(
 
 
 _FURTHEST: Final = 4.0
-"""Way that counts as divergence, over the depth asked for."""
+"""Displacement that counts as divergence, as a multiple of the requested depth."""
 _LEAST_FURTHEST: Final = 0.2  # [m or rad]
 _TIMES: Final = 5.0
 """Time constants of a free swing in a run."""

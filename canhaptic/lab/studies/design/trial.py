@@ -189,7 +189,7 @@ def _stiffened(storage: Storage, factor: float) -> Storage:
 
 
 def _viscous(part: Dissipator) -> float:
-    """Return the largest linear coefficient of what dissipates at the ports or in parallel with a spring."""
+    """Return the largest linear coefficient of the dissipators at the ports or in parallel with a spring."""
     if isinstance(part, DampingMatrix):
         return _largest(part.matrix) if part.ports else 0.0
     return 0.0 if part.states else part.viscous
@@ -251,7 +251,7 @@ class TrialVerdict:
     nearly: Booleans  # whether it passes with the tolerance wider by `_SLACK`
 
     def last(self) -> "TrialVerdict":
-        """Return the verdict on the last wall alone."""
+        """Return the verdict on the last wall only."""
         return TrialVerdict(*(getattr(self, field.name)[-1:] for field in fields(self)))
 
     def account(self, damping: float) -> dict[str, float | None]:
@@ -346,7 +346,7 @@ class Trial:
         return max(mass / self.scene.bus.sample_time, math.sqrt(stiffness * mass))
 
     def _look_at(self, result: ChunkResult) -> None:
-        """Note what computed the trials, and refuse a rig on which none can be made.
+        """Note the engine of the trials, and refuse a rig on which none can be made.
 
         Raises:
             InputError: Every wall is refused.
@@ -438,7 +438,7 @@ _DECLARED: Final = ("moving_mass", "device_damping", "device_damping_bound")
 
 
 class _Tried(NamedTuple):
-    """What one loop gave."""
+    """Result of one loop."""
 
     spring: float  # share
     damper: float

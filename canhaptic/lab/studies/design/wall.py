@@ -65,7 +65,7 @@ _HALVINGS: Final = 5
 _HELD: Final = 0.5
 _LONGEST: Final = 5.0  # leaning [s]
 _FURTHER: Final = 1.25
-"""Way in front of a wall, over the one in which the energy of a start is earned."""
+"""Ratio of the distance in front of a wall to the distance in which the energy of a start is earned."""
 _FURTHEST: Final = {"m": 0.5, "rad": 5.0}
 """Longest way tried [m or rad]."""
 
@@ -109,7 +109,7 @@ def felt_of(scene: Scene, algorithm: str, hand: dict[str, float], tolerance: flo
 
 
 def _drags(bench: Bench, axis: AxisScene, wall: SpringDamperWall, comes: SlowHand) -> list[dict[str, float | None]]:
-    """Return what drags earn: nothing where a contact of any speed is felt without, or hand or mass are not known."""
+    """Return the energy that drags earn: none where every contact is felt without, or hand or mass are unknown."""
     parameters, loop = bench.case.parameters, axis.loop
     if not isinstance(parameters, GuardedParameters):
         return []
@@ -168,9 +168,9 @@ _DEVICE: Final = ("moving_mass", "device_damping", "device_damping_bound", "devi
 """Keys of the loop that declare the device: timing is that of a rig."""
 _DIGITS: Final = 3
 _SHARES: Final = (1.0, 0.6, 0.3)
-"""Parts of the stiffest wall whose largest damping is shown, so that one can be traded for the other."""
+"""Fractions of the stiffest wall for which the largest damping is shown: a trade of one for the other."""
 _BELOW: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
-"""Parts of a stiffness at which a damping has to pass, too."""
+"""Fractions of a stiffness at which a damping must also pass."""
 
 
 class _Places(NamedTuple):
@@ -348,7 +348,7 @@ def _edges(passed: Booleans, nearly: Booleans) -> tuple[int, int]:
 
 
 def _chosen(parameters: Parameters) -> Row:
-    """Return what differs from its default; `alpha`, whose unit is its own, is left out."""
+    """Return the values that differ from their defaults, without `alpha`, which has its own unit."""
     fields = {key: field for key, field in type(parameters).model_fields.items() if key != "alpha"}
     return {key: value for key, of in fields.items() if (value := getattr(parameters, key)) != of.default}
 
@@ -362,7 +362,7 @@ def _rounded(value: float) -> float:
 
 
 def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: float) -> Row:
-    """Return what the wall is and costs: its verdict, and one run of it, leant on, next to the continuous wall."""
+    """Return the figures of a wall: its verdict, and one run of it, leant on, next to the continuous wall."""
     values = {STIFFNESS: stiffness, DAMPING: damping}
     places = places_of(trial.scene, tuple(values))
     overrides = [f"{place}={value!r}" for key, value in values.items() for place in places[key]]

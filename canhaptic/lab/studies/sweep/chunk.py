@@ -68,7 +68,7 @@ def places_of(scene: Scene, keys: tuple[str, ...]) -> dict[str, tuple[str, ...]]
 
 
 def batch_key(key: str, axis: int, name: str) -> str | None:
-    """Return the name of a key in a scene of one axis alone; None when it does not affect that axis.
+    """Return the name of a key in a scene of only that axis; None when it does not affect that axis.
 
     Args:
         key: Key as given to `--vary`.
@@ -106,7 +106,7 @@ def _places(document: MarkedMapping, key: str) -> tuple[str, ...]:
 
 
 def _shared(owner: object, name: str, key: str, own: list[str]) -> tuple[str, ...]:
-    """Return the shared place where there is one, or where no axis has one of its own."""
+    """Return the shared place where there is one, or where no axis has its own."""
     return (key,) if _has(owner, name) or not own else ()
 
 
@@ -121,7 +121,7 @@ def _has(value: object, name: str) -> bool:
 RATE: Final = "bus.rate"
 _SEED: Final = "simulation.seed"
 _MOST_CORNERS: Final = 6
-"""Keys of which every corner is tried; of more, the neighbours of two opposite corners."""
+"""Number of keys up to which every corner is tried; beyond it, the neighbours of two opposite corners."""
 
 Row = tuple[tuple[str, Value], ...]
 """(key, value) of one scene, or of several that share these values."""
@@ -341,7 +341,7 @@ def _overrides(recipe: Recipe, values: Mapping[str, Value], *, with_unit: bool =
 
 
 def _under(scene: Scene, controller: str) -> Built:
-    """Return the scene with every axis under an algorithm, which takes from the plant what it cannot do without."""
+    """Return the scene with every axis under an algorithm, which takes missing but needed values from the plant."""
     axes: list[AxisScene] = []
     remark = ""
     from_plant: tuple[str, ...] = ()
@@ -454,7 +454,7 @@ class _Chunk:
         return ChunkResult(self._figures, self._status, self._engine, self._remark, tuple(self._texts), self._of_plant)
 
     def _permitted(self) -> _Rows:
-        """Return the rows whose values go together; the others are noted as refused."""
+        """Return the rows with compatible values; the others are noted as refused."""
         refused = []
         for rows in self._groups({key for key in self._columns if key not in self._free}, np.arange(self._count)):
             if is_box_permitted(self._recipe, self._row(int(rows[0]), set(self._columns) - self._free)):
@@ -530,7 +530,7 @@ class _Chunk:
         return ""
 
     def _varied(self, built: Built, scene: Scene, index: int, rows: _Rows, batched: Sequence[str]) -> dict[str, Array]:
-        """Return what differs inside a batch of one axis, by the names of the batch."""
+        """Return the values that differ within a batch of one axis, under the names of the batch."""
         follows = of_plant(built.from_plant)
         varied: dict[str, Array] = {}
         for key in batched:
@@ -602,7 +602,7 @@ def _numbered(column: Column) -> NDArray[np.int64]:
 
 
 def _alone(built: Built, name: str) -> Scene:
-    """Return the scene of one axis or group alone: they share nothing but the bus."""
+    """Return the scene of a single axis or group: they share nothing but the bus."""
     return parts_of(built.permitted())[name]
 
 
@@ -619,7 +619,7 @@ def _figures_alone(recipe: Recipe, scene: Scene, asked: Sequence[str]) -> tuple[
 
 
 def _remark_of(built: Built, *, is_batched: bool = False) -> str:
-    """Return what was given to an algorithm, and what of the scene is not in its loop."""
+    """Return the values given to an algorithm, and the parts of the scene that are not in its loop."""
     return _joined(built.remark, not_in_loop(built.permitted(), is_batched=is_batched))
 
 
@@ -628,7 +628,7 @@ def _joined(*remarks: str) -> str:
 
 
 def _is_taken(scene: Scene, name: str) -> bool:
-    """Whether the algorithm has a property of its own that another of the sweep has."""
+    """Whether the algorithm has the parameter that another algorithm of the sweep has."""
     section, _, key = name.rpartition(".")
     axis = scene.axes[0]
     own = type(axis.passivity.parameters).model_fields

@@ -78,7 +78,7 @@ class FirstUse:
 
 
 def _compile(begin: Callable[[], None], recipe: Recipe, start: int, columns: Mapping[str, Column]) -> None:
-    """Run two SYNCs of every scene, which compiles their loops; what fails here fails again where it counts."""
+    """Run two SYNCs of every scene, which compiles their loops; a failure here appears again in the sweep itself."""
     begin()
     with suppress(Exception):
         run_chunk(replace(recipe, cycles=2, duration=None), start, columns)

@@ -48,7 +48,7 @@ _SCALAR_CHUNK: Final = (1, 50)
 _WORTH_A_POOL: Final = 1e6
 """Scenes times cycles that Python runs, from which a pool of processes pays: some 10 s on one core."""
 _MOST_PLANTS: Final = 6
-"""Values of a key of the plant of which an error is estimated."""
+"""Values of a plant's key for which an error is estimated."""
 _FEWEST_CHUNKS: Final = 16
 _FEWEST_TOGETHER: Final = 8
 """Scenes of one kind in a sweep, below which making their batch costs more than running them."""
@@ -235,7 +235,7 @@ def _is_not_batchable(scene: Scene, controllers: Sequence[str]) -> bool:
 
 
 def _identity(scene: Scene, recipe: Recipe, points: Points) -> Row:
-    """Return what two runs must have in common to share a folder."""
+    """Return the facts in which two runs must agree to share a folder."""
     return {
         "configuration": scene.config_hash(),
         "varied": [{**asdict(v), "values": list(v.values), "given": str(v)} for v in points.varied],

@@ -22,7 +22,7 @@ _MOST_REMARKS: Final = 20
 
 
 def summary(table: SweepTable) -> Row:
-    """Return the account of a sweep as plain values: what `canhaptic sweep --json` prints."""
+    """Return the account of a sweep as plain values: as `canhaptic sweep --json` prints it."""
     counts: Counter[tuple[str, str, str]] = Counter()
     for status, engine, remark, number in table.remarks():
         counts[status, engine, remark] += number
@@ -76,7 +76,7 @@ def _kept(values: Array) -> float:
 
 
 def _finite(figure: Callable[[Array], Any]) -> Callable[[Array], float | None]:
-    """Return a figure of the finite values alone; None where there is none."""
+    """Return a figure computed from the finite values only; None where there is none."""
 
     def of(values: Array) -> float | None:
         finite = values[np.isfinite(values)]

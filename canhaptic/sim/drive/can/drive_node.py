@@ -118,7 +118,7 @@ class SimulatedDrive:
         timers.start(timers.add(self._power_on), 0)
 
     def _sensor_node(self, parameters: SimulatedDriveParameters) -> "SensorNode | None":
-        """Return the force sensor of an admittance display that is a node of its own."""
+        """Return the force sensor of an admittance display with its own node."""
         display, servo = parameters.display, self.servo
         if display is None or display.force_node is None:
             return None

@@ -145,7 +145,7 @@ class AdmittanceServo(Servo):
         self.update()
 
     def shown_force(self) -> float:
-        """Present reading of the sensor, for a node of its own."""
+        """Present reading of the sensor, for a separate node."""
         return self.motor.read_force()
 
     def _along_ramp(self, target: int) -> float:

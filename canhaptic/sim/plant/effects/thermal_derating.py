@@ -29,9 +29,9 @@ class ThermalDerating(EffectParameters):
     thermal_resistance: Annotated[float, quantity("K/W", gt=0.0, le=1e6)]
     """From the winding to its surroundings."""
     time_constant: Annotated[float, quantity("s", gt=0.0, le=1e6)]
-    """Time constant with which the winding warms and cools."""
+    """Time constant of the winding's warming and cooling."""
     ambient: Annotated[float, quantity("K", ge=0.0, le=1e4)] = 293.15
-    """Temperature of the surroundings, with which the winding starts."""
+    """Ambient temperature, at which the winding starts."""
     warm: Annotated[float, quantity("K", ge=0.0, le=1e4)] = 373.15
     """Temperature from which the limit falls."""
     hot: Annotated[float, quantity("K", ge=0.0, le=1e4)] = 403.15

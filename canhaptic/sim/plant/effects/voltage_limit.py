@@ -32,7 +32,7 @@ class VoltageLimit(EffectParameters):
     """Inductance of the winding."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Add the modes in which the voltage is at the supply.
+        """Add the modes with the voltage at the supply limit.
 
         Raises:
             ParameterError: There is no current loop.
@@ -43,7 +43,7 @@ class VoltageLimit(EffectParameters):
         scene.parts.append(_Winding(self))
 
     def slowest_lag(self, time_constant: float, torque: float, speed: float) -> float:
-        """Return the largest time constant [s] with which the torque follows; infinite where it may not follow at all.
+        """Return the largest time constant [s] of the torque; infinite where it may not follow at all.
 
         With the remaining voltage, w = supply - resistance i - back_emf v, the torque changes by back_emf w /
         inductance, and the remainder of a step is at most 2 `torque`.
@@ -79,7 +79,7 @@ class _Winding(Part):
             rows.set_rate("motor_torque", (p.back_emf * (supply - back) - p.resistance * current) / p.inductance)
 
     def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
-        """Guards: the voltage that is asked for passes the supply, or comes back."""
+        """Guards: the requested voltage exceeds the supply, or returns below it."""
         supply, voltage = rows.row(one=self._limit.supply), self._voltage
         if mode == "within":
             return Guard(supply - voltage, "upper"), Guard(supply + voltage, "lower")

@@ -54,7 +54,7 @@ class Linkage:
 
 
 class LinkagePose(NamedTuple):
-    """A pose and everything of first order in it. Vectors are (x, y); `u` is d(elbow)/d(angle) of its own motor."""
+    """A pose and all its first-order quantities. Vectors are (x, y); `u` is d(elbow)/d(angle) of its own motor."""
 
     is_regular: bool  # False: the distal links are stretched or folded, so that the handle has no one place
     handle: Pair  # [m]
@@ -561,7 +561,7 @@ class ElbowStop(Parameters):
     least: Annotated[float, quantity("m", ge=0.0, le=1e3)] = 0.0
     """Distance of the elbows below which the spring pushes them apart."""
     most: Annotated[float, quantity("m", gt=0.0, le=1e3)]
-    """Distance beyond which it draws them together."""
+    """Distance above which it pulls them together."""
     stiffness: Annotated[float, quantity("N/m", gt=0.0, le=1e8)]
     """Stiffness of the springs."""
 

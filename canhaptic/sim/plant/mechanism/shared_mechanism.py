@@ -49,7 +49,7 @@ class MechanismMotor:
         self.shared = shared
         self.axis = axis
         self.torque: Callable[[], float] = lambda: 0.0
-        """Tells the torque that the drive holds [N*m or N]; set by `connect`."""
+        """Reports the torque that the drive holds [N*m or N]; set by `connect`."""
 
     def connect(self, torque: Callable[[], float]) -> None:
         """Set the source of the torque that the drive of this motor holds."""

@@ -32,9 +32,9 @@ class XYStage(Parameters):
     order: ClassVar[int | None] = None
 
     mass_x: Annotated[float, quantity("kg", ge=LEAST_MASS, le=1e6)]
-    """What moves in x: bridge, carriage and handle."""
+    """Parts that move in x: bridge, carriage and handle."""
     mass_y: Annotated[float, quantity("kg", ge=LEAST_MASS, le=1e6)]
-    """What moves in y: carriage and handle."""
+    """Parts that move in y: carriage and handle."""
     damping_x: Annotated[float, quantity("N*s/m", ge=0.0, le=1e6)] = 0.0
     """Viscous friction of the guide in x."""
     damping_y: Annotated[float, quantity("N*s/m", ge=0.0, le=1e6)] = 0.0
