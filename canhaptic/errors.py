@@ -147,7 +147,7 @@ class OwnCodeError(CanHapticError, RuntimeError):
 
     Attributes:
         program: File and class.
-        what: What the program did.
+        what: The program's fault.
     """
 
     def __init__(self, program: str, what: str, where: str = "") -> None:

@@ -669,8 +669,8 @@ class OpenReplay:
         """
         if self.cycle.cycles == 0 and self._side.departure is None and self._side.unsent < 0:
             raise InputError(
-                f"{self._recording.path}: holds no whole cycle (SYNC, TPDOs, RPDOs), so nothing was compared that "
-                "a controller computed; record for longer, or from an earlier time"
+                f"{self._recording.path}: holds no whole cycle (SYNC, TPDOs, RPDOs), so no output of a controller "
+                "was compared; record for longer, or from an earlier time"
             )
         recording, side, scene = self._recording, self._side, self._scene
         difference = describe(recording, side, scene)

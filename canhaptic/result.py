@@ -223,7 +223,7 @@ def withdraw_certificates(account: PortResult, *, longest_gap: int) -> None:
     Also where one hold was longer or shorter than declared, where the motion contradicts the declared
     friction (`friction_watch`), and where the port's own energies refute them.
 
-    A certificate covers `max_consecutive_losses` sample times without a new torque. A skipped SYNC is no lost frame:
+    A certificate covers `max_consecutive_losses` sample times without a new torque. A skipped SYNC is not a lost frame:
     the queued torque acts for longer, and the one behind it, which counted on a single hold, acts all the same.
 
     Args:

@@ -49,7 +49,7 @@ _LOG_NAME: Final = "run.h5"
 
 @dataclass(frozen=True, slots=True)
 class PortAccount:
-    """The account of energy of one axis, or of a group of axes. Energies in [J].
+    """The energy account of one axis, or of a group of axes. Energies in [J].
 
     Attributes:
         name: Name of the axis or group.

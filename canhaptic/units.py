@@ -88,7 +88,7 @@ _LEAST, _MOST = 1e-30, 1e30
 
 @dataclass(slots=True)
 class UnitContext:
-    """Context of a validation by pydantic: linear or rotary axis whose parameters are being read; None: unknown."""
+    """Context of a pydantic validation: linear or rotary axis whose parameters are being read; None: unknown."""
 
     motion: Motion | None = None
 

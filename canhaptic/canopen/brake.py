@@ -1,4 +1,4 @@
-"""The holding brake of an axis: what operates it, and how long it takes."""
+"""The holding brake of an axis: who operates it, and its times."""
 
 from typing import Annotated, Literal
 

@@ -139,7 +139,7 @@ def _integer(text: str) -> int | None:
     """Return the number of a text as CiA 306 writes it (decimal, 0x, octal with leading 0) or as vendors do.
 
     None if unreadable. Letters without prefix count only where they begin with a digit or fill 1, 2, 4 or 8 bytes, so
-    that a word is no number.
+    that a word is not a number.
     """
     text = text.replace(" ", "").lower()
     octal = re.fullmatch(r"0+([0-7]+)", text)

@@ -244,7 +244,7 @@ class Rig:
     def sdo(self, axis: str | int) -> "BackgroundSdo":
         """Return SDO access to the drive of an axis, by name or number, during the running cycle and from any thread.
 
-        The first call loads what it needs; make it before `start` where a late SYNC matters.
+        The first call loads its dependencies; make it before `start` where a late SYNC matters.
 
         Raises:
             InputError: There is no such axis.
@@ -314,7 +314,7 @@ class Rig:
 
         Args:
             reason: Reason of the stop.
-            what: Where it was found, with the values.
+            what: Place of the finding, with the values.
         """
         rule = STOP_TABLE[reason]
         text = f"{what}: {rule.meaning} at SYNC {self.sync_index}; torque is zero; {rule.remedy}"

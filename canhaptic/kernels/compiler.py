@@ -394,8 +394,8 @@ class _Compiling(Binding):
         taken = sorted(set(fields_of(kind)).intersection(METHODS))
         if taken:
             raise InputError(
-                f"{kind.__name__}: got a field {taken[0]!r}, expected a name that is no method of an environment, a "
-                "mechanism or a geometry: compiled code would take the field for the method; give it another name"
+                f"{kind.__name__}: got a field {taken[0]!r}, expected a name that is not a method of an environment, "
+                "mechanism or geometry: compiled code would take the field for the method; give it another name"
             )
         self.sources.append(f"{kind.__qualname__}{fields_of(kind)}")
         for method in METHODS:

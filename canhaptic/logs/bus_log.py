@@ -75,7 +75,7 @@ class BusLogWriter(WriterProcess):
         self._record(timestamp_ns, can_id, data, is_rx)
 
     def on(self, bus: int) -> Recorder:
-        """Recorder of the frames of one bus, by its index among the channels; the log itself records the first.
+        """Recorder of one bus, by its index among the channels; the log itself records the first bus.
 
         Raises:
             ParameterError: There is no such bus.

@@ -112,12 +112,12 @@ def _require_time(path: Path, number: int, nanoseconds: int) -> None:
 
 
 def _skipped_kind(path: Path, number: int, line: str) -> SkippedKind:
-    """Kind of a line that is no data frame of classic CAN; raises LogFormatError where it is no frame."""
+    """Kind of a line that is not a data frame of classic CAN; raises LogFormatError where it is not a frame."""
     if _FD_LINE.fullmatch(line):
         return "CAN FD"
     if _REMOTE_LINE.fullmatch(line):
         return "remote"
-    raise LogFormatError(f"{path}:{number}: {line.strip()[:60]!r} is no frame of candump -L, expected a bus log")
+    raise LogFormatError(f"{path}:{number}: {line.strip()[:60]!r} is not a frame of candump -L, expected a bus log")
 
 
 def _read_with_python_can(path: Path, skipped: Counter[SkippedKind]) -> Iterator[Frame]:

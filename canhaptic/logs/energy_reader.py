@@ -100,7 +100,7 @@ def _require_one_length(path: Path, columns: FoundColumns, grows: bool) -> None:
         more = f" ({len(odd)} columns are of another length)" if len(odd) > 1 else ""
         raise LogFormatError(
             f"{path}: {odd[0]} has {lengths[odd[0]]} rows, expected {expected} like the other columns{more}; "
-            "the file is damaged, `inspect --repair` saves the rows that every column has"
+            "the file is damaged; `inspect --repair` saves the rows that every column has"
         )
 
 

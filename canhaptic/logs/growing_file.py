@@ -43,7 +43,7 @@ def open_regular(path: Path, flags: int) -> int:
     descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        raise LogWriteError(f"{path}: is no regular file; name another file")
+        raise LogWriteError(f"{path}: is not a regular file; name another file")
     return descriptor
 
 

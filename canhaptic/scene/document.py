@@ -135,7 +135,7 @@ class MarkedMapping(dict[str, Any]):
         return twin
 
     def without(self, *names: str) -> "MarkedMapping":
-        """Return a copy without some entries, which are read by another part."""
+        """Return a copy without the entries that another part reads."""
         twin = self.copy()
         twin.elsewhere += names
         for name in names:

@@ -126,7 +126,7 @@ def _check_members(members: Iterable[Members], known: Sequence[str], what: str, 
 
 
 def _moving(value: object, motion: Motion | None) -> object:
-    """Section whose values are in the units of a motion; unchanged if it is no mapping."""
+    """Section whose values are in the units of a motion; unchanged if it is not a mapping."""
     if not isinstance(value, MarkedMapping):
         return value
     section = value.copy()

@@ -38,7 +38,7 @@ _COARSE: Final = 0.03
 _DETENTS: Final = 6.0
 """Detents in a substep from which halves and thirds of it may both be whole numbers of them."""
 _SUSPECT: Final = 1e3
-"""Times the bracket of events: a difference of halved steps above it is no matter of brackets."""
+"""Times the bracket of events: a difference of halved steps above it does not come from brackets."""
 
 
 _FINE: Final = AccuracyParameters(substeps=16)

@@ -425,7 +425,7 @@ class Scene:
     accuracy_choices: Mapping[str, object] = field(default_factory=dict)  # axis -> the choice for it, and why
     groups: tuple[GroupScene, ...] = ()
     mechanisms: tuple[MechanismScene, ...] = ()
-    own_code: Mapping[str, str] = field(default_factory=dict)  # file or plug-in -> SHA-256 of what ran
+    own_code: Mapping[str, str] = field(default_factory=dict)  # file or plug-in -> SHA-256 of the code that ran
     unread: tuple[str, ...] = ()  # own code that was named and left unread; nothing is built from such a scene
     undeclared: tuple[str, ...] = ()  # keys of holds and dry friction that real drives need and nothing declares
 

@@ -61,7 +61,7 @@ class OwnCode:
             nothing is built from the scene, files and plug-ins alike.
 
     Attributes:
-        hashes: File as the scene names it, or plug-in -> SHA-256 of what ran.
+        hashes: File as the scene names it, or plug-in -> SHA-256 of the code that ran.
         left: Names of the code left unread.
     """
 
@@ -143,7 +143,7 @@ class OwnCode:
         if path.parent != folder:
             raise ParameterError(f"{name}: lies in {path.parent}, expected a file in the scene's folder {folder}")
         if not regular or path.suffix != ".py":
-            raise ParameterError(f"{name}: is no regular Python file; expected FILE.py:Class")
+            raise ParameterError(f"{name}: is not a regular Python file; expected FILE.py:Class")
         return path
 
 

@@ -39,7 +39,7 @@ class Channels:
         place = self._places.get(frame.channel)
         if place is None:
             raise LogFormatError(
-                f"frame {frame.number} is on bus {frame.channel!r}, which is no name, channel or number of a bus of "
+                f"frame {frame.number} is on bus {frame.channel!r}, which is not a name, channel or number of a bus of "
                 f"{self._source} ({', '.join(self._places)})"
             )
         return place

@@ -48,7 +48,7 @@ def _with_loop(axis: AxisScene, missing: Mapping[str, float]) -> AxisScene:
 GUESSES: Final = {"sync_jitter": 0.05, "torque_window": 100e-6, "current_lag": 500e-6}
 """Taken for real drives until it is declared, with the time that event RPDOs take; no real drive runs on them."""
 _NEVER_ZERO: Final = ("torque_window", "current_lag")
-"""Keys for which 0 is no declaration on a real drive: no frame shows how late a torque acts."""
+"""Keys for which 0 does not count as declared on a real drive: no frame shows how late a torque acts."""
 _MOST_JITTER: Final = 0.5
 """Part of a sample time: a SYNC later than that is a SYNC skipped."""
 

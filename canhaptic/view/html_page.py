@@ -106,7 +106,7 @@ _COLOURS: Final[dict[Headline, str]] = {
 
 
 def verdict_bar(ports: Mapping[str, PortResult]) -> str:
-    """Return a bar of HTML with the verdict of every account, and the headline word of a port where it differs."""
+    """Return an HTML bar with every account's verdict, and a port's headline word where it differs."""
     said: list[tuple[str, Headline]] = []
     for name, port in ports.items():
         if "verdict" in port and port["verdict"] not in (port.get("passive", "yes"), port.get("passive_at_handle")):

@@ -53,7 +53,7 @@ def write_html(
     Args:
         log: An open energy log.
         path: File to write.
-        result: What `inspect` returned for the same rows.
+        result: Result of `inspect` for the same rows.
         start: Time of the first SYNC to draw [s]; from the beginning by default.
         stop: Time of the first SYNC not to draw [s]; to the end by default.
         others: Further runs, drawn over the first in thin dashed lines.

@@ -3,7 +3,7 @@
 Decimated data are drawn as plain lines: between two distant rows a stair would show a value for as long as
 none is known.
 
-The panels that all ports of a page share: durations within the cycle, and what was lost.
+The panels that all ports of a page share: durations within the cycle, and losses.
 """
 
 from collections.abc import Mapping, Sequence

@@ -40,5 +40,5 @@ def test_a_field_with_the_name_of_a_method_is_refused() -> None:
     pytest.importorskip("numba", reason="needs numba (the extra fast)")
     from canhaptic.kernels.compiler import compiled
 
-    with pytest.raises(InputError, match="Touch: got a field 'contact', expected a name that is no method"):
+    with pytest.raises(InputError, match="Touch: got a field 'contact', expected a name that is not a method"):
         compiled(touch)

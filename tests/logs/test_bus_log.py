@@ -176,9 +176,9 @@ def test_our_reader_gives_back_what_was_written_to_the_microsecond(tmp_path: Pat
     ("text", "message"),
     [
         (b"", "empty"),
-        (b"(0.000001) can0 181#00\nnonsense\n", r":2: 'nonsense' is no frame"),
-        (b"(0.000001) can0 181#001\n", "is no frame"),
-        (b"\xff\xfe\x00", "is no frame"),
+        (b"(0.000001) can0 181#00\nnonsense\n", r":2: 'nonsense' is not a frame"),
+        (b"(0.000001) can0 181#001\n", "is not a frame"),
+        (b"\xff\xfe\x00", "is not a frame"),
     ],
 )
 def test_a_text_that_is_no_bus_log_is_one_clear_error(tmp_path: Path, text: bytes, message: str) -> None:

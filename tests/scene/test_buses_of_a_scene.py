@@ -165,7 +165,9 @@ def test_a_frame_that_is_sent_on_the_other_bus_is_a_difference(recorded: tuple[P
 
 def test_a_log_of_other_buses_is_refused(recorded: tuple[Path, Path], tmp_path: Path) -> None:
     (tmp_path / "b.log").write_text(recorded[1].read_text().replace(" right ", " middle "))
-    with pytest.raises(LogFormatError, match=r"bus 'middle', which is no name, channel or number of a bus of .*right"):
+    with pytest.raises(
+        LogFormatError, match=r"bus 'middle', which is not a name, channel or number of a bus of .*right"
+    ):
         replay_bus_log(tmp_path / "b.log", load_scene(TWO_BUSES))
 
 

@@ -108,7 +108,7 @@ def test_what_is_no_regular_file_is_refused(folder: Path) -> None:
     os.mkfifo(folder / "pipe.py")
     (folder / "folder.py").mkdir()
     for name in ("pipe.py", "folder.py"):
-        assert "no regular Python file" in refusal(folder, f"environment={{type: '{name}:Wall'}}")
+        assert "not a regular Python file" in refusal(folder, f"environment={{type: '{name}:Wall'}}")
     assert "cannot be read" in refusal(folder, "environment={type: 'absent.py:Wall'}")
     assert "expected one of" in refusal(folder, "environment={type: 'os.path:join'}")  # no import by dotted name
 

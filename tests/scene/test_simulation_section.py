@@ -54,7 +54,7 @@ def test_a_tremor_without_a_hand_and_a_negative_mass_are_refused_with_their_line
     ("accuracy", "expected"),
     [
         ("auto", r"scene.yaml:2:11: accuracy: got 'auto' without a tolerance; write it as"),
-        ("{substeps: 3}", r":2:\d+: accuracy: .*substeps 3 is no power of two"),
+        ("{substeps: 3}", r":2:\d+: accuracy: .*substeps 3 is not a power of two"),
         ("{event_bits: 25}", r":2:\d+: accuracy.event_bits: got 25, expected 1 <= event_bits <= 24"),
         ("{max_event: 25}", r":2:\d+: accuracy.max_event: unknown key; did you mean 'max_events'"),
         ("fine", r":2:\d+: accuracy: got 'fine', expected a mapping"),

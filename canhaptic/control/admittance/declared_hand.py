@@ -44,7 +44,7 @@ That of friction is not negative. Those of F are F c v^2 / (f + c v), least at F
 makes up for them. At v = 0 both sides have G' = 0. The drive must not reach its torque limit (`may_limit`).
 
 So commands with f T (sum abs(u_i) under way + n abs(u)) <= E - G + allowance keep E >= -allowance for every hand that
-never pushes or pulls harder than f. The range of a force sensor is no such promise.
+never pushes or pulls harder than f. The range of a force sensor does not promise that.
 
 Least damping with which a light virtual mass is stable against a spring to ground, without any guard.
 

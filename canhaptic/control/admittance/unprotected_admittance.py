@@ -1,4 +1,4 @@
-"""`unprotected` of an admittance display: the virtual mass without protection, with the step of those that protect it.
+"""`unprotected` of an admittance display: the virtual mass without protection, in the step of the protected ones.
 
 The other algorithms without a certificate override `respond`. What sampling, the drive and the uncertainty of the
 account create is booked as `gen`, what they lose as `leak`, so that the account closes like every other.

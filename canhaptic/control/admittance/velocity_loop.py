@@ -107,7 +107,7 @@ def gained(settings: VelocityLoopSettings, lead: float, commands: Commands, move
 
 
 def lost_unseen(settings: VelocityLoopSettings, commands: Commands) -> float:
-    """Largest loss of W in a hold without a sample; without an integral [J]."""
+    """Largest loss of W in a hold without a sample, for a drive without an integral [J]."""
     square = largest_square(commands, settings.delay, settings.delay + settings.losses)
     return 0.25 * settings.gain * settings.sample_time * square
 
@@ -320,7 +320,7 @@ class GuardedAdmittanceParameters(Parameters):
     """OVER-estimate of the stiffness of sensor, grip and hand: lighter masses, for such hands only. 0: not declared.
 
     Constant while it touches: a hand that stiffens by dK at a stretch x gives dK x^2 / 2 more each time. Not with an
-    integral, lost commands or jitter; drive_mass too must then be at least 1 - spread of what is declared.
+    integral, lost commands or jitter; drive_mass too must then be at least 1 - spread of its declared value.
     """
     hand_speed: Annotated[float, quantity("m/s", "rad/s", ge=0.0, le=1e3)] = 0.0
     """OVER-estimate of the speed of the arm behind the grip; with hand_stiffness."""

@@ -94,7 +94,7 @@ def bound_memory(declared: Declared, under_way: Buffer, make_buffer: MakeBuffer)
 
 
 def look_for_turn(declared: Declared, bound: TorqueBound, memory: BoundMemory, moved: float, holds: float) -> None:
-    """Return whether a hold that matters for the next torque can contain a position where the effort reverses.
+    """Return whether any hold that matters for the next torque may contain a reversal of the effort.
 
     There the way out of one contact is the way into another, so that the hand may do in either direction what
     it may do in one. The hold that ended counts, as its force is in the next displacement, and so do those up to the
@@ -103,7 +103,7 @@ def look_for_turn(declared: Declared, bound: TorqueBound, memory: BoundMemory, m
 
     Args:
         declared: Declared properties of axis and hand.
-        bound: State of the axis's torque bound, with its stretch; changed.
+        bound: State of the axis's torque bound and its stretch; modified.
         memory: Buffers of the bound.
         moved: Displacement since the last position [m or rad].
         holds: Number of holds since then.

@@ -614,7 +614,7 @@ def worst_case(at: Accounting, torques: Buffer, count: int) -> float:
 
 
 def extraction_of(at: Accounting, hold: int) -> float:
-    """Return the most energy [J] that the torques of one of the queued holds may take out in it."""
+    """Return the most energy [J] that the torques of one queued hold may extract during that hold."""
     axes, memory, torques = at.settings.axes, at.memory, at.under_way.torques[at.under_way.first + hold]
     taken = worst_case(at, torques, hold) + gain_of(axes, torques)
     if not axes.timing.is_ideal:

@@ -413,7 +413,7 @@ def energy_permitted(
 
     Args:
         settings: Constants of the run.
-        bound: State of the torque bound; device dissipation beyond what the efforts need is forgotten.
+        bound: State of the torque bound; device dissipation beyond the need of the efforts is forgotten.
         whole: All efforts together [N or N*m].
         energy: Energy budget [J].
         ceiling: Energy stored at the true state [J].

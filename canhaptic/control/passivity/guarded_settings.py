@@ -272,7 +272,7 @@ def kept_for_contacts(
 ) -> float:
     """Energy that is kept for later contacts [J]; see `start_energy`.
 
-    If the environment is no spring, or is stiffer than half of what the certificate permits at the largest force, it is
+    If the environment is not a spring, or is stiffer than half what the certificate permits at the largest force, it is
     the energy for that half, which allows any contact up to a push of half the hand's pull.
 
     Raises:

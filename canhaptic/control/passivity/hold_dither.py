@@ -49,7 +49,7 @@ class HoldWatch:
         tells_late: Whether a drive that acts late differs from one that lags.
 
     Attributes:
-        found: What contradicts the declared hold; empty: nothing so far.
+        found: Contradictions of the declared hold; empty: none so far.
         looks: Looks so far.
     """
 
@@ -108,7 +108,7 @@ class DitheredGuarded(Guarded):
 
     Args:
         environment: Environment to render.
-        parameters: Those of `guarded`.
+        parameters: Parameters of `guarded`.
         loop: Properties of the loop.
         amplitude: Size a of the sequence [N or N*m].
     """

@@ -12,7 +12,7 @@ Departures from the printed equations, and their reasons:
   the printed one; with delay the printed one is unstable.
 - a motion that reverses would make H_R of eq. 15 negative, dissipation that gives energy: it is solved without it.
 - eq. 14 takes the velocity from the displacement, and only once the user pushes inward: switched on deep inside a wall,
-  x / T is no velocity. A store emptied inside the contact is the same deadlock, left in the same way.
+  x / T is not a velocity. A store emptied inside the contact is the same deadlock, left in the same way.
 - the state never crosses to the other side of the contact: there is no tension spring behind a wall.
 - the hold in which the contact ends, and those whose torque was still queued, are booked; the rest is leaked.
 

@@ -124,7 +124,7 @@ def give_node_id(
         node_id: The node ID, 1 to 127.
         identity: Identity of the node; None: it is alone on the bus.
         confirm: Function that returns whether the person agrees.
-        tell: Function that reports what was found.
+        tell: Function that reports the findings.
 
     Raises:
         LinkError: No node answers, several, or it refuses.

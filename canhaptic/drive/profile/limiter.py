@@ -1,4 +1,4 @@
-"""The independent torque limiter: after the controller, before the bus. It limits every torque and reports what it cut.
+"""The independent torque limiter: after the controller, before the bus. It limits every torque and reports each cut.
 
 Each limit leaves an interval of torques that contains zero, so that their intersection is an interval too,
 the order of the limits does not matter, and zero is never forbidden:

@@ -106,7 +106,7 @@ class TorqueAxis(ABC):
         alive_at: Time of the drive's last sign of life [ns].
         answers: Whether the drive answered an SDO since the last start.
         left_out: Objects that the start skips, as the older master of a replayed run did.
-        restores: Whether the stop restores what the start wrote; False for the older master of a replayed run.
+        restores: Whether the stop restores values that the start wrote; False for the older master of a replayed run.
         hold: Whether a hands-off test found in which hold its torques act; empty where no account asks.
         unrestored: Objects that the stop did not restore, in words.
         outputs: Digital outputs of the drive (0x60FE:01) with the brake set.

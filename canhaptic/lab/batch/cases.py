@@ -1,4 +1,4 @@
-"""Loops of a batch from a scene and the keys in which many scenes differ.
+"""Loops of a batch, from one scene and the keys that vary between scenes.
 
 Many loops of one kind: their common part, and the numbers in which they differ.
 

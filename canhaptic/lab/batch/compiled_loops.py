@@ -353,7 +353,7 @@ def miss_nothing(
 
 
 def diverge_silently(rows: Matrix) -> None:
-    """Replace `meter.diverge`: the rows end."""
+    """Replace `meter.diverge`: end the rows."""
 
 
 _KEEPING: Final[dict[object, object]] = {

@@ -123,7 +123,7 @@ def record(
 
 
 def forget(recorder: Recorder) -> None:
-    """Replace `meter.diverge`: the rows end."""
+    """Replace `meter.diverge`: end the rows."""
 
 
 def _run(case: LoopCase, cycles: int, loop: LoopSettings, meter: Any, continuous: ContinuousReference | None) -> str:

@@ -226,7 +226,7 @@ def through(way: Transition, state: Sequence[float], modes: Modes) -> tuple[Floa
 
 
 def _event(way: Transition) -> Any:
-    """Guard value slightly beyond zero: a guard that stays at zero is no event."""
+    """Guard value slightly beyond zero: a guard that stays at zero is not an event."""
 
     def event(time: float, state: State, torque: Any, _modes: Modes) -> float:
         return way.value(time, state, torque) + way.rounding

@@ -67,7 +67,7 @@ def integrate(simulation: AxisSimulation, held: Sequence[float], sample_time: fl
 def _rates(simulation: AxisSimulation) -> Any:
     display, user, plant = simulation.admittance, simulation.user or UserParameters(), simulation.plant
     if display is None:
-        raise InputError("no equations here for an axis that is no admittance display")
+        raise InputError("no equations for an axis that is not an admittance display")
     loop, grip = display.loop, display.grip
     motion = user.sinusoid or SinusoidMotion(amplitude=0.0, frequency=1.0)
     omega = 2.0 * pi * motion.frequency

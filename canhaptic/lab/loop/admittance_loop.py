@@ -103,7 +103,7 @@ def run_display(scene: Scene, cycles: int) -> AdmittanceRun:
 def _motor(axis: AxisScene, scene: Scene) -> _Motor:
     given, display = axis.parameters, axis.parameters.admittance
     if display is None:
-        raise InputError(f"{given.name}: is no admittance display, expected one")
+        raise InputError(f"{given.name}: is not an admittance display, expected one")
     simulation = simulation_of(axis)
     plant = cast(AdmittancePlant, build_plant(simulation, scene.bus.sample_time_ns))
     channel = ForceChannel(display.force, scene.bus.sample_time)

@@ -484,7 +484,7 @@ def _under(part: _Part, name: str, table: Mapping[str, str], kind: str, *, keeps
         parameters = model().model_copy(update={key: getattr(given, key) for key in common})
     except ValueError as error:
         raise ParameterError(
-            f"{name}: needs parameters that the scene does not give; compare a scene with it"
+            f"{name}: needs parameters that the scene does not give; compare it on a scene that has them"
         ) from error
     return replace(part, passivity=ComponentSpec(name, parameters))
 

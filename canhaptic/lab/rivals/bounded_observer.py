@@ -103,7 +103,7 @@ def controlling_force(
 
 
 class BoundedObserver(SteppedController):
-    """Time-domain passivity control of bounded force around the sampled environment."""
+    """Time-domain passivity control with bounded force around the sampled environment."""
 
     parameters_type = BoundedObserverParameters
     kernel = sampled_kernel(respond, _BoundedObserverState, settings_of)

@@ -1,4 +1,4 @@
-"""`energy_bounding`: the torque is bounded by what the device is certain to dissipate (ref. [5]).
+"""`energy_bounding`: the torque is bounded by the certain dissipation of the device (ref. [5]).
 
 Device damping b takes at least (b / T) dx^2 out of every hold. With the account E_n = E_(n-1) + (b/T) dx^2 - F dx the
 next hold ends with E_n + (b/T) dx^2 - F dx >= 0 for EVERY motion dx exactly when F^2 <= 4 E_n b / T. A torque f that is

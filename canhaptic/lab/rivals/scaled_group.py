@@ -201,7 +201,7 @@ def search_scale(
 def bracket_upwards(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, far: float
 ) -> tuple[float, bool, int]:
-    """Return a share towards `far` that takes up at least an energy > 0, whether it exists, and the evaluations."""
+    """Return a share towards `far` that absorbs at least an energy > 0, whether there is one, and the evaluations."""
     if taken(tables, functions, line, loss, far)[0] >= energy:
         return far, True, 1
     for piece in range(1, _PIECES):

@@ -1,4 +1,4 @@
-"""Studies of scenes: what varies makes cases, each case a row of plain values, the rows tables and pictures."""
+"""Studies of scenes: the variations make cases, each case a row of plain values, the rows tables and pictures."""
 
 from typing import Any
 

@@ -114,7 +114,7 @@ def scenes_named(names: Sequence[str] | None) -> list[Path]:
         return [path for name, path in hard.items() if not name.startswith(_OF_THE_PLANT)]
     unknown = [name for name in names if name not in hard and not Path(name).is_file()]
     if unknown:
-        raise InputError(f"--scenes: {unknown[0]!r} is no file, and none of: {', '.join(hard)}")
+        raise InputError(f"--scenes: {unknown[0]!r} is not a file, nor one of: {', '.join(hard)}")
     return [hard.get(name, Path(name)) for name in names]
 
 

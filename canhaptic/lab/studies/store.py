@@ -1,4 +1,4 @@
-"""The store of a study: a folder with `study.json`, which says what was asked, and one file for each finished chunk.
+"""The store of a study: a folder with `study.json`, which states the request, and one file for each finished chunk.
 
 A file is written anew, flushed to the disk and renamed into place: after a kill at any moment it exists completely, or
 not at all, and the study goes on where it was. Room for all results is checked before anything runs.
@@ -36,7 +36,7 @@ class Store:
         writable: Whether chunks will be written; only one process can.
 
     Attributes:
-        document: What was asked, as plain values.
+        document: The request, as plain values.
         chunks: Names of the finished chunks.
 
     Raises:
@@ -82,7 +82,7 @@ def create_store(folder: Path, kind: str, document: Row, *, room: int = 0, repla
     Args:
         folder: Folder, which is created in an existing one.
         kind: Kind of the study.
-        document: What was asked, as plain values.
+        document: The request, as plain values.
         room: Size of all results [bytes].
         replace: Whether to replace a store that is there.
 

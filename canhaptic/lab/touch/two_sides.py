@@ -167,7 +167,7 @@ _DISPLAY_SLIDERS: Final = ("mass", "cup", "damping")
 
 
 def display_plane(scene: Scene, name: str) -> TouchScene:
-    """Return two admittance displays with one account twice.
+    """Return two admittance displays that share one account, listed twice.
 
     Raises:
         InputError: The group has another number of axes, or moves them through a mechanism.

@@ -28,7 +28,7 @@ class AccuracyParameters(Parameters):
     @model_validator(mode="after")
     def _substeps_divide_the_ticks(self) -> "AccuracyParameters":
         if self.substeps & (self.substeps - 1):
-            raise ValueError(f"substeps {self.substeps} is no power of two, expected 1, 2, 4, ... 1024")
+            raise ValueError(f"substeps {self.substeps} is not a power of two, expected 1, 2, 4, ... 1024")
         return self
 
 

@@ -355,7 +355,7 @@ class HybridAutomaton:
 
     @property
     def targets(self) -> Sequence[Sequence[int]]:
-        """Number of the mode behind each guard of each mode; NONE where it is not compiled yet."""
+        """Number of the mode behind each guard of each mode; NONE while that mode is not compiled."""
         targets: Sequence[Sequence[int]] = self._tables.targets
         return targets
 

@@ -45,7 +45,7 @@ class Geometry(Protocol):
 
 
 class Mover(NamedTuple):
-    """A prescribed motion w(t) = half (1 - cos(rate t)), subtracted from each coordinate; its energy has a port."""
+    """A prescribed motion w(t) = half (1 - cos(rate t)), subtracted from each coordinate; a port has its energy."""
 
     half: float = 0.0  # 0: nothing moves [m or rad]
     rate: float = 0.0  # [rad/s]

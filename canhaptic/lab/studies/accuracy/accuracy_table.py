@@ -293,7 +293,7 @@ def length(value: float, unit: str) -> str:
 
 
 def accuracy_tables(result: Row, *, wide: bool = False) -> list[Table]:
-    """Return every table; with `wide` the plant's table has times per simulated second and their spread."""
+    """Return every table; `wide` adds times per simulated second and their spread to the plant's."""
     unit, floor, plant = result["unit"], _floor(result), result["plant"]
     more: Sequence[str] = _WIDE_HEADS if wide else ()
     rows = [[*_plant_cells(row, unit, floor), *(_wall(row) if wide else ())] for row in plant]

@@ -98,7 +98,7 @@ def study_display(
         scene: Simulated scene.
         name: Name of the axis or group; None for the first.
         duration: Length of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter.
-        stop: Polled before every run; what was measured until then is returned.
+        stop: Polled before every run; true ends the study with the results so far.
         progress: Called with the completed fraction.
 
     Raises:
@@ -283,7 +283,7 @@ def _ideal(scene: Scene, steps: int) -> Scene:
     def changed(axis: AxisScene) -> AxisScene:
         display, simulated = axis.parameters.admittance, simulation_of(axis).admittance
         if display is None or simulated is None:
-            raise InputError(f"{axis.parameters.name}: is no admittance display, expected one")
+            raise InputError(f"{axis.parameters.name}: is not an admittance display, expected one")
         loop = simulated.loop.model_copy(
             update={"gain": _STIFFER * simulated.loop.gain, "integral_gain": 0.0, "torque_limit": None}
         )

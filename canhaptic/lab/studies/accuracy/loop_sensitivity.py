@@ -93,7 +93,7 @@ class Variant:
     """The loop of one axis or group, with one change.
 
     Attributes:
-        group: What is changed.
+        group: Kind of change.
         setting: Its value.
         scene: Scene of the axis or group alone, changed.
         is_scene: Whether nothing is changed.

@@ -192,7 +192,7 @@ def interleaved(
     Args:
         candidates: Candidates by name.
         budget: Total time, shared equally [s]; a candidate beyond its share is run twice, a long one once.
-        stop: Polled before each run; true aborts, and what was measured is returned.
+        stop: Polled before each run; true aborts, and the results so far are returned.
         progress: Called with the completed fraction.
     """
     clock = WallClock()
@@ -392,7 +392,7 @@ def study_accuracy(
         axis: Name of an axis or a group; the first axis by default, or its group.
         duration: Length of the comparison [s]; see `length_of`.
         progress: Called with the number of units done, of `UNITS`.
-        stop: Polled often; true stops the study, which returns what it has.
+        stop: Polled often; true stops the study, which returns its results so far.
         options: Further ones of `AccuracyStudy`.
 
     Raises:

@@ -3,7 +3,7 @@
 vary          parser of `--vary`, and the scenes by global index
 chunk         where a varied key is in a scene; from values to scenes, and to their figures
 run_sweep     chunks to workers and to the store          first_use    Python runs scenes while their loop is compiled
-sweep_table   the results                                 summary      what they say, in words
+sweep_table   the results                                 summary      their meaning in words
 """
 
 from canhaptic.lab.studies.sweep.run_sweep import sweep

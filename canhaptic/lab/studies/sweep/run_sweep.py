@@ -294,7 +294,7 @@ def _check_same(table: SweepTable, asked: Asked) -> None:
             continue
         found, wanted = (_words(name, entry) for entry in (table.identity.get(name), value))
         raise InputError(
-            f"{table.folder}: was made with {name.replace('_', ' ')} {found}, now asked {wanted}; ask for the same, "
+            f"{table.folder}: was made with {name.replace('_', ' ')} {found}, now {wanted}; ask for the same, "
             "give another --out, or replace it with --force"
         )
 

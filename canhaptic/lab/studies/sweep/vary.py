@@ -191,7 +191,7 @@ def _plain(text: str, item: str) -> str:
 
 
 def _number(text: str) -> tuple[float, str] | None:
-    """Return (number, unit) of `1e3` or `1 kHz`; None when it is no number with a known unit."""
+    """Return (number, unit) of `1e3` or `1 kHz`; None when it is not a number with a known unit."""
     text = text.strip().strip("\"'")
     match = _NUMBER.match(text)
     if match is None:

@@ -181,7 +181,7 @@ class TorqueMeter:
 
 
 SENSOR_FAULT: Final = 0x7300
-"""Error code (0x603F) of a position, velocity or force that is no number."""
+"""Error code (0x603F) of a position, velocity or force that is not a number."""
 _COUNTS: Final = 1 << 32  # 0x6064 and 0x606C are 32 bits wide and wrap, as an encoder counter does
 _HALF: Final = _COUNTS // 2
 _ENABLE_BIT: Final = 0x08  # of the controlword
@@ -454,7 +454,7 @@ class Servo:
         entry.value = counts if -_HALF <= counts < _HALF else (counts + _HALF) % _COUNTS - _HALF
 
     def _check_mode(self, mode: int) -> SdoAbort | None:
-        """Refuse modes that 0x6502 does not list: mode m is its bit m - 1, 0 is no mode. A drive without it has 10."""
+        """Refuse modes that 0x6502 does not list: mode m is its bit m - 1, 0 is none. A drive without it has 10."""
         listed = objects.CYCLIC_SYNC_TORQUE_BIT if self._supported_modes is None else self._supported_modes.number
         if mode == 0 or (mode > 0 and listed >> (mode - 1) & 1):
             return None

@@ -254,7 +254,7 @@ def mean_pull(hand: HandForce, before: Pair, after: Pair, time: float, step: flo
 
 
 def hand_slope(hand: HandForce, step: float) -> Ellipse:
-    """Return minus the derivative of `mean_pull` by `after` [N/m]."""
+    """Return minus the derivative of `mean_pull` with respect to `after` [N/m]."""
     return Ellipse(
         0.5 * hand.k_xx + hand.d_xx / step, 0.5 * hand.k_xy + hand.d_xy / step, 0.5 * hand.k_yy + hand.d_yy / step
     )
