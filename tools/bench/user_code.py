@@ -96,29 +96,10 @@ class Found(NamedTuple):
 
 
 class SentTorques:
-    """The longest time between two torques sent."""
+    """The longest time between two torques sent on a bus; those of start and stop, which are zero, count."""
 
-    def __init__(self) -> None:
+    def __init__(self, bus: Any) -> None:
         self._last, self.longest = 0, 0
-
-    def note(self) -> None:
-        """Notes that one is sent now, or that the loop has ended."""
-        now = monotonic_ns()
-        self.longest = max(self.longest, now - (self._last or now))
-        self._last = now
-
-    def of_rig(self, rig: Any) -> None:
-        """Notes every torque of a rig."""
-        write = rig.write_torques
-
-        def noted(torques: Sequence[float]) -> None:
-            self.note()
-            write(torques)
-
-        rig.write_torques = noted
-
-    def of_bus(self, bus: Any) -> None:
-        """Notes every RPDO on a bus."""
         send = bus.send
 
         def noted(message: Any, timeout: float | None = None) -> None:
@@ -127,6 +108,12 @@ class SentTorques:
             send(message, timeout)
 
         bus.send = noted
+
+    def note(self) -> None:
+        """Notes that one is sent now, or that a loop begins or has ended."""
+        now = monotonic_ns()
+        self.longest = max(self.longest, now - (self._last or now))
+        self._last = now
 
 
 def deed_of(deed: str, where: str) -> str:
@@ -212,8 +199,7 @@ def one_run(where: str, deed: str, seconds: float) -> Found:
             code = LawThread(own, experiment) if where == "thread" else experiment.code
             if isinstance(code, LawThread):
                 experiment.cycle.turn = code.turn
-            end, sent = "", SentTorques()
-            sent.of_rig(experiment.rig)
+            end, sent = "", SentTorques(experiment.rig.drives[0].link._bus)  # noqa: SLF001 - what passes there alone
             try:
                 if deed == "is stopped" and isinstance(code, CodeProcess):
                     with stopped(code.pid):
@@ -238,9 +224,10 @@ def by_canopen(deed: str, seconds: float) -> Found:
         now_and_then()
         return peers.law(position, last)
 
-    cycles, sent = round(seconds * 1e9 / PERIOD), SentTorques()
+    cycles = round(seconds * 1e9 / PERIOD)
     with peers.BroughtUp("real", overrides=["bus.heartbeat_timeout=30"]) as peer:
-        sent.of_bus(peer.bus)
+        sent = SentTorques(peer.bus)
+        sent.note()
         found = canopen_run(peer, law, cycles)
         sent.note()
     skipped = max(0, cycles - len(found.syncs))
