@@ -293,44 +293,41 @@ class OpenRig:
     def _run(self, cycle: Cycle) -> Iterator[Mapping[str, AxisSample]]:
         """Yield the samples of each turn; zero torque and disabled drives on every way out."""
         rig, axes, cycles = cycle.rig, tuple(self._axes.values()), self._cycles
-        places = tuple(range(len(axes)))
         try:
             with running(cycle):
                 while cycles is None or cycle.cycles < cycles:
                     samples = rig.sync()
                     self._end_if_asked()
                     now, turn = rig.deadline_index, {}
-                    for place in places:
-                        axis = axes[place]
-                        turn[axis.name] = axis.begin_turn(samples[place], now)
+                    for axis, sample in zip(axes, samples, strict=True):
+                        turn[axis.name] = axis.begin_turn(sample, now)
                     self.is_open = True
                     try:
                         yield turn
                     except GeneratorExit:
-                        self._stop(rig.stop, StopReason.OPERATOR)
+                        self._stop(StopReason.OPERATOR)
                         raise
                     finally:
                         self.is_open = False
                     for axis in axes:
                         axis.end_turn()
-                    balances = cycle.answer(samples)
-                    for place in places:
-                        axes[place].take_answer(balances[place], rig.sync_index)
+                    for axis, balance in zip(axes, cycle.answer(samples), strict=True):
+                        axis.take_answer(balance, rig.sync_index)
                     self._end_if_asked()
         except ReplayOverError:
             return
 
-    def _stop(self, stop: Any, reason: StopReason) -> None:
-        """Stop the rig at once where no exception may leave; `__exit__` raises it."""
+    def _stop(self, reason: StopReason) -> None:
+        """Stop the rig, if it was built, at once where no exception may leave; `__exit__` raises it."""
         try:
-            stop(ramp=False, reason=reason)
+            if self._source is not None:
+                self._source.cycle.rig.stop(ramp=False, reason=reason)
         except RigError as error:
             self._left = error
 
     def refusal(self, what: str) -> InputError:
         """Send zero torque, stop the rig, and return the error of a request that is not valid."""
-        if self._source is not None:
-            self._stop(self._source.cycle.rig.stop, StopReason.CONTROLLER)
+        self._stop(StopReason.CONTROLLER)
         return InputError(f"{what}; the torque is zero and the rig has stopped; set finite numbers, inside the loop")
 
     def _take_signal(self, number: int, frame: FrameType | None) -> None:
@@ -367,8 +364,8 @@ class OpenRig:
         if self._is_over or self._source is None:
             return
         self._is_over = True
-        source, rig = self._source, self._source.cycle.rig
-        self._stop(rig.stop, StopReason.EXCEPTION)
+        source = self._source
+        self._stop(StopReason.EXCEPTION)
         try:
             if isinstance(source, OpenReplay):
                 self.replayed = source.result((WallClock().now() - self._begin) * 1e-9)
@@ -386,10 +383,9 @@ class OpenRig:
         status, self._is_ending = "stopped", True
         if isinstance(error, Exception):
             status = f"failed: {error}"
-            if cycle is not None:
-                self._stop(cycle.rig.stop, StopReason.EXCEPTION)
-                if not isinstance(error, RigError):
-                    cycle.note_fault(error)
+            self._stop(StopReason.EXCEPTION)
+            if cycle is not None and not isinstance(error, RigError):
+                cycle.note_fault(error)
         elif error is None and cycle is not None and cycle.cycles == self._cycles:
             status = "completed"
         try:

@@ -26,7 +26,7 @@ from canhaptic.errors import InputError, OwnCodeError
 from canhaptic.logs.ring import allocate
 from canhaptic.logs.writer_process import isolated_program
 from canhaptic.registry import load
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import Scene
 from canhaptic.scene.own_code import require_same_code
 from canhaptic.scene.parts import build_axis_controller
 from canhaptic.signals import Sample
@@ -47,7 +47,8 @@ def apart(scene: Scene) -> Scene:
     runs them itself in a simulation, unless `code_runs_in` says otherwise.
     """
     where = scene.run.code_runs_in or ("cycle" if scene.simulated else "process")
-    axes = tuple(replace(axis, guard=_guard_of(axis)) if axis.is_own else axis for axis in scene.axes)
+    guards = ("certificates" if axis.passivity.name == "guarded" else "none" for axis in scene.axes)
+    axes = tuple(replace(a, guard=guard) if a.is_own else a for a, guard in zip(scene.axes, guards, strict=True))
     if where == "cycle" or scene.run.guard is not None or axes == scene.axes:
         return scene
     if not scene.text:
@@ -67,10 +68,6 @@ def require_law(scene: Scene) -> None:
             "own environment or algorithm; hands and effects are part of the simulated drive: leave the key out, or "
             "run that drive in a process of its own (canhaptic drive)"
         )
-
-
-def _guard_of(axis: AxisScene) -> str:
-    return "certificates" if axis.passivity.name == "guarded" else "none"
 
 
 class LaterLaw:
@@ -213,11 +210,6 @@ class CodeProcess:
                 reason = self._text() or f"was not ready within {_START:g} s"
                 self.close()
                 raise InputError(f"{self._names}: in a process of its own: {reason}; correct the program")
-
-    @property
-    def pid(self) -> int:
-        """Process ID."""
-        return self._process.pid
 
     def turn(self, samples: Sequence[Sample]) -> None:
         """Request the torques that answer the previous sample, and hand over this one.

@@ -202,7 +202,7 @@ def one_run(where: str, deed: str, seconds: float) -> Found:
             end, sent = "", SentTorques(experiment.rig.drives[0].link._bus)  # noqa: SLF001 - what passes there alone
             try:
                 if deed == "is stopped" and isinstance(code, CodeProcess):
-                    with stopped(code.pid):
+                    with stopped(code._process.pid):  # noqa: SLF001 - no program needs it
                         run(experiment.cycle, round(seconds / scene.bus.sample_time))
                 else:
                     run(experiment.cycle, round(seconds / scene.bus.sample_time))
