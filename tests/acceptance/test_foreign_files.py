@@ -20,7 +20,8 @@ import numpy as np
 import pytest
 
 from canhaptic.cli.main import main
-from canhaptic.errors import InputError, LogFormatError
+from canhaptic.errors import InputError, LogFormatError, ParameterError
+from canhaptic.lab.batch.engine import chosen_engine
 from canhaptic.logs import bus_reader, repair
 from canhaptic.logs.repair import in_own_process
 from canhaptic.view.picture_style import require_matplotlib
@@ -167,6 +168,16 @@ def test_of_a_scene_with_hundreds_of_faults_the_first_two_hundred_are_printed(
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 202  # with the heading
     assert lines[-1].startswith("and 1")
+
+
+def test_numba_obeys_no_file_of_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    monkeypatch.chdir(tmp_path)
+    assert chosen_engine("auto", pays=True) == "numba"
+    (tmp_path / ".numba_config.yaml").write_text("disable_jit: 1\n")
+    with pytest.raises(ParameterError, match=r"obey \.numba_config\.yaml of this folder"):
+        chosen_engine("auto", pays=True)
+    assert chosen_engine("auto", pays=False) == "python"
 
 
 @pytest.mark.parametrize("made", [a_pipe, a_device])

@@ -1,5 +1,6 @@
 """Choice of the engine of a batch: machine code compiled by numba, or Python; both give the same bits."""
 
+import os
 from importlib.util import find_spec
 from typing import Final, Literal
 
@@ -16,6 +17,7 @@ and friction), and compiling 4 to 14 s once for a kind of scene; compiled code t
 
 WORTH_COMPILING_GROUPS: Final = 3e5
 """The same for groups, for each of which Python takes some 150 us, compiling 20 s once."""
+_FOREIGN: Final = ".numba_config.yaml"
 
 
 def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
@@ -26,13 +28,14 @@ def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
         pays: Whether compiling takes less time than it saves.
 
     Raises:
-        ParameterError: An unknown name, or numba is requested and not installed.
+        ParameterError: An unknown name, numba is requested and not installed, or the current folder would steer it.
     """
     if engine not in ("auto", "numba", "python"):
         raise ParameterError(f"engine: got {engine!r}, expected auto, numba or python")
     there = find_spec("numba") is not None
     if engine == "numba" and not there:
         raise ParameterError(f"engine: got numba, which is not installed; {install_hint('fast')}, or use python")
-    if engine == "auto":
-        return "numba" if there and pays else "python"
-    return engine
+    chosen: ChosenEngine = ("numba" if there and pays else "python") if engine == "auto" else engine
+    if chosen == "numba" and os.path.lexists(_FOREIGN):
+        raise ParameterError(f"engine: numba would obey {_FOREIGN} of this folder; move it away, or use python")
+    return chosen
