@@ -1,4 +1,4 @@
-"""Units of mass, damping, stiffness and force by the unit of a position, without pydantic: for logs and views."""
+"""Units of mass, damping, stiffness and force from the unit of a position, without pydantic: for logs and views."""
 
 from typing import Literal
 

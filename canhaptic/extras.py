@@ -9,7 +9,7 @@ _NAME = "canhaptic"
 
 
 def install_hint(extra: str) -> str:
-    """Return the command that installs an extra of this package from where the package itself was installed.
+    """Return the command that installs an extra of this package from the package's own source.
 
     A checkout or a repository is named by its address (PEP 610); otherwise the package is named by its name.
 

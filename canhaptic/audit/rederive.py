@@ -1,4 +1,4 @@
-"""The energy account of a run from its raw bus log and scene alone: frames -> samples -> controllers -> ledger.
+"""The energy account of a run from its raw bus log and its scene: frames -> samples -> controllers -> ledger.
 
 The drives' data are decoded here with the maps and rated torques of the log's own bring-up; the master's
 codecs and its record of the run take no part, so the account can be held against the one that was logged.

@@ -1,4 +1,4 @@
-"""A force sensor with a node of its own: the frame with which it answers a SYNC, and the position of its value there.
+"""A force sensor with its own CAN node: the frame with which it answers a SYNC, and the position of its value there.
 
 A CiA 404 transducer sends its process value (0x6130, 0x7130 or 0x9130) in TPDO 1, at 0x180 + its node ID. Any other
 sensor that answers the SYNC with one frame is described in the same way.

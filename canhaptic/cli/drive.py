@@ -1,4 +1,4 @@
-"""`canhaptic drive CONFIG`: the simulated drives of a scene alone, at wall-clock pace, for a master elsewhere."""
+"""`canhaptic drive CONFIG`: only the simulated drives of a scene, at wall-clock pace, for a master elsewhere."""
 
 import argparse
 import gc

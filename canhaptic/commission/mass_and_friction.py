@@ -84,7 +84,7 @@ class FrictionCurve(NamedTuple):
     errors: _Array  # shape (n,)
 
     def least(self, damping: float, sure: float) -> float:
-        """Return the dry friction [N or N*m] in every speed range besides damping, less some standard deviations."""
+        """Return the dry friction [N or N*m] in every speed range besides damping, minus standard deviations."""
         return max(0.0, float((self.frictions - sure * self.errors - damping * self.speeds).min()))
 
     def falls_at_its_end(self, sure: float) -> bool:

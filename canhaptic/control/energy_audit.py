@@ -1,4 +1,4 @@
-"""Comparison of a run's accounts with the truth of its simulated plant; loaded only where there is one."""
+"""Comparison of a run's accounts with its simulated plant; loaded only where there is one."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Homing of one drive by its own homing mode (IEC 61800-7-201, 0x6060 = 6), and its stop on every way out.
+"""Homing of one drive by its own homing mode (IEC 61800-7-201, 0x6060 = 6), and its stop however it ends.
 
 The drive moves by itself: its generator and its loops make the torque, within 0x6072. The master starts it by bit 4 of
 the controlword, watches it at each SYNC, and disables it at the end. Every torque that is sent is 0.

@@ -147,11 +147,11 @@ class _Judged:
         self.findings: list[PreflightFinding] = []
 
     def well(self, item: str, seen: object, text: str = "") -> None:
-        """Add a property that is as it should be."""
+        """Add a property that is correct."""
         self._add(item, seen, "well", text)
 
     def note(self, item: str, seen: object, text: str) -> None:
-        """Add one that is unwise, or unknown."""
+        """Add a property that is unwise or unknown."""
         self._add(item, seen, "note", text)
 
     def refuse(self, item: str, seen: object, text: str) -> None:

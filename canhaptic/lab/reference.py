@@ -239,7 +239,7 @@ class ContinuousReference(NamedTuple):
 
     @property
     def travel(self) -> float:
-        """Largest less least position [m or rad]."""
+        """Range of the position, largest minus smallest [m or rad]."""
         return float(np.ptp(self.position))
 
 

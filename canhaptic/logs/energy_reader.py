@@ -1,4 +1,4 @@
-"""Reads an energy log: quantities as NumPy arrays, each loaded when it is first asked for.
+"""Reads an energy log: quantities as NumPy arrays, each loaded on first use.
 
 with EnergyLog("run.h5") as log:
     handle = log.ports["handle"]
@@ -368,7 +368,7 @@ def open_file(path: str | Path) -> tuple[Hdf5File, LogDescription]:
 
 def _description(path: Path, attributes: Mapping[str, Attribute]) -> LogDescription:
     if attributes.get("format") != FORMAT_NAME:
-        raise LogFormatError(f"{path}: an HDF5 file, but no energy log of canhaptic")
+        raise LogFormatError(f"{path}: an HDF5 file, but not an energy log of canhaptic")
     version = int(attributes.get("format_version", 0))
     if not 1 <= version <= FORMAT_VERSION:
         raise LogFormatError(

@@ -30,7 +30,7 @@ class LogSink:
         """Complete and close the file."""
 
     def fail(self, cause: str) -> None:
-        """Say in the file, where it has room for that, why it ends before the run."""
+        """Note in the file, if it has room, why it ends before the run."""
 
 
 def open_regular(path: Path, flags: int) -> int:

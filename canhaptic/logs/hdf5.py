@@ -246,7 +246,7 @@ def _bounded_memory(needed: int = 0) -> Iterator[None]:
 
 
 def mark_failed(path: Path, cause: str) -> None:
-    """Write why a file ends before its end into the room that it has for that: a full disk takes nothing new.
+    """Write why a file ends early into the space reserved for it: a full disk takes nothing new.
 
     Raises:
         OSError: The disk takes that neither.

@@ -1,4 +1,4 @@
-"""User code of a scene in a process of its own: it answers one hold later, and cannot stall the cycle.
+"""User code of a scene in a separate process: it answers one hold later, and cannot stall the cycle.
 
 Python code stalls the cycle through the lock of its interpreter, which a second process does not share. The sample of
 each SYNC is sent and the torques for the hold after the next come back, each in one slot of shared memory under a

@@ -33,7 +33,7 @@ class _CodeReading(Protocol):
         """Return whether a name is of own code that stays unread."""
 
     def find(self, reference: str, kind: str) -> Any:
-        """Return the class of the user's own that a name means; None where it means none."""
+        """Return the user-defined class that a name means; None where it means none."""
 
 
 class SceneReading(Protocol):

@@ -187,7 +187,7 @@ def test_foreign_and_newer_files_are_named_as_such(tmp_path: Path, finished: Pat
     foreign = tmp_path / "foreign.h5"
     with h5py.File(foreign, "w") as file:
         file["x"] = [1.0]
-    with pytest.raises(LogFormatError, match="no energy log"):
+    with pytest.raises(LogFormatError, match="not an energy log"):
         EnergyLog.open(foreign)
     newer = tmp_path / "newer.h5"
     newer.write_bytes(finished.read_bytes())

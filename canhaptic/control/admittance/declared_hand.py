@@ -334,7 +334,7 @@ def fastest_for_declared(
 
 
 def used_by_declared(settings: DeclaredHandSettings, hand: DeclaredHand, commands: Commands) -> float:
-    """Largest energy that the commands still able to act can take, the newest included [J]; inf if unknown."""
+    """Largest energy that commands still able to act can extract, the newest included [J]; inf if unknown."""
     if hand.waiting > 0 or hand.up == -inf:
         return inf
     return loss(settings, hand, commands, commands.newest - 1, commands[commands.newest])

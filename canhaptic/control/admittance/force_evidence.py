@@ -69,7 +69,7 @@ class LateMargin:
         return then if then < len(self.changes) else 0
 
     def known_then(self, known: float) -> float:
-        """Present bound, less the changes since the SYNC of the received force [J]."""
+        """Present bound, minus the changes since the SYNC of the received force [J]."""
         then = self.oldest()
         for place, change in enumerate(self.changes):
             if place != then:

@@ -49,7 +49,7 @@ class GroupMass(Parameters):
         return self
 
     def require(self, axes: int) -> None:
-        """Check that it fits a number of axes.
+        """Check the fit with the number of axes.
 
         Raises:
             ParameterError: It does not.
@@ -185,7 +185,7 @@ class TaskEnvironment:
         self.damping = environment.damping
 
     def require(self, axes: int) -> None:
-        """Check that it fits a number of motor axes; raise ParameterError."""
+        """Check the fit with the number of motor axes; raise ParameterError."""
         if axes != self._kinematics.axes:
             raise ParameterError(f"kinematics: has {self._kinematics.axes} motor axes, expected {axes} as in the group")
         self._environment.require(self._kinematics.dimensions)

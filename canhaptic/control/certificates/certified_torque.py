@@ -618,7 +618,7 @@ def largest_of_known(
 def largest_after(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float, which: int
 ) -> float:
-    """Return `largest_of_known` after some torques of `taken_under_way`, less the energy taken by opposing ones."""
+    """Return `largest_of_known` after some torques of `taken_under_way`, minus the energy taken by opposing ones."""
     given, _, motion = taken_under_way(declared, bound, memory, sign, speed, declared.delay, which)
     budget, friction, losses = energy - given, declared.friction, declared.losses
     hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf

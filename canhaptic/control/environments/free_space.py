@@ -1,4 +1,4 @@
-"""Free space: nothing to touch. For feeling the device alone, and for checking that a controller adds nothing."""
+"""Free space: nothing to touch. For feeling the device itself, and for checking that a controller adds nothing."""
 
 from typing import ClassVar
 

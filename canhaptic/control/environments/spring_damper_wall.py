@@ -1,4 +1,4 @@
-"""The paper's virtual wall: a spring and a damper side by side, felt on one side of a plane (eqs. 12-14)."""
+"""The paper's virtual wall: a spring and a damper in parallel, felt on one side of a plane (eqs. 12-14)."""
 
 from typing import Annotated
 

@@ -581,7 +581,7 @@ def doubt_of_mover(memory: AccountMemory, ended: GroupHolds, hold: int) -> float
 
 
 def certain_energy(account: GroupAccount, credit: float) -> float:
-    """Return the energy [J] that the next torques may take out.
+    """Return the energy [J] that the next torques may extract.
 
     What was dissipated or leaked is not available again, but it covers the uncertainty of the encoders.
     """

@@ -1,4 +1,4 @@
-"""How much of a group's torques may act in the next hold: the certificates of one axis, for all motor axes at once.
+"""The share of a group's torques permitted in the next hold: the certificates of one axis, for all motor axes at once.
 
 Let W be the requested torques (motor coordinates) and l W, 0 <= l <= 1, those sent. The energy that they take out in
 their hold is l W . D, D the displacement in it, and the reasoning of `certificates.scalar_bounds` bounds W . D as it

@@ -223,7 +223,7 @@ def settle_motion(motion: GroupMotion) -> None:
 def locate(
     world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer
 ) -> None:
-    """Compute pose and coordinates, less the mover's motion."""
+    """Compute pose and coordinates, minus the mover's motion."""
     motion.limit = world.mechanism.locate(positions, memory.place, memory.jacobian)
     motion.located = motion.limit == _NONE
     if not motion.located:
@@ -338,7 +338,7 @@ def write_springs(
 
 
 def to_ports(memory: MotionMemory, moved: Buffer, carried: float, into: Buffer) -> None:
-    """Write the port motion [m or rad] due to a motor motion, less the mover's."""
+    """Write the port motion [m or rad] due to a motor motion, minus the mover's."""
     for j in range(len(into)):
         into[j] = dot(memory.at_motors[j], moved) - carried
 

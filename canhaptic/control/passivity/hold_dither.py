@@ -102,7 +102,7 @@ class HoldWatch:
 
 
 class DitheredGuarded(Guarded):
-    """`guarded` with a sign in every torque in contact; without a certificate once they contradict the declared hold.
+    """`guarded` with a random sign in every torque in contact; certified until they contradict the declared hold.
 
     The signs follow from the first position, so that a log of the run recomputes and replays them.
 

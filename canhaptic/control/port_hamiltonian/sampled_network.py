@@ -555,7 +555,7 @@ def dampers(
 
 
 def internal_motion(tables: NetworkTables, room: Workspace) -> float:
-    """Return the motion of the storages at the ports, less the ports' own, in the last step, as a norm [m or rad]."""
+    """Return the motion of the storages at the ports, minus the ports' own, in the last step, as a norm [m or rad]."""
     total = 0.0
     if tables.moving:
         for i in range(len(room.step)):

@@ -61,7 +61,7 @@ class BringUp(ABC):
         self._monitor()
 
     def configure(self) -> None:
-        """Take the drive, after `call`, to identified, limited, mapped, in mode 10, disabled.
+        """After `call`, bring the drive to: identified, limited, mapped, in mode 10, disabled.
 
         Raises:
             StartError: A step was refused or not confirmed.

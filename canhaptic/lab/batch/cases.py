@@ -55,7 +55,7 @@ Numbers = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class BatchCase:
-    """The common part of many loops, and the numbers in which they differ.
+    """The common part of many loops, and the numbers that vary between them.
 
     `numbers` holds varied values by name, each of shape (n_scenes,) or one number: of the models `environment`,
     `passivity` and `loop` field by field; of the drive `counts_per_unit`, `torque_quantum` and `torque_limit`; of the
@@ -398,7 +398,7 @@ def _why_not_moved(simulation: AxisSimulation, algorithm: str, own: type[Any] | 
 
 
 def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:
-    """Return the loop of a scene of one axis with the numbers in which many scenes differ.
+    """Return the loop of a scene of one axis with the numbers that vary between scenes.
 
     Args:
         scene: Common part of the scenes, the delay included.
@@ -439,7 +439,7 @@ def not_in_loop(scene: Scene, *, is_batched: bool) -> str:
 
 
 def many_loops(case: LoopCase, numbers: Numbers, varied: Mapping[str, Array]) -> BatchCase:
-    """Return a loop with the numbers in which many scenes differ.
+    """Return a loop with the numbers that vary between scenes.
 
     Args:
         case: Common part of the loops; `why_not_compiled` is "".

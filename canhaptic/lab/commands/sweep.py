@@ -1,4 +1,4 @@
-"""`canhaptic sweep CONFIG`: many scenes that differ in some keys, each judged by the figures of `compare`."""
+"""`canhaptic sweep CONFIG`: many scenes with some keys varied, each judged by the figures of `compare`."""
 
 import argparse
 from concurrent.futures import Executor

@@ -1,4 +1,4 @@
-"""Motion of several motors as ordinary differential equations: axes of their own, an X-Y stage, a five-bar.
+"""Motion of several motors as ordinary differential equations: separate axes, an X-Y stage, a five-bar.
 
 The five-bar has the links of the simulated one; the method differs: `M(q) v' = torque + ... - C(q, v)`, in
 accelerations and for any solver, where the simulated one takes steps of a discrete gradient in momenta.

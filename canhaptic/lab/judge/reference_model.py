@@ -203,7 +203,7 @@ class LuGre(_Smooth):
 
 
 class ReferenceContact:
-    """A one-sided damped contact whose dented face recovers; `depth` is a state.
+    """A one-sided damped contact with a dented face that recovers; `depth` is a state.
 
     Args:
         sides: (body, its position, factor); distance = sum of factor times position.
@@ -279,7 +279,7 @@ class ReferenceStickSlip:
         self.modes = (first, *(mode for mode in ("stuck", "forward", "backward") if mode != first))
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Add the friction while sliding; stuck, it takes up every other force."""
+        """Add the friction while sliding; stuck, it balances every other force."""
         if mode == "stuck":
             forces[self._body] = 0.0
             return

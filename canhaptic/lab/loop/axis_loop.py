@@ -190,7 +190,7 @@ class LoopRun:
 
     @property
     def least_margin(self) -> float:
-        """Least true sum of h_i less booked sum of h_r after any hold, eq. 4 [J]."""
+        """Least true sum of h_i minus booked sum of h_r after any hold, eq. 4 [J]."""
         return float((self.interaction - self.dissipated).min(initial=0.0))
 
     @property

@@ -1,4 +1,4 @@
-"""`adaptive_reference`: a passivity controller that follows a reference energy of its own making.
+"""`adaptive_reference`: a passivity controller that follows its own reference energy.
 
 The energy that came in is compared with E_ref = k x^2, x the depth in the environment. While it rises, k is the one
 that fits it best, k = max(0, E / x^2); while it falls, a damper recovers its shortfall below E_ref (equations of the
@@ -53,7 +53,7 @@ def respond(run: SampledRun[AdaptiveReferenceParameters, _AdaptiveReferenceState
 
 
 def below_reference(state: _AdaptiveReferenceState, observed: float, h_i: float) -> float:
-    """Return the energy observed less its reference [J], 0 while it rises; then the reference is fitted to it.
+    """Return the energy observed minus its reference [J], 0 while it rises; then the reference is fitted to it.
 
     Args:
         state: State of the axis; its coefficient is updated.

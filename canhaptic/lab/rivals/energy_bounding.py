@@ -87,7 +87,7 @@ def respond(run: SampledRun[Device, _EnergyBoundingState], hold: Hold, asked: As
 
 
 def known_energy(device: Device, sample_time: float, state: _EnergyBoundingState, hold: Hold) -> float:
-    """Take the hold that ended and return E_n less the encoder's uncertainty [J]."""
+    """Take the hold that ended and return E_n minus the encoder's uncertainty [J]."""
     count, periods = device.count, hold.elapsed / sample_time
     moved = max(0.0, abs(hold.displacement) - count)
     booked = add(state.energy, hold.h_i + device.damping * (moved * moved) / (periods * device.longest))

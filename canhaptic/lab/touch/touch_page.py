@@ -202,7 +202,7 @@ class _SideView:
         return plane
 
     def draw_notches(self, pitch: float) -> None:
-        """Draw detents as hills between notches; their pitch is that of the scene where it is 0 [m or rad]."""
+        """Draw detents as hills between notches; a pitch of 0 means the scene's [m or rad]."""
         if self._touched.notches:
             place, pitch = self._touched.notches[0], pitch or self._touched.notches[1]
             across = np.linspace(*self._touched.shown[0], 2001)

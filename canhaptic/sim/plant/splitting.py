@@ -99,7 +99,7 @@ class Splitting:
         return force
 
     def residual(self, force: float) -> float:
-        """Sum of the forces along the displacement that a given force causes, less that force."""
+        """Sum of the forces along the displacement that a given force causes, minus that force."""
         self._machine.restore(self._saved)
         state = self._machine.state
         state[self._effort], state[self._travel] = force, 0.0

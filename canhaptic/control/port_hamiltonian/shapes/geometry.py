@@ -128,7 +128,7 @@ def check_length(owner: str, name: str, seen: int, dimensions: int) -> None:
 
 
 class Surface(Parameters):
-    """Material behind a surface: a spring and a damper side by side, felt where the distance is negative."""
+    """Material behind a surface: a spring and a damper in parallel, felt where the distance is negative."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]
     """Stiffness of the spring behind the surface."""

@@ -1,4 +1,4 @@
-"""A flat wall that moves to and fro by itself; the energy of its mover enters the account through a port of its own."""
+"""A flat wall that oscillates; the energy of its mover enters the account through a separate port."""
 
 import math
 from typing import Annotated

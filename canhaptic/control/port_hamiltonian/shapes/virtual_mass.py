@@ -1,4 +1,4 @@
-"""A virtual mass carried through a spring and a damper, free on a viscous floor or held by a spring of its own."""
+"""A virtual mass carried through a spring and a damper, free on a viscous floor or held by its own spring."""
 
 from typing import Annotated
 

@@ -104,7 +104,7 @@ class GuidedPlant(Plant):
         self._legs = {round(leg.begins * _NS / sample_time_ns) * sample_time_ns: leg for leg in course}
 
     def begin(self, now: int) -> None:
-        """Start the clock, and the first leg where it begins at once."""
+        """Start the clock, and the first leg if it begins at once."""
         super().begin(now)
         self._turn(now)
 

@@ -1,4 +1,4 @@
-"""A simulated force sensor with a node of its own: it answers each SYNC with one frame, once it is operational."""
+"""A simulated force sensor with its own CAN node: it answers each SYNC with one frame, once it is operational."""
 
 from collections.abc import Callable
 

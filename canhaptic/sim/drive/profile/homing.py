@@ -43,7 +43,7 @@ class Homing:
         self.leave()
 
     def leave(self) -> None:
-        """End homing, as where the drive is disabled or has another mode; the zero stays."""
+        """End homing, as when the drive is disabled or changes its mode; the zero stays."""
         self.bits = _REACHED
         self._was_asked = self._is_active = False
         self._integral = 0.0

@@ -1,4 +1,4 @@
-"""A one-sided contact of springy, damped faces, as a part: used by the hard stop and by each flank of backlash.
+"""A one-sided contact of springy, damped faces, used by the hard stop and by each flank of backlash.
 
 Two modes. Touching: force = stiffness * depth + damping * d(depth)/dt on both sides, and only while it pushes. Apart:
 no force; the dented face creeps back, d(depth)/dt = -stiffness / damping * depth (at once without damping), and contact

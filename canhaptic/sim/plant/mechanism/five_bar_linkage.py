@@ -701,7 +701,7 @@ class FiveBarMotion(SampleClock):
 
     @property
     def stored_error(self) -> float:
-        """Energy of the state less the accounts of both motors [J]: the integrator's error."""
+        """Energy of the state minus the accounts of both motors [J]: the integrator's error."""
         return self.stored - self._stored_at_start - sum(self.energy(axis).stored for axis in (0, 1))
 
     def _stuck(self, step: float) -> ParameterError:
