@@ -103,7 +103,7 @@ def outside_of(environment: Environment) -> float:
 
 
 def knows_turns(environment: Environment) -> bool:
-    """Whether `one_way` of an environment is reliable: it states where the effort of this very contact reverses."""
+    """Whether `one_way` of an environment is reliable: it states where the effort of this contact reverses."""
     if not hasattr(environment, "one_way"):
         return False
     return not _is_ours(environment, "one_way") or _is_ours(environment, "contact", "true_state")
@@ -210,7 +210,7 @@ Side = Literal["below", "above"]
 
 
 class Everywhere:
-    """Common part of environments: felt everywhere, moved by the axis, and nothing relaxes."""
+    """Common part of environments that are felt everywhere, follow the axis, and never relax."""
 
     relaxes: ClassVar[bool] = False
 

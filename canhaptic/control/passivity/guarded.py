@@ -275,7 +275,7 @@ def render(
 def permitted_size(
     settings: GuardedSettings, state: GuardedState, memory: Memory, torque: float, energy: float, moved: float
 ) -> tuple[float, int]:
-    """Largest permitted magnitude of a torque, at most its own [N or N*m], and its certificate.
+    """Permitted part of a torque's magnitude [N or N*m], and its certificate.
 
     Limits and certificates bound it.
 

@@ -132,7 +132,7 @@ def dissipate(tables: NetworkTables, displacement: Buffer, sample_time: float, r
 
 
 def write_losses(model: NetworkModel, sample: NetworkSample) -> None:
-    """Write the efforts of the step, and flow and effort of every dissipator at them."""
+    """Write the efforts of the step, and the resulting flow and effort of every dissipator."""
     tables, state, room = model.tables, sample.state, sample.room
     discrete_gradient(tables, state, room.step, room.efforts, room.slopes)
     if tables.by_functions:

@@ -95,7 +95,7 @@ def initiates(request: bytes) -> bool:
 
 
 def first_answer(request: bytes) -> bytes:
-    """Return how the first answer to a request begins, unless it is an abort: specifier and object."""
+    """Return the first bytes of a normal answer to a request: specifier and object."""
     specifier = _UPLOAD_ANSWER if request[0] & _SPECIFIER == _UPLOAD else _DOWNLOAD_ANSWER
     return bytes([specifier]) + request[1:4]
 

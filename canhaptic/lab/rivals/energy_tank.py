@@ -1,4 +1,4 @@
-"""`energy_tank`: the spring beyond a constant stiffness takes its energy from a tank, at most what the tank holds.
+"""`energy_tank`: the spring beyond a constant stiffness takes its energy from a tank, up to its content.
 
 The force is K_c x + b x (K - K_c) + d v with 0 <= b <= 1. The tank holds T: what the damper dissipates flows in while T
 is below `most_energy`, what the variable spring takes up flows in, and what it gives back flows out. b is the largest

@@ -612,7 +612,7 @@ def _keys(field: MapField, chosen: Chosen) -> tuple[str, str, str | None]:
 def _check(field: MapField, chosen: Chosen) -> None:
     for name in (chosen.x, chosen.y):
         if name is not None and name not in field.keys:
-            raise InputError(f"--x, --y: {name!r} was not varied in numbers, expected of: {', '.join(field.keys)}")
+            raise InputError(f"--x, --y: {name!r} was not varied in numbers, expected one of: {', '.join(field.keys)}")
     if chosen.x is not None and chosen.x == chosen.y:
         raise InputError(f"--x and --y: got {chosen.x} twice; give two keys")
     if chosen.metric is not None and not field.has(chosen.metric):

@@ -220,7 +220,7 @@ def _wall_time(times: list[int]) -> WallTime:
 
 
 def workload() -> None:
-    """Do the fixed workload to which every time is related."""
+    """Run the fixed workload with which every time is compared."""
     matrix, state = np.eye(6) * 0.999, np.ones(6)
     product = matrix.dot
     for _ in range(_PRODUCTS):

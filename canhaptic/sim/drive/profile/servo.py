@@ -77,7 +77,7 @@ class TorqueStage:
 
     @property
     def largest(self) -> float:
-        """Largest torque that 0x6072 and the drive itself permit [N or N*m]; inf where only the type of 0x6071 limits it."""
+        """Largest torque that 0x6072 and the drive itself permit [N or N*m]; inf if only the type of 0x6071 limits."""
         return self._high * self.quantum if self._high < self._target.high else float("inf")
 
     def limit(self, target: int) -> int:
