@@ -11,6 +11,7 @@ from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, ROUNDIN
 from canhaptic.signals import Measured, Sample
 
 if TYPE_CHECKING:
+    from canhaptic.control.mass_felt import MassFelt
     from canhaptic.control.multi_axis.group_controller import AxisGroup
 
 _HELD: Final = Branch.HELD.value
@@ -131,6 +132,7 @@ class PortFigures:
         contacts: Holds in contact.
         silent: Holds in contact whose next torque is zero.
         damping: Sum of the damping rendered in contact [N*s/m].
+        felt: Fit of the mass that is felt; None where none is asked for.
         asked: Sum of the effort requested by the environment of an axis [N].
         rendered: Sum of the effort rendered in those holds [N].
         sizes_asked: Sum of the magnitudes of the requested effort, each at most the drive's limit [N].
@@ -138,8 +140,9 @@ class PortFigures:
     """
 
     __slots__ = (
-        "_lowest", "activity", "asked", "books_least", "contacts", "damping", "damping_asked", "least_at_handle",
-        "least_certain", "least_certain_at_handle", "rendered", "silent", "sizes_asked", "sizes_sent",
+        "_lowest", "activity", "asked", "books_least", "contacts", "damping", "damping_asked", "felt",
+        "least_at_handle", "least_certain", "least_certain_at_handle", "rendered", "silent", "sizes_asked",
+        "sizes_sent",
     )  # fmt: skip
 
     def __init__(
@@ -150,6 +153,7 @@ class PortFigures:
         self._lowest = self.least_certain = self.least_certain_at_handle = 0.0
         self.asked = self.rendered = self.damping = self.sizes_asked = self.sizes_sent = 0.0
         self.contacts = self.silent = 0
+        self.felt: MassFelt | None = None
 
     def measured(self) -> Measured:
         """Return the figures so far that the log holds."""
@@ -195,7 +199,7 @@ class AxisPort(PortFigures):
         super().__init__(
             limits, is_damped=meter.is_damped, books_least=meter.books_least, damping_asked=meter.damping_asked
         )
-        self._meter, self._drive = meter, drive
+        self._meter, self._drive, self.felt = meter, drive, meter.felt
         self._controller = controller if isinstance(controller, _StatesResolution) else None
         self._asks = controller if isinstance(controller, _Asks) else None
         self._floor = -inf if controller is None else limits.floor  # of a group only the sum counts

@@ -80,6 +80,7 @@ _OF_AN_AXIS: Final = (
     "dry_run",
     "withheld_torque",
     "hold",
+    "mass",
 )
 
 
@@ -203,6 +204,9 @@ def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_t
             "stiffness": port.rendered / port.asked if port.asked else None,
             "damping": port.damping / damping if damping else None,
         }
+    if (felt := port.felt) is not None:
+        asked, mass = felt.asked.mass, felt.mass
+        account["mass"] = {"asked": asked, "felt": mass, "share": None if mass is None else mass / asked}
     if (excess := port.friction_excess) is not None:
         account["friction_excess"] = excess
     if port.books_least:

@@ -71,6 +71,7 @@ class PortAccount:
         active_since: First time at which energy had certainly been given out [s]; None: never.
         advice: Cause and remedy where nothing was rendered; empty otherwise.
         group: Group of the axis, whose account counts; empty for an axis outside groups.
+        mass_felt: Mass felt at an admittance display [kg or kg*m^2]; None: none asked for, or not known.
     """
 
     name: str
@@ -90,6 +91,7 @@ class PortAccount:
     active_since: float | None = None
     advice: str = ""
     group: str = ""
+    mass_felt: float | None = None
 
 
 class Account(Mapping[str, PortAccount]):
@@ -448,4 +450,5 @@ def _port_account(name: str, raw: "RunResult | Inspection") -> PortAccount:
         active_since=whole.get("active_since"),
         advice=whole.get("advice", ""),
         group=group,
+        mass_felt=port["mass"]["felt"] if "mass" in port else None,
     )

@@ -7,13 +7,15 @@ Stored values that no run writes: signs of a damaged log or a faulty logger.
 They are numbers that are not finite, running counts that fall, and rows that do not fit their digest.
 """
 
+from collections.abc import Callable
 from math import inf
-from typing import Final, TypedDict
+from typing import Final, TypedDict, TypeVar
 
 import numpy as np
 
 from canhaptic.control.balance import OUT_OF_CONTACT, Branch, certificates_of
 from canhaptic.control.friction_watch import FrictionDeclared, FrictionWatch
+from canhaptic.control.mass_felt import MassAsked, MassFelt
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, NOT_CHECKED, PortResult, claim_nothing
 from canhaptic.errors import InputError, LogFormatError
 from canhaptic.logs.columns import ACTIVE_LIMITS, DIGEST, FRICTION_DECLARED
@@ -63,6 +65,7 @@ def contacts(branch: Array) -> list[tuple[int, int]]:
     return [(int(start), end - 1) for start, end in zip(rows[edges[::2]], ends, strict=True)]
 
 
+_Compared = TypeVar("_Compared")
 _BLOCK: Final = 65_536  # rows held in memory at a time
 _COUNTS: Final = frozenset({"uncommanded"})
 """Columns that count from the beginning of a run; a recomputation does not have them."""
@@ -143,7 +146,8 @@ class PortRecord(PortFigures):
         self._measured, self._gap = Measured(2.0 * self._unknown, 0.0, 0.0, 1, 0, 0), 1
         self._certificates, self._is_open, self._in = 0, False, 0.0
         self._interaction, self._least = np.longdouble(0.0), 0.0
-        self._watch = _watch(log, f"{name}.{FRICTION_DECLARED}")
+        self._watch = _declared(log, f"{name}.{FRICTION_DECLARED}", lambda of: FrictionWatch(FrictionDeclared(**of)))
+        self.felt = _declared(log, f"{name}.mass_asked", lambda of: MassFelt(MassAsked(**of)))
         self._hold = ""
 
     def _at(self, log: EnergyLog, column: str, row: int) -> float:
@@ -196,8 +200,8 @@ class PortRecord(PortFigures):
         self.sizes_sent += float(np.abs(torque[booked]).sum())
         if self._knows_active:
             self._take_active(log, start, port.read("active", start, stop))
-        if self._watch is not None:
-            self._take_motion(self._watch, log, start, stop, branch)
+        if self._watch is not None or self.felt is not None:
+            self._take_motion(log, start, stop, branch)
         deadlines = log.deadlines(max(0, start - 1), stop)
         if len(deadlines) > 1:
             self._gap = max(self._gap, int(np.diff(deadlines).max()))
@@ -208,13 +212,16 @@ class PortRecord(PortFigures):
                 row = start + int(np.argmax(active & bit > 0))
                 setattr(self.activity, key, int(log.deadlines(row, row + 1)[0]))
 
-    def _take_motion(self, watch: FrictionWatch, log: EnergyLog, start: int, stop: int, branch: Array) -> None:
+    def _take_motion(self, log: EnergyLog, start: int, stop: int, branch: Array) -> None:
         port, booked = log.ports[self._name], branch != Branch.HELD
         names = ("position", "torque_applied", "effort_asked")
         position, torque, asked = (port.read(name, start, stop)[booked].tolist() for name in names)
         deadlines = log.deadlines(start, stop)[booked].tolist()
         for row in zip(position, torque, deadlines, asked, strict=True):
-            watch.take(*row)
+            if self._watch is not None:
+                self._watch.take(*row)
+            if self.felt is not None:
+                self.felt.take(*row[:3])
 
     @property
     def least_interaction(self) -> float:
@@ -272,8 +279,8 @@ def limits_of(log: EnergyLog, name: str) -> ActiveLimits | None:
     return ActiveLimits(numbers.get("floor", -inf), numbers.get("power", inf), numbers.get("sample_time", 0.0))
 
 
-def _watch(log: EnergyLog, name: str) -> FrictionWatch | None:
-    """Check of a run against the dry friction that an attribute declares; None without one.
+def _declared(log: EnergyLog, name: str, build: Callable[[dict[str, float]], _Compared]) -> _Compared | None:
+    """What an attribute declares, such as the dry friction that the motion is compared with; None without it.
 
     Raises:
         LogFormatError: The attribute is damaged.
@@ -281,6 +288,6 @@ def _watch(log: EnergyLog, name: str) -> FrictionWatch | None:
     if name not in log.attributes:
         return None
     try:
-        return FrictionWatch(FrictionDeclared(**log.decoded(name, dict[str, float]())))
+        return build(log.decoded(name, dict[str, float]()))
     except TypeError as error:
         raise LogFormatError(f"{log.path}: attribute {name} cannot be used ({error}); the file is damaged") from error

@@ -40,6 +40,7 @@ from canhaptic.control.environments.environment import Environment
 
 if TYPE_CHECKING:
     from canhaptic.control.friction_watch import FrictionWatch
+    from canhaptic.control.mass_felt import MassFelt
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +97,11 @@ class AxisMeter:
         position: Last booked position [m or rad].
         asked: Force of the environment's spring at the last position; 0 out of contact [N or N*m].
         books_least: Whether the algorithm books the least energy that may have come in.
+        felt: Fit of the mass that is felt, of an admittance display whose environment is a mass.
     """
 
     books_least: ClassVar[bool] = False
+    felt: "MassFelt | None" = None
 
     __slots__ = (
         "_blur",
@@ -234,13 +237,23 @@ class AxisMeter:
 
 
 class SilentMeter(AxisMeter):
-    """Meter of an admittance display: its algorithm itself subtracts the uncertainty of its sensors."""
+    """Meter of an admittance display: its algorithm itself subtracts the uncertainty of its sensors.
+
+    Args:
+        felt: Fit of the mass that is felt; None where the environment is no mass.
+    """
 
     books_least = True
+
+    def __init__(self, felt: "MassFelt | None" = None) -> None:
+        super().__init__()
+        self.felt = felt
 
     def leave_open(self, torque: float, time: int, booked: float) -> None:
         """No-op."""
 
     def take(self, position: float, torque: float, deadline: float, touches: bool) -> None:
-        """Take the position [m or rad]."""
+        """Take the position [m or rad], and the mass that is felt from it and the force."""
         self.position = position
+        if self.felt is not None:
+            self.felt.take(position, torque, int(deadline))

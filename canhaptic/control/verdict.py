@@ -131,6 +131,7 @@ class PortResult(_Flows, total=False):
     energy_allowance: float
     friction_excess: float
     rendered: RenderedShares
+    mass: dict[str, float | None]  # of an admittance display: asked, felt (None: not known) [kg or kg*m^2], share
     read_back: str
     hold: str  # whether a hands-off test found in which hold the torques of this drive act; of a group the worst
     read_back_bound: float | None
@@ -352,6 +353,7 @@ def claim_nothing(account: PortResult) -> None:
     account["dry_run"] = True
     account["certificate"], account["certificates"] = Certificate.NONE.name.lower(), []
     account["damping_rendered"] = {"least": 0.0, "most": 0.0}
+    account.pop("mass", None)
     if "contact" in account:
         contact = account["contact"]
         contact["without_torque"] = contact["holds"]

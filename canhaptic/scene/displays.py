@@ -3,10 +3,11 @@
 A scene without one loads nothing of it.
 """
 
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from canhaptic.control.admittance import build_display_group
 from canhaptic.control.admittance.port import AdmittanceProperties
+from canhaptic.control.mass_felt import MassAsked, MassFelt
 from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
 from canhaptic.errors import InputError, ParameterError
@@ -56,6 +57,23 @@ def build_group_of_displays(scene: Scene, group: GroupScene) -> "GroupController
     return build_display_group(
         group.network.parameters, group.passivity.name, group.passivity.parameters, properties, kinematics
     )
+
+
+def mass_felt(scene: Scene, axis: AxisScene) -> MassFelt | None:
+    """Fit of the mass felt on an axis; None where its environment, or that of its group along it, is no mass."""
+    group = next((of for of in scene.groups if of.name == axis.group), None)
+    part = axis.environment if group is None else group.network
+    if part.name != "virtual_mass" or (group is not None and group.kinematics.name != "identity"):
+        return None
+    environment: Any = part.parameters
+    if group is not None:
+        environment = environment.of_axis(group.axes.index(axis.parameters.name))
+    properties = display_properties(axis)
+    return MassFelt(MassAsked(
+        environment.mass, environment.stiffness, low=max(environment.lower_wall, properties.position_low),
+        high=min(environment.upper_wall, properties.position_high),
+        sample_time=properties.sample_time, count=properties.encoder_count,
+    ))  # fmt: skip
 
 
 def check_display(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: Diagnostics) -> None:

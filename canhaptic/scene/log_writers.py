@@ -120,6 +120,8 @@ def _active_attributes(scene: Scene) -> dict[str, Attribute]:
         limits = active_limits([meters[axis].accuracy for axis in axes], allowance)
         finite = {key: value for key, value in limits._asdict().items() if isfinite(value)}
         found[f"{name}.{ACTIVE_LIMITS}"] = json.dumps(finite)
+    fits = {name: meter.felt for name, meter in meters.items() if meter.felt is not None}
+    found |= {f"{name}.mass_asked": json.dumps(asdict(felt.asked)) for name, felt in fits.items()}
     return found
 
 

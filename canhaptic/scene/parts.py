@@ -205,7 +205,9 @@ def build_axis_meters(scene: Scene) -> list[AxisMeter]:
 
 def _axis_meter(scene: Scene, axis: AxisScene) -> AxisMeter:
     if axis.parameters.admittance is not None:
-        return SilentMeter()
+        from canhaptic.scene.displays import mass_felt
+
+        return SilentMeter(mass_felt(scene, axis))
     environment = None if axis.group or axis.guard else plain(cast(Environment, axis.environment.parameters))
     if (declared := friction_declared(axis)) is None:
         return AxisMeter(accuracy_of(scene, axis), environment)

@@ -8,7 +8,7 @@ from rich.console import Group, RenderableType
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE, PortResult, Verdict
 from canhaptic.result import TruthResult
-from canhaptic.view.run_lines import Result, first_active, heading, headlines, line, ordered
+from canhaptic.view.run_lines import Result, first_active, heading, headlines, line, mass_text, ordered
 from canhaptic.view.si import si
 from canhaptic.view.table import Cell, Styled, Table, in_lines
 
@@ -196,6 +196,7 @@ _PORT_ROWS: Final[tuple[tuple[str, Callable[[PortResult], str | Styled]], ...]] 
     ("damping rendered", _damping),
     ("damping rendered, of requested", _share("damping")),
     ("stiffness rendered, of requested", _share("stiffness")),
+    ("mass felt", lambda port: f"{mass_text(port)}   "),
     ("cycles of contact without torque", _silent),
     ("the account is certain to", _resolution),
     ("longest time between torque updates", _longest_hold),

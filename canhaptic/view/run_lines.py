@@ -10,6 +10,7 @@ from rich.segment import Segment
 from rich.table import Table as TerminalTable
 from rich.text import Text
 
+from canhaptic.axis_units import mass_unit
 from canhaptic.control.verdict import Headline, PortResult
 from canhaptic.view.si import si
 from canhaptic.view.terminal import visible
@@ -77,6 +78,8 @@ def _first_figures(port: PortResult) -> list[str]:
     share = port["rendered"]["stiffness"] if "rendered" in port else None
     if share is not None:
         found.append("stiffness as requested" if share > _WHOLE else f"stiffness {100.0 * share:.3g} % of requested")
+    if "mass" in port:
+        found.append(f"mass felt {mass_text(port)}")
     certificate = port.get("certificate", "none")
     if port["verdict"] == "yes" and certificate not in ("none", "exact"):
         found.append(f"guarantee rests on: {certificate.replace('_', ' ')}")
@@ -201,3 +204,11 @@ def first_active(port: PortResult) -> str:
     """First time at which the net energy of a port was below zero, with its contact where that is known."""
     contact = f" (contact {port['first_active_contact']})" if port.get("first_active_contact") else ""
     return f"{port['first_active']:.4g} s{contact}"
+
+
+def mass_text(port: PortResult) -> str:
+    """Mass that was felt at an admittance display, with the mass asked for and the share of it."""
+    mass, unit = port["mass"], mass_unit(port["unit"])
+    if (felt := mass["felt"]) is None:
+        return f"not known, {mass['asked']:.3g} {unit} requested"
+    return f"{felt:.3g} {unit}, {100.0 * (mass['share'] or 0.0):.3g} % of requested"

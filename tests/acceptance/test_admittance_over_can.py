@@ -112,6 +112,25 @@ def test_the_same_scene_gives_the_same_frames_and_every_reader_agrees(
     capsys.readouterr()
 
 
+def test_a_guard_that_acts_makes_the_mass_heavier_and_every_reader_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Felt is at least M + c T (delay + n) / 2, by the guide to admittance displays."""
+    log, bus_log = tmp_path / "run.h5", tmp_path / "run.log"
+    words = ["--set", "environment.mass=0.5", "--set", "duration=1", "--log", str(log), "--bus-log", str(bus_log)]
+    assert main(["run", str(SCENE), *words, "--json"]) == 0
+    mass = json.loads(capsys.readouterr().out)["ports"]["handle"]["mass"]
+    assert (mass["asked"], mass["share"]) == (0.5, pytest.approx(mass["felt"] / 0.5))
+    assert 1.2 < mass["felt"] < 1.8
+    assert main(["inspect", str(log), "--bus-log", str(bus_log), "--json"]) == 0
+    inspected = json.loads(capsys.readouterr().out)
+    assert inspected["ports"]["handle"]["mass"] == pytest.approx(mass, rel=1e-12)
+    assert inspected["rederived"]["ports"]["handle"]["mass"] == pytest.approx(mass, rel=1e-12)
+    assert main(["inspect", str(log)]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert f"mass felt {mass['felt']:.3g} kg, {100 * mass['share']:.3g} % of requested" in shown
+
+
 @pytest.mark.slow
 def test_two_displays_on_a_path_have_one_account_and_every_reader_agrees(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

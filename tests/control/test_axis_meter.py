@@ -128,7 +128,7 @@ def test_the_friction_that_is_declared_is_compared_with_every_hold_that_the_mete
 
 
 def test_a_silent_meter_knows_the_position_alone() -> None:
-    meter = SilentMeter(Accuracy(position=1.0, largest_speed=1.0))
+    meter = SilentMeter()
     meter.leave_open(1.0, 1, 1.0)
     meter.take(0.5, 1.0, 0, touches=True)
     meter.take(0.7, 2.0, 1, touches=True)

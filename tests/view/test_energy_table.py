@@ -143,6 +143,7 @@ def test_a_port_is_passive_in_doubt_or_not(least: float, uncertainty: float, ver
         ("the account is certain to", {"read_back": "none", "energy_resolution": 0.2}, "+-200.0 mJ"),
         ("the account is certain to", {"read_back": "actual", "energy_resolution": 2.5e-3}, "+-2.500 mJ"),
         ("stiffness rendered, of requested", {"rendered": {"stiffness": 0.875, "damping": None}}, "87.5 %"),
+        ("mass felt", {"mass": {"asked": 3.0, "felt": 2.9607, "share": 0.9869}}, "2.96 kg, 98.7 % of requested"),
         ("cycles of contact without torque", {"contact": {"holds": 40, "without_torque": 3}}, "3 of 40"),
         (
             "cycles of contact without torque",

@@ -39,6 +39,10 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
          "passive: yes · 136 mJ in, 37.6 mJ out · stiffness 98.5 % of requested · guarantee rests on: hand force"),
         ({"passive": "yes", "in": 0.1, "out": 0.0, "rendered": {"stiffness": 1.38, "damping": None}},
          "passive: yes · 100 mJ in, 0 J out · stiffness as requested"),
+        ({"passive": "yes", "unit": "m", "mass": {"asked": 3.0, "felt": 2.9607, "share": 0.9869}},
+         "passive: yes · mass felt 2.96 kg, 98.7 % of requested"),
+        ({"passive": "yes", "unit": "rad", "mass": {"asked": 0.02, "felt": None, "share": None}},
+         "passive: yes · mass felt not known, 0.02 kg*m^2 requested"),
         ({"passive": "yes", "dry_run": True}, "dry run, no torque was sent"),
     ],
 )  # fmt: skip
