@@ -259,10 +259,10 @@ def _stable_stiffness(scene: Scene) -> float | None:
 
 JUDGEMENTS: Final = {
     "stable": "stable",
-    "passive": "true sum(h_i) >= 0",
+    "passive": "net energy from the plant >= 0",
     "margin": "margin of (4) >= 0",
-    "settled": "true sum(h_i) at the end >= 0",
-    "covered": "true sum(h_i) + what the device dissipates >= 0",
+    "settled": "net energy from the plant at the end >= 0",
+    "covered": "net energy from the plant, with what the device dissipates, >= 0",
 }
 """Name -> meaning of passing, in words."""
 _ENERGIES: Final = {
