@@ -1,7 +1,7 @@
 """The text of a scene with some values replaced; comments, order and everything else are unchanged."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, NamedTuple
 
 import yaml
@@ -37,13 +37,25 @@ def edited_scene(scene: Scene, changes: Sequence[Change], place: str, *, allow_c
         SceneError: The scene with the changes is none.
     """
     overrides = [Change(*split_override(text)) for text in scene.overrides]
-    text = edited_text(scene.text, [*overrides, *changes])
+    text = edited_text(scene.text, [*overrides, *changes, *_kept_apart(scene.text, changes)])
     typed = [f"{'.'.join(_quoted(change.path))}={change.value}" for change in changes if change.value is not None]
     expected = scene_from_text(scene.text, place, [*scene.overrides, *typed], allow_code=allow_code)
     if scene_from_text(text, place, allow_code=allow_code).resolved() != expected.resolved():
         raise InputError(f"{scene.source}: cannot be edited line by line: anchors, or values over several lines; "
                          "write each value of each axis where it belongs, on a line of its own")  # fmt: skip
     return text
+
+
+def _kept_apart(text: str, changes: Sequence[Change]) -> Iterator[Change]:
+    """Yield the old value of each key that an axis would take over by an anchor from one whose key changes."""
+    axes, changed = _child(compose(text), "axes"), {change.path for change in changes if change.value is not None}
+    others = enumerate(axes.value if isinstance(axes, yaml.SequenceNode) else ())
+    merging = [(str(n), axis) for n, axis in others if _child(axis, "<<") is not None]
+    for top, name, key in [path for path in sorted(changed) if len(path) == len(("axes", "0", "key"))]:
+        before = _child(_child(axes, name), key)
+        for place, axis in merging if top == "axes" else ():
+            if _child(axis, key) is None and (path := (top, place, key)) not in changed:
+                yield Change(path, "null" if before is None else text[before.start_mark.index : before.end_mark.index])
 
 
 def edited_text(text: str, changes: Iterable[Change]) -> str:
