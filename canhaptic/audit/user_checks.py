@@ -55,6 +55,8 @@ def check(result: Checked, expression: str) -> list[Outcome]:
     Raises:
         InputError: The expression cannot be read, names nothing in the result, or has the unit of something else.
     """
+    if not result.get("cycles", 1):  # a log that ended before its first flush shows nothing, and no check may pass
+        raise InputError(f"check {expression!r}: the run has no cycle; expected at least one, record it again")
     if expression.strip().rpartition(".")[2] == _VERDICT:
         return _verdicts(result, expression)
     match = _EXPRESSION.fullmatch(expression)

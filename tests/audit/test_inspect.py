@@ -118,6 +118,15 @@ def test_a_part_says_where_it_begins_and_ends(log: Path) -> None:
     assert (part["from"], part["to"], part["cycles"]) == pytest.approx((1.0, 2.999, 2000))
 
 
+def test_no_check_passes_on_a_log_that_holds_no_cycle(tmp_path: Path) -> None:
+    write_run(tmp_path / "run.h5", 0)
+    with EnergyLog.open(tmp_path / "run.h5") as opened:
+        result = inspect(opened)
+    for expression in ("passive", "margin >= -1 uJ"):
+        with pytest.raises(InputError, match="the run has no cycle"):
+            check(result, expression)
+
+
 def test_a_part_without_a_cycle_is_refused(log: Path) -> None:
     with EnergyLog.open(log) as opened, pytest.raises(InputError, match=r"the log ends at 3\.999 s"):
         inspect(opened, 5.0, None)
