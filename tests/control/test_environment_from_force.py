@@ -137,7 +137,7 @@ class NotchesByEnergy(OwnEnvironment):
 
 @pytest.mark.parametrize("kind", [Notches, NotchesByEnergy])
 def test_a_force_that_points_away_is_refused_with_its_place_and_the_remedy(kind: type[OwnEnvironment]) -> None:
-    with pytest.raises(ParameterError, match=r"effort\(0\.1\d+\) is -.*points back to state 0.*take `detents`"):
+    with pytest.raises(ParameterError, match=r"effort\(0\.1\d+\) is -.*points back to state 0.*use `detents`"):
         kind()
 
 

@@ -126,7 +126,7 @@ def test_an_own_entry_runs_where_it_is_allowed_and_counts_as_what_it_is(tmp_path
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--scenes", "nowhere"], "none of: beyond_colgate"),
+        (["--scenes", "nowhere"], "nor one of: beyond_colgate"),
         (["--scenes", "configs/two_handles.yaml"], "expected"),
         (["--algorithms", "gaurded"], "gaurded"),
         (["--entry", "nowhere.py:Mine", "--allow-code"], "nowhere.py"),
