@@ -48,14 +48,17 @@ def edited_scene(scene: Scene, changes: Sequence[Change], place: str, *, allow_c
 
 def _kept_apart(text: str, changes: Sequence[Change]) -> Iterator[Change]:
     """Yield the old value of each key that an axis would take over by an anchor from one whose key changes."""
-    axes, changed = _child(compose(text), "axes"), {change.path for change in changes if change.value is not None}
-    others = enumerate(axes.value if isinstance(axes, yaml.SequenceNode) else ())
-    merging = [(str(n), axis) for n, axis in others if _child(axis, "<<") is not None]
-    for top, name, key in [path for path in sorted(changed) if len(path) == len(("axes", "0", "key"))]:
-        before = _child(_child(axes, name), key)
-        for place, axis in merging if top == "axes" else ():
-            if _child(axis, key) is None and (path := (top, place, key)) not in changed:
-                yield Change(path, "null" if before is None else text[before.start_mark.index : before.end_mark.index])
+    axes = _child(compose(text), "axes")
+    changed = [change.path[1:] for change in changes if change.path[:1] == ("axes",) and change.value is not None]
+    given = [path for path in changed if _child(_child(axes, path[0]), "<<") is None]  # in a mapping that others merge
+    for n, axis in enumerate(axes.value if isinstance(axes, yaml.SequenceNode) else ()):
+        names = (str(n), getattr(_child(axis, "name"), "value", ""))
+        own = {path[1:] for path in changed if path[0] in names}
+        for name, *key in given if _child(axis, "<<") is not None else ():
+            if len(key) == 1 and tuple(key) not in own and _child(axis, key[0]) is None:
+                before = _child(_child(axes, name), key[0])
+                value = "null" if before is None else text[before.start_mark.index : before.end_mark.index]
+                yield Change(("axes", str(n), key[0]), value)
 
 
 def edited_text(text: str, changes: Iterable[Change]) -> str:

@@ -98,6 +98,16 @@ def test_a_scene_is_written_with_its_overrides() -> None:
     assert text.count("#") == scene.text.count("#") + 1
 
 
+@pytest.mark.parametrize(("first", "second"), [("0", "1"), ("first", "second")])
+def test_a_key_that_one_axis_gets_is_not_taken_over_by_another_through_an_anchor(first: str, second: str) -> None:
+    scene, place = load_scene(CONFIGS / "two_handles.yaml"), str(CONFIGS / "mine.yaml")
+    alone = edited_scene(scene, [Change(("axes", first, "product_code"), "402")], place)
+    assert [axis.parameters.product_code for axis in scene_from_text(alone, place).axes] == [402, None]
+    both = [Change(("axes", first, "product_code"), "402"), Change(("axes", second, "product_code"), "403")]
+    own = scene_from_text(edited_scene(scene, both, place), place)
+    assert [axis.parameters.product_code for axis in own.axes] == [402, 403]
+
+
 def test_a_value_that_axes_share_by_an_anchor_is_written_for_all_of_them_or_refused() -> None:
     scene = load_scene(CONFIGS / "xy_box.yaml")
     first, second = (Change(("axes", str(axis), "passivity", "moving_mass"), f"0.{axis + 1} kg") for axis in (0, 1))
