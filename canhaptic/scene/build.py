@@ -155,6 +155,31 @@ def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
     return notes
 
 
+def _simulated_side(
+    scene: Scene, channels: "Sequence[str | int | None]", stack: ExitStack
+) -> "tuple[list[DriveGroup], Drives | None]":
+    """Return the simulated drives of each bus and of all; none of a scene with real ones, which loads nothing of it."""
+    if not scene.simulated:
+        return [], None
+    from canhaptic.scene.far_side import all_drives, build_drive_group
+
+    pairs = zip(scene.buses, channels, strict=True)
+    groups = [build_drive_group(scene, _open_bus(of.parameters, on, stack), of.name) for of, on in pairs]
+    return groups, all_drives(scene, groups)
+
+
+def _faulty_buses(scene: Scene, buses: "Sequence[can.BusABC]", stack: ExitStack) -> "dict[int, FaultyBus]":
+    """Return the master's connections to the buses on which the scene names effects, by place of the bus."""
+    faulty: dict[int, FaultyBus] = {}
+    if scene.simulated:
+        from canhaptic.scene.far_side import suffers, with_effects
+
+        for n in [n for n, named in enumerate(scene.buses) if suffers(scene, named.name)]:
+            faulty[n] = with_effects(buses[n], scene, "master", n)
+            stack.callback(faulty[n].shutdown)
+    return faulty
+
+
 _Pace = Literal["real", "free"]
 
 
@@ -182,21 +207,9 @@ class Experiment:
         _require_push(scene, controllers)
         with ExitStack() as stack:
             channels = [_channel(bus.parameters) for bus in scene.buses]
-            groups: list[DriveGroup] = []
-            self.far_side: Drives | None = None
-            if scene.simulated:
-                from canhaptic.scene import far_side
-
-                for named, channel in zip(scene.buses, channels, strict=True):
-                    bus = _open_bus(named.parameters, channel, stack)
-                    groups.append(far_side.build_drive_group(scene, bus, named.name))
-                self.far_side = far_side.all_drives(scene, groups)
+            groups, self.far_side = _simulated_side(scene, channels, stack)
             buses = [_open_bus(b.parameters, channel, stack) for b, channel in zip(scene.buses, channels, strict=True)]
-            faulty: dict[int, FaultyBus] = {}
-            for n, named in enumerate(scene.buses) if scene.simulated else ():
-                if far_side.suffers(scene, named.name):
-                    faulty[n] = far_side.with_effects(buses[n], scene, "master", n)
-                    stack.callback(faulty[n].shutdown)
+            faulty = _faulty_buses(scene, buses, stack)
             self.faulty_buses = {scene.buses[n].name: faulty_bus for n, faulty_bus in faulty.items()}
             self.clock = _build_clock(scene, pace, groups, faulty)
             self.energy_log: EnergyLogWriter | None = None

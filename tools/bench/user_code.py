@@ -275,6 +275,25 @@ def cpu_times() -> tuple[float, float]:
     return (user + nice + system + sum(rest)) / os.sysconf("SC_CLK_TCK"), sum(os.times()[:4])
 
 
+def rows_of(found: dict[tuple[str, str], list[Found]], calm: tuple[str, str]) -> Iterator[Row]:
+    """Rows of every case: computation, skipped SYNCs and longest gap, next to those of the calm package."""
+    base, least, _, shortest = medians(found[calm])
+    for (where, deed), runs in found.items():
+        p99, skipped, late, gap = medians(runs)
+        ends = {one.end for one in runs if one.end}
+        note = f"late holds {late:g}" + "".join(f"; ended: {end}" for end in ends)
+        is_apart = where == "process"
+        yield Row(
+            f"{where}: {deed}, p99 of the computation", p99, "us", "no own code", base, p99 / base,
+            "<= 1.2" if is_apart else "", p99 <= 1.2 * base if is_apart else None, note
+        )  # fmt: skip
+        yield Row(
+            f"{where}: {deed}, skipped SYNCs", skipped, "", "no own code", least, None,
+            "no more" if is_apart else "", skipped <= least if is_apart else None
+        )  # fmt: skip
+        yield Row(f"{where}: {deed}, longest gap between torques", gap, "ms", "no own code", shortest)
+
+
 def main() -> None:
     """Runs every case in turn and publishes the table."""
     parser = argparse.ArgumentParser(description="Whether own code stalls the cycle.")
@@ -288,22 +307,7 @@ def main() -> None:
         for case in cases:
             found[case].append(in_a_process(case, arguments.seconds))
             print(f"{monotonic() - begin:.0f} s: {case}: {found[case][-1]}", file=sys.stderr)
-    base, least, _, shortest = medians(found[cases[0]])
-    rows = []
-    for (where, deed), runs in found.items():
-        p99, skipped, late, gap = medians(runs)
-        ends = {one.end for one in runs if one.end}
-        note = f"late holds {late:g}" + "".join(f"; ended: {end}" for end in ends)
-        is_apart = where == "process"
-        rows.append(
-            Row(f"{where}: {deed}, p99 of the computation", p99, "us", "no own code", base, p99 / base,
-                "<= 1.2" if is_apart else "", p99 <= 1.2 * base if is_apart else None, note)
-        )  # fmt: skip
-        rows.append(
-            Row(f"{where}: {deed}, skipped SYNCs", skipped, "", "no own code", least, None,
-                "no more" if is_apart else "", skipped <= least if is_apart else None)
-        )  # fmt: skip
-        rows.append(Row(f"{where}: {deed}, longest gap between torques", gap, "ms", "no own code", shortest))
+    rows = list(rows_of(found, cases[0]))
     times = sample_to_torque(5_000)
     for name, fraction, target in (("p50", 0.5, 30.0), ("p99", 0.99, 150.0)):
         value = times[int(fraction * len(times))]

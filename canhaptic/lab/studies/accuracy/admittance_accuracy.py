@@ -118,12 +118,7 @@ def study_display(
         "unit": alone.axes[0].parameters.unit,
         "rate": 1.0 / scene.bus.sample_time,
         "holds": holds,
-        "reference": {
-            "ended": ideal.reason or ideal.ended,
-            "travel": float(np.ptp(_positions(ideal), axis=0).max()),
-            "energy": float(ideal.interaction[-1]),
-            "apart": _apart(nearly, ideal, 2)[0],
-        },
+        "reference": _reference(ideal, nearly),
         "plant": [],
         "loop": rows,
         "status": "completed",
@@ -138,6 +133,16 @@ def study_display(
         rows.append(_row(variant, ideal, own, holds * steps))
     found["plant"] = [_plant_row(alone, axis, holds) for axis in alone.axes]
     return found
+
+
+def _reference(ideal: AdmittanceRun, nearly: AdmittanceRun) -> Row:
+    """Return the ideal display's figures, and how far it is from the one with half as many holds."""
+    return {
+        "ended": ideal.reason or ideal.ended,
+        "travel": float(np.ptp(_positions(ideal), axis=0).max()),
+        "energy": float(ideal.interaction[-1]),
+        "apart": _apart(nearly, ideal, 2)[0],
+    }
 
 
 def _steps(scene: Scene) -> int:
