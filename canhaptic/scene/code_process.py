@@ -37,6 +37,7 @@ _FREE_WAIT: Final = 10.0  # [s] for an answer at free pace, the only one that ma
 _GOING: Final = 1.0  # [s] from the end of its pipe to its own
 _PRINTED: Final = 1_000_000  # characters that the code may print
 _SLOT: Final = 8192  # [bytes] from one slot to the next; the third has the text of an error
+_LOOKS: Final = 20  # in a sample time, for a sample that is late
 _TRIES: Final = 3  # of reading a slot that is being written
 
 
@@ -229,8 +230,9 @@ class CodeProcess:
             self._count(in_time, index)
         self._asked = index
         self._samples.write(index, self._rig.periods, reports_of(samples, self._places))
-        with suppress(BlockingIOError, BrokenPipeError):
-            os.write(self._wake, b"\0")
+        if self._waits:  # at real pace it looks by itself: to wake another process takes the cycle up to 150 us
+            with suppress(BlockingIOError, BrokenPipeError):
+                os.write(self._wake, b"\0")
 
     def _count(self, in_time: bool, index: int) -> None:
         if in_time:
@@ -328,7 +330,7 @@ def main() -> None:
         require_same_code(scene.own_code, job["own_code"], "the cycle")  # a file may be replaced in between
         law = LaterLaw(scene)
         os.write(answers, b"\0")
-        _answer(law, memory, wake, answers if job["pace"] == "free" else -1, job)
+        _answer(law, memory, wake, answers, job)
     except BaseException as error:  # own code may raise anything
         text = (str(error) if isinstance(error, OwnCodeError) else f"{type(error).__name__}: {error}").encode()[:1000]
         memory[2 * _SLOT + 8 : 2 * _SLOT + 8 + len(text)] = text
@@ -346,22 +348,31 @@ def _answer(law: LaterLaw, memory: mmap.mmap, wake: int, answers: int, job: Mapp
     """Answer each sample, until the cycle has gone."""
     count = len(law.places)
     samples, answered = _Slot(memory, 0, 3 * count), _Slot(memory, _SLOT, count)
-    clock, seen, due, index = WallClock(), 0, 0, -1
-    many = hasattr(os, "sched_getaffinity") and len(os.sched_getaffinity(0)) > 1
-    margin = round(job["spin"] * 0.5e9) if many and answers < 0 else 0
+    clock, seen, due, index = WallClock(spin_margin=0.0), 0, 0, -1
+    is_free, period = job["pace"] == "free", job["period"]
+    margin = _margin(job["spin"], period)
     while True:
-        while samples.sequence == seen:  # spins shortly before the next one is due, where another processor is free
-            left = due - margin - clock.now()
-            if not margin or left > 0 or left < -2 * margin:
-                wait = left * 1e-9 if margin and left > 0 else None
-                if select.select([wake], [], [], wait)[0] and not os.read(wake, 4096):
+        while samples.sequence == seen:
+            now = clock.now()
+            if is_free:
+                if not os.read(wake, 4096):
                     return
+            elif now < due - margin:
+                clock.wait_until(due - margin)
+            elif now > due + 2 * margin:  # the sample is late, or the run pauses: look now and then
+                clock.wait_until(now + period // _LOOKS)
         record = samples.read()
         if record is None or record[0] == index:
             continue
-        seen, due = samples.sequence, clock.now() + job["period"]
+        seen, due = samples.sequence, clock.now() + period
         torques = law.step(record[1], max(0, record[0] - index - 1), record[2:-1])
         index = record[0]
         answered.write(index, 1, torques)
-        if answers >= 0:
+        if is_free:
             os.write(answers, b"\0")
+
+
+def _margin(spin: float, period: int) -> int:
+    """Time before a sample from which to spin [ns]: none where no other processor is free for the cycle."""
+    many = hasattr(os, "sched_getaffinity") and len(os.sched_getaffinity(0)) > 1
+    return min(round(spin * 1e9), period // 4) if many else 0
