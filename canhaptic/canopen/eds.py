@@ -29,18 +29,13 @@ from canhaptic.errors import DictionaryError
 from canhaptic.input_file import read_regular
 
 _OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?")
-_DOMAIN_OBJECT, _VAR, _ARRAY, _RECORD = 2, 7, 8, 9  # object types (CiA 301, table 42)
+_DOMAIN_OBJECT, _VAR, _ARRAY, _RECORD = _OBJECT_TYPES = 2, 7, 8, 9  # (CiA 301, table 42)
 _BARE_HEXADECIMAL: Final = re.compile(
     r"(?=.*[a-f])\d[0-9a-f]*|(?=.*[a-f])(?:[0-9a-f]{2}|[0-9a-f]{4}|[0-9a-f]{8}|[0-9a-f]{16})|\d[0-9a-f]*h"
 )
-_OBJECT_TYPES: Final = frozenset({_DOMAIN_OBJECT, _VAR, _ARRAY, _RECORD})
-_LARGEST_STANDARD_TYPE: Final = datatypes.UNSIGNED64
-_ACCESS_TYPES: Final = frozenset({"ro", "wo", "rw", "rwr", "rww", "const"})
 _LARGEST: Final = 4_000_000  # [B]; the largest known has a tenth of it
-_BIT_RATES_KBIT: Final = (10, 20, 50, 125, 250, 500, 800, 1000)
 
-_Entries = dict[str, str]
-_Sections = dict[str, _Entries]
+_Sections = dict[str, dict[str, str]]
 
 
 class _Source(NamedTuple):
@@ -99,7 +94,7 @@ def _read(path: Path, content: bytes, node_id: int) -> ObjectDictionary:
 def _parse(path: Path, content: bytes) -> _Sections:
     """Return the entries of each section, names and keys in lower case; comments and stray lines left out."""
     sections: _Sections = {}
-    entries: _Entries | None = None
+    entries: dict[str, str] | None = None
     for line in _text(path, content).splitlines():
         line = line.strip()
         if line.startswith("[") and "]" in line:
@@ -157,23 +152,12 @@ def _integer(text: str) -> int | None:
 def _read_device(source: _Source, dictionary: ObjectDictionary) -> None:
     entries = source.sections.get("deviceinfo", {})
     device = dictionary.device_information
-    for rate in _BIT_RATES_KBIT:
+    for rate in (10, 20, 50, 125, 250, 500, 800, 1000):
         if _integer(entries.get(f"baudrate_{rate}", "")):
             device.allowed_baudrates.add(rate * 1000)
-    for key, attribute in (("vendorname", "vendor_name"), ("productname", "product_name"), ("ordercode", "order_code")):
-        setattr(device, attribute, entries.get(key) or None)
-    numbers = (
-        ("vendornumber", "vendor_number"),
-        ("productnumber", "product_number"),
-        ("revisionnumber", "revision_number"),
-        ("nrofrxpdo", "nr_of_RXPDO"),
-        ("nroftxpdo", "nr_of_TXPDO"),
-        ("granularity", "granularity"),
-    )
-    for key, attribute in numbers:
-        setattr(device, attribute, _integer(entries.get(key, "")))
-    bit_rate = _integer(source.sections.get("devicecomissioning", {}).get("baudrate", ""))
-    dictionary.bitrate = bit_rate * 1000 if bit_rate else None
+    device.vendor_name, device.product_name = entries.get("vendorname") or None, entries.get("productname") or None
+    device.vendor_number = _integer(entries.get("vendornumber", ""))
+    device.product_number = _integer(entries.get("productnumber", ""))
 
 
 def _read_dummies(source: _Source, dictionary: ObjectDictionary) -> None:
@@ -231,14 +215,9 @@ def _read_subindices(source: _Source, dictionary: ObjectDictionary) -> None:
             if name in holder.names and holder.names[name].subindex != subindex:
                 name = f"{name} ({subindex})"  # canopen finds members by name first: a name must be one member
             holder.add_member(_read_variable(source, section, index, subindex, name))
-    _add_counts(dictionary)
-
-
-def _add_counts(dictionary: ObjectDictionary) -> None:
-    """Add subindex 0 to the records and arrays that lack it; only the drive knows its value."""
     for holder in dictionary.values():
         if not isinstance(holder, ODVariable) and holder.subindices and 0 not in holder.subindices:
-            first = holder.subindices[min(holder.subindices)]
+            first = holder.subindices[min(holder.subindices)]  # only the drive knows the value of subindex 0
             _add_count(holder, "rw" if first.writable else "ro")
 
 
@@ -254,7 +233,7 @@ def _read_variable(source: _Source, section: str, index: int, subindex: int, nam
     variable.data_type = _data_type(source, section)
     access = entries.get("accesstype", "").lower()
     # Not given: only the drive can tell, so nothing may be refused for it.
-    variable.access_type = access if access in _ACCESS_TYPES else "rw"
+    variable.access_type = access if access in ("ro", "wo", "rw", "rwr", "rww", "const") else "rw"
     variable.pdo_mappable = bool(_integer(entries.get("pdomapping", "")))
     low = _value(source, variable, entries.get("lowlimit", ""))
     high = _value(source, variable, entries.get("highlimit", ""))
@@ -289,7 +268,7 @@ def _data_type(source: _Source, section: str) -> int:
             return datatypes.DOMAIN
         seen = repr(entries["datatype"]) if "datatype" in entries else "no entry"
         raise source.fault(section, f"DataType: got {seen}, expected a number such as 0x0006; correct the file")
-    if data_type > _LARGEST_STANDARD_TYPE:  # defined by the file itself, as [A0] with its type in [A0sub1]
+    if data_type > datatypes.UNSIGNED64:  # defined by the file itself, as [A0] with its type in [A0sub1]
         defined = source.sections.get(f"{data_type:x}sub1", {}).get("defaultvalue", "")
         data_type = _integer(defined) or datatypes.DOMAIN
     return data_type
@@ -326,8 +305,6 @@ def _held_by(variable: ODVariable, number: int) -> int | None:
 
 
 def _number(text: str, node_id: int) -> int | None:
-    relative = re.sub(r"\+?\$NODEID\+?", "", text.replace(" ", ""), flags=re.IGNORECASE)
-    if relative == text.replace(" ", ""):
-        return _integer(text)
-    offset = _integer(relative) if relative else 0
-    return None if offset is None else offset + node_id
+    relative, count = re.subn(r"\+?\$NODEID\+?", "", text.replace(" ", ""), flags=re.IGNORECASE)
+    offset = _integer(relative) if relative or not count else 0
+    return offset + node_id if count and offset is not None else offset

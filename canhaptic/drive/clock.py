@@ -9,6 +9,7 @@ Durations of a whole run in constant memory: a histogram with bins of 1 us and a
 
 import time
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import TYPE_CHECKING, Final, Protocol
 
 from canhaptic.signals import SimulatedPeer
@@ -16,9 +17,7 @@ from canhaptic.signals import SimulatedPeer
 if TYPE_CHECKING:
     import can
 
-_POLL_STOP: Final = 20_000  # [ns] before a deadline from which the bus is no longer polled, so that none is overslept
 _NEVER: Final = 1 << 62  # [ns], later than any deadline
-_SHORTEST_SLEEP: Final = 60_000  # [ns]; a shorter sleep takes this long anyhow
 
 
 class Clock(Protocol):
@@ -63,7 +62,7 @@ class WallClock:
         now = time.monotonic_ns()
         while True:
             idle = self._process(deadline, now)
-            if deadline - now <= _POLL_STOP:
+            if deadline - now <= 20_000:  # [ns]: polling on could oversleep the deadline
                 break
             message = bus.recv(idle)  # simulated drives have answered; frames of others end the wait at once
             if message is not None:
@@ -78,32 +77,9 @@ class WallClock:
         wake = deadline
         for far_side in self._far_sides:
             far_side.process(now)
-            due = far_side.next_due()
-            if due < wake:
-                wake = due
+            wake = min(wake, far_side.next_due())
         idle = wake - self._margin - time.monotonic_ns()
-        return idle * 1e-9 if idle > _SHORTEST_SLEEP else 0.0
-
-
-class _FarSides:
-    """Several simulated peers, or none, as one (a `SimulatedPeer`)."""
-
-    def __init__(self, far_sides: Sequence[SimulatedPeer]) -> None:
-        self._far_sides = far_sides
-
-    def process(self, now: int) -> None:
-        """Let all act up to `now` [ns]."""
-        for far_side in self._far_sides:
-            far_side.process(now)
-
-    def next_due(self) -> int:
-        """Return when the first of them is due [ns]."""
-        earliest = _NEVER
-        for far_side in self._far_sides:
-            due = far_side.next_due()
-            if due < earliest:
-                earliest = due
-        return earliest
+        return idle * 1e-9 if idle > 60_000 else 0.0  # a shorter sleep takes this long anyhow
 
 
 class VirtualClock:
@@ -117,9 +93,10 @@ class VirtualClock:
     def __init__(self, far_sides: Sequence[SimulatedPeer] = (), start: int = 0) -> None:
         self._far_sides = tuple(far_sides)
         self._now = start
-        # One simulated peer, the usual case, is called without a loop: this runs for every frame.
-        only = self._far_sides[0] if len(self._far_sides) == 1 else _FarSides(self._far_sides)
-        self._process, self._next_due = only.process, only.next_due
+        if len(self._far_sides) == 1:  # the usual case, without a loop: this runs for every frame
+            self._process, self._next_due = self._far_sides[0].process, self._far_sides[0].next_due
+        else:
+            self._process, self._next_due = self._process_all, lambda: self._next_after(-1)
 
     def now(self) -> int:
         """Return virtual time [ns]."""
@@ -144,6 +121,10 @@ class VirtualClock:
                 self._now = deadline
                 return None
             self._now = event
+
+    def _process_all(self, now: int) -> None:
+        for far_side in self._far_sides:
+            far_side.process(now)
 
     def _next_event(self, now: int) -> int:
         """Time of the next event [ns]; an overdue timer cannot stop time."""
@@ -178,19 +159,11 @@ class DurationHistogram:
         """Return the duration [s] that `fraction` of all entries do not exceed, rounded up to a bin; 0 when empty."""
         if not self.total:
             return 0.0
-        needed = fraction * self.total
-        seen = 0
-        for index, count in enumerate(self._counts):
-            seen += count
-            if count and seen >= needed:
-                return min((index + 1) * _BIN, self.maximum) * 1e-9 if index < _BINS else self.maximum * 1e-9
-        return 0.0
+        sums = enumerate(accumulate(self._counts))
+        index = next(n for n, seen in sums if seen and seen >= fraction * self.total)
+        return min((index + 1) * _BIN, self.maximum) * 1e-9 if index < _BINS else self.maximum * 1e-9
 
     def summary(self) -> dict[str, float]:
         """Return p50, p99, p99.9 and the maximum [s]."""
-        return {
-            "p50": self.quantile(0.5),
-            "p99": self.quantile(0.99),
-            "p99.9": self.quantile(0.999),
-            "max": self.maximum * 1e-9,
-        }
+        quantiles = {name: self.quantile(part) for name, part in (("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999))}
+        return {**quantiles, "max": self.maximum * 1e-9}

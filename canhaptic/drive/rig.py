@@ -11,6 +11,7 @@ On every error zero torque is sent first, then the drives are disabled, then the
 import threading
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import asdict
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
     from canhaptic.drive.can.background_sdo import BackgroundSdo, SdoLine
     from canhaptic.drive.profile.fitness import Finding
 
-_RECORDS_KEPT: Final = 1000
-_LONGEST_BEHIND: Final = 1.0  # [s] of SYNCs skipped, less those sent, since the computer was last in time
 _tuple: Final = tuple.__new__  # makes a record at half the cost of calling its class
 
 
@@ -80,7 +79,6 @@ class Rig:
     ) -> None:
         self.links = (link,) if isinstance(link, Link) else tuple(link)
         self.drives = tuple(drives)
-        self._axes = tuple(range(len(self.drives)))
         together = {axis: tuple(self.drives[other] for other in group) for group in groups for axis in group}
         self._needed = [(drive, together.get(axis, ())) for axis, drive in enumerate(self.drives)] if groups else []
         self.bus = bus
@@ -98,7 +96,7 @@ class Rig:
         self.sync_index = -1
         self.deadline_index = self._first_deadline = 0
         self.stop_reason = StopReason.NONE
-        self.records: deque[_CycleRecord] = deque(maxlen=_RECORDS_KEPT)
+        self.records: deque[_CycleRecord] = deque(maxlen=1000)
         self._is_running = False
         self.periods, self.uneven = 1, 0
         self._behind = 0  # SYNCs skipped, less those sent since; not below 0
@@ -165,9 +163,10 @@ class Rig:
         self._samples = samples
         self.periods = periods = exchange.periods
         self.uneven = exchange.uneven
-        if self._needed:
-            self._sample_together(samples)
-        else:
+        for drive, others in self._needed:
+            is_whole = all(other.is_complete for other in others)
+            samples.append(drive.sample(index, periods, is_whole=is_whole))
+        if not self._needed:
             for drive in self.drives:
                 samples.append(drive.sample(index, periods))
         for drive in self.drives:
@@ -178,29 +177,22 @@ class Rig:
             self._count_skips(periods)
         return samples
 
-    def _sample_together(self, samples: list[Sample]) -> None:
-        for drive, others in self._needed:
-            is_whole = all(other.is_complete for other in others)
-            samples.append(drive.sample(self.sync_index, self.periods, is_whole=is_whole))
-
     def _count_skips(self, periods: int) -> None:
         """Stop when more SYNCs were skipped than sent for too long: meanwhile a drive holds its last torque."""
         self._behind = max(0, self._behind + periods - 2)
-        limit = max(self.bus.stop_cycles, round(_LONGEST_BEHIND / self.bus.sample_time))
+        limit = max(self.bus.stop_cycles, round(1.0 / self.bus.sample_time))  # at most one second
         if self._behind > limit:
-            reason = StopReason.SYNCS_SKIPPED
-            rule = STOP_TABLE[reason]
+            rule = STOP_TABLE[StopReason.SYNCS_SKIPPED]
             what = f"{rule.meaning} at SYNC {self.sync_index}: {self.skipped_syncs} skipped in all"
             text = f"{what}, recently {limit} more than were sent; torque is zero; {rule.remedy}"
-            raise self._stopped(reason, text)
+            raise self._stopped(StopReason.SYNCS_SKIPPED, text)
 
     def _require_no_other_master(self) -> None:
         for link in self.links:
             if link.intruder:
-                reason = StopReason.SECOND_MASTER
-                rule = STOP_TABLE[reason]
+                rule = STOP_TABLE[StopReason.SECOND_MASTER]
                 text = f"{link.intruder} came from elsewhere: {rule.meaning}; torque is zero; {rule.remedy}"
-                raise self._stopped(reason, text)
+                raise self._stopped(StopReason.SECOND_MASTER, text)
 
     def write_torques(self, torques: Sequence[float]) -> None:
         """Send one torque [N*m or N] per axis, after link policy and limiter, and the master's heartbeat when due.
@@ -214,16 +206,13 @@ class Rig:
             raise self._not_running()
         drives, exchange = self.drives, self._exchange
         computed = exchange.now()
-        commands: list[int] = []
         try:
             if len(torques) != len(drives):
-                raise InputError(
-                    f"write_torques: got {len(torques)} torques for {len(drives)} axes; give each axis one"
-                )
-            for axis in self._axes:
-                commands.append(drives[axis].command_per_mille(torques[axis]))
-            for axis in self._axes:
-                drives[axis].write(commands[axis])
+                text = f"write_torques: got {len(torques)} torques for {len(drives)} axes; give each axis one"
+                raise InputError(text)
+            commands = [drive.command_per_mille(torque) for drive, torque in zip(drives, torques, strict=True)]
+            for drive, command in zip(drives, commands, strict=True):
+                drive.write(command)
             exchange.beat()
         except ControlError as error:
             raise self._stopped(StopReason.CONTROLLER, str(error)) from error
@@ -253,17 +242,10 @@ class Rig:
         place = names.index(axis) if axis in names else axis
         if not isinstance(place, int) or not 0 <= place < len(names):
             raise InputError(f"no axis {axis!r}; expected one of: {', '.join(names)}, or 0 to {len(names) - 1}")
-        from canhaptic.drive.can.background_sdo import BackgroundSdo
-
-        drive = self.drives[place]
-        return BackgroundSdo(drive, self._lines()[self.links.index(drive.link)])
-
-    def _lines(self) -> "tuple[SdoLine, ...]":
-        """Return the SDO traffic of each bus, made with the first request for it; open while the rig runs."""
-        from canhaptic.drive.can.background_sdo import SdoLine
+        from canhaptic.drive.can.background_sdo import BackgroundSdo, SdoLine
 
         with self._making_lines:
-            if not self._sdo_lines:
+            if not self._sdo_lines:  # one for each bus, made with the first request; open while the rig runs
                 self._sdo_lines = tuple(
                     SdoLine(link, has_room=has_room_for_sdo(budget, self.bus))
                     for link, budget in zip(self.links, self.budgets, strict=True)
@@ -272,7 +254,8 @@ class Rig:
                     line.open()
                 for line in () if self._is_running else self._sdo_lines:  # stopped in between
                     line.close()
-        return self._sdo_lines
+        drive = self.drives[place]
+        return BackgroundSdo(drive, self._sdo_lines[self.links.index(drive.link)])
 
     def _not_running(self) -> RigError:
         text = f"the rig is not running (last stop: {self.stop_reason.name}); call start()"
@@ -305,9 +288,8 @@ class Rig:
         finally:
             unconfirmed = self._disable(trust)
         if unconfirmed:
-            raise RigError(
-                f"not confirmed to be disabled: {'; '.join(unconfirmed)}; cut the power of the drive", self.records
-            )
+            text = f"not confirmed to be disabled: {'; '.join(unconfirmed)}; cut the power of the drive"
+            raise RigError(text, self.records)
 
     def end(self, reason: StopReason, what: str) -> RigError:
         """Send zero torque and stop at once for a reason found by the caller; return the exception.
@@ -351,7 +333,11 @@ class Rig:
         detail = details.get(reason, f"state {drive.state.value}, statusword {drive.statusword:#06x}")
         rule = STOP_TABLE[reason]
         what = f"{drive.axis.name}: {rule.meaning} at SYNC {self.sync_index}: {detail}"
-        return f"{what}; torque is zero; {self._emergency_remedy(drive) or rule.remedy}"
+        from canhaptic.canopen.code_texts import emcy_remedy
+
+        code = 0 if drive.emergency is None else drive.emergency.code
+        remedy = emcy_remedy(code, self.bus.master_silence_ns * 1e-9, self.skipped_syncs)
+        return f"{what}; torque is zero; {remedy or rule.remedy}"
 
     def _missed(self, drive: ServoDrive) -> str:
         others = next((others for one, others in self._needed if one is drive), ())
@@ -359,13 +345,6 @@ class Rig:
         together = f" without the TPDOs of all of {names}, which render together" if names else ""
         missing = f" without {drive.culprit}" if drive.culprit and not names else ""
         return f"{drive.policy.missed} SYNCs in a row{missing}{together}, limit {self.bus.stop_cycles}"
-
-    def _emergency_remedy(self, drive: ServoDrive) -> str:
-        """Remedy for the drive's EMCY; "" where its code belongs to the drive's own manual."""
-        code = 0 if drive.emergency is None else drive.emergency.code
-        from canhaptic.canopen.code_texts import emcy_remedy
-
-        return emcy_remedy(code, self.bus.master_silence_ns * 1e-9, self.skipped_syncs)
 
     def reset_faults(self) -> None:
         """Reset the faults of all drives on the operator's request; leave every drive disabled.
@@ -406,7 +385,7 @@ class Rig:
         """Return the counts of all links, the SYNCs skipped and the fraction of SYNCs that every axis answered."""
         counts: dict[str, float] = {"skipped_syncs": self.skipped_syncs}
         for link in self.links:
-            for name, count in link.statistics.as_dict().items():
+            for name, count in asdict(link.statistics).items():
                 counts[name] = counts.get(name, 0) + count
         counts["missed_tpdos"] = sum(drive.unheard for drive in self.drives)
         counts["success_rate"] = min((drive.policy.success_rate() for drive in self.drives), default=1.0)

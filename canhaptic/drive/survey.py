@@ -6,13 +6,14 @@ must supply is a condition, not a refusal. A refusal rests only on what the dict
 Judgement of a dictionary for an admittance display: source of its force, and its limits.
 """
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
 from canopen import ObjectDictionary
-from canopen.objectdictionary import ODVariable, datatypes
+from canopen.objectdictionary import ODVariable
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.force_node import ForceNode
@@ -35,10 +36,10 @@ from canhaptic.drive.profile.fitness import (
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import DictionaryError
 
-_ANALOG_INPUTS: Final = ("0x3160.1", "0x2205.1", "0x2205.0", "0x207C.1")
-"""Analog inputs of maxon EPOS4, Elmo Gold, ZeroErr and maxon EPOS2, as their dictionaries list them."""
+_KINDS: Final[tuple[Literal["RPDO", "TPDO"], ...]] = ("RPDO", "TPDO")
 _TYPES: Final = (DataType.INTEGER16, DataType.INTEGER32)
-DISPLAY_KEYS: Final = (
+
+_DISPLAY_KEYS: Final = (
     ("speed_limit, admittance.acceleration_limit", "largest speed and acceleration that may be commanded"),
     ("admittance.position_low, position_high", "lowest and highest position to which a command may lead"),
     ("admittance.velocity_counts", "counts of 0x60FF for 1 m/s or 1 rad/s; left out: counts of 0x6064 per second"),
@@ -47,7 +48,6 @@ DISPLAY_KEYS: Final = (
     ("admittance.force.frozen_after", "SYNCs with one count after which the sensor counts as frozen"),
 )
 """Keys of an axis that no dictionary supplies, with the reason."""
-_SENSOR_NODE: Final = 9  # node ID of a sensor that is a node of its own, where the drive has no input
 
 
 def _analog_input(dictionary: ObjectDictionary) -> str | None:
@@ -55,7 +55,7 @@ def _analog_input(dictionary: ObjectDictionary) -> str | None:
 
     The object of another make at one of these places may be another thing: it is a proposal.
     """
-    for place in _ANALOG_INPUTS:
+    for place in ("0x3160.1", "0x2205.1", "0x2205.0", "0x207C.1"):  # of maxon EPOS4, Elmo Gold, ZeroErr, maxon EPOS2
         index, _, subindex = place.partition(".")
         uses = (int(index, 16), int(subindex, 16))
         if any(mapping_objection(dictionary, "TPDO", uses[0], kind, uses[1]) is None for kind in _TYPES):
@@ -76,44 +76,9 @@ def display_of(dictionary: ObjectDictionary, mode: Mode, force_object: str | Non
         pydantic.ValidationError: `force_object` is no place of an object.
     """
     place = force_object or _analog_input(dictionary)
-    node = ForceNode(node_id=_SENSOR_NODE) if place is None else None
+    node = ForceNode(node_id=9) if place is None else None  # where the drive has no input
     force = ForceParameters(object=place, node=node, per_count=1.0, range=1e6, slew=1.0, error=0.0)
     return AdmittanceParameters(mode=mode, handle_acceleration=1.0, force=force)
-
-
-def force_finding(dictionary: ObjectDictionary, display: AdmittanceParameters) -> Finding:
-    """Finding of the dictionary about the force of a display."""
-    place = display.force.place
-    if place is None:
-        text = "no analog input is known for this drive; name one (--force-object), or give the sensor its own node"
-        return Finding("force sensor", Verdict.UNKNOWN, text)
-    item = f"{place[0]:#06x}:{place[1]:02x} force"
-    variable = listed(dictionary, *place)
-    kind = _TYPES[1] if variable is not None and variable.data_type == _TYPES[1] else _TYPES[0]
-    if (refusal := mapping_objection(dictionary, "TPDO", place[0], kind, place[1])) is not None:
-        return Finding(item, Verdict.REFUSED, f"{refusal}; name an INTEGER16 or INTEGER32 that a TPDO can carry")
-    return Finding(
-        item, Verdict.UNKNOWN, "in the TPDO with the position: one SYNC for both; confirm that it is an input"
-    )
-
-
-def limit_findings(dictionary: ObjectDictionary) -> list[Finding]:
-    """Limits in the drive in case a display's sensor or master is wrong, and objects that may alter its command."""
-    found = []
-    ramps = [index for index in (od.PROFILE_ACCELERATION, od.MAX_ACCELERATION) if listed(dictionary, index) is not None]
-    stuck = [index for index in ramps if not is_writable(dictionary, index, 0)]
-    listing = ", ".join(f"{index:#06x}" for index in stuck or ramps)
-    if stuck:
-        text = "read-only: no certificate covers a ramp inside the drive; set it with the vendor's tool"
-        found.append(Finding(f"{listing} ramps", Verdict.UNKNOWN, text))
-    elif ramps:
-        found.append(Finding(f"{listing} ramps", Verdict.FIT, "written as steep as they go"))
-    if is_writable(dictionary, od.QUICK_STOP_OPTION, 0):
-        found.append(Finding("0x605a quick stop option", Verdict.FIT, "written: brakes along its ramp, then disabled"))
-    else:
-        text = "not writable: set it with the vendor's tool so that a quick stop brakes (2)"
-        found.append(Finding("0x605a quick stop option", Verdict.UNKNOWN, text))
-    return found
 
 
 RATES: Final = (100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
@@ -121,16 +86,6 @@ RATES: Final = (100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
 MOST_AXES: Final = 16
 """Largest number of axes for which the bus load is computed."""
 _BUS: Final = BusParameters(rate=1000.0)  # of values that depend on it: the defaults
-_SHOWN_IF_REFUSED: Final = ("0x1006", "0x60b0", "0x60b1", "0x60b2", "0x60c2", "0x6074", "0x6077")
-_INTEGER_NAMES: Final = {
-    datatypes.BOOLEAN: "BOOLEAN",
-    datatypes.INTEGER8: "INTEGER8",
-    datatypes.INTEGER16: "INTEGER16",
-    datatypes.INTEGER32: "INTEGER32",
-    datatypes.UNSIGNED8: "UNSIGNED8",
-    datatypes.UNSIGNED16: "UNSIGNED16",
-    datatypes.UNSIGNED32: "UNSIGNED32",
-}
 
 Group = Literal["identity", "torque", "motion", "read-back", "force", "limits", "resolution", "watchdog", "PDO"]
 
@@ -224,16 +179,6 @@ def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
         axis_map = None
     bitrates = tuple(sorted(device.allowed_baudrates))
     bitrate = max((rate for rate in bitrates if rate <= 1_000_000), default=1_000_000)
-    rows = (
-        *_identity(dictionary, findings),
-        *_command(dictionary, axis, findings),
-        *_measured(dictionary, axis, axis_map),
-        *_limits(dictionary, axis, findings),
-        *_resolution(dictionary),
-        *_watchdog(dictionary, findings),
-        *(_as_found(dictionary, "limits", f) for place, f in findings.items() if place[:6] in _SHOWN_IF_REFUSED),
-        *_pdos(dictionary, findings),
-    )
     return Survey(
         dictionary,
         axis,
@@ -242,7 +187,7 @@ def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
         stated_value(dictionary, od.IDENTITY, 1) or device.vendor_number,
         stated_value(dictionary, od.IDENTITY, 2) or device.product_number,
         bitrates,
-        rows,
+        tuple(_rows(dictionary, axis, findings, axis_map)),
         _manual_keys(dictionary, axis),
         axis_map,
         bitrate,
@@ -275,7 +220,10 @@ def _describe(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> st
     variable = _variable(dictionary, index, subindex)
     if variable is None:
         return "not listed"
-    parts = [f"{_type_name(variable.data_type)} {variable.access_type}"]
+    kind = variable.data_type
+    names_it = kind is not None and DataType.BOOLEAN <= kind <= DataType.UNSIGNED32  # the first seven
+    name = "no type" if kind is None else DataType(kind).name if names_it else f"type {kind:#06x}"
+    parts = [f"{name} {variable.access_type}"]
     if isinstance(variable.value, int):
         parts.append(f"value {_number(index, variable.value)}")
     elif isinstance(variable.default, int):
@@ -283,10 +231,6 @@ def _describe(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> st
     if variable.pdo_mappable:
         parts.append("mappable")
     return ", ".join(parts)
-
-
-def _type_name(data_type: int | None) -> str:
-    return "no type" if data_type is None else _INTEGER_NAMES.get(data_type, f"type {data_type:#06x}")
 
 
 def _number(index: int, value: int) -> str:
@@ -306,137 +250,133 @@ def _judged(dictionary: ObjectDictionary, group: Group, finding: Finding, mode: 
     verdict, text = finding.verdict, finding.text
     saved = stated_value(dictionary, index)
     if verdict is Verdict.UNKNOWN and saved is not None:
-        is_right = _is_right(index, saved, mode)
+        is_right = index != od.DEVICE_TYPE or saved & 0xFFFF == od.CIA402_PROFILE
+        if index == od.SUPPORTED_DRIVE_MODES:
+            is_right = bool(saved >> mode - 1 & 1)
         verdict = Verdict.FIT if is_right else Verdict.UNKNOWN
         text = f"{saved:#x} when this file was saved, {'as needed' if is_right else 'not fit'}; the drive is asked"
     return SurveyRow(group, finding.item, _describe(dictionary, index), verdict, text)
 
 
-def _is_right(index: int, saved: int, mode: int) -> bool:
-    """Whether a value that a DCF saved is as needed; `mode` is the axis's."""
-    if index == od.SUPPORTED_DRIVE_MODES:
-        return bool(saved >> mode - 1 & 1)
-    return index != od.DEVICE_TYPE or saved & 0xFFFF == od.CIA402_PROFILE
-
-
 def _as_found(dictionary: ObjectDictionary, group: Group, finding: Finding) -> SurveyRow:
     """Return the row of a finding as it is: a saved value does not change it."""
-    return SurveyRow(
-        group, finding.item, _describe(dictionary, int(finding.item[:6], 16)), finding.verdict, finding.text
-    )
+    return SurveyRow(group, finding.item, _describe(dictionary, int(finding.item[:6], 16)), *finding[1:])
 
 
 # --- the groups ---------------------------------------------------------------------------------------------------
 
 
-def _identity(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> list[SurveyRow]:
-    return [
-        _judged(dictionary, "identity", findings["0x1000"]),
-        _row(dictionary, "identity", "vendor ID", od.IDENTITY, Verdict.FIT, "compared when vendor_id is set", 1),
-        _row(dictionary, "identity", "product code", od.IDENTITY, Verdict.FIT, "compared when product_code is set", 2),
-    ]
-
-
-def _command(dictionary: ObjectDictionary, axis: AxisParameters, findings: dict[str, Finding]) -> list[SurveyRow]:
+def _rows(
+    dictionary: ObjectDictionary, axis: AxisParameters, findings: dict[str, Finding], axis_map: AxisMap | None
+) -> Iterator[SurveyRow]:
+    row, judged, as_found = partial(_row, dictionary), partial(_judged, dictionary), partial(_as_found, dictionary)
+    yield judged("identity", findings["0x1000"])
+    yield row("identity", "vendor ID", od.IDENTITY, Verdict.FIT, "compared when vendor_id is set", 1)
+    yield row("identity", "product code", od.IDENTITY, Verdict.FIT, "compared when product_code is set", 2)
     group: Group = "torque" if axis.admittance is None else "motion"
-    places = ("0x6040", "0x6041", f"{axis.target:#06x}", "0x6064", "0x6502", "0x6060", "0x6061")
-    return [_judged(dictionary, group, findings[place], axis.mode_code) for place in places]
+    for place in ("0x6040", "0x6041", f"{axis.target:#06x}", "0x6064", "0x6502", "0x6060", "0x6061"):
+        yield judged(group, findings[place], axis.mode_code)
+    if axis.admittance is None:
+        yield _read_back(dictionary, axis_map)
+    else:
+        yield _force(dictionary, axis.admittance)
+        yield from _limits_of_display(dictionary)
+    yield row("limits", "max torque", od.MAX_TORQUE, *_max_torque(dictionary, axis, findings["0x6072"]))
+    yield row("limits", "motor rated torque", od.RATED_TORQUE, *_rated_torque(dictionary, axis, findings["0x6076"]))
+    yield row("limits", "motor rated current", od.RATED_CURRENT, Verdict.FIT, "for information; not used")
+    text = "for orientation; counts_per_unit is the configuration's, confirmed by hand motion"
+    yield row("resolution", "encoder increments", od.ENCODER_RESOLUTION, Verdict.FIT, text, 1)
+    text = "for orientation; the gear belongs in counts_per_unit and transmission"
+    yield row("resolution", "gear, motor revolutions", od.GEAR_RATIO, Verdict.FIT, text, 1)
+    yield judged("watchdog", findings["0x1017"])
+    yield row("watchdog", "consumer heartbeat time", od.CONSUMER_HEARTBEAT_TIME, *_watchdog(dictionary), 1)
+    yield as_found("watchdog", findings["0x6007"])
+    for place, finding in findings.items():
+        if place[:6] in ("0x1006", "0x60b0", "0x60b1", "0x60b2", "0x60c2", "0x6074", "0x6077"):  # shown if refused
+            yield as_found("limits", finding)
+    for kind in _KINDS:
+        capabilities = list(pdo_capabilities(dictionary, kind))
+        judgement = (Verdict.FIT, "") if capabilities else (Verdict.REFUSED, f"the dictionary describes no {kind}")
+        yield SurveyRow("PDO", f"{kind}s", _counted(capabilities), *judgement)
+    yield SurveyRow("PDO", "map", "", *findings["PDO"][1:])
 
 
-def _measured(dictionary: ObjectDictionary, axis: AxisParameters, axis_map: AxisMap | None) -> list[SurveyRow]:
-    """Return the torque read back, or the force and the limits of an admittance display."""
-    display = axis.admittance
-    if display is None:
-        return [_read_back(dictionary, axis_map)]
-    force, place = force_finding(dictionary, display), display.force.place
-    stated = "a node of its own" if place is None else _describe(dictionary, *place)
-    limits = [_as_found(dictionary, "limits", finding) for finding in limit_findings(dictionary)]
-    return [SurveyRow("force", force.item, stated, force.verdict, force.text), *limits]
+def _force(dictionary: ObjectDictionary, display: AdmittanceParameters) -> SurveyRow:
+    place = display.force.place
+    if place is None:
+        text = "no analog input is known for this drive; name one (--force-object), or give the sensor its own node"
+        return SurveyRow("force", "force sensor", "a node of its own", Verdict.UNKNOWN, text)
+    variable = listed(dictionary, *place)
+    kind = _TYPES[1] if variable is not None and variable.data_type == _TYPES[1] else _TYPES[0]
+    verdict, text = Verdict.UNKNOWN, "in the TPDO with the position: one SYNC for both; confirm that it is an input"
+    if (refusal := mapping_objection(dictionary, "TPDO", place[0], kind, place[1])) is not None:
+        verdict, text = Verdict.REFUSED, f"{refusal}; name an INTEGER16 or INTEGER32 that a TPDO can carry"
+    item = f"{place[0]:#06x}:{place[1]:02x} force"
+    return SurveyRow("force", item, _describe(dictionary, *place), verdict, text)
+
+
+def _limits_of_display(dictionary: ObjectDictionary) -> Iterator[SurveyRow]:
+    """Limits in the drive in case a display's sensor or master is wrong, and objects that may alter its command."""
+    ramps = [index for index in (od.PROFILE_ACCELERATION, od.MAX_ACCELERATION) if listed(dictionary, index) is not None]
+    stuck = [index for index in ramps if not is_writable(dictionary, index, 0)]
+    listing = ", ".join(f"{index:#06x}" for index in stuck or ramps)
+    text = "read-only: no certificate covers a ramp inside the drive; set it with the vendor's tool"
+    judgement = (Verdict.UNKNOWN, text) if stuck else (Verdict.FIT, "written as steep as they go")
+    if ramps:
+        yield _as_found(dictionary, "limits", Finding(f"{listing} ramps", *judgement))
+    judgement = Verdict.UNKNOWN, "not writable: set it with the vendor's tool so that a quick stop brakes (2)"
+    if is_writable(dictionary, od.QUICK_STOP_OPTION, 0):
+        judgement = Verdict.FIT, "written: brakes along its ramp, then disabled"
+    yield _row(dictionary, "limits", "quick stop option", od.QUICK_STOP_OPTION, *judgement)
 
 
 def _read_back(dictionary: ObjectDictionary, axis_map: AxisMap | None) -> SurveyRow:
     stated = f"0x6074 {_describe(dictionary, od.TORQUE_DEMAND)}; 0x6077 {_describe(dictionary, od.TORQUE_ACTUAL)}"
-    texts = {
-        "demand": (Verdict.FIT, "0x6074 in the TPDO: the energy of every hold is exact"),
-        "actual": (
-            Verdict.UNKNOWN,
-            "0x6077 in the TPDO: a measured torque at one instant of the hold; its difference from the torque that "
-            "was sent bounds the error of the energy",
-        ),
-        "none": (Verdict.UNKNOWN, "no torque can be mapped: the energy is computed from the torque sent"),
-    }
     if axis_map is None:
         return SurveyRow("read-back", "torque read back", stated, Verdict.FIT, "no map was found, see below")
-    return SurveyRow("read-back", "torque read back", stated, *texts[axis_map.read_back])
+    text = {
+        "demand": "0x6074 in the TPDO: the energy of every hold is exact",
+        "actual": "0x6077 in the TPDO: a measured torque at one instant of the hold; its difference from the torque "
+        "that was sent bounds the error of the energy",
+        "none": "no torque can be mapped: the energy is computed from the torque sent",
+    }[axis_map.read_back]
+    verdict = Verdict.FIT if axis_map.read_back == "demand" else Verdict.UNKNOWN
+    return SurveyRow("read-back", "torque read back", stated, verdict, text)
 
 
-def _limits(dictionary: ObjectDictionary, axis: AxisParameters, findings: dict[str, Finding]) -> list[SurveyRow]:
-    limit, rated = _variable(dictionary, od.MAX_TORQUE), _variable(dictionary, od.RATED_TORQUE)
-    quirks, state = quirks_of(axis.quirks), max_torque_unwritten(dictionary, axis)
+def _max_torque(dictionary: ObjectDictionary, axis: AxisParameters, found: Finding) -> tuple[Verdict, str]:
+    limit, state = _variable(dictionary, od.MAX_TORQUE), max_torque_unwritten(dictionary, axis)
     if limit is None or state:
         text = f"{state}; torque_limit is kept by the master alone: set a limit in the drive with the vendor's tool"
-        text = limit_objection(dictionary, axis) or text
-        rows = [_row(dictionary, "limits", "max torque", od.MAX_TORQUE, Verdict.UNKNOWN, text)]
-    elif (refusal := findings["0x6072"]).verdict is Verdict.REFUSED:
-        rows = [_as_found(dictionary, "limits", refusal)]
-    elif limit.min:
+        return Verdict.UNKNOWN, limit_objection(dictionary, axis) or text
+    if found.verdict is Verdict.REFUSED:
+        return found.verdict, found.text
+    if limit.min:
         text = f"at least {limit.min} per mille: torque_limit is at least {limit.min / 1000:g} of the rated torque"
-        rows = [_row(dictionary, "limits", "max torque", od.MAX_TORQUE, Verdict.UNKNOWN, text)]
-    else:
-        text = "written from torque_limit and read back"
-        rows = [_row(dictionary, "limits", "max torque", od.MAX_TORQUE, Verdict.FIT, text)]
-    value = stated_value(dictionary, od.RATED_TORQUE)
-    if rated is not None and findings["0x6076"].verdict is Verdict.REFUSED:
-        verdict, text = Verdict.REFUSED, findings["0x6076"].text
-    elif axis.rated_torque is not None:
-        verdict, text = Verdict.FIT, f"{axis.rated_torque:g} from the configuration"
-    elif rated is None or not quirks.reads_rated_torque:
-        verdict, text = Verdict.UNKNOWN, "not listed; rated_torque must be set"
-    elif not value:
-        verdict, text = Verdict.UNKNOWN, "no value; read from the drive, and rated_torque must be set if that is 0"
-    else:
-        verdict, text = Verdict.FIT, "read from the drive; its live value counts"
-    rows.append(_row(dictionary, "limits", "motor rated torque", od.RATED_TORQUE, verdict, text))
-    rows.append(
-        _row(dictionary, "limits", "motor rated current", od.RATED_CURRENT, Verdict.FIT, "for information; not used")
-    )
-    return rows
+        return Verdict.UNKNOWN, text
+    return Verdict.FIT, "written from torque_limit and read back"
 
 
-def _resolution(dictionary: ObjectDictionary) -> list[SurveyRow]:
-    encoder = "for orientation; counts_per_unit is the configuration's, confirmed by hand motion"
-    gear = "for orientation; the gear belongs in counts_per_unit and transmission"
-    return [
-        _row(dictionary, "resolution", "encoder increments", od.ENCODER_RESOLUTION, Verdict.FIT, encoder, 1),
-        _row(dictionary, "resolution", "gear, motor revolutions", od.GEAR_RATIO, Verdict.FIT, gear, 1),
-    ]
+def _rated_torque(dictionary: ObjectDictionary, axis: AxisParameters, found: Finding) -> tuple[Verdict, str]:
+    is_listed = _variable(dictionary, od.RATED_TORQUE) is not None
+    if is_listed and found.verdict is Verdict.REFUSED:
+        return found.verdict, found.text
+    if axis.rated_torque is not None:
+        return Verdict.FIT, f"{axis.rated_torque:g} from the configuration"
+    if not is_listed or not quirks_of(axis.quirks).reads_rated_torque:
+        return Verdict.UNKNOWN, "not listed; rated_torque must be set"
+    if not stated_value(dictionary, od.RATED_TORQUE):
+        return Verdict.UNKNOWN, "no value; read from the drive, and rated_torque must be set if that is 0"
+    return Verdict.FIT, "read from the drive; its live value counts"
 
 
-def _watchdog(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> list[SurveyRow]:
-    rows = [_judged(dictionary, "watchdog", findings["0x1017"])]
+def _watchdog(dictionary: ObjectDictionary) -> tuple[Verdict, str]:
     refused = objection(dictionary, ObjectUse(od.CONSUMER_HEARTBEAT_TIME, 1, reads=True, writes=True))
-    if refused is not None:
-        state = "not listed" if refused == "missing" else refused
-        text = f"{state}: the drive cannot notice a killed master; only watchdog: false continues, at your own risk"
-        verdict = Verdict.UNKNOWN
-    else:
-        verdict, text = Verdict.FIT, "armed at the start: the drive notices a killed master"
-    rows.append(_row(dictionary, "watchdog", "consumer heartbeat time", od.CONSUMER_HEARTBEAT_TIME, verdict, text, 1))
-    rows.append(_as_found(dictionary, "watchdog", findings["0x6007"]))
-    return rows
-
-
-def _pdos(dictionary: ObjectDictionary, findings: dict[str, Finding]) -> list[SurveyRow]:
-    rows = []
-    kinds: tuple[Literal["RPDO", "TPDO"], ...] = ("RPDO", "TPDO")
-    for kind in kinds:
-        capabilities = pdo_capabilities(dictionary, kind)
-        verdict = Verdict.FIT if capabilities else Verdict.REFUSED
-        text = "" if capabilities else f"the dictionary describes no {kind}"
-        rows.append(SurveyRow("PDO", f"{kind}s", _counted(capabilities), verdict, text))
-    finding = findings["PDO"]
-    rows.append(SurveyRow("PDO", "map", "", finding.verdict, finding.text))
-    return rows
+    if refused is None:
+        return Verdict.FIT, "armed at the start: the drive notices a killed master"
+    state = "not listed" if refused == "missing" else refused
+    text = f"{state}: the drive cannot notice a killed master; only watchdog: false continues, at your own risk"
+    return Verdict.UNKNOWN, text
 
 
 def _counted(capabilities: list[PdoCapability]) -> str:
@@ -459,37 +399,22 @@ def _manual_keys(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Ma
         ManualKey("torque_limit", "the largest torque that may ever reach the hand"),
         ManualKey("direction", "-1 if drive and axis have opposite positive directions"),
     ]
-    needs: tuple[tuple[str, str, Callable[[], bool]], ...] = (
-        (
-            "rated_torque",
-            "torque of the axis at 1000 per mille; 0x6076 does not state it",
-            lambda: axis.rated_torque is None and not stated_value(dictionary, od.RATED_TORQUE),
-        ),
-        ("transmission", "gear ratio, where 0x6076 is the motor's torque", lambda: od.RATED_TORQUE in dictionary),
-        (
-            "watchdog: false",
-            "the drive has no 0x1016; accept it knowingly or choose another drive",
-            lambda: not is_writable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1),
-        ),
-        (
-            "admittance.limit_in_drive: true",
-            "once torque_limit is set in it",
-            lambda: bool(limit_objection(dictionary, axis)),
-        ),
-        (
-            "demand_reported",
-            "before or after: whether the TPDO shows the hold that ended",
-            lambda: axis.admittance is None,
-        ),
+    knows_rated_torque = axis.rated_torque is not None or stated_value(dictionary, od.RATED_TORQUE)
+    has_watchdog = is_writable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1)
+    text = "the drive has no 0x1016; accept it knowingly or choose another drive"
+    needs = (
+        (not knows_rated_torque, "rated_torque", "torque of the axis at 1000 per mille; 0x6076 does not state it"),
+        (od.RATED_TORQUE in dictionary, "transmission", "gear ratio, where 0x6076 is the motor's torque"),
+        (not has_watchdog, "watchdog: false", text),
+        (limit_objection(dictionary, axis), "admittance.limit_in_drive: true", "once torque_limit is set in it"),
+        (axis.admittance is None, "demand_reported", "before or after: whether the TPDO shows the hold that ended"),
     )
-    keys += [] if axis.admittance is None else [ManualKey(*row) for row in DISPLAY_KEYS]
-    return (*keys, *(ManualKey(key, reason) for key, reason, needed in needs if needed()))
+    keys += [] if axis.admittance is None else [ManualKey(*row) for row in _DISPLAY_KEYS]
+    return (*keys, *(ManualKey(key, reason) for is_needed, key, reason in needs if is_needed))
 
 
 def _load(axis_map: AxisMap, bitrate: int, rate: float) -> LoadRow:
     bus = BusParameters(rate=rate, bitrate=bitrate)
     one = bus_budget(bus, [axis_map])
-    axes = 0
-    while axes < MOST_AXES and bus_budget(bus, [axis_map] * (axes + 1)).fits:
-        axes += 1
+    axes = next((n for n in range(MOST_AXES) if not bus_budget(bus, [axis_map] * (n + 1)).fits), MOST_AXES)
     return LoadRow(rate, one.periodic_load, one.worst_cycle, one.fits, axes)

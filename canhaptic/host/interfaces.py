@@ -84,18 +84,10 @@ class RigSettings(Protocol):
 
 _OF_THE_SCENE: Final = ("interface", "channel", "bitrate")
 """Arguments of `can.Bus` that are keys of `bus` themselves."""
-_OF_EVERY_BUS: Final = frozenset({"can_filters"})
-_TIMING: Final = frozenset({"f_clock", "brp", "tseg1", "tseg2", "sjw", "nof_samples"})
-"""From these `can.Bus` makes the `timing` of a backend that takes one."""
 
 _REMEDIES: Final = Path(__file__).with_suffix(".toml")
 
 logging.getLogger("can").addHandler(logging.NullHandler())  # our error names missing drivers, once
-
-
-def _known_interfaces() -> list[str]:
-    """Names of all interfaces that python-can offers here, plugins included."""
-    return sorted(BACKENDS)
 
 
 @cache
@@ -105,10 +97,8 @@ def _accepted_options(interface: str) -> frozenset[str] | None:
     Args:
         interface: A name that python-can knows.
     """
-    module, name = BACKENDS[interface]
-    names: set[str] = set()
-    definition = _class_definition(module, name)
-    if definition is None:
+    names = {"can_filters"}  # of every bus
+    if (definition := _class_definition(*BACKENDS[interface])) is None:
         return None
     for function in (f for f in definition.body if isinstance(f, ast.FunctionDef) and f.name == "__init__"):
         arguments = (*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs)
@@ -116,8 +106,8 @@ def _accepted_options(interface: str) -> frozenset[str] | None:
         if function.args.kwarg is not None:
             names.update(_read_from(function, function.args.kwarg.arg))
     if "timing" in names:
-        names |= _TIMING
-    return frozenset(n for n in names | _OF_EVERY_BUS if not n.startswith("_")) - {"self", *_OF_THE_SCENE}
+        names |= {"f_clock", "brp", "tseg1", "tseg2", "sjw", "nof_samples"}  # of which `can.Bus` makes it
+    return frozenset(n for n in names if not n.startswith("_")) - {"self", *_OF_THE_SCENE}
 
 
 def _class_definition(module: str, name: str) -> ast.ClassDef | None:
@@ -129,8 +119,7 @@ def _class_definition(module: str, name: str) -> ast.ClassDef | None:
     if spec is None or spec.origin is None:
         return None
     origin = Path(spec.origin)
-    files = sorted(origin.parent.glob("*.py")) if origin.name == "__init__.py" else [origin]
-    for file in files:
+    for file in sorted(origin.parent.glob("*.py")) if origin.name == "__init__.py" else [origin]:
         for node in ast.parse(file.read_text(encoding="utf-8", errors="replace")).body:
             if isinstance(node, ast.ClassDef) and node.name == name:
                 return node
@@ -140,24 +129,19 @@ def _class_definition(module: str, name: str) -> ast.ClassDef | None:
 def _read_from(function: ast.FunctionDef, kwargs: str) -> Iterator[str]:
     """Yield the keys that a function reads from its `**kwargs`."""
     for node in ast.walk(function):
-        key: ast.expr | None = None
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.args:
-            if isinstance(node.func.value, ast.Name) and node.func.value.id == kwargs:
-                key = node.args[0]
-        elif isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == kwargs:
-            key = node.slice
-        elif isinstance(node, ast.Compare) and any(
-            isinstance(c, ast.Name) and c.id == kwargs for c in node.comparators
-        ):
-            key = node.left
-        if isinstance(key, ast.Constant) and isinstance(key.value, str):
-            yield key.value
+        match node:
+            case (
+                ast.Call(func=ast.Attribute(value=ast.Name(id=name)), args=[ast.Constant(value=str(key)), *_])
+                | ast.Subscript(value=ast.Name(id=name), slice=ast.Constant(value=str(key)))
+                | ast.Compare(left=ast.Constant(value=str(key)), comparators=[ast.Name(id=name), *_])
+            ) if name == kwargs:
+                yield key
 
 
 def interface_faults(bus: BusSettings) -> list[tuple[str, str]]:
     """Faults as (key of `bus`, text) of an interface or option that python-can would refuse or ignore."""
     if bus.interface not in BACKENDS:
-        known = ", ".join(_known_interfaces())
+        known = ", ".join(sorted(BACKENDS))
         return [("interface", f"got {bus.interface!r}, expected one of: {known}{nearest(bus.interface, BACKENDS)}")]
     accepted = _accepted_options(bus.interface)
     faults = []
@@ -177,13 +161,10 @@ def opening_error(bus: BusSettings, channel: str | int | None, error: Exception)
     """
     place = f"bus {bus.interface!r}, channel {channel!r}"
     remedies = tomllib.loads(_REMEDIES.read_text(encoding="utf-8"))
-    remedy = str(
-        remedies.get(bus.interface, "install what python-can needs for this interface, and plug the device in")
-    )
-    remedy = remedy.format(channel=channel, bitrate=bus.bitrate)
+    remedy = remedies.get(bus.interface, "install what python-can needs for this interface, and plug the device in")
+    remedy = str(remedy).format(channel=channel, bitrate=bus.bitrate)
     seen = " ".join(str(error).split()) or type(error).__name__
-    is_device = isinstance(error, can.CanError | OSError) and not isinstance(error, can.CanInterfaceNotImplementedError)
-    if is_device:
+    if isinstance(error, can.CanError | OSError) and not isinstance(error, can.CanInterfaceNotImplementedError):
         return LinkError(f"{place}: cannot be opened ({seen}); {remedy}")
     lacking = isinstance(error, NameError | AttributeError)  # the library was not there when the backend was imported
     what = f"its driver library is missing: {seen}" if lacking else seen

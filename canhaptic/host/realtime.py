@@ -14,7 +14,6 @@ from typing import Annotated, Final
 
 from canhaptic.units import Parameters, quantity
 
-_LOCK_PRESENT: Final = 1  # MCL_CURRENT of mlockall(2); later pages are not locked, lest a limit makes them fail
 GRANTED: Final = "granted"
 
 
@@ -81,7 +80,7 @@ class Realtime:
 
     def _lock_memory(self) -> None:
         system = ctypes.CDLL(None, use_errno=True)
-        if system.mlockall(_LOCK_PRESENT):
+        if system.mlockall(1):  # MCL_CURRENT: later pages are not locked, lest a limit makes them fail
             number = ctypes.get_errno()
             raise OSError(number, os.strerror(number))
         self._undo.callback(system.munlockall)

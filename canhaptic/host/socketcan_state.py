@@ -12,20 +12,17 @@ continue unnoticed, and is refused.
 import json
 import math
 import subprocess
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, Literal, NamedTuple
 
 from canhaptic.errors import LinkError
 from canhaptic.host.interfaces import BusSettings, RigSettings
 
 _Severity = Literal["well", "note", "refused"]
+_Row = tuple[str, object, _Severity, str]  # item, what is seen, severity, text
 Runner = Callable[[list[str]], "subprocess.CompletedProcess[str]"]
 
-_TIMEOUT: Final = 5.0  # [s] for `ip`
 _ALARMING_ERRORS: Final = 96  # the error counter from which a controller warns (ISO 11898-1)
-_FRAMES_BESIDE_RPDOS: Final = 3  # SYNC, heartbeat, SDO
-_REAL_CONTROLLERS: Final = "can"  # info_kind of an interface with a controller; vcan and vxcan have none
-_VIRTUAL_KINDS: Final = ("vcan", "vxcan")
 
 
 class PreflightFinding(NamedTuple):
@@ -71,7 +68,7 @@ def _is_virtual(bus: BusSettings, run: Runner) -> bool:
         return bus.interface == "virtual"
     try:
         [link] = json.loads(run(_question(str(bus.channel))).stdout)
-        return link["linkinfo"]["info_kind"] in _VIRTUAL_KINDS
+        return link["linkinfo"]["info_kind"] in ("vcan", "vxcan")
     except (OSError, subprocess.SubprocessError, ValueError, KeyError, TypeError):
         return False
 
@@ -121,99 +118,71 @@ def _inspect_interface(channel: str, bus: BusSettings, axes: int, run: Runner) -
 
 def _judge_link(channel: str, link: Mapping[str, Any], bus: BusSettings, axes: int) -> list[PreflightFinding]:
     """Findings about an interface from its entry of `ip -json`."""
-    judged = _Judged(channel)
+    rows = _rows(channel, link, bus, axes)
+    return [PreflightFinding(channel, item, str(seen), severity, text) for item, seen, severity, text in rows]
+
+
+def _row(item: str, seen: object, severity: _Severity, text: str = "", *, good: bool = False) -> _Row:
+    """Return one property: where it is good without the severity and the text."""
+    return (item, seen, "well", "") if good else (item, seen, severity, text)
+
+
+def _rows(channel: str, link: Mapping[str, Any], bus: BusSettings, axes: int) -> Iterator[_Row]:
     if link.get("link_type") != "can":
-        judged.refuse("link type", link.get("link_type"), "expected can; name a CAN interface in bus.channel")
-        return judged.findings
-    info = link.get("linkinfo") or {}
-    if "UP" not in link.get("flags", []):
-        command = f"ip link set {channel} up type can bitrate {bus.bitrate}"
-        judged.refuse("link", "down", f"expected up; {command}")
-    else:
-        judged.well("link", "up")
-    _judge_queue(link, axes, judged)
-    if info.get("info_kind") == _REAL_CONTROLLERS:
-        _judge_controller(info.get("info_data") or {}, info.get("info_xstats") or {}, bus, judged)
-    else:
-        judged.well("controller", f"none ({info.get('info_kind')})")
-    return judged.findings
-
-
-class _Judged:
-    """Collects the findings about one interface."""
-
-    def __init__(self, channel: str) -> None:
-        self.channel = channel
-        self.findings: list[PreflightFinding] = []
-
-    def well(self, item: str, seen: object, text: str = "") -> None:
-        """Add a property that is correct."""
-        self._add(item, seen, "well", text)
-
-    def note(self, item: str, seen: object, text: str) -> None:
-        """Add a property that is unwise or unknown."""
-        self._add(item, seen, "note", text)
-
-    def refuse(self, item: str, seen: object, text: str) -> None:
-        """Add one that forbids a run."""
-        self._add(item, seen, "refused", text)
-
-    def _add(self, item: str, seen: object, severity: _Severity, text: str) -> None:
-        self.findings.append(PreflightFinding(self.channel, item, str(seen), severity, text))
-
-
-def _judge_queue(link: Mapping[str, object], axes: int, judged: _Judged) -> None:
-    """Judge the transmit queue: one that is shorter than two cycles refuses frames (ENOBUFS) at the first delay."""
-    length, needed = link.get("txqlen"), 2 * (axes + _FRAMES_BESIDE_RPDOS)
-    if not isinstance(length, int):
+        text = "expected can; name a CAN interface in bus.channel"
+        yield _row("link type", link.get("link_type"), "refused", text)
         return
-    if length < needed:
-        command = f"ip link set {judged.channel} txqueuelen {4 * needed}"
+    is_up, info = "UP" in link.get("flags", []), link.get("linkinfo") or {}
+    command = f"ip link set {channel} up type can bitrate {bus.bitrate}"
+    yield _row("link", "up" if is_up else "down", "refused", f"expected up; {command}", good=is_up)
+    length, needed = link.get("txqlen"), 2 * (axes + 3)  # a shorter queue refuses frames (ENOBUFS) at the first delay
+    if isinstance(length, int):
+        command = f"ip link set {channel} txqueuelen {4 * needed}"
         text = f"expected at least {needed} (two cycles of {axes} axes); {command}"
-        judged.note("txqueuelen", length, text)
+        yield _row("txqueuelen", length, "note", text, good=length >= needed)
+    if info.get("info_kind") == "can":  # vcan and vxcan have no controller
+        yield from _of_controller(channel, info.get("info_data") or {}, info.get("info_xstats") or {}, bus)
     else:
-        judged.well("txqueuelen", length)
+        yield _row("controller", f"none ({info.get('info_kind')})", "well")
 
 
-def _judge_controller(
-    data: Mapping[str, Any], statistics: Mapping[str, int], bus: BusSettings, judged: _Judged
-) -> None:
+def _of_controller(
+    channel: str, data: Mapping[str, Any], statistics: Mapping[str, int], bus: BusSettings
+) -> Iterator[_Row]:
     bitrate = (data.get("bittiming") or {}).get("bitrate", data.get("bittiming_bitrate"))
     if bitrate is None:
-        judged.note("bit rate", "not reported", f"cannot be compared with bus.bitrate {bus.bitrate}")
-    elif bitrate != bus.bitrate:
-        name = judged.channel
-        command = f"ip link set {name} down; ip link set {name} up type can bitrate {bus.bitrate}"
-        judged.refuse("bit rate", bitrate, f"expected {bus.bitrate} as bus.bitrate says; correct it, or: {command}")
+        yield _row("bit rate", "not reported", "note", f"cannot be compared with bus.bitrate {bus.bitrate}")
     else:
-        judged.well("bit rate", bitrate)
-    _judge_state(str(data.get("state", "not reported")), judged)
-    _judge_modes(data.get("ctrlmode") or [], judged)
-    _judge_restart(data.get("restart_ms"), bus, judged)
-    _judge_errors(data.get("berr_counter") or {}, statistics, judged)
+        command = f"ip link set {channel} down; ip link set {channel} up type can bitrate {bus.bitrate}"
+        text = f"expected {bus.bitrate} as bus.bitrate says; correct it, or: {command}"
+        yield _row("bit rate", bitrate, "refused", text, good=bitrate == bus.bitrate)
+    yield _of_state(channel, str(data.get("state", "not reported")))
+    for mode in ("LISTEN-ONLY", "LOOPBACK", "ONE-SHOT"):
+        if mode in (data.get("ctrlmode") or []):
+            link = f"ip link set {channel}"
+            text = f"expected an ordinary controller; {link} down; {link} up type can {mode.lower()} off"
+            yield _row("mode", mode, "refused", text)
+    yield _of_restart(channel, data.get("restart_ms"), bus)
+    counters = data.get("berr_counter") or {}
+    worst = max((int(counters.get(side, 0)) for side in ("tx", "rx")), default=0)
+    seen = f"tx {counters.get('tx', '?')}, rx {counters.get('rx', '?')}"
+    text = f"expected below {_ALARMING_ERRORS}; check cable, termination, bit rate"
+    yield _row("error counters", seen, "note", text, good=worst < _ALARMING_ERRORS)
+    if offs := statistics.get("bus_off", 0):
+        yield _row("bus-offs so far", offs, "note", "expected none since the interface came up; find the cause")
 
 
-def _judge_state(state: str, judged: _Judged) -> None:
+def _of_state(channel: str, state: str) -> _Row:
     if state == "BUS-OFF":
         text = (
             "expected ERROR-ACTIVE; find the cause (cable, termination, a node with another bit rate), then: "
-            f"ip link set {judged.channel} type can restart"
+            f"ip link set {channel} type can restart"
         )
-        judged.refuse("state", state, text)
-    elif state in ("STOPPED", "SLEEPING"):
-        judged.refuse("state", state, f"expected ERROR-ACTIVE; ip link set {judged.channel} up")
-    elif state == "ERROR-ACTIVE":
-        judged.well("state", state)
-    else:
-        judged.note("state", state, "expected ERROR-ACTIVE; no node acknowledges, or cable and termination are bad")
-
-
-def _judge_modes(modes: list[str], judged: _Judged) -> None:
-    for mode, name in (("LISTEN-ONLY", "listen-only"), ("LOOPBACK", "loopback"), ("ONE-SHOT", "one-shot")):
-        if mode in modes:
-            link = f"ip link set {judged.channel}"
-            text = f"expected an ordinary controller; {link} down; {link} up type can {name} off"
-            judged.refuse("mode", mode, text)
+        return _row("state", state, "refused", text)
+    if state in ("STOPPED", "SLEEPING"):
+        return _row("state", state, "refused", f"expected ERROR-ACTIVE; ip link set {channel} up")
+    text = "expected ERROR-ACTIVE; no node acknowledges, or cable and termination are bad"
+    return _row("state", state, "note", text, good=state == "ERROR-ACTIVE")
 
 
 def _least_restart(bus: BusSettings) -> int:
@@ -221,34 +190,20 @@ def _least_restart(bus: BusSettings) -> int:
     return math.ceil(bus.stop_cycles * bus.sample_time * 1e3)
 
 
-def _judge_restart(restart: object, bus: BusSettings, judged: _Judged) -> None:
+def _of_restart(channel: str, restart: object, bus: BusSettings) -> _Row:
     if not isinstance(restart, int):
-        judged.note("restart-ms", "not reported", "cannot be checked; set `restart-ms 0`")
-        return
-    if restart == 0:
-        judged.well("restart-ms", "0 (by hand)")
-    elif restart < _least_restart(bus):
+        return _row("restart-ms", "not reported", "note", "cannot be checked; set `restart-ms 0`")
+    least = _least_restart(bus)
+    if restart and restart < least:
         text = (
-            f"expected 0, or at least {_least_restart(bus)} ms ({bus.stop_cycles} sample times, after which the rig "
+            f"expected 0, or at least {least} ms ({bus.stop_cycles} sample times, after which the rig "
             "has stopped), so that a bus-off ends the run and does not go unseen; "
-            f"ip link set {judged.channel} type can restart-ms 0"
+            f"ip link set {channel} type can restart-ms 0"
         )
-        judged.refuse("restart-ms", f"{restart} ms", text)
-    else:
-        judged.well("restart-ms", f"{restart} ms", "after a bus-off the interface recovers, the run does not")
-
-
-def _judge_errors(counters: Mapping[str, int], statistics: Mapping[str, int], judged: _Judged) -> None:
-    worst = max((int(counters.get(side, 0)) for side in ("tx", "rx")), default=0)
-    seen = f"tx {counters.get('tx', '?')}, rx {counters.get('rx', '?')}"
-    if worst >= _ALARMING_ERRORS:
-        judged.note("error counters", seen, f"expected below {_ALARMING_ERRORS}; check cable, termination, bit rate")
-    else:
-        judged.well("error counters", seen)
-    offs = statistics.get("bus_off", 0)
-    if offs:
-        judged.note("bus-offs so far", offs, "expected none since the interface came up; find the cause")
+        return _row("restart-ms", f"{restart} ms", "refused", text)
+    text = "after a bus-off the interface recovers, the run does not" if restart else ""
+    return _row("restart-ms", f"{restart} ms" if restart else "0 (by hand)", "well", text)
 
 
 def _run(command: list[str]) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=False)

@@ -311,5 +311,5 @@ def test_a_fixed_map_that_begins_with_a_boolean_is_not_chosen(tmp_path: Path) ->
     tpdo += "".join(sub("1A00", n, kind, "ro", value) for n, kind, value in fixed)
     communication = pdo("TPDO").split("[1A00]")[0]
     path = written(tmp_path, HEAD + OBJECTS + pdo("RPDO") + communication + tpdo + record)
-    assert pdo_capabilities(read_dictionary(path, 5), "TPDO") == []
+    assert list(pdo_capabilities(read_dictionary(path, 5), "TPDO")) == []
     assert verdict(path) is Suitability.UNFIT

@@ -7,6 +7,7 @@ Additions to the start of an admittance display: no ramps, no offsets, a quick s
 """
 
 from collections.abc import Callable
+from math import inf
 from typing import TYPE_CHECKING, Final
 
 from canopen import ObjectDictionary
@@ -16,7 +17,7 @@ from canhaptic.canopen.objects import is_writable
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.can_bring_up import CanBringUp
 from canhaptic.drive.can.link import Link
-from canhaptic.drive.can.sdo import SdoChannel, download
+from canhaptic.drive.can.sdo import SdoChannel
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceChannel
 from canhaptic.drive.profile.bring_up import Confirmation
@@ -32,9 +33,7 @@ if TYPE_CHECKING:
     from canhaptic.canopen.force_node import ForceNode
 
 _tuple: Final = tuple.__new__
-_QUICK_STOP_BY_SDO: Final = next(download(od.CONTROLWORD, 0, od.Controlword.QUICK_STOP.to_bytes(2, "little")))
 _PER_MILLE: Final = 1000.0  # of `AxisScaling`, which here takes counts of the command
-_TARE_SIZE: Final = 4  # bytes of an UNSIGNED32
 _WRAP: Final = 1 << 32
 _UNLIMITED_SPEED: Final = 1e9  # [m/s or rad/s] where the scene declares none, on the virtual bus only
 _JUMP: Final = 2.0  # of the speed limit: a handle overshoots its command, and the hand moves it besides
@@ -69,9 +68,8 @@ class AdmittanceDrive(ServoDrive):
         self._largest_step = _JUMP * (axis.speed_limit or _UNLIMITED_SPEED) * bus.sample_time
         counts = axis.counts_per_unit
         self.command_scaling = AxisScaling(counts, self.command_quantum * _PER_MILLE, axis.direction)
-        low, high = display.position_low, display.position_high
-        self._low = -float("inf") if low is None else low
-        self._high = float("inf") if high is None else high
+        self._low = -inf if display.position_low is None else display.position_low
+        self._high = inf if display.position_high is None else display.position_high
         self._sensor = display.force.node
         if self._sensor is not None:
             link.subscribe(self._sensor.frame_id, self._force_handler(self._sensor))
@@ -198,14 +196,6 @@ class AdmittanceDrive(ServoDrive):
             return True
         return abs((target - self.position_counts + _WRAP // 2) % _WRAP - _WRAP // 2) <= _NEAR
 
-    def disable_unconfirmed(self) -> None:
-        """Send the SDO 0x6040 = quick stop and await no answer.
-
-        Raises:
-            LinkError: It could not be sent.
-        """
-        self.link.send(od.SDO_REQUEST_BASE + self.axis.node_id, _QUICK_STOP_BY_SDO)
-
 
 def speed_quantum(axis: AxisParameters, bus: BusParameters) -> float:
     """Return the smallest step of the velocity that can be commanded [m/s or rad/s]."""
@@ -215,9 +205,6 @@ def speed_quantum(axis: AxisParameters, bus: BusParameters) -> float:
     return 1.0 / (display.velocity_counts or axis.counts_per_unit)
 
 
-_SLOW_DOWN: Final = 2  # value of 0x605A: along the quick stop ramp, then switch on disabled
-
-
 class AdmittanceBringUp(CanBringUp):
     """Configures one drive that follows velocities."""
 
@@ -225,19 +212,18 @@ class AdmittanceBringUp(CanBringUp):
 
     def _zero_torque(self) -> None:
         """Write a target at rest, the steepest ramps of the drive, zero offsets, and the quick stop."""
-        target = od.TARGET_VELOCITY
         if self._drive.display.mode == "position":
             with self.step("zero torque"):
                 position = self._sdo.read(od.POSITION_ACTUAL)
             self._write_confirmed("zero torque", od.TARGET_POSITION, 0, position)
         else:
-            self._write_confirmed("zero torque", target, 0, 0)
+            self._write_confirmed("zero torque", od.TARGET_VELOCITY, 0, 0)
         for index in RAMPS:  # a ramp inside the drive changes the command behind the certificate's back
             self._write_unless_asked("ramps", index, largest_value(self._drive.dictionary, index))
         self._zero_offsets()
         steepest = largest_value(self._drive.dictionary, od.QUICK_STOP_DECELERATION)
         self._write_unless_asked("quick stop", od.QUICK_STOP_DECELERATION, steepest)
-        self._write_unless_asked("quick stop", od.QUICK_STOP_OPTION, _SLOW_DOWN)
+        self._write_unless_asked("quick stop", od.QUICK_STOP_OPTION, 2)  # along its ramp, then disabled
 
     def _write_unless_asked(self, step: str, index: int, value: int) -> None:
         """Write an object that the drive has, unless the scene sets it."""
@@ -254,7 +240,7 @@ class AdmittanceBringUp(CanBringUp):
             if node.tare:
                 tare = (od.AUTOZERO, od.ZERO_SIGNATURE) if node.tare == "autozero" else (od.AUTOTARE, od.TARE_SIGNATURE)
                 with self.step("tare"):
-                    channel.write(tare[0], 1, tare[1], _TARE_SIZE)
+                    channel.write(tare[0], 1, tare[1], 4)
         super().command_operational()
         with self.step("bus"):
             self._drive.command_sensor(od.NmtCommand.START)

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import partial
 from queue import SimpleQueue
 from typing import Any, Final
@@ -22,80 +23,38 @@ from canhaptic.drive.can import sdo
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.sdo import ABORT, ATTEMPTS, FRAME_LENGTH, ProtocolError, Transfer
 from canhaptic.drive.can.servo_drive import ServoDrive
+from canhaptic.drive.profile.fitness import RAMPS
+from canhaptic.drive.profile.torque_axis import COMMANDS
 from canhaptic.errors import LinkError, SdoError
 
 _MOST_WAITING: Final = 1000  # requests per bus
-_MOST_ANSWERS: Final = 16  # kept between two looks
-_OWNED: Final = frozenset(
-    {
-        # of the cycle and of the start that confirmed them: not to be written from outside while the rig runs
-        od.SYNC_COB_ID,
-        od.COMMUNICATION_CYCLE_PERIOD,
-        od.STORE_PARAMETERS,
-        od.RESTORE_PARAMETERS,
-        od.EMCY_COB_ID,
-        od.CONSUMER_HEARTBEAT_TIME,
-        od.PRODUCER_HEARTBEAT_TIME,
-        0x1200,  # SDO server
-        od.ABORT_CONNECTION_OPTION,
-        od.CONTROLWORD,
-        od.MODES_OF_OPERATION,
-        od.TARGET_TORQUE,
-        od.TARGET_VELOCITY,
-        od.TARGET_POSITION,
-        od.MAX_TORQUE,
-        od.RATED_CURRENT,
-        od.RATED_TORQUE,
-        0x607C,  # home offset
-        0x607E,  # polarity
-        od.POSITION_OFFSET,
-        od.VELOCITY_OFFSET,
-        od.TORQUE_OFFSET,
-        od.ENCODER_RESOLUTION,
-        0x6090,  # velocity encoder resolution
-        od.GEAR_RATIO,
-        0x6092,  # feed constant
-        od.INTERPOLATION_PERIOD,
-    }
+_OWNED: Final = (
+    # of the cycle and of the start that confirmed them: not to be written from outside while the rig runs
+    COMMANDS
+    | {od.SYNC_COB_ID, od.COMMUNICATION_CYCLE_PERIOD, od.STORE_PARAMETERS, od.RESTORE_PARAMETERS, od.EMCY_COB_ID}
+    | {od.CONSUMER_HEARTBEAT_TIME, od.PRODUCER_HEARTBEAT_TIME, 0x1200, od.ABORT_CONNECTION_OPTION}  # 0x1200: SDO server
+    | {od.MODES_OF_OPERATION, od.MAX_TORQUE, od.RATED_CURRENT, od.RATED_TORQUE, od.INTERPOLATION_PERIOD}
+    | {od.HOME_OFFSET, 0x607E, od.POSITION_OFFSET, od.VELOCITY_OFFSET, od.TORQUE_OFFSET}  # 0x607E: polarity
+    | {od.ENCODER_RESOLUTION, 0x6090, od.GEAR_RATIO, 0x6092}  # velocity encoder, feed constant
+    | set(range(od.RPDO_COMMUNICATION, od.TPDO_MAPPING + od.PDO_COUNT))
 )
-_OWNED_BY_DISPLAYS: Final = frozenset(
-    {
-        # what brakes the drive, and what its ramps may add to a command
-        od.QUICK_STOP_OPTION,
-        od.QUICK_STOP_DECELERATION,
-        od.PROFILE_ACCELERATION,
-        od.PROFILE_DECELERATION,
-        od.MAX_ACCELERATION,
-        od.MAX_DECELERATION,
-    }
-)
-_PDO_OBJECTS: Final = range(od.RPDO_COMMUNICATION, od.TPDO_MAPPING + od.PDO_COUNT)
+_OWNED_BY_DISPLAYS: Final = {od.QUICK_STOP_OPTION, od.QUICK_STOP_DECELERATION, *RAMPS}
+"""What brakes the drive, and what its ramps may add to a command."""
 
 
+@dataclass(slots=True, eq=False)
 class _Request:
     """One transfer, from the requesting thread to the thread that delivers the result."""
 
-    __slots__ = ("attempts", "convert", "drive", "frame", "future", "index", "object", "subindex", "transfer", "verb")
-
-    def __init__(
-        self,
-        drive: ServoDrive,
-        verb: str,
-        index: int,
-        subindex: int,
-        transfer: Transfer,
-        convert: Callable[[bytes], Any],
-    ) -> None:
-        self.drive = drive
-        self.verb = verb
-        self.index = index
-        self.subindex = subindex
-        self.object = sdo.address(index, subindex)
-        self.transfer = transfer
-        self.convert = convert
-        self.future: Future[Any] = Future()
-        self.frame = b""
-        self.attempts = 0
+    drive: ServoDrive
+    verb: str
+    index: int
+    subindex: int
+    transfer: Transfer
+    convert: Callable[[bytes], Any]
+    future: "Future[Any]" = field(default_factory=Future)
+    frame: bytes = b""
+    attempts: int = 0
 
     def failure(self, text: str) -> SdoError:
         return self.drive.sdo.failure(self.verb, self.index, self.subindex, text)
@@ -125,7 +84,7 @@ class BackgroundSdo:
             SdoError: As `upload`, or the object belongs to the cycle.
         """
         is_display = self._drive.axis.admittance is not None
-        if index in _OWNED or index in _PDO_OBJECTS or (is_display and index in _OWNED_BY_DISPLAYS):
+        if index in _OWNED or (is_display and index in _OWNED_BY_DISPLAYS):
             text = "it belongs to the cycle while the rig runs; stop the rig first"
             raise self._drive.sdo.failure("write", index, subindex, text)
         transfer = sdo.download(*_checked(index, subindex), bytes(data))
@@ -171,7 +130,7 @@ class SdoLine:
         self._has_room = has_room
         self._is_open = False
         self._waiting: deque[_Request] = deque()
-        self._answers: deque[bytes] = deque(maxlen=_MOST_ANSWERS)
+        self._answers: deque[bytes] = deque(maxlen=16)  # kept between two looks
         self._under_way: _Request | None = None
         self._deadline = 0
         self._done: SimpleQueue[tuple[_Request, Any] | None] = SimpleQueue()
@@ -192,20 +151,16 @@ class SdoLine:
             raise request.failure("the rig is not running; SDO from another thread needs a running cycle")
         if len(self._waiting) >= _MOST_WAITING:
             raise request.failure(f"{_MOST_WAITING} requests wait already; await some of them first")
-        self._start_hander()
+        with self._starting:  # between those who ask; the cycle never waits for it
+            if not self._has_hander:  # the thread that hands results over, from the first request of a run on
+                self._has_hander = True
+                threading.Thread(target=_hand_over, args=(self._done,), name="SDO results", daemon=True).start()
         self._waiting.append(request)
         self.busy = True
         if not self._is_open:  # closed in between: the thread that takes it out of the queue answers it
             with suppress(ValueError):
                 self._waiting.remove(request)
                 raise request.failure("the rig has stopped")
-
-    def _start_hander(self) -> None:
-        """Start the thread that hands results over, with the first request of a run."""
-        with self._starting:  # between those who ask; the cycle never waits for it
-            if not self._has_hander:
-                self._has_hander = True
-                threading.Thread(target=_hand_over, args=(self._done,), name="SDO results", daemon=True).start()
 
     # --- the thread of the cycle --------------------------------------------------------------------------------------
 
@@ -225,7 +180,9 @@ class SdoLine:
         self._is_open = False
         if self._under_way is not None:
             self._finish(self._under_way.failure("the rig has stopped before the drive answered"))
-        self._fail_waiting()
+        with suppress(IndexError):  # another thread may take its own request out
+            while request := self._waiting.popleft():
+                self._done.put((request, request.failure("the rig has stopped before the request was sent")))
         self._done.put(None)
 
     def step(self) -> None:
@@ -235,9 +192,7 @@ class SdoLine:
             self._look(request)
         elif self._waiting:
             self._begin(self._waiting.popleft())
-        self.busy = False
-        if self._waiting or self._under_way is not None:
-            self.busy = True
+        self.busy = self._under_way is not None or bool(self._waiting)
 
     def _begin(self, request: _Request) -> None:
         if not request.future.set_running_or_notify_cancel():
@@ -257,7 +212,7 @@ class SdoLine:
             answer = self._answers.popleft()
             if len(answer) != FRAME_LENGTH:
                 self._link.statistics.short += 1
-            elif not sdo.may_answer(answer, request.frame, request.object):
+            elif not sdo.may_answer(answer, request.frame, sdo.address(request.index, request.subindex)):
                 self._link.statistics.late += 1
             elif answer[0] == ABORT:
                 code = int.from_bytes(answer[4:8], "little")
@@ -305,14 +260,6 @@ class SdoLine:
         if request is not None:
             request.drive.sdo.listen()
             self._done.put((request, result))
-
-    def _fail_waiting(self) -> None:
-        while True:
-            try:
-                request = self._waiting.popleft()
-            except IndexError:
-                return
-            self._done.put((request, request.failure("the rig has stopped before the request was sent")))
 
 
 def _hand_over(done: "SimpleQueue[tuple[_Request, Any] | None]") -> None:

@@ -8,7 +8,7 @@ from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import DataType, is_writable
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.pdo_map import PdoPlan, choose_map, others_to_disable, rpdo_transmission_type
-from canhaptic.drive.profile.fitness import Finding, ObjectUse, Verdict, listed, objection, profile_findings
+from canhaptic.drive.profile.fitness import Finding, ObjectUse, Verdict, judged, listed, objection, profile_findings
 from canhaptic.errors import DictionaryError
 
 
@@ -45,12 +45,9 @@ def require_fit(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusPara
 
 
 def _heartbeat(dictionary: ObjectDictionary, bus: BusParameters | None) -> Finding:
-    item = "0x1017 producer heartbeat"
     values = () if bus is None else (bus.heartbeat_ms,)
     use = ObjectUse(od.PRODUCER_HEARTBEAT_TIME, 0, DataType.UNSIGNED16, reads=True, writes=True, values=values)
-    if (text := objection(dictionary, use)) is not None:
-        return Finding(item, Verdict.REFUSED, f"{text}; without a heartbeat no NMT state can be confirmed")
-    return Finding(item, Verdict.FIT, "listed")
+    return judged(dictionary, "0x1017 producer heartbeat", use, "without a heartbeat no NMT state can be confirmed")
 
 
 def _watchdog(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None) -> Finding:
@@ -59,20 +56,18 @@ def _watchdog(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParame
         return Finding(item, Verdict.UNKNOWN, "not armed (watchdog: false); a killed master leaves the torque on")
     values = () if bus is None else (bus.consumer_heartbeat,)
     use = ObjectUse(od.CONSUMER_HEARTBEAT_TIME, 1, reads=True, writes=True, values=values)
-    if (text := objection(dictionary, use)) is not None:
-        hint = "the drive cannot notice a killed master; set watchdog: false to accept that"
-        return Finding(item, Verdict.REFUSED, f"{text}; {hint}")
-    return Finding(item, Verdict.FIT, "armed at the start")
+    hint = "the drive cannot notice a killed master; set watchdog: false to accept that"
+    return judged(dictionary, item, use, hint, "armed at the start")
 
 
-def _sync_period(dictionary: ObjectDictionary) -> Iterator[Finding]:
-    """Yield a refusal where 0x1006 is listed and cannot be compared with the sample time; it may be missing."""
+def _sync_period(dictionary: ObjectDictionary) -> list[Finding]:
+    """Return a refusal where 0x1006 is listed and cannot be compared with the sample time; it may be missing."""
     variable = listed(dictionary, od.COMMUNICATION_CYCLE_PERIOD)
     if variable is None or not variable.readable:
-        return
+        return []
     use = ObjectUse(od.COMMUNICATION_CYCLE_PERIOD, 0, DataType.UNSIGNED32, reads=True)
-    if (text := objection(dictionary, use)) is not None:
-        yield Finding("0x1006 SYNC period", Verdict.REFUSED, f"{text}; correct the dictionary")
+    found = judged(dictionary, "0x1006 SYNC period", use, "correct the dictionary")
+    return [found] if found.verdict is Verdict.REFUSED else []
 
 
 def _map(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None) -> Finding:
@@ -93,30 +88,25 @@ def _map(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters 
         f"[{', '.join(str(entry) for entry in pdo.entries)}]"
         for pdo in (chosen.rpdo, *chosen.tpdos)
     ]
-    if axis.admittance is not None:
-        return Finding("PDO map", Verdict.FIT, "; ".join(parts))
-    note = {
-        "demand": "",
-        "actual": "; energy from the measured torque 0x6077",
-        "none": "; energy from the commands, not exact",
-    }
-    return Finding("PDO map", Verdict.FIT, "; ".join(parts) + note[chosen.read_back])
+    if axis.admittance is None and chosen.read_back != "demand":
+        is_measured = chosen.read_back == "actual"
+        parts.append(f"energy from the {'measured torque 0x6077' if is_measured else 'commands, not exact'}")
+    return Finding("PDO map", Verdict.FIT, "; ".join(parts))
 
 
 def _plan_objections(dictionary: ObjectDictionary, plan: PdoPlan, transmission_type: int | None) -> Iterator[str]:
     """Yield a planned PDO's obstacles to being configured and read back."""
     place, types = plan.communication_index, () if transmission_type is None else (transmission_type,)
     cob_ids = (plan.cob_id | od.COB_ID_INVALID, plan.cob_id) if plan.cob_id_is_written else ()
-    uses = [ObjectUse(place, 1, reads=True, values=cob_ids)]
-    if is_writable(dictionary, place, 2):
-        uses.append(ObjectUse(place, 2, reads=True, values=types))
-    else:
-        uses.append(ObjectUse(place, 2, reads=True))
-        stated = getattr(listed(dictionary, place, 2), "default", None)
-        if types and isinstance(stated, int) and stated not in types:
-            yield f"{plan.name}: {place:#06x}:02 is read-only and {stated}, but {types[0]} is needed"
-    counts = (0, len(plan.entries)) if plan.is_written else ()
-    uses.append(ObjectUse(plan.mapping_index, 0, reads=True, values=counts))
+    stated = getattr(listed(dictionary, place, 2), "default", None)
+    is_type_written = is_writable(dictionary, place, 2)
+    if not is_type_written and types and isinstance(stated, int) and stated not in types:
+        yield f"{plan.name}: {place:#06x}:02 is read-only and {stated}, but {types[0]} is needed"
+    uses = [
+        ObjectUse(place, 1, reads=True, values=cob_ids),
+        ObjectUse(place, 2, reads=True, values=types if is_type_written else ()),
+        ObjectUse(plan.mapping_index, 0, reads=True, values=(0, len(plan.entries)) if plan.is_written else ()),
+    ]
     for subindex, entry in enumerate(plan.entries, start=1):
         values = (entry.entry,) if plan.is_written else ()
         uses.append(ObjectUse(plan.mapping_index, subindex, DataType.UNSIGNED32, reads=True, values=values))

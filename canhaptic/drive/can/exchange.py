@@ -100,7 +100,7 @@ class Exchange:
         self.uneven = abs(synced - self._synced - periods * self._period)
         self._synced, self._logged = synced, logged
         if synced - self.deadline > self._latest:  # held up after the wait: the next must not follow at once
-            self._skip_after(synced - self.deadline)
+            self._skip(synced - self.deadline)
         end, was_whole, self._is_whole = synced + self._window_ns, self._is_whole, True
         for link, window, group, _ in self._buses:
             while window.pending and link.poll(end):
@@ -121,26 +121,20 @@ class Exchange:
         for _, window, _, _ in self._buses:
             window.latest = slowest + self._period // _MARGIN
 
-    def _skip_after(self, late: int) -> None:
-        """Skip the deadlines missed between the wait and the SYNC, given the SYNC's lateness [ns]."""
-        self._skip(late)
-        self.deadline += late // self._period * self._period
-
     def _wait(self) -> int:
         """Handle frames until the next deadline; one missed by half a period is skipped for the next.
 
         Returns:
             The time at its end [ns].
         """
-        first, others, now = self.links[0], self._others, self.now
-        first.pump(self._next)
-        for link in others:
-            link.drain()
-        while (lateness := (woken := now()) - self._next) > self._latest:
-            self._skip(lateness)
-            first.pump(self._next)
-            for link in others:
+        while True:
+            self.links[0].pump(self._next)
+            for link in self._others:
                 link.drain()
+            lateness = (woken := self.now()) - self._next
+            if lateness <= self._latest:
+                break
+            self._skip(lateness)
         self.deadline = self._next
         self._next += self._period
         return woken
@@ -149,6 +143,7 @@ class Exchange:
         """Skip the deadlines that were missed, up to the nearest."""
         skipped = (lateness + self._latest) // self._period
         self.skipped += skipped
+        self.deadline += lateness // self._period * self._period
         self._next += skipped * self._period
 
     def write_zero(self) -> None:

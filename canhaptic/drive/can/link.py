@@ -4,6 +4,7 @@ There is no Notifier and no callback thread: the caller that waits pumps the bus
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Final
 
 import can
@@ -16,29 +17,22 @@ _Handler = Callable[[bytearray], None]
 Recorder = Callable[[int, int, bytes | bytearray, bool], None]
 """Called as recorder(timestamp [ns], COB-ID, data, is_rx) for every frame."""
 
-_LARGEST_STANDARD_ID: Final = 0x7FF
 _MOST_FRAMES_AT_ONCE: Final = 10_000  # a bus that delivers this many frames at one instant is broken
 
 
+@dataclass(slots=True)
 class _LinkStatistics:
     """Counts of a link since it was made. Frames counted as anything but `received` never enter a ledger."""
 
-    __slots__ = ("duplicate", "echoed", "error_frames", "foreign", "late", "received", "send_failures", "sent", "short")
-
-    def __init__(self) -> None:
-        self.sent = 0
-        self.received = 0  # every frame received, used or not
-        self.foreign = 0  # COB-ID without a receiver, remote frame, or extended identifier
-        self.echoed = 0  # our own frame, given back by the interface
-        self.late = 0  # TPDO outside the window of its SYNC, SDO answer after its time
-        self.duplicate = 0  # second TPDO for one SYNC
-        self.short = 0  # data of another length than the map has
-        self.error_frames = 0
-        self.send_failures = 0
-
-    def as_dict(self) -> dict[str, int]:
-        """Return the counts by name."""
-        return {name: getattr(self, name) for name in self.__slots__}
+    duplicate: int = 0  # second TPDO for one SYNC
+    echoed: int = 0  # our own frame, given back by the interface
+    error_frames: int = 0
+    foreign: int = 0  # COB-ID without a receiver, remote frame, or extended identifier
+    late: int = 0  # TPDO outside the window of its SYNC, SDO answer after its time
+    received: int = 0  # every frame received, used or not
+    send_failures: int = 0
+    sent: int = 0
+    short: int = 0  # data of another length than the map has
 
 
 class Link:
@@ -189,7 +183,7 @@ class Link:
             self.statistics.echoed += 1
             return
         self.statistics.foreign += 1
-        if message.is_remote_frame or can_id > _LARGEST_STANDARD_ID:
+        if message.is_remote_frame or can_id > 0x7FF:
             return
         if can_id in self._own and not message.is_extended_id:
             self.intruder = self.intruder or f"{self._own[can_id]} (COB-ID {can_id:#05x})"

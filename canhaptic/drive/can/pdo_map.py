@@ -21,14 +21,7 @@ from canopen import ObjectDictionary
 from canopen.objectdictionary import ODVariable, datatypes
 
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.objects import (
-    COB_ID_INVALID,
-    RPDO_COMMUNICATION,
-    SYNCHRONOUS_EVERY_SYNC,
-    TPDO_COMMUNICATION,
-    DataType,
-    is_writable,
-)
+from canhaptic.canopen.objects import COB_ID_INVALID, SYNCHRONOUS_EVERY_SYNC, DataType, is_writable
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.sdo import SdoChannel
 from canhaptic.drive.profile.fitness import ObjectUse, listed, mapping_objection, objection
@@ -37,7 +30,7 @@ from canhaptic.drive.profile.torque_axis_parameters import ReadBack
 from canhaptic.errors import DictionaryError
 
 _UNSIGNED_FORMATS: Final = {8: "B", 16: "H", 32: "I", 64: "Q"}
-_LONGEST: Final = 64  # bits of a classic CAN frame
+_Kind = Literal["RPDO", "TPDO"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,12 +83,10 @@ def codec(entries: Sequence[MappedObject], wanted: Sequence[int]) -> struct.Stru
         else:
             skipped += entry.bits
         offset += entry.bits
-    if offset > _LONGEST or offset % 8:
-        raise DictionaryError(f"a PDO of {offset} bits cannot be decoded, expected whole bytes up to {_LONGEST} bits")
+    if offset > 64 or offset % 8:
+        raise DictionaryError(f"a PDO of {offset} bits cannot be decoded, expected whole bytes up to 64 bits")
     return struct.Struct(f"{layout}{skipped // 8}x")
 
-
-_MOST_TPDOS: Final = 3  # statusword, position and torque each in a TPDO of its own
 
 _CONTROLWORD: Final = MappedObject(od.CONTROLWORD, 0, 16)
 _TARGET_TORQUE: Final = MappedObject(od.TARGET_TORQUE, 0, 16, signed=True)
@@ -103,23 +94,21 @@ _STATUSWORD: Final = MappedObject(od.STATUSWORD, 0, 16)
 _POSITION: Final = MappedObject(od.POSITION_ACTUAL, 0, 32, signed=True)
 TORQUE_DEMAND: Final = MappedObject(od.TORQUE_DEMAND, 0, 16, signed=True)
 _TORQUE_ACTUAL: Final = MappedObject(od.TORQUE_ACTUAL, 0, 16, signed=True)
-_SIGNED: Final = frozenset(o.index for o in (_TARGET_TORQUE, _POSITION, TORQUE_DEMAND, _TORQUE_ACTUAL))
-_WANTED: Final = frozenset(
-    o.entry for o in (_CONTROLWORD, _TARGET_TORQUE, _STATUSWORD, _POSITION, TORQUE_DEMAND, _TORQUE_ACTUAL)
-)
+_USED: Final = (_CONTROLWORD, _TARGET_TORQUE, _STATUSWORD, _POSITION, TORQUE_DEMAND, _TORQUE_ACTUAL)
 _TARGETS: Final = {
     od.TARGET_TORQUE: _TARGET_TORQUE,
     od.TARGET_VELOCITY: MappedObject(od.TARGET_VELOCITY, 0, 32, signed=True),
     od.TARGET_POSITION: MappedObject(od.TARGET_POSITION, 0, 32, signed=True),
 }
-_FORCE_BITS: Final[dict[int, int]] = {od.DataType.INTEGER16: 16, od.DataType.INTEGER32: 32}
+_INDICES: Final = {"RPDO": (od.RPDO_COMMUNICATION, od.RPDO_MAPPING), "TPDO": (od.TPDO_COMMUNICATION, od.TPDO_MAPPING)}
+"""First index of the communication parameters and of the mapping parameters."""
 
 
 @dataclass(frozen=True, slots=True)
 class PdoPlan:
     """A planned PDO: its number, COB-ID and contents."""
 
-    kind: Literal["RPDO", "TPDO"]
+    kind: _Kind
     number: int
     cob_id: int
     entries: tuple[MappedObject, ...]
@@ -129,12 +118,12 @@ class PdoPlan:
     @property
     def communication_index(self) -> int:
         """Index of the communication parameters (0x1400.., 0x1800..)."""
-        return (od.RPDO_COMMUNICATION if self.kind == "RPDO" else od.TPDO_COMMUNICATION) + self.number - 1
+        return _INDICES[self.kind][0] + self.number - 1
 
     @property
     def mapping_index(self) -> int:
         """Index of the mapping parameters (0x1600.., 0x1A00..)."""
-        return (od.RPDO_MAPPING if self.kind == "RPDO" else od.TPDO_MAPPING) + self.number - 1
+        return _INDICES[self.kind][1] + self.number - 1
 
     @property
     def length(self) -> int:
@@ -161,7 +150,7 @@ class AxisMap:
 class PdoCapability:
     """A PDO that the dictionary lists."""
 
-    kind: Literal["RPDO", "TPDO"]
+    kind: _Kind
     number: int
     fixed: tuple[MappedObject, ...] | None  # None: the mapping can be written
     room: int  # entries
@@ -189,20 +178,19 @@ def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
         plan = _plan(dictionary, axis, candidate, tuple(candidate.fixed or entries), taken)
         taken.add(plan.cob_id)
         plans.append(plan)
-    _refuse_shared_cob_ids(axis, plans)
+    for first, second in combinations(plans, 2):
+        if first.cob_id == second.cob_id:
+            place = f"{second.communication_index:#06x}"
+            shared = f"{first.name} and {second.name} would share COB-ID {first.cob_id:#x}"
+            raise DictionaryError(f"{axis.name}: {shared}; set pdo_cob_ids: {{{place}: ...}}")
     node = axis.admittance.force.node if axis.admittance else None
     return AxisMap(plans[0], tuple(plans[1:]), read_back, (node.frame_length,) if node else ())
 
 
-def pdo_numbers(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> list[int]:
+def pdo_numbers(dictionary: ObjectDictionary, kind: _Kind) -> list[int]:
     """Return the numbers of all PDOs whose communication parameters the dictionary lists."""
-    first = od.RPDO_COMMUNICATION if kind == "RPDO" else od.TPDO_COMMUNICATION
+    first = _INDICES[kind][0]
     return [index - first + 1 for index in sorted(dictionary) if first <= index < first + od.PDO_COUNT]
-
-
-def pdo_capabilities(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> list[PdoCapability]:
-    """Return every PDO whose mapping can be written or is completely given, in order."""
-    return list(_candidates(dictionary, kind))
 
 
 # --- the objects ------------------------------------------------------------------------------------------------
@@ -232,13 +220,11 @@ def _force(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[ReadBack
         return "none", None
     index, subindex = place
     variable = listed(dictionary, index, subindex)
-    bits = None if variable is None else _FORCE_BITS.get(variable.data_type or 0)
+    bits = {DataType.INTEGER16: 16, DataType.INTEGER32: 32}.get(getattr(variable, "data_type", None) or DataType.DOMAIN)
     if bits is None:
-        seen = "is not in the dictionary" if variable is None else "is not INTEGER16 or INTEGER32"
-        name = axis.admittance.force.object
-        raise DictionaryError(
-            f"{axis.name}: {axis.eds}: admittance.force.object {name} {seen}; name the force's object"
-        )
+        seen = f"admittance.force.object {axis.admittance.force.object} is not "
+        seen += "in the dictionary" if variable is None else "INTEGER16 or INTEGER32"
+        raise DictionaryError(f"{axis.name}: {axis.eds}: {seen}; name the force's object")
     return "none", MappedObject(index, subindex, bits, signed=True)
 
 
@@ -248,32 +234,29 @@ def _is_mappable(dictionary: ObjectDictionary, wanted: MappedObject) -> bool:
         return True
     if objection(dictionary, ObjectUse(wanted.index, 0, wanted.data_type)) is not None:
         return False
-    return any(wanted.entry == e.entry for c in _candidates(dictionary, "TPDO") for e in c.fixed or ())
+    return any(wanted.entry == e.entry for c in pdo_capabilities(dictionary, "TPDO") for e in c.fixed or ())
 
 
 def _mapped(dictionary: ObjectDictionary, entry: int) -> MappedObject:
     found = decode_entry(entry)
     variable = dictionary.get_variable(found.index, found.subindex)
-    signed = found.index in _SIGNED or (variable is not None and variable.data_type in datatypes.SIGNED_TYPES)
-    return replace(found, signed=signed)
+    is_known = any(found.index == used.index and used.signed for used in _USED)
+    return replace(found, signed=is_known or getattr(variable, "data_type", None) in datatypes.SIGNED_TYPES)
 
 
 # --- the PDOs that a dictionary has -------------------------------------------------------------------------------
 
 
-def _candidates(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> Iterator[PdoCapability]:
-    first = od.RPDO_MAPPING if kind == "RPDO" else od.TPDO_MAPPING
+def pdo_capabilities(dictionary: ObjectDictionary, kind: _Kind) -> Iterator[PdoCapability]:
+    """Yield every PDO whose mapping can be written or is completely given, in order."""
     for number in pdo_numbers(dictionary, kind):
-        members = getattr(dictionary.get(first + number - 1), "subindices", {})
-        subindices = sorted(members)
-        if not subindices:
-            continue
+        members = getattr(dictionary.get(_INDICES[kind][1] + number - 1), "subindices", {})
         room = next(n for n in range(len(members) + 1) if not _is_slot(members.get(n + 1)))
         if room and _is_slot(members.get(0)):
             yield PdoCapability(kind, number, None, room)
             continue
         count = members[0].default if 0 in members else None
-        values = [members[s].default for s in subindices if 0 < s <= (count or 0)]
+        values = [members[s].default for s in sorted(members) if 0 < s <= (count or 0)]
         if values and len(values) == count and all(isinstance(v, int) and v for v in values):
             entries = tuple(_mapped(dictionary, v) for v in values)
             if _is_decodable(entries):
@@ -281,14 +264,14 @@ def _candidates(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"]) -> 
 
 
 def _is_slot(variable: ODVariable | None) -> bool:
-    """Whether a subindex of a map can be written and read back."""
+    """Whether a subindex can be written and read back."""
     return variable is not None and variable.readable and variable.writable
 
 
 def _is_decodable(entries: Sequence[MappedObject]) -> bool:
     """Whether the bytes of a fixed map can be distinguished: a single BOOLEAN shifts all that follows it by a bit."""
     try:
-        codec(entries, [entry.index for entry in entries if entry.entry in _WANTED])
+        codec(entries, [entry.index for entry in entries if entry.entry in {used.entry for used in _USED}])
     except DictionaryError:
         return False
     return True
@@ -297,14 +280,13 @@ def _is_decodable(entries: Sequence[MappedObject]) -> bool:
 def _choose_rpdo(
     dictionary: ObjectDictionary, axis: AxisParameters, wanted: tuple[MappedObject, MappedObject]
 ) -> PdoCapability:
-    candidates = [c for c in _candidates(dictionary, "RPDO") if axis.rpdo_number in (None, c.number)]
-    needed = {entry.entry for entry in wanted}
+    candidates = [c for c in pdo_capabilities(dictionary, "RPDO") if axis.rpdo_number in (None, c.number)]
     unmappable = _unmappable(dictionary, "RPDO", wanted)
     for candidate in candidates:
         if candidate.fixed is None and candidate.room >= len(wanted) and not unmappable:
             return candidate
     for candidate in candidates:
-        if {entry.entry for entry in candidate.fixed or ()} == needed:
+        if {entry.entry for entry in candidate.fixed or ()} == {entry.entry for entry in wanted}:
             return candidate
     raise DictionaryError(
         f"{axis.name}: {axis.eds}: no RPDO{axis.rpdo_number or ''} can carry {wanted[0]} and {wanted[1]}; "
@@ -315,14 +297,14 @@ def _choose_rpdo(
 def _choose_tpdos(
     dictionary: ObjectDictionary, axis: AxisParameters, wanted: Sequence[MappedObject]
 ) -> list[tuple[PdoCapability, Sequence[MappedObject]]]:
-    candidates = [c for c in _candidates(dictionary, "TPDO") if c.number in (axis.tpdo_numbers or (c.number,))]
+    candidates = [c for c in pdo_capabilities(dictionary, "TPDO") if c.number in (axis.tpdo_numbers or (c.number,))]
     unmappable = _unmappable(dictionary, "TPDO", wanted)
     for candidate in candidates:
         if candidate.fixed is None and candidate.room >= len(wanted) and not unmappable:
             return [(candidate, wanted)]
     needed = {entry.entry for entry in wanted}
     fixed = [c for c in candidates if c.fixed]
-    for count in range(1, _MOST_TPDOS + 1):
+    for count in (1, 2, 3):  # at most statusword, position and torque each in a TPDO of its own
         covers = [g for g in combinations(fixed, count) if needed <= {e.entry for c in g for e in c.fixed or ()}]
         if covers:
             best = min(covers, key=lambda group: sum(e.bits for c in group for e in c.fixed or ()))
@@ -334,7 +316,7 @@ def _choose_tpdos(
     )
 
 
-def _unmappable(dictionary: ObjectDictionary, kind: Literal["RPDO", "TPDO"], wanted: Sequence[MappedObject]) -> str:
+def _unmappable(dictionary: ObjectDictionary, kind: _Kind, wanted: Sequence[MappedObject]) -> str:
     """Objects that cannot be part of a written map, and why; empty where all can."""
     texts = (
         (entry, mapping_objection(dictionary, kind, entry.index, entry.data_type, entry.subindex)) for entry in wanted
@@ -352,10 +334,9 @@ def _plan(
     entries: tuple[MappedObject, ...],
     taken: set[int],
 ) -> PdoPlan:
-    is_rpdo = candidate.kind == "RPDO"
-    index = (od.RPDO_COMMUNICATION if is_rpdo else od.TPDO_COMMUNICATION) + candidate.number - 1
+    index = _INDICES[candidate.kind][0] + candidate.number - 1
     can_write = is_writable(dictionary, index, 1)
-    bases = od.RPDO_BASE if is_rpdo else od.TPDO_BASE
+    bases = od.RPDO_BASE if candidate.kind == "RPDO" else od.TPDO_BASE
     predefined = [base + axis.node_id for base in bases]
     if not can_write:
         stated = getattr(dictionary.get_variable(index, 1), "default", None)
@@ -369,18 +350,7 @@ def _plan(
     return PdoPlan(candidate.kind, candidate.number, cob_id, entries, candidate.fixed is None, can_write)
 
 
-def _refuse_shared_cob_ids(axis: AxisParameters, plans: Sequence[PdoPlan]) -> None:
-    for first, second in combinations(plans, 2):
-        if first.cob_id == second.cob_id:
-            raise DictionaryError(
-                f"{axis.name}: {first.name} and {second.name} would share COB-ID {first.cob_id:#x}; set pdo_cob_ids: "
-                f"{{{second.communication_index:#06x}: ...}}"
-            )
-
-
 _COB_ID, _TRANSMISSION_TYPE, _EVENT_TIMER = 1, 2, 5  # subindices of the communication parameters
-_NO_RTR: Final = 1 << 30  # bit 30 of a TPDO's COB-ID: some drives insist on it
-_IDENTIFIER: Final = 0x7FF
 
 _Expect = Callable[[str, int, int], None]
 """Called as expect(object, seen, expected); raises when they differ."""
@@ -407,7 +377,10 @@ def write_map(
     Raises:
         SdoError: The drive refused a step.
     """
-    _disable_others(sdo, chosen)
+    for index in others_to_disable(sdo.dictionary, chosen):
+        cob_id = sdo.read(index, _COB_ID)
+        if not cob_id & COB_ID_INVALID:
+            sdo.write(index, _COB_ID, cob_id | COB_ID_INVALID)
     for plan in (*chosen.tpdos, chosen.rpdo):
         transmission_type = rpdo_type if plan.kind == "RPDO" else SYNCHRONOUS_EVERY_SYNC
         deadline = rpdo_deadline if plan.kind == "RPDO" else None
@@ -415,30 +388,17 @@ def write_map(
         _compare_pdo(sdo, plan, transmission_type, expect)
 
 
-def _disable_others(sdo: SdoChannel, chosen: AxisMap) -> None:
-    for index in others_to_disable(sdo.dictionary, chosen):
-        cob_id = sdo.read(index, _COB_ID)
-        if not cob_id & COB_ID_INVALID:
-            sdo.write(index, _COB_ID, cob_id | COB_ID_INVALID)
-
-
 def others_to_disable(dictionary: ObjectDictionary, chosen: AxisMap) -> list[int]:
     """Return the communication objects of the PDOs that are not chosen and can be switched off."""
     used = {plan.communication_index for plan in (chosen.rpdo, *chosen.tpdos)}
-    indices = [RPDO_COMMUNICATION + n - 1 for n in pdo_numbers(dictionary, "RPDO")]
-    indices += [TPDO_COMMUNICATION + n - 1 for n in pdo_numbers(dictionary, "TPDO")]
-    return [n for n in indices if n not in used and is_writable(dictionary, n, _COB_ID) and _is_readable(dictionary, n)]
-
-
-def _is_readable(dictionary: ObjectDictionary, index: int) -> bool:
-    variable = dictionary.get_variable(index, _COB_ID)
-    return variable is not None and variable.readable
+    kinds: tuple[_Kind, ...] = ("RPDO", "TPDO")
+    indices = [_INDICES[kind][0] + n - 1 for kind in kinds for n in pdo_numbers(dictionary, kind)]
+    return [n for n in indices if n not in used and _is_slot(dictionary.get_variable(n, _COB_ID))]
 
 
 def _write_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int, deadline: int | None, expect: _Expect) -> None:
     communication, mapping = plan.communication_index, plan.mapping_index
-    present = sdo.read(communication, _COB_ID)
-    cob_id = plan.cob_id | present & _NO_RTR
+    cob_id = plan.cob_id | sdo.read(communication, _COB_ID) & 1 << 30  # no RTR: some drives insist on it
     if plan.cob_id_is_written:
         sdo.write(communication, _COB_ID, cob_id | COB_ID_INVALID)
     if is_writable(sdo.dictionary, communication, _TRANSMISSION_TYPE):
@@ -459,7 +419,7 @@ def _write_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int, deadline:
 def _compare_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int, expect: _Expect) -> None:
     communication, mapping = plan.communication_index, plan.mapping_index
     cob_id = sdo.read(communication, _COB_ID)
-    expect(f"{plan.name} {sdo.describe(communication, _COB_ID)}", cob_id & (COB_ID_INVALID | _IDENTIFIER), plan.cob_id)
+    expect(f"{plan.name} {sdo.describe(communication, _COB_ID)}", cob_id & (COB_ID_INVALID | 0x7FF), plan.cob_id)
     seen_type = sdo.read(communication, _TRANSMISSION_TYPE)
     expect(f"{plan.name} {sdo.describe(communication, _TRANSMISSION_TYPE)}", seen_type, transmission_type)
     expect(f"{plan.name} {sdo.describe(mapping)}", sdo.read(mapping), len(plan.entries))

@@ -126,101 +126,9 @@ def _require(answer: bytes, specifier: int, toggle: int | None = None) -> None:
 ATTEMPTS: Final = 3
 """How often an unanswered first request is sent."""
 
-_FEWEST_SURPLUS: Final = 3  # answers; a bus may double a frame now and then
-
 
 class _NoAnswerError(Exception):
     """The node said nothing."""
-
-
-class _Client:
-    """Walks one transfer after the other."""
-
-    def __init__(self, link: Link, node_id: int, timeout: int, attempts: int) -> None:
-        self._link = link
-        self._request_cob_id = SDO_REQUEST_BASE + node_id
-        self._response_cob_id = SDO_RESPONSE_BASE + node_id
-        self._timeout = timeout
-        self._attempts = attempts
-        self._object = b"\0\0\0"  # index and subindex of the transfer, as on the wire
-        self._request = b""  # awaited for an answer; empty while none is
-        self._answer: bytes | None = None
-        self._owed: dict[bytes, int] = {}  # answers still to come, by their first four bytes
-        self.asked = self.surplus = 0  # first requests sent, and answers to them beyond one for each
-        self.listen()
-
-    def listen(self) -> None:
-        """Receive the answers of the drive from now on, in place of the handler before."""
-        self._link.subscribe(self._response_cob_id, self._take)
-
-    @contextmanager
-    def patience(self, timeout: int, attempts: int) -> Iterator[None]:
-        """Within the block an answer may take `timeout` [ns], and a request is sent `attempts` times, at most."""
-        before = self._timeout, self._attempts
-        self._timeout, self._attempts = min(self._timeout, timeout), min(self._attempts, attempts)
-        try:
-            yield
-        finally:
-            self._timeout, self._attempts = before
-
-    def run(self, transfer: Transfer, index: int, subindex: int) -> bytes:
-        """Return the value of a transfer.
-
-        Raises:
-            SdoAbortedError: The server aborted the transfer.
-            ProtocolError: The answer does not belong to the request; the transfer was aborted.
-            _NoAnswerError: The server did not answer in time; the transfer was aborted.
-            LinkError: The bus failed.
-        """
-        self._object = address(index, subindex)
-        request = next(transfer)
-        while True:
-            try:
-                answer = self._ask(request)
-                request = transfer.send(answer)
-            except StopIteration as end:
-                return bytes(end.value)
-            except _NoAnswerError:
-                self._link.send(self._request_cob_id, abort(index, subindex, SdoAbort.TIMEOUT))
-                raise
-            except ProtocolError:
-                self._link.send(self._request_cob_id, abort(index, subindex, SdoAbort.COMMAND_SPECIFIER))
-                raise
-
-    def _ask(self, request: bytes) -> bytes:
-        for _ in range(self._attempts if initiates(request) else 1):
-            self._answer, self._request = None, request
-            if initiates(request):
-                head = first_answer(request)
-                self._owed[head] = max(0, self._owed.get(head, 0)) + 1
-                self.asked += 1
-            self._link.send(self._request_cob_id, request)
-            answered = self._link.wait_for(self._is_answered, self._timeout)
-            self._request = b""
-            if answered and self._answer is not None:
-                if self._answer[0] == ABORT:
-                    raise SdoAbortedError(int.from_bytes(self._answer[4:8], "little"))
-                return self._answer
-        raise _NoAnswerError("no answer")
-
-    def _take(self, data: bytearray) -> None:
-        if len(data) != FRAME_LENGTH:
-            self._link.statistics.short += 1
-            return
-        head = bytes([data[0] & 0xE0, *data[1:4]])
-        if head in self._owed:
-            self._owed[head] -= 1
-            if self._owed[head] < 0:
-                self.surplus += 1
-                self._link.statistics.late += 1
-                return
-        if not self._request or not may_answer(data, self._request, self._object):
-            self._link.statistics.late += 1
-            return
-        self._answer = bytes(data)
-
-    def _is_answered(self) -> bool:
-        return self._answer is not None
 
 
 class SdoChannel:
@@ -242,12 +150,102 @@ class SdoChannel:
         self, link: Link, node_id: int, dictionary: ObjectDictionary, name: str, timeout: int, attempts: int = ATTEMPTS
     ) -> None:
         self.dictionary = dictionary
-        self._client = _Client(link, node_id, timeout, attempts)
-        self._node_id = node_id
-        self._name = name
+        self._link, self._node_id, self._name = link, node_id, name
         self._timeout, self._attempts = timeout, attempts
         self._patience = f"{attempts} requests, {timeout / 1e9:g} s each"
         self.changes: list[Written] | None = None
+        self._object = b"\0\0\0"  # index and subindex of the transfer, as on the wire
+        self._request = b""  # awaited for an answer; empty while none is
+        self._answer: bytes | None = None
+        self._owed: dict[bytes, int] = {}  # answers still to come, by their first four bytes
+        self._asked = self._surplus = 0  # first requests sent, and answers to them beyond one for each
+        self.listen()
+
+    def listen(self) -> None:
+        """Receive the answers of the drive from now on, in place of the handler before."""
+        self._link.subscribe(SDO_RESPONSE_BASE + self._node_id, self._take)
+
+    # --- frames -----------------------------------------------------------------------------------------------------
+
+    @contextmanager
+    def _within(self, timeout: int, attempts: int) -> Iterator[None]:
+        """Within the block an answer may take `timeout` [ns], and a request is sent `attempts` times, at most."""
+        before = self._timeout, self._attempts
+        self._timeout, self._attempts = min(self._timeout, timeout), attempts
+        try:
+            yield
+        finally:
+            self._timeout, self._attempts = before
+
+    def _value_of(self, verb: str, index: int, subindex: int, transfer: Transfer) -> bytes:
+        """Return the value of a transfer; raise SdoError."""
+        try:
+            return self._run(index, subindex, transfer)
+        except SdoAbortedError as error:
+            raise self.aborted(verb, index, subindex, error.code) from error
+        except (ProtocolError, _NoAnswerError, LinkError) as error:
+            text = f"node {self._node_id}: {error} ({self._patience}); check power, node ID, bit rate and cable"
+            raise self.failure(verb, index, subindex, text) from error
+
+    def _run(self, index: int, subindex: int, transfer: Transfer) -> bytes:
+        """Return the value of a transfer.
+
+        Raises:
+            SdoAbortedError: The server aborted the transfer.
+            ProtocolError: The answer does not belong to the request; the transfer was aborted.
+            _NoAnswerError: The server did not answer in time; the transfer was aborted.
+            LinkError: The bus failed.
+        """
+        self._object = address(index, subindex)
+        request = next(transfer)
+        try:
+            while True:
+                request = transfer.send(self._ask(request))
+        except StopIteration as end:
+            return bytes(end.value)
+        except (ProtocolError, _NoAnswerError) as error:
+            code = SdoAbort.TIMEOUT if isinstance(error, _NoAnswerError) else SdoAbort.COMMAND_SPECIFIER
+            self._link.send(SDO_REQUEST_BASE + self._node_id, abort(index, subindex, code))
+            raise
+
+    def _ask(self, request: bytes) -> bytes:
+        for _ in range(self._attempts if initiates(request) else 1):
+            self._answer, self._request = None, request
+            if initiates(request):
+                head = first_answer(request)
+                self._owed[head] = max(0, self._owed.get(head, 0)) + 1
+                self._asked += 1
+            self._link.send(SDO_REQUEST_BASE + self._node_id, request)
+            self._link.wait_for(lambda: self._answer is not None, self._timeout)
+            self._request = b""
+            if self._answer is not None:
+                if self._answer[0] == ABORT:
+                    raise SdoAbortedError(int.from_bytes(self._answer[4:8], "little"))
+                return self._answer
+        raise _NoAnswerError("no answer")
+
+    def _take(self, data: bytearray) -> None:
+        if len(data) != FRAME_LENGTH:
+            self._link.statistics.short += 1
+            return
+        head = bytes([data[0] & _SPECIFIER, *data[1:4]])
+        if head in self._owed:
+            self._owed[head] -= 1
+            if self._owed[head] < 0:
+                self._surplus += 1
+                self._link.statistics.late += 1
+                return
+        if not self._request or not may_answer(data, self._request, self._object):
+            self._link.statistics.late += 1
+            return
+        self._answer = bytes(data)
+
+    @property
+    def is_doubled(self) -> bool:
+        """Whether most requests were answered more than once, as happens when two nodes have one ID."""
+        return self._surplus >= 3 and 2 * self._surplus > self._asked  # a bus may double a frame now and then
+
+    # --- objects ----------------------------------------------------------------------------------------------------
 
     def read(self, index: int, subindex: int = 0) -> int:
         """Return the value of an integer object.
@@ -255,13 +253,7 @@ class SdoChannel:
         Raises:
             SdoError: Aborted by the drive or not answered.
         """
-        try:
-            data = self._client.run(upload(index, subindex), index, subindex)
-        except SdoAbortedError as error:
-            raise self.aborted("read", index, subindex, error.code) from error
-        except (ProtocolError, _NoAnswerError, LinkError) as error:
-            raise self._unanswered("read", index, subindex, error) from error
-        return self.decode(index, subindex, data)
+        return self.decode(index, subindex, self._value_of("read", index, subindex, upload(index, subindex)))
 
     def probe(self, index: int, subindex: int = 0) -> int:
         """Return the value of an object like `read`, but asks only once.
@@ -269,7 +261,7 @@ class SdoChannel:
         Raises:
             SdoError: Aborted by the drive or not answered.
         """
-        with self._client.patience(self._timeout, 1):
+        with self._within(self._timeout, 1):
             return self.read(index, subindex)
 
     def read_within(self, limit: int, index: int, subindex: int = 0) -> int:
@@ -278,7 +270,7 @@ class SdoChannel:
         Raises:
             SdoError: Aborted by the drive or not answered.
         """
-        with self._client.patience(limit // self._attempts, self._attempts):
+        with self._within(limit // self._attempts, self._attempts):
             return self.read(index, subindex)
 
     def write(self, index: int, subindex: int, value: int, size: int | None = None) -> None:
@@ -296,12 +288,7 @@ class SdoChannel:
         data = self.encode(index, subindex, value, size)
         if self.changes is not None and index not in COMMANDS:
             self._note(self.changes, Written((index, subindex), None, value, len(data)))
-        try:
-            self._client.run(download(index, subindex, data), index, subindex)
-        except SdoAbortedError as error:
-            raise self.aborted("write", index, subindex, error.code) from error
-        except (ProtocolError, _NoAnswerError, LinkError) as error:
-            raise self._unanswered("write", index, subindex, error) from error
+        self._value_of("write", index, subindex, download(index, subindex, data))
 
     def _note(self, changes: list[Written], change: Written) -> None:
         """Record a write with the value before: from the write before it, or as the drive has it."""
@@ -317,10 +304,10 @@ class SdoChannel:
     def decode(self, index: int, subindex: int, data: bytes) -> int:
         """Return the integer in the bytes of an object, with the length and sign given by the dictionary."""
         variable = self.dictionary.get_variable(index, subindex)
-        signed = variable is not None and variable.data_type in datatypes.SIGNED_TYPES
-        is_integer = variable is not None and variable.data_type in datatypes.INTEGER_TYPES
-        size = len(variable) // 8 if variable is not None and is_integer else None  # more came, without its length
-        return int.from_bytes(data[:size], "little", signed=signed)
+        if variable is None or variable.data_type not in datatypes.INTEGER_TYPES:
+            return int.from_bytes(data, "little")
+        is_signed = variable.data_type in datatypes.SIGNED_TYPES
+        return int.from_bytes(data[: len(variable) // 8], "little", signed=is_signed)  # more may come, without a length
 
     def encode(self, index: int, subindex: int, value: int, size: int | None = None) -> bytes:
         """Return the bytes of an integer object, by default as many as the dictionary says.
@@ -336,19 +323,10 @@ class SdoChannel:
         except OverflowError as error:
             raise self.failure("write", index, subindex, f"{value} does not fit {size} bytes") from error
 
-    @property
-    def is_doubled(self) -> bool:
-        """Whether most requests were answered more than once, as happens when two nodes have one ID."""
-        return self._client.surplus >= _FEWEST_SURPLUS and 2 * self._client.surplus > self._client.asked
-
     def describe(self, index: int, subindex: int = 0) -> str:
         """Return an object as `0x6072:00 Max torque`."""
         variable = self.dictionary.get_variable(index, subindex)
         return f"{index:#06x}:{subindex:02x}" + (f" {variable.name}" if variable is not None else "")
-
-    def listen(self) -> None:
-        """Receive the answers of the drive again, after a transfer of `background_sdo`."""
-        self._client.listen()
 
     def aborted(self, verb: str, index: int, subindex: int, code: int) -> SdoError:
         """Return the error of a transfer that the drive has aborted."""
@@ -358,7 +336,3 @@ class SdoChannel:
     def failure(self, verb: str, index: int, subindex: int, text: str, code: int | None = None) -> SdoError:
         """Return the error of a transfer, with axis and object named."""
         return SdoError(f"{self._name}: {verb} {self.describe(index, subindex)}: {text}", index, subindex, code)
-
-    def _unanswered(self, verb: str, index: int, subindex: int, error: Exception) -> SdoError:
-        text = f"node {self._node_id}: {error} ({self._patience}); check power, node ID, bit rate and cable"
-        return self.failure(verb, index, subindex, text)

@@ -20,10 +20,7 @@ if TYPE_CHECKING:
 
 _SLOTS: Final = {od.STATUSWORD: 0, od.POSITION_ACTUAL: 1, od.TORQUE_DEMAND: 2, od.TORQUE_ACTUAL: 2}
 _DOUBT: Final = 1 << 30  # of the frames awaited: order after SYNC is not sure
-_IN_ORDER: Final = (0, 1, 2)
-_NMT_STATE: Final = 0x7F  # bit 7 of a heartbeat is reserved
 _OPERATIONAL: Final = int(od.NmtState.OPERATIONAL)
-_DISABLE_BY_SDO: Final = next(download(od.CONTROLWORD, 0, od.Controlword.DISABLE_VOLTAGE.to_bytes(2, "little")))
 
 
 class SyncWindow:
@@ -72,7 +69,9 @@ class ServoDrive(TorqueAxis):
         self.link, self.bus = link, bus
         self.map: AxisMap = choose_map(dictionary, axis)
         sdo = SdoChannel(link, axis.node_id, dictionary, axis.name, round(axis.sdo_timeout * 1e9))
-        super().__init__(axis, dictionary, sdo, _rules(bus), self.map.read_back, dry_run)
+        is_synchronous, times = bus.rpdo == "synchronous", (bus.sample_time_ns, bus.sample_time)
+        rules = CycleRules(*times, bus.hold_cycles, bus.stop_cycles, is_synchronous, bus.drive_silence_ns)
+        super().__init__(axis, dictionary, sdo, rules, self.map.read_back, dry_run)
         self.window = SyncWindow()
         self._statistics = link.statistics
         self._rpdo_cob_id = self.map.rpdo.cob_id
@@ -98,13 +97,8 @@ class ServoDrive(TorqueAxis):
                 parts.append("0")  # not there
         plans = (self.map.rpdo, *self.map.tpdos)
         mapped = repr([(plan.cob_id, [(entry.index, entry.subindex) for entry in plan.entries]) for plan in plans])
-        parts += [
-            f"{zlib.crc32(mapped.encode()):x}",
-            f"{self.bus.rate:g}Hz",
-            self.bus.rpdo,
-            str(self.quirks.syncs_late),
-        ]
-        return "-".join(parts)
+        cycle = f"{self.bus.rate:g}Hz-{self.bus.rpdo}-{self.quirks.syncs_late}"
+        return "-".join([*parts, f"{zlib.crc32(mapped.encode()):x}", cycle])
 
     def own_bring_up(self) -> "BringUp | None":
         """Return the start of a drive in a mode of its own; None: the start for cyclic torque."""
@@ -159,20 +153,22 @@ class ServoDrive(TorqueAxis):
         self.link.send(self._rpdo_cob_id, self._pack(self.controlword, torque_per_mille))
 
     def disable_unconfirmed(self) -> None:
-        """Send the SDO 0x6040 = disable voltage and await no answer: it acts even where RPDOs or SYNCs are lost.
+        """Send the SDO 0x6040 = `stop_word` and await no answer: it acts even where RPDOs or SYNCs are lost.
 
         Raises:
             LinkError: It could not be sent.
         """
-        self.link.send(od.SDO_REQUEST_BASE + self.axis.node_id, _DISABLE_BY_SDO)
+        self._write_unconfirmed(od.CONTROLWORD, 0, self.stop_word.to_bytes(2, "little"))
 
     def command_brake(self, *, is_open: bool) -> None:
         """Open or set a brake operated by the host, and await no answer; raise LinkError."""
         brake = self.axis.brake
         if brake is not None and brake.output is not None:
             value = self.outputs | is_open << brake.output
-            frame = next(download(od.DIGITAL_OUTPUTS, 1, value.to_bytes(4, "little")))
-            self.link.send(od.SDO_REQUEST_BASE + self.axis.node_id, frame)
+            self._write_unconfirmed(od.DIGITAL_OUTPUTS, 1, value.to_bytes(4, "little"))
+
+    def _write_unconfirmed(self, index: int, subindex: int, data: bytes) -> None:
+        self.link.send(od.SDO_REQUEST_BASE + self.axis.node_id, next(download(index, subindex, data)))
 
     def command_nmt(self, command: od.NmtCommand) -> None:
         """Send an NMT command to this node only.
@@ -230,7 +226,7 @@ class ServoDrive(TorqueAxis):
     ) -> Callable[[bytearray], None]:
         image = codec(plan.entries, wanted)
         unpack, length = image.unpack, image.size
-        alone = bit if slots == _IN_ORDER and len(self.map.tpdos) == 1 else -1
+        alone = bit if slots == (0, 1, 2) and len(self.map.tpdos) == 1 else -1
 
         def take(data: bytearray) -> None:
             if len(data) != length:
@@ -239,7 +235,7 @@ class ServoDrive(TorqueAxis):
             if not self._pending & bit:
                 self._count_surplus(bit, alone == bit and unpack(data) == self._values)
                 return
-            if self._pending == alone:  # `_complete` written out: this runs for every drive in every cycle
+            if self._pending == alone:  # `_take_part` in short: this runs for every drive in every cycle
                 self._values = values = unpack(data)
                 self.statusword = values[0]
                 self._pending, self.is_complete = 0, True
@@ -259,15 +255,9 @@ class ServoDrive(TorqueAxis):
         if self._pending and self.now() - self.window.synced > self.window.latest:
             self._statistics.late += 1
             return
-        self._doubt = 0
+        self._doubt = self._pending = 0
         self._values = tuple(self._stage)
-        self._complete()
-
-    def _complete(self) -> None:
-        """Record that every frame of a sample has arrived."""
-        self._pending = 0
-        self.is_complete = True
-        self.statusword = self._values[0]
+        self.is_complete, self.statusword = True, self._values[0]
         self.window.pending -= 1
 
     def _count_surplus(self, bit: int, is_same: bool) -> None:
@@ -285,7 +275,7 @@ class ServoDrive(TorqueAxis):
         if len(data) != 1:
             self._statistics.short += 1
             return
-        state = data[0] & _NMT_STATE
+        state = data[0] & 0x7F  # bit 7 is reserved
         if state != self._nmt_state:
             self.nmt_state = state
         self.alive_at = self.link.clock.now()
@@ -295,9 +285,3 @@ class ServoDrive(TorqueAxis):
         emergency = ReceivedEmergency(int.from_bytes(padded[:2], "little"), padded[2], bytes(data[3:]))
         if emergency.code and self.emergency is None:
             self.emergency = emergency
-
-
-def _rules(bus: BusParameters) -> CycleRules:
-    is_synchronous = bus.rpdo == "synchronous"
-    times, cycles = (bus.sample_time_ns, bus.sample_time), (bus.hold_cycles, bus.stop_cycles)
-    return CycleRules(*times, *cycles, is_synchronous, bus.drive_silence_ns)

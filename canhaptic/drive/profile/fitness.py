@@ -6,6 +6,7 @@ A refusal rests only on what the dictionary states. An object listed without a d
 Check of a dictionary for the use of an object by start and cycle: type, access, limits, mapping.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from math import inf
@@ -23,7 +24,6 @@ _INTEGERS: Final = {  # bits, signed
     **{DataType[f"INTEGER{bits}"]: (bits, True) for bits in range(8, 65, 8)},
     **{DataType[f"UNSIGNED{bits}"]: (bits, False) for bits in range(8, 65, 8)},
 }
-_MAPPABLE_ACCESS: Final = {"RPDO": ("rw", "rww", "wo"), "TPDO": ("ro", "rw", "rwr", "const")}
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +78,6 @@ def _of_value(variable: Variable, value: int) -> str | None:
 
 def _type_range(variable: Variable) -> tuple[int, int]:
     bits, is_signed = _INTEGERS[DataType(variable.data_type or 0)]
-    if variable.data_type == DataType.BOOLEAN:
-        return 0, 1
     return (-(1 << bits - 1), (1 << bits - 1) - 1) if is_signed else (0, (1 << bits) - 1)
 
 
@@ -100,14 +98,13 @@ def mapping_objection(
         return text
     if not variable.pdo_mappable:
         return "not mappable (PDOMapping)"
-    is_allowed = variable.access_type in _MAPPABLE_ACCESS[kind]
+    is_allowed = variable.access_type in (("rw", "rww", "wo") if kind == "RPDO" else ("ro", "rw", "rwr", "const"))
     return None if is_allowed else f"{variable.access_type}, which no {kind} can carry"
 
 
 _CORRECT: Final = "correct the dictionary if the drive can"
-_CONTROLWORDS: Final = (int(od.Controlword.DISABLE_VOLTAGE), int(od.Controlword.ENABLE_OPERATION))
 _ALWAYS_USED: Final = (
-    (ObjectUse(od.CONTROLWORD, 0, DataType.UNSIGNED16, writes=True, values=_CONTROLWORDS), "controlword"),
+    (ObjectUse(od.CONTROLWORD, 0, DataType.UNSIGNED16, writes=True, values=(0x00, 0x0F)), "controlword"),
     (ObjectUse(od.STATUSWORD, 0, DataType.UNSIGNED16, reads=True), "statusword"),
     (ObjectUse(od.POSITION_ACTUAL, 0, DataType.INTEGER32, reads=True), "position"),
     (ObjectUse(od.MODES_OF_OPERATION_DISPLAY, 0, DataType.INTEGER8, reads=True), "modes of operation display"),
@@ -117,15 +114,8 @@ _MODES: Final = {
     od.CYCLIC_SYNC_VELOCITY: "velocity",
     od.CYCLIC_SYNC_TORQUE: "torque",
 }
-_PERIOD_EXPONENTS: Final = (-3, -4, -5, -6)  # of 0x60C2:02, coarsest first: some drives take milliseconds alone
-_ANY_EXPONENT: Final = -3
-_LIMIT_NEEDED: Final = (
-    "set torque_limit in the drive with the vendor's tool and say so with admittance.limit_in_drive: true; an "
-    "admittance display on a real interface is refused without it"
-)
 RAMPS: Final = (od.PROFILE_ACCELERATION, od.PROFILE_DECELERATION, od.MAX_ACCELERATION, od.MAX_DECELERATION)
 """Objects that bend a velocity inside the drive, in its counts of velocity per second."""
-_RATED_TORQUE_TOLERANCE: Final = 1e-3  # configuration and drive may differ by rounding, not by more
 
 
 class Verdict(Enum):
@@ -154,19 +144,24 @@ def profile_findings(
         axis: Parameters of the axis.
         sample_time_ns: Sample time of the cycle [ns]; None if unknown.
     """
+    mode = ObjectUse(od.MODES_OF_OPERATION, 0, DataType.INTEGER8, writes=True, values=(axis.mode_code,))
     findings = [
         _device_type(dictionary),
         _target(dictionary, axis),
-        *(_used(dictionary, use, name) for use, name in _ALWAYS_USED),
-        _mode_of_operation(dictionary, axis),
+        *(_used(dictionary, use, name) for use, name in (*_ALWAYS_USED, (mode, "modes of operation"))),
         _drive_modes(dictionary, axis),
         _rated_torque(dictionary, axis),
         _max_torque(dictionary, axis),
         _abort_option(dictionary, axis),
     ]
-    read_back = _read_back(dictionary) if axis.admittance is None else []
-    of_cycle = _offsets(dictionary, axis) + _ramps(dictionary, axis) + _interpolation(dictionary, axis, sample_time_ns)
-    return findings + read_back + of_cycle + _drive_objects(dictionary, axis)
+    optional = (
+        *(() if axis.admittance else _read_back(dictionary)),
+        *_offsets(dictionary, axis),
+        *_ramps(dictionary, axis),
+        *_interpolation(dictionary, axis, sample_time_ns),
+        *_drive_objects(dictionary, axis),
+    )
+    return findings + [finding for finding in optional if finding.verdict is Verdict.REFUSED]
 
 
 def agreed_rated_torque(axis: TorqueAxisParameters, counts: int | None, resolution: float = 1e-3) -> float:
@@ -190,7 +185,7 @@ def agreed_rated_torque(axis: TorqueAxisParameters, counts: int | None, resoluti
         return axis.rated_torque
     stated = counts * resolution * axis.transmission
     configured = axis.rated_torque
-    if configured is not None and abs(configured - stated) > _RATED_TORQUE_TOLERANCE * stated:
+    if configured is not None and abs(configured - stated) > 1e-3 * stated:  # more than rounding
         raise DictionaryError(
             f"{axis.name}: rated_torque: got {configured:g}, but the drive states 0x6076 = {counts}, which is "
             f"{stated:g} with transmission {axis.transmission:g}; correct one of them or leave rated_torque out"
@@ -204,44 +199,40 @@ def _stated(dictionary: Dictionary, index: int, subindex: int = 0) -> int | None
     return default if isinstance(default, int) else None
 
 
+def judged(dictionary: Dictionary, item: str, use: ObjectUse, hint: str, fit: str = "listed") -> Finding:
+    """Return the finding of a use: fit, or the objection with a hint."""
+    text = objection(dictionary, use)
+    return Finding(item, Verdict.FIT, fit) if text is None else Finding(item, Verdict.REFUSED, f"{text}; {hint}")
+
+
 def _used(dictionary: Dictionary, use: ObjectUse, name: str) -> Finding:
     """Finding of an object that every start and cycle uses."""
-    item = f"{use.index:#06x} {name}"
-    if (text := objection(dictionary, use)) is not None:
-        hint = "this drive cannot be used without it" if text == "missing" else _CORRECT
-        return Finding(item, Verdict.REFUSED, f"{text}; {hint}")
-    return Finding(item, Verdict.FIT, "listed")
-
-
-def _mode_of_operation(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
-    use = ObjectUse(od.MODES_OF_OPERATION, 0, DataType.INTEGER8, writes=True, values=(axis.mode_code,))
-    return _used(dictionary, use, "modes of operation")
+    is_listed = listed(dictionary, use.index, use.subindex) is not None
+    hint = _CORRECT if is_listed else "this drive cannot be used without it"
+    return judged(dictionary, f"{use.index:#06x} {name}", use, hint)
 
 
 def _target(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
     if axis.admittance is not None:
         name = f"target {_MODES[axis.mode_code]}"
         return _used(dictionary, ObjectUse(axis.target, 0, DataType.INTEGER32, reads=True, writes=True), name)
-    limit = 0 if axis.rated_torque is None else _max_torque_value(axis, axis.rated_torque)
-    values = (0, limit, -limit)
-    use = ObjectUse(od.TARGET_TORQUE, 0, DataType.INTEGER16, reads=True, writes=True, values=values)
+    limit = _max_torque_value(axis) or 0
+    use = ObjectUse(od.TARGET_TORQUE, 0, DataType.INTEGER16, reads=True, writes=True, values=(0, limit, -limit))
     return _used(dictionary, use, "target torque")
 
 
-def _read_back(dictionary: Dictionary) -> list[Finding]:
-    """Return the refusals of torques that could be read back, but have another type than CiA 402 says."""
-    uses = ((od.TORQUE_DEMAND, "torque demand"), (od.TORQUE_ACTUAL, "torque actual"))
-    findings = [
-        _used(dictionary, ObjectUse(index, 0, DataType.INTEGER16), name) for index, name in uses if index in dictionary
-    ]
-    return [finding for finding in findings if finding.verdict is Verdict.REFUSED]
+def _read_back(dictionary: Dictionary) -> Iterator[Finding]:
+    """Yield the torques that could be read back; they may have another type than CiA 402 says."""
+    for index, name in ((od.TORQUE_DEMAND, "torque demand"), (od.TORQUE_ACTUAL, "torque actual")):
+        if index in dictionary:
+            yield _used(dictionary, ObjectUse(index, 0, DataType.INTEGER16), name)
 
 
 def _device_type(dictionary: Dictionary) -> Finding:
     stated = _stated(dictionary, od.DEVICE_TYPE)
-    item = "0x1000 device type"
-    if (text := objection(dictionary, ObjectUse(od.DEVICE_TYPE, 0, DataType.UNSIGNED32, reads=True))) is not None:
-        return Finding(item, Verdict.REFUSED, f"{text}; {_CORRECT}")
+    item, use = "0x1000 device type", ObjectUse(od.DEVICE_TYPE, 0, DataType.UNSIGNED32, reads=True)
+    if (found := judged(dictionary, item, use, _CORRECT)).verdict is Verdict.REFUSED:
+        return found
     if stated is None:
         return Finding(item, Verdict.UNKNOWN, "not stated; read from the drive")
     if stated & 0xFFFF != od.CIA402_PROFILE:
@@ -253,8 +244,9 @@ def _drive_modes(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
     stated = _stated(dictionary, od.SUPPORTED_DRIVE_MODES)
     item = "0x6502 supported drive modes"
     use = ObjectUse(od.SUPPORTED_DRIVE_MODES, 0, DataType.UNSIGNED32, reads=True)
-    if od.SUPPORTED_DRIVE_MODES in dictionary and (text := objection(dictionary, use)) is not None:
-        return Finding(item, Verdict.REFUSED, f"{text}; {_CORRECT}")
+    found = judged(dictionary, item, use, _CORRECT)
+    if od.SUPPORTED_DRIVE_MODES in dictionary and found.verdict is Verdict.REFUSED:
+        return found
     if stated is None:
         text = f"not stated; read from the drive, and 0x6061 must confirm mode {axis.mode_code}"
         return Finding(item, Verdict.UNKNOWN, text)
@@ -267,8 +259,7 @@ def _drive_modes(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
 def _rated_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
     item = "0x6076 rated torque"
     stated = _stated(dictionary, od.RATED_TORQUE)
-    is_read = quirks_of(axis.quirks).reads_rated_torque
-    if not is_read:
+    if not quirks_of(axis.quirks).reads_rated_torque:
         if axis.rated_torque is not None:
             return Finding(item, Verdict.UNKNOWN, f"{axis.rated_torque:g} from the configuration alone (quirks)")
         return Finding(item, Verdict.REFUSED, "not read (quirks), and the configuration has no rated_torque; set it")
@@ -278,8 +269,8 @@ def _rated_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding
         return Finding(item, Verdict.FIT, f"{axis.rated_torque:g} from the configuration, compared with the drive")
     if od.RATED_TORQUE not in dictionary:
         return Finding(item, Verdict.REFUSED, "missing, and the configuration has no rated_torque; set it")
-    seen = f"{stated} mN*m by default; the live value counts" if stated else "not stated; read from the drive, or set"
-    return Finding(item, Verdict.UNKNOWN, seen if stated else f"{seen} rated_torque")
+    seen = f"{stated} mN*m by default; the live value counts"
+    return Finding(item, Verdict.UNKNOWN, seen if stated else "not stated; read from the drive, or set rated_torque")
 
 
 def _max_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
@@ -289,16 +280,12 @@ def _max_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
         keeper = "the drive itself (limit_in_drive)" if is_set else "the master alone"
         kept = f"{state}; {keeper} keeps {axis.torque_limit:g}"
         return Finding(item, Verdict.UNKNOWN, limit_objection(dictionary, axis) or kept)
-    values = () if axis.rated_torque is None else (_max_torque_value(axis, axis.rated_torque),)
-    use = ObjectUse(od.MAX_TORQUE, reads=True, writes=True, values=values)
+    limit, asked = _max_torque_value(axis), f"torque_limit {axis.torque_limit:g}"
+    use = ObjectUse(od.MAX_TORQUE, reads=True, writes=True, values=() if limit is None else (limit,))
     if (text := objection(dictionary, use)) is not None:
-        return Finding(
-            item,
-            Verdict.REFUSED,
-            f"{text} for torque_limit {axis.torque_limit:g}; {_CORRECT}, "
-            "choose another torque_limit, or quirks: [max_torque_absent]",
-        )
-    return Finding(item, Verdict.FIT, f"written from torque_limit {axis.torque_limit:g}")
+        hint = f"{_CORRECT}, choose another torque_limit, or quirks: [max_torque_absent]"
+        return Finding(item, Verdict.REFUSED, f"{text} for {asked}; {hint}")
+    return Finding(item, Verdict.FIT, f"written from {asked}")
 
 
 def largest_value(dictionary: Dictionary, index: int) -> int:
@@ -312,18 +299,15 @@ def steepest_ramp(dictionary: Dictionary) -> float:
     return min((largest_value(dictionary, index) for index in RAMPS if is_writable(dictionary, index, 0)), default=inf)
 
 
-def _drive_objects(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[Finding]:
-    """Refusals of objects that the scene sets."""
+def _drive_objects(dictionary: Dictionary, axis: TorqueAxisParameters) -> Iterator[Finding]:
+    """Yield the objects that the scene sets."""
     uses = [
         ObjectUse(*place, reads=True, writes=True, values=(value,)) for place, value in axis.written_objects.items()
     ]
     if axis.brake is not None and axis.brake.output is not None:
         uses.append(ObjectUse(od.DIGITAL_OUTPUTS, 1, DataType.UNSIGNED32, reads=True, writes=True))
-    found = [(use, text) for use in uses if (text := objection(dictionary, use)) is not None]
-    return [
-        Finding(f"{use.index:#06x}:{use.subindex:02x}", Verdict.REFUSED, f"{text}; correct drive_objects, or brake")
-        for use, text in found
-    ]
+    for use in uses:
+        yield judged(dictionary, f"{use.index:#06x}:{use.subindex:02x}", use, "correct drive_objects, or brake")
 
 
 def _ramps(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[Finding]:
@@ -354,12 +338,18 @@ def max_torque_unwritten(dictionary: Dictionary, axis: TorqueAxisParameters) -> 
 def limit_objection(dictionary: Dictionary, axis: TorqueAxisParameters) -> str:
     """Reason why nothing in the drive limits the torque of an admittance display, and the remedy; "" otherwise."""
     state = max_torque_unwritten(dictionary, axis)
-    is_needed = axis.admittance is not None and not axis.admittance.limit_in_drive
-    return f"{state}; {_LIMIT_NEEDED}" if state and is_needed else ""
+    if not state or axis.admittance is None or axis.admittance.limit_in_drive:
+        return ""
+    return (
+        f"{state}; set torque_limit in the drive with the vendor's tool and say so with admittance.limit_in_drive: "
+        "true; an admittance display on a real interface is refused without it"
+    )
 
 
-def _max_torque_value(axis: TorqueAxisParameters, rated_torque: float) -> int:
-    return torque_limit_per_mille(axis.torque_limit, axis_scaling(axis, rated_torque).rated_torque)
+def _max_torque_value(axis: TorqueAxisParameters) -> int | None:
+    """Value of 0x6072; None without a rated torque."""
+    rated = axis.rated_torque
+    return None if rated is None else torque_limit_per_mille(axis.torque_limit, axis_scaling(axis, rated).rated_torque)
 
 
 def _rated_torque_objection(dictionary: Dictionary, axis: TorqueAxisParameters) -> str | None:
@@ -381,43 +371,37 @@ def _abort_option(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding
         return Finding(item, Verdict.UNKNOWN, text)
     option = quirks_of(axis.quirks).abort_connection_option
     use = ObjectUse(od.ABORT_CONNECTION_OPTION, reads=True, writes=True, values=(option,))
-    if axis.watchdog and (refusal := objection(dictionary, use)) is not None:
-        return Finding(item, Verdict.REFUSED, f"{refusal}; {_CORRECT}, or see the quirks abort_...")
-    return Finding(item, Verdict.FIT, f"written: a lost master is a fault ({option})" if option == 1 else "written")
+    fit = f"written: a lost master is a fault ({option})" if option == 1 else "written"
+    found = judged(dictionary, item, use, f"{_CORRECT}, or see the quirks abort_...", fit)
+    return found if axis.watchdog else Finding(item, Verdict.FIT, fit)
 
 
-def _offsets(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[Finding]:
-    """Refusals of the drive's offsets to its target: optional, and set to 0 at the start."""
-    uses = [
-        ObjectUse(index, reads=True, writes=is_writable(dictionary, index, 0), values=(0,))
-        for index in axis.offsets
-        if index in dictionary
-    ]
-    found = [(use, text) for use in uses if (text := objection(dictionary, use)) is not None]
-    return [Finding(f"{use.index:#06x} offset", Verdict.REFUSED, f"{text}; {_CORRECT}") for use, text in found]
+def _offsets(dictionary: Dictionary, axis: TorqueAxisParameters) -> Iterator[Finding]:
+    """Yield the drive's offsets to its target: optional, and set to 0 at the start."""
+    for index in axis.offsets:
+        if index in dictionary:
+            use = ObjectUse(index, reads=True, writes=is_writable(dictionary, index, 0), values=(0,))
+            yield judged(dictionary, f"{index:#06x} offset", use, _CORRECT)
 
 
-def _interpolation(dictionary: Dictionary, axis: TorqueAxisParameters, sample_time_ns: int | None) -> list[Finding]:
-    """Return the refusals of 0x60C2, which is optional."""
+def _interpolation(dictionary: Dictionary, axis: TorqueAxisParameters, sample_time_ns: int | None) -> Iterator[Finding]:
+    """Yield the parts of 0x60C2, which is optional."""
     place = od.INTERPOLATION_PERIOD
     if not quirks_of(axis.quirks).writes_interpolation_period or not is_writable(dictionary, place, 1):
-        return []
+        return
     period = None if sample_time_ns is None else decimal_period(sample_time_ns)
-    value, exponent = ((), (_ANY_EXPONENT,)) if period is None else ((period[0],), (period[1],))
+    value, exponent = ((), (-3,)) if period is None else ((period[0],), (period[1],))  # without a period milliseconds
     uses = [ObjectUse(place, 1, reads=True, values=value)]
     if is_writable(dictionary, place, 2):
         uses.append(ObjectUse(place, 2, reads=True, values=exponent))
-    found = [(use, text) for use in uses if (text := objection(dictionary, use)) is not None]
-    hint = f"{_CORRECT}, or quirks: [no_interpolation_period]"
-    return [
-        Finding(f"{place:#06x}:{use.subindex:02x} interpolation period", Verdict.REFUSED, f"{text}; {hint}")
-        for use, text in found
-    ]
+    for use in uses:
+        item, hint = f"{place:#06x}:{use.subindex:02x} interpolation period", f"{_CORRECT}, or quirks: "
+        yield judged(dictionary, item, use, f"{hint}[no_interpolation_period]")
 
 
 def decimal_period(sample_time_ns: int) -> tuple[int, int] | None:
     """Return (value, exponent) of 0x60C2 for a sample time; None if no value of one byte has it exactly."""
-    for exponent in _PERIOD_EXPONENTS:
+    for exponent in (-3, -4, -5, -6):  # some drives take milliseconds alone
         value, rest = divmod(sample_time_ns, 10 ** (9 + exponent))
         if rest == 0 and 1 <= value <= 255:
             return value, exponent
