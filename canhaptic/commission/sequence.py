@@ -13,7 +13,7 @@ from typing import Final
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen import objects as od
-from canhaptic.commission.session import NO_TORQUE, OpenLoop, Session, StepVerdict
+from canhaptic.commission.session import OpenLoop, Session, StepVerdict
 from canhaptic.commission.torque_scale import SCALE, verified_axes
 from canhaptic.commission.torque_tests import identify_dynamics
 from canhaptic.drive.can.link import Link
@@ -21,11 +21,13 @@ from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.power_states import TORQUE_FREE
 from canhaptic.errors import InputError, RigError, SdoError, StartError
 
-_NODES: Final = range(1, 128)
 _ASK_DEVICE_TYPE: Final = bytes.fromhex("40 00 10 00 00 00 00 00")
 _PAUSE: Final = 500_000  # [ns] between two questions: the answers of a slow drive must not pile up
 _PATIENCE: Final = 300_000_000  # [ns] for the last of them
-_MODES: Final = ("pp", "vl", "pv", "tq", "", "hm", "ip", "csp", "csv", "cst")
+
+
+def _note(answered: set[int], node: int, _data: bytearray) -> None:
+    answered.add(node)
 
 
 def _scan(link: Link, known: Sequence[int], master: int) -> list[int]:
@@ -40,13 +42,10 @@ def _scan(link: Link, known: Sequence[int], master: int) -> list[int]:
         LinkError: The bus failed.
     """
     answered: set[int] = set()
-    asked = [node for node in _NODES if node not in known and node != master]
-
-    def take(node: int, _data: bytearray) -> None:
-        answered.add(node)
+    asked = [node for node in range(1, 128) if node not in known and node != master]
 
     for node in asked:
-        link.subscribe(od.SDO_RESPONSE_BASE + node, partial(take, node))
+        link.subscribe(od.SDO_RESPONSE_BASE + node, partial(_note, answered, node))
     try:
         for node in asked:
             link.send(od.SDO_REQUEST_BASE + node, _ASK_DEVICE_TYPE)
@@ -84,9 +83,8 @@ def _presence(session: Session, axis: int, drive: ServoDrive) -> None:
     try:
         device_type = drive.sdo.read(od.DEVICE_TYPE)
     except SdoError as error:
-        raise StartError(
-            drive.axis.name, "presence", str(error), "an answer", "check power, node ID, bit rate and cable"
-        ) from error
+        remedy = "check power, node ID, bit rate and cable"
+        raise StartError(drive.axis.name, "presence", str(error), "an answer", remedy) from error
     profile = device_type & 0xFFFF
     session.judged(
         axis, "device profile", f"{od.CIA402_PROFILE:#06x}", f"{profile:#06x}", good=profile == od.CIA402_PROFILE,
@@ -98,11 +96,10 @@ def _presence(session: Session, axis: int, drive: ServoDrive) -> None:
 def _identity(session: Session, axis: int, drive: ServoDrive) -> None:
     """Compare 0x1018 with the configuration's values, or else with the dictionary's."""
     information = drive.dictionary.device_information
-    expected = {
-        "vendor_id": (1, drive.axis.vendor_id, information.vendor_number),
-        "product_code": (2, drive.axis.product_code, information.product_number),
-    }
-    for key, (subindex, demanded, of_dictionary) in expected.items():
+    for key, subindex, demanded, of_dictionary in (
+        ("vendor_id", 1, drive.axis.vendor_id, information.vendor_number),
+        ("product_code", 2, drive.axis.product_code, information.product_number),
+    ):
         item = key.replace("_", " ")
         try:
             found = drive.sdo.read(od.IDENTITY, subindex)
@@ -123,9 +120,10 @@ def _modes(session: Session, axis: int, drive: ServoDrive) -> None:
     try:
         modes = drive.sdo.read(od.SUPPORTED_DRIVE_MODES)
     except SdoError:
-        session.found(axis, "modes (0x6502)", "cst", "not readable", StepVerdict.UNKNOWN, "is 0x6060 = 10 accepted?")
-        return
-    names = ", ".join(name for bit, name in enumerate(_MODES) if name and modes >> bit & 1)
+        text = "is 0x6060 = 10 accepted?"
+        return session.found(axis, "modes (0x6502)", "cst", "not readable", StepVerdict.UNKNOWN, text)
+    known = ("pp", "vl", "pv", "tq", "", "hm", "ip", "csp", "csv", "cst")
+    names = ", ".join(name for bit, name in enumerate(known) if name and modes >> bit & 1)
     serves = bool(modes & od.CYCLIC_SYNC_TORQUE_BIT)
     text = "no cyclic synchronous torque: other firmware, or another drive"
     session.judged(axis, "modes (0x6502)", "cst", names, good=serves, text=text, otherwise=StepVerdict.FAILED)
@@ -141,8 +139,7 @@ def _rated_torque(session: Session, axis: int, drive: ServoDrive) -> None:
         counts = 0
     if not counts:
         text = "only the configuration says what 1000 per mille is; see the torque scale below"
-        session.found(axis, "rated torque (0x6076)", configured, "0 or not readable", StepVerdict.UNKNOWN, text)
-        return
+        return session.found(axis, "rated torque (0x6076)", configured, "0 or not readable", StepVerdict.UNKNOWN, text)
     of_motor = counts * drive.quirks.rated_torque_resolution
     at_axis = of_motor * parameters.transmission
     found = f"{at_axis:g} {unit}" + (f" ({of_motor:g} N*m at the motor)" if parameters.transmission != 1.0 else "")
@@ -168,7 +165,7 @@ def stand_still(session: Session, axis: int) -> bool:
         RigError: Drive or link failed.
     """
     name, unit = session.axes[axis].parameters.name, session.axes[axis].parameters.unit
-    law = session.play(axis, NO_TORQUE, session.cycles(_WATCHED))
+    law = session.play(axis, (), session.cycles(_WATCHED))
     if not law.positions:  # the operator stopped it
         session.not_tried(STANDSTILL, [axis])
         return False
@@ -190,11 +187,9 @@ def move_by_hand(session: Session, axis: int) -> None:
     parameters = session.axes[axis].parameters
     unit = parameters.unit
     begin: list[float] = []
-    ready = session.dialogue.until_ready(
-        f"{parameters.name}: move the handle a distance that you can measure, in the direction that is to be "
-        "positive; hold it there and press Enter",
-        session.cycles(_UNATTENDED),
-    )
+    asked = "move the handle a distance that you can measure, in the direction that is to be positive"
+    asked = f"{parameters.name}: {asked}; hold it there and press Enter"
+    ready = session.dialogue.until_ready(asked, session.cycles(_UNATTENDED))
 
     def done() -> bool:
         truth = session.truth(axis)
@@ -203,10 +198,9 @@ def move_by_hand(session: Session, axis: int) -> None:
         return ready()
 
     session.truths = ()
-    law = session.play(axis, NO_TORQUE, session.cycles(_LONGEST), done)
+    law = session.play(axis, (), session.cycles(_LONGEST), done)
     if not law.positions:
-        session.not_tried("encoder", [axis])
-        return
+        return session.not_tried("encoder", [axis])
     truth = session.truth(axis)
     moved = None if truth is None or not begin else truth - begin[0]
     measured = law.positions[-1] - law.positions[0]
@@ -214,8 +208,7 @@ def move_by_hand(session: Session, axis: int) -> None:
     counts = abs(measured) * parameters.counts_per_unit
     if not stated or counts < _FEWEST_COUNTS:
         text = f"the encoder moved by {counts:.0f} counts, at least {_FEWEST_COUNTS} and a measured distance are needed"
-        session.found(axis, "encoder", "", f"{measured:.4g} {unit}", StepVerdict.UNKNOWN, text)
-        return
+        return session.found(axis, "encoder", "", f"{measured:.4g} {unit}", StepVerdict.UNKNOWN, text)
     session.encoder_ratios[axis] = abs(measured / stated)
     _judge(session, axis, measured / stated)
 
@@ -238,7 +231,6 @@ def _judge(session: Session, axis: int, ratio: float) -> None:
     session.propose(axis, "unit", None, comment="the unit of the distance moved by hand")
 
 
-_LOST: Final[tuple[str, ...]] = ("missed_tpdos", "late", "error_frames")
 _LEAST_JITTER: Final = 0.01
 _MARGIN: Final = 2.0
 _SILENCES: Final = 3  # of the longest silence that the drives are configured to bear
@@ -272,8 +264,7 @@ def _judge_watchdog(session: Session, axis: int) -> None:
     try:
         state = drive.read_state()
     except SdoError as error:
-        session.found(axis, "watchdog", limit, "no answer", StepVerdict.FAILED, str(error))
-        return
+        return session.found(axis, "watchdog", limit, "no answer", StepVerdict.FAILED, str(error))
     stopped = state in TORQUE_FREE
     emergency = f", {drive.emergency}" if drive.emergency is not None else ""
     text = "a killed master leaves its torque on: set axes[].watchdog, 0x1016 and 0x6007, or a relay"
@@ -297,22 +288,19 @@ def time_the_cycle(session: Session, seconds: float) -> None:
     Raises:
         RigError: Drive or link failed.
     """
-    laws = [OpenLoop(NO_TORQUE) for _ in session.axes]
     before = session.rig.link_statistics()
-    cycle = session.run(laws, session.cycles(seconds))
+    cycle = session.run([OpenLoop() for _ in session.axes], session.cycles(seconds))
     statistics = session.rig.link_statistics()
     lost = {"skipped_syncs": statistics["skipped_syncs"]}  # counted from the start of a run, the others of the link
-    lost.update((name, statistics[name] - before[name]) for name in _LOST)
-    clean = not any(lost.values())
-    found = f"{cycle.cycles} cycles, " + ("no frame lost" if clean else _words(lost))
+    lost |= {name: statistics[name] - before[name] for name in ("missed_tpdos", "late", "error_frames")}
+    words = ", ".join(f"{name.replace('_', ' ')} {count:g}" for name, count in lost.items() if count)
+    clean, found = not words, f"{cycle.cycles} cycles, {words or 'no frame lost'}"
     text = "see `canhaptic check` (bus load, host) and `canhaptic preflight`; try bus.realtime"
     session.judged(0, "cycle", f"{1.0 / session.sample_time:g} Hz", found, good=clean, text=text)
     _propose_jitter(session, cycle.timing["wakeup_lateness"].maximum * 1e-9 / session.sample_time)
     if session.experiment.pace == "free":
-        session.found(
-            0, "timing", "", "lock-step", StepVerdict.UNKNOWN, "simulated drives without a clock of their own"
-        )
-        return
+        text = "simulated drives without a clock of their own"
+        return session.found(0, "timing", "", "lock-step", StepVerdict.UNKNOWN, text)
     for name, histogram in cycle.timing.items():
         p50, p99 = histogram.quantile(0.5) * 1e6, histogram.quantile(0.99) * 1e6
         found = f"p50 {p50:.0f} us, p99 {p99:.0f} us"
@@ -334,10 +322,6 @@ def _propose_jitter(session: Session, latest: float) -> None:
         session.propose(axis, "passivity.sync_jitter", jitter, "1", comment)
 
 
-def _words(counts: dict[str, float]) -> str:
-    return ", ".join(f"{name.replace('_', ' ')} {count:g}" for name, count in counts.items() if count)
-
-
 REQUIRED: Final = (STANDSTILL, "torque sign", SCALE, "moving mass", "mass on a shaft", "torque lag", "watchdog")
 """Items that must be verified on every axis before its scene may run."""
 
@@ -354,10 +338,9 @@ def commission(session: Session, timing_duration: float) -> None:
         InputError: The scene joins its axes in one simulated mechanism.
     """
     if session.scene.mechanisms:
-        raise InputError(
-            f"{session.scene.source}: commissioning tests one axis at a time, and this simulated mechanism couples "
-            "them; leave `mechanisms` out and give every axis a `simulation` of its own"
-        )
+        text = "commissioning tests one axis at a time, and this simulated mechanism couples them"
+        remedy = "leave `mechanisms` out and give every axis a `simulation` of its own"
+        raise InputError(f"{session.scene.source}: {text}; {remedy}")
     tell = session.dialogue.tell
     with session.rig_of(with_hand=False):
         if not _stands_still(session):

@@ -127,8 +127,6 @@ class Value(NamedTuple):
 
 _SHOWN_IN: Final = {"s": (1e6, "us"), "1": (100.0, "%")}
 """Units of the package -> factor to those in which small values are written, and their names."""
-_MENDED: Final = ("moving mass", "dry friction, least")
-"""Findings whose failure is a wrong declaration, which the measured value replaces."""
 _COLOURS: Final = {
     StepVerdict.AGREES: "green",
     StepVerdict.DIFFERS: "yellow",
@@ -144,14 +142,6 @@ class Report:
     def __init__(self) -> None:
         self.findings: list[StepFinding] = []
         self.values: list[Value] = []
-
-    def add(self, finding: StepFinding) -> None:
-        """Add a row."""
-        self.findings.append(finding)
-
-    def propose(self, value: Value) -> None:
-        """Add a value."""
-        self.values.append(value)
 
     @property
     def failed(self) -> bool:
@@ -182,11 +172,9 @@ class Report:
         """
         seen = {(row.axis, row.item) for row in self.findings if row.verdict is not StepVerdict.UNKNOWN}
         missing = [f"{axis}: {item}: not verified" for axis in axes for item in items if (axis, item) not in seen]
-        return missing + [
-            f"{row.axis}: {row.item}: {row.found}"
-            for row in self.findings
-            if row.verdict is StepVerdict.FAILED and row.item not in _MENDED
-        ]
+        mended = ("moving mass", "dry friction, least")  # a wrong declaration, which the measured value replaces
+        failed = [row for row in self.findings if row.verdict is StepVerdict.FAILED and row.item not in mended]
+        return missing + [f"{row.axis}: {row.item}: {row.found}" for row in failed]
 
     def as_json(self) -> dict[str, Any]:
         """Return the report as plain values."""
@@ -205,9 +193,7 @@ class Report:
 
     def values_table(self, written: str) -> Table:
         """Return the values, and where they were written, as a table for a terminal."""
-        rows: list[list[Cell]] = [
-            [value.axis, value.key, value.text or "as it is", value.comment] for value in self.values
-        ]
+        rows = [[value.axis, value.key, value.text or "as it is", value.comment] for value in self.values]
         return Table(written, ("axis", "key", "value", ""), rows)
 
 
@@ -221,9 +207,6 @@ def _path(scene: Scene, value: Value) -> tuple[str, ...]:
     if group and key not in LOOP_KEYS:
         return ("groups", group, head, key)
     return own if group or len(scene.axes) > 1 or is_written(scene.text, own[:3]) else (head, key)
-
-
-NO_TORQUE: Final[tuple[float, ...]] = ()
 
 
 class CommissioningLimits(Parameters):
@@ -255,10 +238,8 @@ class OpenLoop:
         has_gap: Whether a sample was lost: the positions then do not belong to consecutive SYNCs.
     """
 
-    def __init__(self, torques: Sequence[float], travel: float = math.inf, largest_step: float = math.inf) -> None:
-        self._torques = tuple(torques)
-        self._travel = travel
-        self._largest_step = largest_step
+    def __init__(self, torques: Sequence[float] = (), travel: float = math.inf, largest_step: float = math.inf) -> None:
+        self._torques, self._travel, self._largest_step = tuple(torques), travel, largest_step
         self.reset()
 
     def reset(self) -> None:
@@ -268,7 +249,7 @@ class OpenLoop:
         self.sent: list[float] = []
         self.tripped = ""
         self.has_gap = False
-        self._next = 0
+        self._rest = iter(self._torques)
         self._last = AT_REST
 
     def sample_lost(self) -> EnergyBalance:
@@ -288,25 +269,13 @@ class OpenLoop:
         displacement = position - self.positions[-1] if self.positions else 0.0
         self.positions.append(position)
         self.applied.append(torque_applied)
-        self._watch(position, displacement)
-        torque = 0.0 if self.tripped else self.next_torque()
-        self.sent.append(torque)
-        return self._book(torque, -torque_applied * displacement)
-
-    def next_torque(self) -> float:
-        """Torque of the next hold [N or N*m]."""
-        if self._next == len(self._torques):
-            return 0.0
-        self._next += 1
-        return self._torques[self._next - 1]
-
-    def _watch(self, position: float, displacement: float) -> None:
         if abs(position - self.positions[0]) > self._travel:
             self.tripped = self.tripped or f"moved further than {self._travel:g}"
         elif abs(displacement) > self._largest_step:
             self.tripped = self.tripped or f"moved faster than {self._largest_step:g} in one sample time"
-
-    def _book(self, torque: float, h_i: float) -> EnergyBalance:
+        torque = 0.0 if self.tripped else self.next_torque()
+        self.sent.append(torque)
+        h_i = -torque_applied * displacement
         self._last = AT_REST._replace(
             torque=torque,
             h_i=h_i,
@@ -318,13 +287,14 @@ class OpenLoop:
         )
         return self._last
 
+    def next_torque(self) -> float:
+        """Torque of the next hold [N or N*m]."""
+        return next(self._rest, 0.0)
+
 
 def doublet(torque: float, cycles: int) -> list[float]:
     """Return +, -, -, + of a torque, `cycles` each: a free mass returns to its initial position and speed."""
     return [torque] * cycles + [-torque] * (2 * cycles) + [torque] * cycles
-
-
-_LEAST_REVERSAL: Final = 0.6  # of the largest
 
 
 def reversals(torque: float, longest: int, count: int) -> list[float]:
@@ -337,10 +307,9 @@ def reversals(torque: float, longest: int, count: int) -> list[float]:
     """
     drawn = np.random.default_rng(1)
     lengths, signs = drawn.integers(longest // 2, longest + 1, count), drawn.choice([-1.0, 1.0], count)
-    sizes = signs * drawn.uniform(_LEAST_REVERSAL, 1.0, count)  # equal motions would repeat the errors of an encoder
-    return [
-        part for length, size in zip(lengths, sizes, strict=True) for part in doublet(float(size * torque), int(length))
-    ]
+    sizes = signs * drawn.uniform(0.6, 1.0, count)  # equal motions would repeat the errors of an encoder
+    pairs = zip(lengths, sizes, strict=True)
+    return [part for length, size in pairs for part in doublet(float(size * torque), int(length))]
 
 
 def sweep(amplitude: float, lowest: float, highest: float, duration: float, sample_time: float) -> list[float]:
@@ -362,10 +331,7 @@ def sweep(amplitude: float, lowest: float, highest: float, duration: float, samp
 
 
 _AT_REST: Final = 0.1  # [s] in which an axis at rest moves by no more than some counts
-_STILL_COUNTS: Final = 2
 _DRIFT: Final = 0.005  # of the travel in that time: what is left of a motion then takes no test beyond it
-_COAST: Final = 20.0  # [s] until it comes to rest
-_HALVINGS: Final = 5  # amplitudes that are tried, each half of the one before
 
 
 class Session:
@@ -392,10 +358,8 @@ class Session:
         )
         axes = tuple(dataclasses.replace(axis, loop=loop) for axis, loop in whole)
         self.scene = dataclasses.replace(scene, axes=axes)  # a torque that is not verified is bounded by each step
-        self.dialogue = dialogue
-        self.limits = limits
+        self.dialogue, self.limits, self.stop_requested = dialogue, limits, stop_requested
         self.report = Report()
-        self.stop_requested = stop_requested
         self.sample_time = scene.bus.sample_time
         self.encoder_ratios = [1.0] * len(scene.axes)
         self.quanta: Sequence[float] = [axis.loop.torque_quantum or 0.0 for axis in scene.axes]
@@ -412,7 +376,7 @@ class Session:
             with_hand: Whether the simulated hand is on the handle; a person is asked to hold it, or to let go.
             hand: Simulated hand of the axis, replacing the scene's.
         """
-        replaced = hand or (None if with_hand else _no_hand)
+        replaced = hand or (None if with_hand else lambda _: None)
         scene = self.scene if replaced is None else _with_hands(self.scene, replaced)
         try:
             with build(scene) as self._experiment:
@@ -455,16 +419,14 @@ class Session:
         Raises:
             RigError: Drive or link failed; torque is zero.
         """
-        law, watched = OpenLoop(NO_TORQUE), self.cycles(_AT_REST)
-        still = max(_STILL_COUNTS / self.axes[axis].parameters.counts_per_unit, _DRIFT * self.limits.travel)
+        law, watched = OpenLoop(), self.cycles(_AT_REST)
+        still = max(2.0 / self.axes[axis].parameters.counts_per_unit, _DRIFT * self.limits.travel)
 
         def at_rest() -> bool:
             last = law.positions[-watched:]
             return len(last) == watched and max(last) - min(last) <= still
 
-        self.run(
-            [law if n == axis else OpenLoop(NO_TORQUE) for n in range(len(self.axes))], self.cycles(_COAST), at_rest
-        )
+        self.run_alone(axis, law, self.cycles(20.0), at_rest)
 
     def play_within(
         self, axis: int, item: str, torques_of: Callable[[float], Sequence[float]], torque: float
@@ -481,7 +443,7 @@ class Session:
             RigError: Drive or link failed; torque is zero.
         """
         name, unit = self.axes[axis].parameters.name, effort_unit(self.axes[axis].parameters.unit)
-        for left in reversed(range(_HALVINGS)):
+        for left in reversed(range(5)):
             self.coast(axis)
             torques = torques_of(torque)
             law = self.play(axis, torques, len(torques) + 2)  # the last one ends as well, or the axis moves on
@@ -511,23 +473,22 @@ class Session:
         Raises:
             RigError: Drive or link failed; torque is zero.
         """
-        limits = limits or self.limits
-        largest_step = limits.speed * self.sample_time
-        laws = [
-            OpenLoop(torques, limits.travel, largest_step) if n == axis and torques else OpenLoop(NO_TORQUE)
-            for n in range(len(self.axes))
-        ]
-        law, sent = laws[axis], list[float]()
+        limits, sent = limits or self.limits, list[float]()
+        law = OpenLoop(torques, limits.travel, limits.speed * self.sample_time) if torques else OpenLoop()
 
         def note() -> bool:
             if self.rig.records:
                 sent.append(self.drives[axis].scaling.torque(self.rig.records[-1].torques_per_mille[axis]))
             return ready()
 
-        self.run(laws, cycles, note)
+        self.run_alone(axis, law, cycles, note)
         note()
         law.sent = sent
         return law
+
+    def run_alone(self, axis: int, law: OpenLoop, cycles: int, ready: Callable[[], bool]) -> None:
+        """Run the rig with a law on one axis and no torque on the others; raise as `run`."""
+        self.run([law if n == axis else OpenLoop() for n in range(len(self.axes))], cycles, ready)
 
     def run(self, laws: Sequence[OpenLoop], cycles: int, ready: Callable[[], bool] = lambda: False) -> Cycle:
         """Run the rig with one law per axis and stop it; return the cycle with its timing.
@@ -538,8 +499,8 @@ class Session:
         far_side = self.experiment.far_side
 
         def read() -> Sequence[Truth]:
-            self.truths = [drive.truth() for drive in far_side.drives] if far_side is not None else []
-            self._efforts = [drive.torque for drive in far_side.drives] if far_side is not None else []
+            drives = () if far_side is None else far_side.drives
+            self.truths, self._efforts = [drive.truth() for drive in drives], [drive.torque for drive in drives]
             return self.truths
 
         cycle = Cycle(self.rig, laws, None, read if far_side is not None else None)
@@ -568,7 +529,7 @@ class Session:
     def found(self, axis: int, item: str, configured: str, found: str, verdict: StepVerdict, text: str = "") -> None:
         """Add a row to the report and print it."""
         name = self.axes[axis].parameters.name
-        self.report.add(StepFinding(name, item, configured, found, verdict, text))
+        self.report.findings.append(StepFinding(name, item, configured, found, verdict, text))
         self.dialogue.tell(f"  {name}: {item}: {found} ({verdict.value})")
 
     def judged(
@@ -606,14 +567,7 @@ class Session:
 
     def propose(self, axis: int, key: str, value: float | int | str | None, unit: str = "", comment: str = "") -> None:
         """Propose a value for the scene; None: the present value is right."""
-        self.report.propose(Value(self.axes[axis].parameters.name, key, value, unit, comment))
-
-
-_OF_A_HAND: Final = ("tremor", "grasp_change")
-
-
-def _no_hand(_: AxisScene) -> None:
-    """Return the hand on a released handle."""
+        self.report.values.append(Value(self.axes[axis].parameters.name, key, value, unit, comment))
 
 
 def _with_hands(scene: Scene, hand: Callable[[AxisScene], Any]) -> Scene:
@@ -623,7 +577,7 @@ def _with_hands(scene: Scene, hand: Callable[[AxisScene], Any]) -> Scene:
         if (simulation := axis.simulation) is not None:
             user, effects = hand(axis), simulation.effects
             if user is None:
-                effects = tuple(effect for effect in effects if effect.name not in _OF_A_HAND)
+                effects = tuple(effect for effect in effects if effect.name not in ("tremor", "grasp_change"))
             simulation = dataclasses.replace(simulation, user=user, effects=effects)
         axes.append(dataclasses.replace(axis, simulation=simulation))
     return dataclasses.replace(scene, axes=tuple(axes))

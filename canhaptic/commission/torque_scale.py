@@ -6,20 +6,19 @@ and doublets of a torque measure it, or the drive lifts a known weight on an arm
 """
 
 import math
-from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 import numpy as np
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.commission.mass_and_friction import SURE, estimate
-from canhaptic.commission.session import NO_TORQUE, OpenLoop, Session, StepVerdict, reversals
+from canhaptic.commission.session import OpenLoop, Session, StepVerdict, reversals
 from canhaptic.commission.torque_tests import MASS_UNITS, Pulse, largest_torque, pulse
 from canhaptic.scene.models import AxisScene
 
 SCALE: Final = "torque scale"
 """Name of the step in the report."""
-_MEANS: Final = ("weight", "balance", "mass", "no")
 _TOLERANCE: Final = 0.1
 _SHARP: Final = 0.05  # part of a mass that its standard deviations may take, and it still verifies a scale
 _DOUBLETS: Final = 32
@@ -28,7 +27,6 @@ _PART: Final = 0.4  # of travel and speed that they may use
 _STEP: Final = 0.1  # [s] for which a rising torque keeps each value
 _SEEN: Final = 20  # counts of motion of a weight that was lifted
 _UNATTENDED: Final = 10  # steps after which a simulated balance is read
-_STIFF: Final = 100.0  # of a simulated balance: largest torques per travel
 
 
 class RisingTorque(OpenLoop):
@@ -43,7 +41,7 @@ class RisingTorque(OpenLoop):
         self, quantum: float, most: float, holds: int, travel: float, largest_step: float, seen: float, *, lifts: bool
     ) -> None:
         self._quantum, self._most, self._holds, self._seen, self._lifts = quantum, most, holds, seen, lifts
-        super().__init__(NO_TORQUE, travel, largest_step)
+        super().__init__((), travel, largest_step)
 
     def reset(self) -> None:
         """Clear the record, and begin with one count."""
@@ -84,7 +82,10 @@ def verified_axes(session: Session) -> dict[int, Pulse]:
             if first is None:
                 continue
             question = f"{scene.parameters.name}: how is the scale of the torque verified?"
-            firsts[axis], means[axis] = first, session.dialogue.choose(question, _MEANS, _means_of(scene))
+            simulation = scene.simulation  # its mass is known where nothing else moves with it
+            truth = "mass" if simulation is None or not simulation.effects else "balance"
+            firsts[axis] = first
+            means[axis] = session.dialogue.choose(question, ("weight", "balance", "mass", "no"), truth)
             if means[axis] == "mass":
                 _judge(session, axis, "mass", _by_mass(session, axis, first))
     for axis, word in means.items():
@@ -92,31 +93,22 @@ def verified_axes(session: Session) -> dict[int, Pulse]:
             text = "no further torque: a wrong scale also makes torque_limit wrong"
             session.found(axis, SCALE, "1", "not compared", StepVerdict.UNKNOWN, text)
         elif word != "mass" and not session.stop_requested():
-            hand = _balance(session) if word == "balance" else None
+            hand = partial(_balance, session) if word == "balance" else None
             with session.rig_of(with_hand=True, hand=hand):
                 _judge(session, axis, word, _by_force(session, axis, word))
     return {axis: first for axis, first in firsts.items() if axis in session.verified}
 
 
-def _means_of(axis: AxisScene) -> str:
-    """Means that a simulated plant offers; its mass is known where nothing else moves with it."""
-    return "mass" if axis.simulation is None or not axis.simulation.effects else "balance"
-
-
-def _balance(session: Session) -> Callable[[AxisScene], object]:
-    """Hand at each simulated handle that holds it as a spring balance does."""
-
-    def hand(axis: AxisScene) -> object:
-        simulation = axis.simulation
-        if simulation is None or simulation.user is None:
-            return None
-        most = axis.parameters.rated_torque or axis.parameters.torque_limit
-        stiffness = _STIFF * session.limits.torque * most / session.limits.travel
-        damping = math.sqrt(stiffness * simulation.plant.mass)
-        rest = {"rest": simulation.plant.initial_position, "motion": None, "push": 0.0}
-        return simulation.user.model_copy(update={"stiffness": stiffness, "damping": damping, **rest})
-
-    return hand
+def _balance(session: Session, axis: AxisScene) -> object:
+    """Hand at a simulated handle that holds it as a spring balance does."""
+    simulation = axis.simulation
+    if simulation is None or simulation.user is None:
+        return None
+    most = axis.parameters.rated_torque or axis.parameters.torque_limit
+    stiffness = 100.0 * session.limits.torque * most / session.limits.travel
+    damping = math.sqrt(stiffness * simulation.plant.mass)
+    rest = {"rest": simulation.plant.initial_position, "motion": None, "push": 0.0}
+    return simulation.user.model_copy(update={"stiffness": stiffness, "damping": damping, **rest})
 
 
 def _by_mass(session: Session, axis: int, first: Pulse) -> float | None:
@@ -135,7 +127,12 @@ def _by_mass(session: Session, axis: int, first: Pulse) -> float | None:
     if not known or known <= 0.0 or not session.agreed(asked, SCALE, [axis]):
         return None
     while True:
-        law, longest = _doublets(session, axis, torque, torque / first.mass)
+        session.coast(axis)
+        acceleration = torque / first.mass  # an estimate, so that a part of the limits is used
+        wanted = math.sqrt(_PART * session.limits.travel / acceleration), _PART * session.limits.speed / acceleration
+        longest = max(_SHORTEST, min(_LONGEST, session.cycles(min(wanted))))
+        torques = reversals(torque, longest, _DOUBLETS)
+        law = session.play(axis, torques, len(torques) + 2)
         if law.tripped or session.stop_requested():
             return None
         positions = np.array(law.positions) / session.encoder_ratios[axis]  # a wrong encoder is not a wrong mass
@@ -147,42 +144,26 @@ def _by_mass(session: Session, axis: int, first: Pulse) -> float | None:
         torque = min(most, 2.0 * torque)
 
 
-def _doublets(session: Session, axis: int, torque: float, acceleration: float) -> tuple[OpenLoop, int]:
-    """Motion under doublets of a torque [N or N*m], and the cycles of the first part of the longest, within the limits.
-
-    The acceleration is an estimate [m/s^2 or rad/s^2], so that a part of the limits is used.
-    """
-    wanted = min(math.sqrt(_PART * session.limits.travel / acceleration), _PART * session.limits.speed / acceleration)
-    longest = max(_SHORTEST, min(_LONGEST, session.cycles(wanted)))
-    session.coast(axis)
-    torques = reversals(torque, longest, _DOUBLETS)
-    return session.play(axis, torques, len(torques) + 2), longest
-
-
 def _by_force(session: Session, axis: int, means: str) -> float | None:
     """The same by a weight that is lifted, or by a spring balance that holds the handle; None where it is unclear."""
     parameters = session.axes[axis].parameters
     name, unit, most = parameters.name, effort_unit(parameters.unit), parameters.torque_limit
     lifts, quantum, known = means == "weight", session.quanta[axis], None
     if lifts:
-        known = session.dialogue.number(
-            f"{name}: torque of the weight (mass, times 9.81 m/s^2, times arm)?", unit, None
-        )
+        asked = f"{name}: torque of the weight (mass, times 9.81 m/s^2, times arm)?"
+        known = session.dialogue.number(asked, unit, None)
     held = "the weight on its support, so that + lifts it" if lifts else "the handle held at rest by a spring balance"
-    asked = (
-        f"{name}: {held}. A torque that rises from {session.shown(axis, quantum)} to {session.shown(axis, most)}, now?"
-    )
+    range_of = f"from {session.shown(axis, quantum)} to {session.shown(axis, most)}"
+    asked = f"{name}: {held}. A torque that rises {range_of}, now?"
     if (lifts and not known) or not session.agreed(asked, SCALE, [axis]):
         return None
     holds, limits = session.cycles(_STEP), session.limits
     seen = _SEEN / parameters.counts_per_unit
     law = RisingTorque(quantum, most, holds, limits.travel, limits.speed * session.sample_time, seen, lifts=lifts)
-    pressed = _never if lifts else session.dialogue.until_ready(
-        f"{name}: press Enter when you can read the balance", _UNATTENDED * holds
-    )  # fmt: skip
-    laws = [law if n == axis else OpenLoop(NO_TORQUE) for n in range(len(session.axes))]
+    asked, steps = f"{name}: press Enter when you can read the balance", _UNATTENDED * holds
+    pressed = None if lifts else session.dialogue.until_ready(asked, steps)
     cycles = 2 * holds * (2 + math.ceil(most / quantum))
-    session.run(laws, cycles, lambda: law.has_ended or pressed())
+    session.run_alone(axis, law, cycles, lambda: law.has_ended or (pressed is not None and pressed()))
     sent = 0.5 * (law.up + law.down) if law.up and law.down else 0.0
     if not lifts:
         sent = law.applied[-1] if law.applied and not law.tripped else 0.0
@@ -193,17 +174,12 @@ def _by_force(session: Session, axis: int, means: str) -> float | None:
     return abs(known / sent)
 
 
-def _never() -> bool:
-    return False
-
-
 def _judge(session: Session, axis: int, means: str, ratio: float | None) -> None:
     """Report a ratio of true to assumed torque, and propose the resulting values."""
     parameters = session.axes[axis].parameters
     if ratio is None:
         text = "unclear; use another method, or raise --torque or --travel"
-        session.found(axis, SCALE, "1", "not compared", StepVerdict.UNKNOWN, text)
-        return
+        return session.found(axis, SCALE, "1", "not compared", StepVerdict.UNKNOWN, text)
     same = abs(ratio - 1.0) <= _TOLERANCE
     text = "every torque is wrong by this ratio, torque_limit too; correct it, then commission again"
     session.judged(axis, SCALE, "1", f"{ratio:.4g}", good=same, text=text)
@@ -211,7 +187,6 @@ def _judge(session: Session, axis: int, means: str, ratio: float | None) -> None
     if same:
         session.verified.add(axis)
         session.propose(axis, "torque_verified", means, comment="the scale of the torque agrees")
-        session.propose(axis, key, None, comment=f"agrees, by {means}")
-        return
+        return session.propose(axis, key, None, comment=f"agrees, by {means}")
     unit = effort_unit(parameters.unit) if key == "rated_torque" else ""
     session.propose(axis, key, getattr(parameters, key) * ratio, unit, f"by {means}")

@@ -112,7 +112,9 @@ def test_the_findings_of_commissioning_are_shown_whole() -> None:
     report = Report()
     text = "no friction could be seen in the noise; move the handle further, or give a larger step of the torque"
     for verdict in StepVerdict:
-        report.add(StepFinding(LONG, "counts of the encoder", "131072 count/rev", "131071.6 count/rev", verdict, text))
+        report.findings.append(
+            StepFinding(LONG, "counts of the encoder", "131072 count/rev", "131071.6 count/rev", verdict, text)
+        )
     assert_whole([((report.table(),), {})])
 
 

@@ -312,14 +312,14 @@ def test_a_number_of_the_drive_is_written_whole() -> None:
 def test_a_value_is_written_where_the_scene_has_it(scene: str, key: str, path: tuple[str, ...]) -> None:
     loaded, report = load_scene(CONFIGS / scene), Report()
     for axis, measured in zip(loaded.axes, (2.0, 1.0), strict=False):
-        report.propose(Value(axis.parameters.name, key, measured, "kg"))
+        report.values.append(Value(axis.parameters.name, key, measured, "kg"))
     assert [change for change in report.changes(loaded) if change.path == path] == [Change(path, "2 kg")]
 
 
 def test_a_failure_that_no_value_mends_and_a_step_that_was_left_out_are_named() -> None:
     report = Report()
     for item, verdict in (("a", StepVerdict.AGREES), ("moving mass", StepVerdict.FAILED), ("b", StepVerdict.FAILED)):
-        report.add(StepFinding("x", item, "", "found", verdict))
+        report.findings.append(StepFinding("x", item, "", "found", verdict))
     assert report.unfinished(["x"], ["a", "moving mass"]) == ["x: b: found"]
     assert report.unfinished(["x", "y"], ["a"]) == ["y: a: not verified", "x: b: found"]
 
