@@ -71,11 +71,7 @@ def with_quick_fields(memory: _Memory) -> _Memory:
 
 @cache
 def _quick_class(kind: type) -> type:
-    methods = {
-        name: value
-        for name, value in vars(kind).items()
-        if isinstance(value, FunctionType) and not name.startswith("_")
-    }
+    methods = {n: of for n, of in vars(kind).items() if isinstance(of, FunctionType) and not n.startswith("_")}
     return type(kind.__name__, (), {"__slots__": fields_of(kind), **methods})
 
 

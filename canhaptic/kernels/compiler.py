@@ -28,7 +28,7 @@ from multiprocessing import parent_process
 from pathlib import Path
 from secrets import token_hex
 from types import CodeType, FunctionType
-from typing import Final, Protocol, TypeVar, cast
+from typing import Final, TypeVar, cast
 
 import llvmlite
 import numba
@@ -41,6 +41,7 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from canhaptic.errors import InputError
 from canhaptic.kernels import fields_of, linking, new
+from canhaptic.kernels.linking import Numba
 from canhaptic.kernels.records import Binding
 
 # numba states no types of its cache
@@ -49,12 +50,6 @@ from canhaptic.kernels.records import Binding
 _PRIVATE: Final = 0o700
 _UNUSED: Final = 30 * 86_400.0  # [s] after which code is deleted
 _DIGEST: Final = hashlib.sha256().digest_size
-
-
-class _Config(Protocol):
-    """Settings of numba."""
-
-    CACHE_DIR: str
 
 
 class _CheckedFiles(caching.IndexDataCacheFile):
@@ -148,7 +143,7 @@ def kept_code(sources: Iterable[str]) -> Iterator[bool]:
         _say_that_nothing_is_kept()
         yield False
         return
-    config = cast(_Config, numba.config)
+    config: Numba = numba.config
     before, config.CACHE_DIR = config.CACHE_DIR, str(place)
     try:
         yield True
@@ -229,21 +224,8 @@ _OPTIONS: Final[dict[str, object]] = {"error_model": "numpy", "_nrt": False}
 _INNER: Final = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """Options of functions that are never called from Python: a fifth less to compile."""
 METHODS: Final = (
-    "contact",
-    "true_state",
-    "admissible",
-    "stored_energy",
-    "effort",
-    "state_of_energy",
-    "one_way",
-    "relaxed",
-    "locate",
-    "measure",
-    "energy",
-    "add_gradient",
-    "add_discrete_gradient",
-    "add_slopes",
-    "add_change",
+    *("contact", "true_state", "admissible", "stored_energy", "effort", "state_of_energy", "one_way", "relaxed"),
+    *("locate", "measure", "energy", "add_gradient", "add_discrete_gradient", "add_slopes", "add_change"),
     "fill_structure",
 )
 """Methods that a kernel may call on an environment, a mechanism, a geometry and the functions of a network."""
@@ -256,20 +238,7 @@ would be taken for both."""
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
-class _Dispatcher(Protocol):
-    """A function compiled by numba, with the place of its code."""
-
-    _cache: object
-    _compile_for_args: Callable[..., object]
-
-    def __call__(self, *args: object) -> object: ...
-
-
-class _Njit(Protocol):
-    def __call__(self, function: Callable[..., object], **options: object) -> _Dispatcher: ...
-
-
-_njit: Final = cast(_Njit, numba.njit)
+_njit: Final[Callable[..., Numba]] = numba.njit
 
 fixed_tuple: Final = cast(Callable[[object, int], tuple[float, ...]], to_fixed_tuple)
 """(array, length) -> tuple of its numbers; the length is a global name of the function that calls it."""
@@ -309,7 +278,7 @@ def compiled(
     return cast(_Function, made)
 
 
-def _link(made: _Dispatcher) -> None:
+def _link(made: Numba) -> None:
     """Let a function compile with its callees linked in."""
     of_numba = made._compile_for_args  # noqa: SLF001
 
@@ -342,11 +311,11 @@ class _Compiling(Binding):
         for kind in parts:
             self.look_at(kind)
 
-    def _wrapped(self, function: FunctionType) -> _Dispatcher:
+    def _wrapped(self, function: FunctionType) -> Numba:
         inlined = self._calls is not None and function.__code__ not in self._codes
         return _njit(function, **_INNER, forceinline=inlined)
 
-    def keep(self, made: _Dispatcher, function: Callable[..., object]) -> None:
+    def keep(self, made: Numba, function: Callable[..., object]) -> None:
         """Keep the code of a function on disk, where that can be."""
         with kept_code(self.sources) as can_keep:
             if can_keep:
@@ -415,19 +384,12 @@ def _make(kind: Callable[..., object], values: Iterable[object]) -> object:
 _made: Final = _njit(_make, **_INNER, forceinline=True)
 
 
-class _NumbaTuple(Protocol):
-    """numba's type of a NamedTuple."""
-
-    instance_class: type
-
-
 def _overload(name: str) -> None:
     @overload_method(types.BaseNamedTuple, name)
-    def method(self: object, *args: object) -> Callable[..., object]:  # numba asks that both be annotated alike
-        kind = cast(_NumbaTuple, self).instance_class
-        function = _njit(_Compiling({}, None).rebound(getattr(kind, name)), **_INNER)
+    def method(self: Numba, *args: object) -> Callable[..., object]:  # numba asks that both be annotated alike
+        function = _njit(_Compiling({}, None).rebound(getattr(self.instance_class, name)), **_INNER)
 
-        def call(self: object, *args: object) -> object:
+        def call(self: Numba, *args: object) -> object:
             return function(self, *args)
 
         return call

@@ -9,7 +9,7 @@ import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import Final, Protocol, cast
+from typing import Any, Final, cast
 
 import numba
 from llvmlite import binding
@@ -26,18 +26,8 @@ _LEVEL: Final = 2
 _under_way = False
 
 
-class _Engine(Protocol):
-    def is_symbol_defined(self, name: str) -> bool: ...
-
-
-class _CodeGenerator(Protocol):
-    """Parts of numba's code generator."""
-
-    _engine: _Engine
-    _library_class: type
-    set_env: Callable[[str, object], None]
-
-    def create_library(self, name: str) -> "_Library": ...
+Numba = Any
+"""A part of numba, which states no types: its code generator, a compiled function."""
 
 
 class _Library(codegen.JITCodeLibrary):
@@ -53,7 +43,7 @@ class _Library(codegen.JITCodeLibrary):
         """Link its callees; as numba does where Python calls it, or outside of `linked`."""
         if not (_under_way and self._object_caching_enabled) or self._is_called_from_python():
             super().finalize()
-            _set_environments(cast(_CodeGenerator, self._codegen))
+            _set_environments(self._codegen)
             return
         for library in dict.fromkeys(self._linking_libraries):
             self._reload_init.update(library._reload_init)  # noqa: SLF001 - as numba's own does
@@ -72,13 +62,13 @@ class _Library(codegen.JITCodeLibrary):
         return self.name, "linked", self._final_module.as_bitcode()
 
     @classmethod
-    def _unserialize(cls, owner: "_CodeGenerator", state: tuple[str, str, object]) -> "_Library":
+    def _unserialize(cls, owner: Numba, state: tuple[str, str, object]) -> "_Library":
         name, kind, data = state
         if kind != "linked":
             return cast(_Library, super()._unserialize(owner, state))
-        library = owner.create_library(name)
-        library._final_module = binding.parse_bitcode(data)  # noqa: SLF001
-        library.is_linked = library._finalized = True  # noqa: SLF001
+        library: _Library = owner.create_library(name)
+        library._final_module = binding.parse_bitcode(data)
+        library.is_linked = library._finalized = True
         return library
 
     def _optimize_final_module(self) -> None:
@@ -115,7 +105,7 @@ def _installed() -> bool:
     """Let numba make its libraries of this kind; return whether its version is known."""
     if not _KNOWN[0] <= tuple(map(int, numba.__version__.split(".")[:2])) < _KNOWN[1]:
         return False
-    owner = cast(_CodeGenerator, cpu_target.target_context.codegen())
+    owner = cpu_target.target_context.codegen()
     owner._library_class, owner.set_env = _Library, _set_environment(owner)  # noqa: SLF001
     return True
 
@@ -124,7 +114,7 @@ _waiting: Final[dict[str, object]] = {}
 """By name: environments (what numba calls so) of functions that have no machine code yet."""
 
 
-def _set_environment(owner: _CodeGenerator) -> Callable[[str, object], None]:
+def _set_environment(owner: Numba) -> Callable[[str, object], None]:
     """Numba's `set_env`, where a function without machine code waits for that of a caller."""
     of_numba = owner.set_env
 
@@ -137,7 +127,7 @@ def _set_environment(owner: _CodeGenerator) -> Callable[[str, object], None]:
     return set_env
 
 
-def _set_environments(owner: _CodeGenerator) -> None:
+def _set_environments(owner: Numba) -> None:
     """Give machine code that was made the environments of the functions in it."""
     for name in [name for name in _waiting if owner._engine.is_symbol_defined(name)]:  # noqa: SLF001
         owner.set_env(name, _waiting.pop(name))

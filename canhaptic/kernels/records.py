@@ -9,7 +9,7 @@ from dataclasses import fields, is_dataclass
 from dis import get_instructions
 from operator import attrgetter
 from types import CodeType, FunctionType
-from typing import Final, NamedTuple, TypeAlias, TypeVar, cast
+from typing import Final, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,21 +111,10 @@ _ARRAYS: Final[dict[object, type[np.generic]]] = {Buffer: np.float64, Matrix: np
 _NUMBER: Final = (float, int, np.generic)
 
 
-class _Part(NamedTuple):
-    path: str
-    kind: _Kind
-    offset: int
-
-
 def record_type(value: object) -> np.dtype[np.void]:
     """Record type of the numbers of an object, and of objects in it; see `_parts_of`."""
-    return np.dtype(
-        [
-            (name, np.dtype(type(part)) if isinstance(part, _NUMBER) else record_type(part))
-            for name, part in _parts_of(value)
-        ],
-        align=True,
-    )
+    kinds = [(n, type(part) if isinstance(part, _NUMBER) else record_type(part)) for n, part in _parts_of(value)]
+    return np.dtype(kinds, align=True)
 
 
 def _parts_of(value: object) -> list[tuple[str, object]]:
@@ -139,35 +128,20 @@ def records_of(values: Iterable[object]) -> Records:
     """Return dataclasses of one kind as records, shape (n,)."""
     values = list(values)
     kind = record_type(values[0])
-    parts = list(_flat(kind))
-    flat = np.dtype(
-        {
-            "names": [part.path for part in parts],
-            "formats": [part.kind for part in parts],
-            "offsets": [part.offset for part in parts],
-            "itemsize": kind.itemsize,
-        }
-    )
-    if len(parts) == 1:
-        rows = [(getattr(value, parts[0].path),) for value in values]
-    else:
-        rows = [*map(attrgetter(*flat.names or ()), values)]
+    names, kinds, offsets = zip(*_flat(kind), strict=True)
+    flat = np.dtype({"names": names, "formats": kinds, "offsets": offsets, "itemsize": kind.itemsize})
+    read = attrgetter(*names)
+    rows = [(read(value),) for value in values] if len(names) == 1 else [*map(read, values)]
     return np.array(rows, dtype=flat).view(kind)
 
 
-def number_in(state: object, name: str) -> float:
-    """Number in a dataclass or in its record."""
-    number: float = state[name] if isinstance(state, np.void) else getattr(state, name)
-    return number
-
-
-def _flat(kind: _Kind, path: str = "", offset: int = 0) -> Iterable[_Part]:
-    """Yield the numbers of a record type, by their dotted names."""
+def _flat(kind: _Kind, path: str = "", offset: int = 0) -> Iterable[tuple[str, _Kind, int]]:
+    """Yield dotted name, type and offset of the numbers of a record type."""
     for name, (part, at, *_) in (kind.fields or {}).items():
         if part.fields:
             yield from _flat(part, f"{path}{name}.", offset + at)
         else:
-            yield _Part(path + name, part, offset + at)
+            yield path + name, part, offset + at
 
 
 def arrays_of(value: _Value) -> _Value:
