@@ -171,10 +171,10 @@ def all_drives(scene: Scene, groups: "list[DriveGroup]") -> "Drives | None":
     """Return all simulated drives in the order of the axes; None with real ones."""
     if len(groups) < 2:
         return groups[0] if groups else None
-    from canhaptic.sim.drive.can.drive_node import DriveGroups
+    from canhaptic.sim.drive.can.drive_node import AllDrives
 
     drives = {bus.name: iter(group.drives) for bus, group in zip(scene.buses, groups, strict=True)}
-    return DriveGroups(groups, [next(drives[axis.bus]) for axis in scene.axes])
+    return AllDrives(tuple(next(drives[axis.bus]) for axis in scene.axes))
 
 
 def device_bounds(scene: Scene, axis: AxisScene) -> dict[str, float]:

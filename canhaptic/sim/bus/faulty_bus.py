@@ -20,6 +20,7 @@ import heapq
 import itertools
 from collections import Counter, deque
 from collections.abc import Callable, Container, Sequence
+from functools import partial
 from random import Random
 from typing import Annotated, Final, Literal, NamedTuple, Protocol
 
@@ -208,59 +209,42 @@ def _overtaken(effects: BusEffects, _random: Random, flight: Flight) -> list[Fli
     return [Flight(flight.message, flight.due + round(effects.reorder_delay * _SECOND), keeps_order=False)]
 
 
-_ORDER: Final = ("drop", "truncate", "corrupt", "delay", "jitter", "duplicate", "reorder")
+def _delayed(effects: BusEffects, random: Random, flight: Flight) -> list[Flight]:
+    """Delay a frame by a fixed time and a random one."""
+    delay, jitter = round(effects.delay * _SECOND), round(effects.jitter * _SECOND)
+    return [flight._replace(due=flight.due + delay + (random.randrange(jitter + 1) if jitter else 0))]
+
+
 _Change = Callable[[BusEffects, Random, Flight], list[Flight] | None]
 _CHANGES: Final[dict[str, _Change]] = {
-    "drop": _lost, "truncate": _truncated, "corrupt": _corrupted, "duplicate": _doubled, "reorder": _overtaken,
+    "drop": _lost, "truncate": _truncated, "corrupt": _corrupted, "delay": _delayed, "jitter": _delayed,
+    "duplicate": _doubled, "reorder": _overtaken,
 }  # fmt: skip
-"""Effect -> its action on a frame; None where there is nothing to change."""
+"""Effect -> its action on a frame, None where there is nothing to change; in the order in which they act."""
+_Effect = Callable[[Flight], list[Flight]]
+"""Returns the frames that one becomes."""
 
 
-class _Strike:
-    """Effect on a share of the frames, each on its own.
+def _effect(name: str, effects: BusEffects, random: Random, count: _Count) -> _Effect:
+    """Effect on a share of the frames, each on its own; in runs with a `drop_burst` (Gilbert, 1960: lost, received).
 
-    Args:
-        name: Name of the effect, and of its share.
-        effects: Effects of the bus.
-        random: Random numbers of the effect.
-        count: Called for each frame that it struck.
+    A delay acts on every frame, and is not counted.
     """
+    share, mean = float(getattr(effects, name)), effects.drop_burst if name == "drop" else None
+    change, is_struck = partial(_CHANGES[name], effects, random), False
 
-    def __init__(self, name: str, effects: BusEffects, random: Random, count: _Count) -> None:
-        self._name, self._share = name, getattr(effects, name)
-        self._effects, self._random, self._count = effects, random, count
-
-    def apply(self, flight: Flight) -> list[Flight]:
-        """Return the frames that one becomes."""
-        changed = _CHANGES[self._name](self._effects, self._random, flight) if self._strikes() else None
-        if changed is None:
+    def apply(flight: Flight) -> list[Flight]:
+        nonlocal is_struck
+        threshold = share
+        if mean is not None:
+            threshold = 1.0 - 1.0 / mean if is_struck else share / (mean * (1.0 - share))
+        is_struck = random.random() < threshold
+        if not is_struck or (changed := change(flight)) is None:
             return [flight]
-        self._count(self._name, flight.message.arbitration_id)
+        count(name, flight.message.arbitration_id)
         return changed
 
-    def _strikes(self) -> bool:
-        return self._random.random() < float(self._share)
-
-
-class _Burst(_Strike):
-    """Effect on frames in runs (Gilbert, 1960: two states, lost and received)."""
-
-    _is_lost = False
-
-    def _strikes(self) -> bool:
-        share, mean = self._share, self._effects.drop_burst or 1.0
-        threshold = 1.0 - 1.0 / mean if self._is_lost else share / (mean * (1.0 - share))
-        self._is_lost = self._random.random() < threshold
-        return self._is_lost
-
-
-class _Delay(_Strike):
-    """Delays every frame by a fixed time and a random one."""
-
-    def apply(self, flight: Flight) -> list[Flight]:
-        """Return the frame with its new due time."""
-        delay, jitter = round(self._effects.delay * _SECOND), round(self._effects.jitter * _SECOND)
-        return [flight._replace(due=flight.due + delay + (self._random.randrange(jitter + 1) if jitter else 0))]
+    return partial(_delayed, effects, random) if name in ("delay", "jitter") else apply
 
 
 def stream(seed: int, direction: str, effect: str) -> Random:
@@ -268,15 +252,12 @@ def stream(seed: int, direction: str, effect: str) -> Random:
     return Random(f"canhaptic bus {seed} {direction} {effect}")
 
 
-def frame_effects(effects: BusEffects, direction: Direction, seed: int, count: _Count) -> list[_Strike]:
+def frame_effects(effects: BusEffects, direction: Direction, seed: int, count: _Count) -> list[_Effect]:
     """Effects on single frames that a scene names for one direction, in the order in which they act."""
-    if not effects.suffers(direction):
-        return []
-    named = [name for name in _ORDER if getattr(effects, name)]
-    if effects.delay and effects.jitter:
+    named = [name for name in _CHANGES if getattr(effects, name) and effects.suffers(direction)]
+    if "delay" in named and "jitter" in named:
         named.remove("delay")  # one effect for both
-    kinds = {"delay": _Delay, "jitter": _Delay} | ({} if effects.drop_burst is None else {"drop": _Burst})
-    return [kinds.get(name, _Strike)(name, effects, stream(seed, direction, name), count) for name in named]
+    return [_effect(name, effects, stream(seed, direction, name), count) for name in named]
 
 
 _Delivery = Callable[[can.Message, int], None]
@@ -370,20 +351,20 @@ class BusSegment:
 
     Args:
         effects: Effects of the bus.
-        direction: Direction of the frames.
         seed: Seed of everything random.
         counts: Counter of affected frames.
         wire: Wire on which frames are arbitrated after their delays; None: they arrive at once.
+        direction: Direction of the frames.
         deliver: Function that takes the arriving frames.
     """
 
     def __init__(
         self,
         effects: BusEffects,
-        direction: Direction,
         seed: int,
         counts: Counts,
         wire: Wire | None,
+        direction: Direction,
         deliver: _Delivery,
     ) -> None:
         def count(effect: str, cob_id: int) -> None:
@@ -407,16 +388,13 @@ class BusSegment:
         flights = [Flight(message, now, keeps_order=True)]
         if self.suffers(message.arbitration_id, now - epoch):
             for effect in self._effects:
-                flights = [result for flight in flights for result in effect.apply(flight)]
+                flights = [result for flight in flights for result in effect(flight)]
         for flight in flights:
             due = max(flight.due, self._freeze.end(flight.due - epoch) + epoch)
-            self._enter(flight.message, due, keeps_order=flight.keeps_order)
+            self.enter(flight.message, due, keeps_order=flight.keeps_order)
 
-    def pass_through(self, message: can.Message, now: int) -> None:
-        """Take a frame without effects; it still waits for earlier ones."""
-        self._enter(message, now, keeps_order=True)
-
-    def _enter(self, message: can.Message, due: int, *, keeps_order: bool) -> None:
+    def enter(self, message: can.Message, due: int, *, keeps_order: bool = True) -> None:
+        """Take a frame without effects; it still waits for earlier ones, unless it may overtake them."""
         if keeps_order:
             self._last_due = due = max(due, self._last_due)
         self._number += 1
@@ -471,8 +449,9 @@ class FaultyBus(can.BusABC):
         self._out: Direction = "to_drive" if is_master else "to_master"
         self._in: Direction = "to_master" if is_master else "to_drive"
         self._wire = Wire(bitrate) if effects.wire_time else None
-        self._outgoing = BusSegment(effects, self._out, seed, self.counts, self._wire, self._send_on)
-        self._incoming = BusSegment(effects, self._in, seed, self.counts, self._wire, self._hand_in)
+        shared = effects, seed, self.counts, self._wire
+        self._outgoing = BusSegment(*shared, self._out, lambda message, _now: self._bus.send(message))
+        self._incoming = BusSegment(*shared, self._in, lambda message, _now: self._ready.append(message))
         self._refused = effects.refuse if is_master and effects.suffers(self._out) else 0.0
         self._refusals = stream(seed, "to_drive", "refuse")
         self._stall = Schedule(effects.stall) if effects.stall and is_master else None
@@ -498,7 +477,7 @@ class FaultyBus(can.BusABC):
         now = self._awake()
         epoch = self._begin(msg, now)
         if epoch is None:
-            self._outgoing.pass_through(copy.copy(msg), now)
+            self._outgoing.enter(copy.copy(msg), now)
         else:
             self._require_working(msg.arbitration_id, now - epoch)
             self._outgoing.push(copy.copy(msg), now, epoch)
@@ -609,17 +588,11 @@ class FaultyBus(can.BusABC):
     def _take(self, message: can.Message, now: int) -> None:
         epoch = self._begin(message, now)
         if epoch is None:
-            self._incoming.pass_through(message, now)
+            self._incoming.enter(message, now)
         elif self._bus_off.end(now - epoch):
             self.counts["bus_off", self._in, message.arbitration_id] += 1
         else:
             self._incoming.push(message, now, epoch)
-
-    def _send_on(self, message: can.Message, now: int) -> None:
-        self._bus.send(message)
-
-    def _hand_in(self, message: can.Message, now: int) -> None:
-        self._ready.append(message)
 
     def _let_in(self, message: can.Message, now: int) -> None:
         """Pass a frame of another device to the drives, and to this side unless its bus is off."""

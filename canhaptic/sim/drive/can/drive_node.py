@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Sequence, Sized
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import can
 from canopen.objectdictionary import ObjectDictionary
@@ -33,7 +33,6 @@ from canhaptic.sim.drive.timers import NEVER, Timers
 
 if TYPE_CHECKING:
     from canhaptic.sim.drive.can.sensor_node import SensorNode
-    from canhaptic.sim.drive.profile.admittance_servo import AdmittanceMotor
 
 _COMMUNICATION_OBJECTS: Final = range(0x1000, 0x2000)
 _NOT_SERVED: Final = frozenset({(objects.GUARD_TIME, None), (objects.LIFE_TIME_FACTOR, None)})  # node guarding
@@ -42,14 +41,6 @@ _PRE_OPERATIONAL, _STOPPED = 0, 2  # values of 0x1029: where a lost heartbeat le
 _tuple: Final = tuple.__new__  # makes a truth at half the cost of calling its class
 _TRANSIENT: Final = frozenset((DriveState.FAULT_REACTION_ACTIVE, DriveState.QUICK_STOP_ACTIVE))
 _FAULTY: Final = frozenset((DriveState.FAULT_REACTION_ACTIVE, DriveState.FAULT))
-
-
-def _servo(store: ObjectStore, motor: Motor, parameters: SimulatedDriveParameters) -> Servo:
-    if parameters.display is None:
-        return Servo(store, motor, parameters)
-    from canhaptic.sim.drive.profile.admittance_servo import AdmittanceServo
-
-    return AdmittanceServo(store, cast("AdmittanceMotor", motor), parameters)
 
 
 class SimulatedDrive:
@@ -96,7 +87,7 @@ class SimulatedDrive:
         absent = parameters.absent_places() | _NOT_SERVED
         self.store = store = ObjectStore(dictionary, parameters.object_values(), absent, parameters.refused_values())
         store.guard_storage()
-        self.servo = _servo(store, motor, parameters)
+        self.servo, self._sensor = self._servo_and_sensor(motor, parameters)
         self.timers = timers = Timers()
         self.on_routes_changed: Callable[[], None] = lambda: None
         self._emergency = emcy.EmergencyProducer(store, node_id, self._send_emergency)
@@ -105,7 +96,6 @@ class SimulatedDrive:
         self._consumer = HeartbeatConsumer(
             store, timers, self._now, self._lose_heartbeat, self._regain_heartbeat, self._change_routes
         )
-        self._sensor = self._sensor_node(parameters)
         self._process_data = ProcessData(
             store, self.servo, timers, self._emergency, parameters, self._send, self._lose, self._change_routes
         )
@@ -114,21 +104,22 @@ class SimulatedDrive:
         self._channel = getattr(bus, "channel_id", None)
         self._routes: dict[int, Handler] = {}
         self._are_routes_stale = True
-        self._settle_timer = timers.add(self._settle)
+        self._settle_timer = timers.add(lambda _due: self.servo.settle())
         timers.start(timers.add(self._power_on), 0)
 
-    def _sensor_node(self, parameters: SimulatedDriveParameters) -> "SensorNode | None":
-        """Return the force sensor of an admittance display with its own node."""
-        display, servo = parameters.display, self.servo
-        if display is None or display.force_node is None:
-            return None
-        from canhaptic.sim.drive.can.sensor_node import SensorNode
+    def _servo_and_sensor(self, motor: Any, parameters: SimulatedDriveParameters) -> "tuple[Servo, SensorNode | None]":
+        """Return the power stage, and the force sensor of an admittance display with its own node."""
+        display = parameters.display
+        if display is None:
+            return Servo(self.store, motor, parameters), None
         from canhaptic.sim.drive.profile.admittance_servo import AdmittanceServo
 
-        if not isinstance(servo, AdmittanceServo):
-            return None
-        scales = display.force_per_count, display.force_offset_counts
-        return SensorNode(display.force_node, *scales, servo.shown_force, self._send)
+        servo = AdmittanceServo(self.store, motor, parameters)
+        if display.force_node is None:
+            return servo, None
+        from canhaptic.sim.drive.can.sensor_node import SensorNode
+
+        return servo, SensorNode(display, motor.read_force, self._send)
 
     # --- what a group of drives asks of each ------------------------------------------------------------------------
 
@@ -157,7 +148,7 @@ class SimulatedDrive:
 
     def inject_fault(self, code: int = 0x5000) -> None:
         """Inject a fault with an error code (0x603F), as if hardware had failed."""
-        self._fault(code)
+        self.servo.fault_code = code
         self.follow_up()
 
     @property
@@ -235,17 +226,14 @@ class SimulatedDrive:
         command = command_for(bytes(content), self.node_id)
         if command is NmtCommand.START:
             self._start()
-        elif command is NmtCommand.STOP:
-            self._leave_operational(NmtState.STOPPED)
-        elif command is NmtCommand.PRE_OPERATIONAL:
-            self._leave_operational(NmtState.PRE_OPERATIONAL)
-        elif command is NmtCommand.RESET_COMMUNICATION:
-            self._leave_operational(NmtState.PRE_OPERATIONAL)
-            self.store.reset(_COMMUNICATION_OBJECTS)
-            self._emergency.show()
-            self._boot()
         elif command is NmtCommand.RESET_NODE:
             self._power_on(self.servo.now)
+        elif command is not None:
+            self._leave_operational(NmtState.STOPPED if command is NmtCommand.STOP else NmtState.PRE_OPERATIONAL)
+            if command is NmtCommand.RESET_COMMUNICATION:
+                self.store.reset(_COMMUNICATION_OBJECTS)
+                self._emergency.show()
+                self._boot()
 
     # --- NMT --------------------------------------------------------------------------------------------------------
 
@@ -256,9 +244,6 @@ class SimulatedDrive:
         self.servo.reset()
         self.servo.settle()
         self._boot()
-        self._boot_sensor()
-
-    def _boot_sensor(self) -> None:
         if self._sensor is not None and self._sensor.state is NmtState.BOOT_UP:
             self._sensor.power_on()
 
@@ -310,23 +295,17 @@ class SimulatedDrive:
         if self.servo.state not in _FAULTY:
             self._emergency.withdraw(emcy.HEARTBEAT_LOST)
 
-    def _fault(self, code: int) -> None:
-        self._emergency.announce(code)
-        self.servo.fault()
-
     def _start_reaction(self) -> None:
         period = self._process_data.sync_period() or self._sample_time
         self.timers.start(self._settle_timer, self.servo.now + period * 3 // 2)  # so that exactly one SYNC shows it
-
-    def _settle(self, _due: int) -> None:
-        self.servo.settle()
 
     def follow_up(self) -> None:
         """Act on a change of state: announce faults, time reactions, send event-driven TPDOs."""
         servo = self.servo
         if servo.fault_code:
-            code, servo.fault_code = servo.fault_code, 0
-            self._fault(code)
+            self._emergency.announce(servo.fault_code)
+            servo.fault_code = 0
+            servo.fault()
         if not servo.has_event:
             return
         servo.has_event = False
@@ -399,27 +378,11 @@ class DriveGroup:
         return earliest
 
 
-class DriveGroups:
-    """The drives of several buses (a `SimulatedPeer`).
+class AllDrives(NamedTuple):
+    """The drives of several buses."""
 
-    Args:
-        groups: Groups, one per bus.
-        drives: All drives, in the order of the axes.
-    """
-
-    def __init__(self, groups: Sequence[DriveGroup], drives: Sequence[SimulatedDrive]) -> None:
-        self._groups = tuple(groups)
-        self.drives = tuple(drives)
-
-    def process(self, now: int) -> None:
-        """Handle every frame waiting on each bus and every timer due up to `now` [ns]."""
-        for group in self._groups:
-            group.process(now)
-
-    def next_due(self) -> int:
-        """Return when the next timer of any drive is due [ns]."""
-        return min((group.next_due() for group in self._groups), default=NEVER)
+    drives: tuple[SimulatedDrive, ...]  # in the order of the axes
 
 
-Drives = DriveGroup | DriveGroups
+Drives = DriveGroup | AllDrives
 """Simulated drives of a rig, on one bus or several."""

@@ -56,48 +56,39 @@ class EmergencyProducer:
 
     def show(self) -> None:
         """Show the present errors in the objects; the history starts empty."""
-        self._error_code.value = self._present[-1] if self._present else 0
-        self._update_register()
+        self._show_present()
         self._clear_history()
 
     def announce(self, code: int) -> None:
         """Enter an error and send its EMCY, unless it is present already."""
-        if code in self._present:
-            return
-        self._present.append(code)
-        self._error_code.value = code
-        self._update_register()
-        self._remember(code)
-        self._transmit(code)
+        if code not in self._present:
+            self._present.append(code)
+            for field, value in zip(self._history, [code, *(field.value for field in self._history)], strict=False):
+                field.value = value
+            if self._count is not None:
+                self._count.value = min(self._count.number + 1, len(self._history))
+            self._transmit(code)
 
     def withdraw(self, *codes: int) -> None:
         """Remove errors (all when none is named) and send EMCY 0x0000 if one was present."""
         remaining = [code for code in self._present if codes and code not in codes]
-        if len(remaining) == len(self._present):
-            return
-        self._present = remaining
-        self._error_code.value = remaining[-1] if remaining else 0
-        self._update_register()
-        self._transmit(0)
+        if len(remaining) < len(self._present):
+            self._present = remaining
+            self._transmit(0)
 
-    def _update_register(self) -> None:
+    def _show_present(self) -> None:
+        self._error_code.value = self._present[-1] if self._present else 0
         register = 0
         for code in self._present:
             register |= 1 | _REGISTER_BITS.get(code >> 12, 0)
         self._register.value = register
 
     def _transmit(self, code: int) -> None:
+        """Show the present errors, and send the EMCY of the one that came, or 0."""
+        self._show_present()
         cob_id = self._cob_id.number or self._default_cob_id
         if not cob_id & objects.COB_ID_INVALID:
             self._send(cob_id & 0x7FF, bytes((code & 0xFF, code >> 8, self._register.number)) + bytes(5))
-
-    def _remember(self, code: int) -> None:
-        for newer, older in zip(reversed(self._history[:-1]), reversed(self._history[1:]), strict=True):
-            older.value = newer.value
-        if self._history:
-            self._history[0].value = code
-        if self._count is not None:
-            self._count.value = min(self._count.number + 1, len(self._history))
 
     def _clear_history(self) -> None:
         for field in self._history:
@@ -106,6 +97,8 @@ class EmergencyProducer:
             self._count.value = 0
 
 
+_Call = Callable[[], None]
+_Now = Callable[[], int]
 _NS_PER_MS: Final = 1_000_000
 _COMMANDS: Final = frozenset(int(command) for command in NmtCommand)
 
@@ -127,7 +120,7 @@ class HeartbeatProducer:
         now: Returns the time [ns].
     """
 
-    def __init__(self, store: ObjectStore, timers: Timers, send: Callable[[], None], now: Callable[[], int]) -> None:
+    def __init__(self, store: ObjectStore, timers: Timers, send: _Call, now: _Now) -> None:
         self._time = store.entry(objects.PRODUCER_HEARTBEAT_TIME, DataType.UNSIGNED16)
         self._timers, self._send, self._now = timers, send, now
         self._timer = timers.add(self._beat)
@@ -161,13 +154,7 @@ class HeartbeatConsumer:
     """
 
     def __init__(
-        self,
-        store: ObjectStore,
-        timers: Timers,
-        now: Callable[[], int],
-        on_lost: Callable[[], None],
-        on_return: Callable[[], None],
-        on_change: Callable[[], None],
+        self, store: ObjectStore, timers: Timers, now: _Now, on_lost: _Call, on_return: _Call, on_change: _Call
     ) -> None:
         self._timers, self._now = timers, now
         self._on_lost, self._on_return, self._on_change = on_lost, on_return, on_change

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
 from operator import attrgetter
-from typing import Final
+from typing import Final, cast
 
 from canhaptic.canopen import objects
 from canhaptic.canopen.objects import DataType, SdoAbort
@@ -26,13 +26,15 @@ _LARGEST_SYNCHRONOUS: Final = 240  # transmission types 0..240 follow the SYNC, 
 _MAX_BITS: Final = 64
 _ANY: Final = 1 << 63  # no integer of a PDO is beyond it
 _value_of: Final = attrgetter("value")
-_RESTRICTED: Final = (  # CAN identifiers that no PDO may use (CiA 301, table 28)
-    range(0x080),
-    range(0x101, 0x181),
-    range(0x581, 0x600),
-    range(0x601, 0x680),
-    range(0x6E0, 0x800),
+_FORBIDDEN: Final = frozenset(
+    (*range(0x080), *range(0x101, 0x181), *range(0x581, 0x600), *range(0x601, 0x680), *range(0x6E0, 0x800))
 )
+"""CAN identifiers that no PDO may use (CiA 301, table 28)."""
+_RECORDS: Final = {
+    False: (objects.RPDO_COMMUNICATION, objects.RPDO_MAPPING),
+    True: (objects.TPDO_COMMUNICATION, objects.TPDO_MAPPING),
+}
+"""Whether it is a TPDO -> first communication and mapping object."""
 _NS_PER_MS: Final = 1_000_000
 _NS_PER_INHIBIT_UNIT: Final = 100_000
 
@@ -58,14 +60,13 @@ class Pdo:
     """
 
     def __init__(self, store: ObjectStore, number: int, is_transmit: bool, on_change: Callable[[], None]) -> None:
-        communication = (objects.TPDO_COMMUNICATION if is_transmit else objects.RPDO_COMMUNICATION) + number
-        mapping = (objects.TPDO_MAPPING if is_transmit else objects.RPDO_MAPPING) + number
+        communication, mapping = (first + number for first in _RECORDS[is_transmit])
         self._store, self._is_transmit = store, is_transmit
-        self._cob_id = _require(store.find(communication, 1))
+        self._cob_id = cast(Entry, store.find(communication, 1))  # `_pdos_of` made sure that both exist
         self._type = store.find(communication, 2)
         self._inhibit = store.find(communication, 3)
         self._event_timer = store.find(communication, 5)
-        self._count = _require(store.find(mapping, 0))
+        self._count = cast(Entry, store.find(mapping, 0))
         self._slots: list[Entry] = []
         while (slot := store.find(mapping, len(self._slots) + 1)) is not None:
             slot.check = self._check_slot
@@ -85,7 +86,6 @@ class Pdo:
         cob_id = objects.COB_ID_INVALID if self._cob_id.value is None else self._cob_id.number
         self.entries = self._mapped()
         image = struct.Struct("<" + "".join(entry.code for entry in self.entries))
-        self._places = tuple(range(len(self.entries)))
         self.pack, self._unpack, self.length = _packer(image.pack, self.entries), image.unpack_from, image.size
         self.is_active = not cob_id & objects.COB_ID_INVALID and bool(self.entries)
         for entry in self.entries if self.is_active else ():
@@ -117,9 +117,8 @@ class Pdo:
         unpack = self._unpack
         values = unpack(content)
         if self._takes_all:
-            entries = self.entries
-            for place in self._places:
-                entries[place].value = values[place]
+            for entry, value in zip(self.entries, values, strict=True):
+                entry.value = value
         else:
             for entry, value, (low, high) in zip(self.entries, values, self._ranges, strict=True):
                 if low <= value <= high:
@@ -164,7 +163,7 @@ class Pdo:
         is_valid = not value & objects.COB_ID_INVALID
         if self._exists() and is_valid and (value ^ self._cob_id.number) & 0x1FFF_FFFF:
             return SdoAbort.DEVICE_STATE
-        is_refused = value & _EXTENDED_FRAME or any(value & 0x7FF in identifiers for identifiers in _RESTRICTED)
+        is_refused = value & _EXTENDED_FRAME or value & 0x7FF in _FORBIDDEN
         return SdoAbort.VALUE_RANGE if is_valid and is_refused else None
 
     def _check_slot(self, value: int) -> SdoAbort | None:
@@ -194,10 +193,9 @@ class Pdo:
         return SdoAbort.PDO_LENGTH if sum(mapping & 0xFF for mapping in mappings) > _MAX_BITS else None
 
 
-def find_pdos(store: ObjectStore, is_transmit: bool, on_change: Callable[[], None]) -> tuple[Pdo, ...]:
+def _pdos_of(store: ObjectStore, is_transmit: bool, on_change: Callable[[], None]) -> tuple[Pdo, ...]:
     """Return every PDO that the dictionary describes with both its objects."""
-    communication = objects.TPDO_COMMUNICATION if is_transmit else objects.RPDO_COMMUNICATION
-    mapping = objects.TPDO_MAPPING if is_transmit else objects.RPDO_MAPPING
+    communication, mapping = _RECORDS[is_transmit]
     return tuple(
         Pdo(store, number, is_transmit, on_change)
         for number in range(_PDOS)
@@ -220,12 +218,6 @@ def _packer(pack: Callable[..., bytes], entries: Sequence[Entry]) -> Callable[[]
         first, second, third = entries
         return lambda: pack(first.value, second.value, third.value)
     return lambda: pack(*map(_value_of, entries))
-
-
-def _require(entry: Entry | None) -> Entry:
-    if entry is None:
-        raise LookupError("find_pdos() made sure that this object exists")
-    return entry
 
 
 _NS_PER_US: Final = 1000
@@ -273,10 +265,10 @@ class ProcessData:
         self._losses_to_fault = parameters.sync_losses_to_fault
         self._shows_next_torque = parameters.torque_read_back == "after_update"
         self._acts_at_once, self._syncs_late = parameters.acts_at_once, parameters.syncs_late
-        self._rpdos = find_pdos(store, is_transmit=False, on_change=on_change)
-        self._tpdos = find_pdos(store, is_transmit=True, on_change=on_change)
-        self._pdo_timers = {pdo: timers.add(self._time_out) for pdo in self._rpdos}
-        self._pdo_timers |= {pdo: timers.add(partial(self._send_by_timer, pdo)) for pdo in self._tpdos}
+        self._rpdos = _pdos_of(store, is_transmit=False, on_change=on_change)
+        self._tpdos = _pdos_of(store, is_transmit=True, on_change=on_change)
+        self._pdo_timers = {pdo: timers.add(lambda _due: on_loss(emcy.RPDO_TIMEOUT)) for pdo in self._rpdos}
+        self._pdo_timers |= {pdo: timers.add(partial(self._send_event, pdo)) for pdo in self._tpdos}
         self._sync_timer = timers.add(self._lose_sync)
         self._sync_cob_id = store.optional(objects.SYNC_COB_ID, DataType.UNSIGNED32)
         self._sync_cob_id.check = refuse_unless(lambda value: value & 0x7FF and not value & _SYNC_GENERATOR)
@@ -400,12 +392,9 @@ class ProcessData:
 
         return take  # a closure: a `partial` would send every frame through C and back
 
-    def _time_out(self, _due: int) -> None:
-        self._on_loss(emcy.RPDO_TIMEOUT)
-
     # --- TPDO by events ---------------------------------------------------------------------------------------------
 
-    def _send_event(self, pdo: Pdo) -> None:
+    def _send_event(self, pdo: Pdo, _due: int = 0) -> None:
         now = self._servo.now
         if now < pdo.not_before:
             self._timers.start(self._pdo_timers[pdo], pdo.not_before)
@@ -418,6 +407,3 @@ class ProcessData:
     def _restart_event_timer(self, pdo: Pdo) -> None:
         if pdo.event_time and self.is_operational:
             self._timers.start(self._pdo_timers[pdo], self._servo.now + pdo.event_time)
-
-    def _send_by_timer(self, pdo: Pdo, _due: int) -> None:
-        self._send_event(pdo)

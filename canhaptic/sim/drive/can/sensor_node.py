@@ -1,9 +1,9 @@
 """A simulated force sensor with its own CAN node: it answers each SYNC with one frame, once it is operational."""
 
 from collections.abc import Callable
+from typing import Any, cast
 
-from canopen import ObjectDictionary
-from canopen.objectdictionary import ODRecord, ODVariable
+from canopen.objectdictionary import ODVariable
 
 from canhaptic.canopen import objects
 from canhaptic.canopen.force_node import ForceNode
@@ -11,6 +11,7 @@ from canhaptic.canopen.objects import DataType, NmtCommand, NmtState
 from canhaptic.sim.drive.can.nmt_slave import command_for
 from canhaptic.sim.drive.can.process_data import Content
 from canhaptic.sim.drive.can.sdo_server import SdoServer
+from canhaptic.sim.drive.drive_parameters import AdmittanceScaling
 from canhaptic.sim.drive.profile.object_store import ObjectStore, refuse_unless
 
 _DEVICE_TYPE = 404  # CiA profile of transducers
@@ -22,9 +23,7 @@ class SensorNode:
     """A transducer on the bus.
 
     Args:
-        node: Frame of the sensor.
-        per_count: Value of one count [N or N*m; of a running impulse N*s or N*m*s].
-        offset_counts: Counts at zero.
+        display: Scales of the sensor, with its frame.
         read: Returns the present reading of the sensor.
         send: Called with COB-ID and content of a frame.
 
@@ -33,14 +32,9 @@ class SensorNode:
     """
 
     def __init__(
-        self,
-        node: ForceNode,
-        per_count: float,
-        offset_counts: float,
-        read: Callable[[], float],
-        send: Callable[[int, Content], None],
+        self, display: AdmittanceScaling, read: Callable[[], float], send: Callable[[int, Content], None]
     ) -> None:
-        self._node, self._per_count, self._offset = node, per_count, offset_counts
+        self._display, self._node = display, cast(ForceNode, display.force_node)
         self._read, self._send = read, send
         self._zero = 0.0  # force that was taken for zero [N or N*m]
         self.state = NmtState.BOOT_UP
@@ -93,25 +87,21 @@ class SensorNode:
         if self.state is not NmtState.OPERATIONAL or not is_asked:
             return
         try:
-            frame = self._node.frame_of((self._read() - self._zero) / self._per_count + self._offset)
+            scaled = (self._read() - self._zero) / self._display.force_per_count
+            frame = self._node.frame_of(scaled + self._display.force_offset_counts)
         except (ValueError, OverflowError):  # no number: the frame stays away
             return
         self._send(self._node.frame_id, frame)
 
 
-def _transducer() -> ObjectDictionary:
+def _transducer() -> Any:
     """Dictionary of the transducer: 0x1000, 0x1800, 0x6125 and 0x6139."""
-    dictionary = ObjectDictionary()  # type: ignore[no-untyped-call]
-    device_type = ODVariable("Device type", objects.DEVICE_TYPE)
-    device_type.data_type, device_type.access_type, device_type.default = DataType.UNSIGNED32, "ro", _DEVICE_TYPE
-    dictionary.add_object(device_type)
-    for index in (objects.TPDO_COMMUNICATION, objects.AUTOZERO, objects.AUTOTARE):
-        record = ODRecord(f"Record {index:#06x}", index)
-        is_pdo = index == objects.TPDO_COMMUNICATION
-        members = [(0, DataType.UNSIGNED8, 2 if is_pdo else 1), (1, DataType.UNSIGNED32, 0)]
-        for subindex, data_type, default in members + [(2, DataType.UNSIGNED8, _BY_ITSELF)] * is_pdo:
-            member = ODVariable(f"Member {subindex}", index, subindex)
-            member.data_type, member.access_type, member.default = data_type, "rw" if subindex else "ro", default
-            record.add_member(member)
-        dictionary.add_object(record)
+    values = {(objects.DEVICE_TYPE, 0): _DEVICE_TYPE, (objects.TPDO_COMMUNICATION, 2): _BY_ITSELF}
+    for index, count in ((objects.TPDO_COMMUNICATION, 2), (objects.AUTOZERO, 1), (objects.AUTOTARE, 1)):
+        values |= {(index, 0): count, (index, 1): 0}
+    dictionary = {place: ODVariable("Object", *place) for place in values}
+    for (index, subindex), variable in dictionary.items():
+        is_long = subindex == 1 or index == objects.DEVICE_TYPE
+        variable.data_type = DataType.UNSIGNED32 if is_long else DataType.UNSIGNED8
+        variable.access_type, variable.default = "rw" if subindex else "ro", values[index, subindex]
     return dictionary

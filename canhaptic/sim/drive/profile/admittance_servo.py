@@ -144,10 +144,6 @@ class AdmittanceServo(Servo):
         self._stage.reload()
         self.update()
 
-    def shown_force(self) -> float:
-        """Present reading of the sensor, for a separate node."""
-        return self.motor.read_force()
-
     def _along_ramp(self, target: int) -> float:
         """Return the velocity demanded in this hold [m/s or rad/s]."""
         wanted, before = target * self._per_velocity_count, self._ramped

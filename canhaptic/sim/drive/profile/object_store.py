@@ -7,7 +7,7 @@ Objects that the drive needs internally but its dictionary does not list are kep
 import struct
 from collections.abc import Callable, Mapping, Set
 from functools import partial
-from typing import Final
+from typing import Final, cast
 
 from canhaptic.canopen import objects
 from canhaptic.canopen.objects import DataType, Dictionary, SdoAbort, Variable, variables
@@ -17,25 +17,12 @@ _Value = int | float | bytes
 Check = Callable[[int], SdoAbort | None]
 """Returns the abort code for a value that cannot be stored, or None."""
 
-_INTEGERS: Final[dict[int, tuple[int, bool]]] = {  # data type -> (bytes, signed); CiA 301, 7.4
-    DataType.BOOLEAN: (1, False),
-    DataType.INTEGER8: (1, True),
-    DataType.INTEGER16: (2, True),
-    DataType.INTEGER24: (3, True),
-    DataType.INTEGER32: (4, True),
-    DataType.INTEGER40: (5, True),
-    DataType.INTEGER48: (6, True),
-    DataType.INTEGER56: (7, True),
-    DataType.INTEGER64: (8, True),
-    DataType.UNSIGNED8: (1, False),
-    DataType.UNSIGNED16: (2, False),
-    DataType.UNSIGNED24: (3, False),
-    DataType.UNSIGNED32: (4, False),
-    DataType.UNSIGNED40: (5, False),
-    DataType.UNSIGNED48: (6, False),
-    DataType.UNSIGNED56: (7, False),
-    DataType.UNSIGNED64: (8, False),
-}
+_INTEGERS: Final[dict[int, tuple[int, bool]]] = {
+    int(DataType[f"{kind}{8 * size}"]): (size, kind == "INTEGER")
+    for kind in ("INTEGER", "UNSIGNED")
+    for size in range(1, 9)
+} | {DataType.BOOLEAN: (1, False)}
+"""Data type -> (bytes, signed); CiA 301, 7.4."""
 _REALS: Final[dict[int, struct.Struct]] = {DataType.REAL32: struct.Struct("<f"), DataType.REAL64: struct.Struct("<d")}
 _PDO_CODES: Final = {(1, True): "b", (2, True): "h", (4, True): "i", (8, True): "q"}
 _SIGNATURES: Final = {
@@ -165,16 +152,13 @@ class ObjectStore:
         Raises:
             ParameterError: The dictionary has it with another type than the drive.
         """
-        place = (index, subindex)
-        if place in self._entries:
-            entry = self._entries[place]
-            if entry.data_type != data_type:
-                raise ParameterError(
-                    f"object 0x{index:04X}.{subindex}: got data type 0x{entry.data_type:04X} in the dictionary, "
-                    f"expected 0x{data_type:04X} as the drive has it; correct the dictionary"
-                )
-            return entry
-        return self._hidden.setdefault(place, Entry(index, subindex, data_type, access="ro"))
+        found = self._entries.get((index, subindex))
+        if found is not None and found.data_type != data_type:
+            raise ParameterError(
+                f"object 0x{index:04X}.{subindex}: got data type 0x{found.data_type:04X} in the dictionary, "
+                f"expected 0x{data_type:04X} as the drive has it; correct the dictionary"
+            )
+        return self.optional(index, data_type, subindex)
 
     def optional(self, index: int, data_type: int, subindex: int = 0) -> Entry:
         """Return an object as `entry` does; if its type in the dictionary differs, an object internal to the drive.
@@ -182,9 +166,9 @@ class ObjectStore:
         The object of the dictionary is then a value without effect, as the master needs none of these to run.
         """
         found = self._entries.get((index, subindex))
-        if found is not None and found.data_type != data_type:
-            return self._hidden.setdefault((index, subindex), Entry(index, subindex, data_type, access="ro"))
-        return self.entry(index, data_type, subindex)
+        if found is not None and found.data_type == data_type:
+            return found
+        return self._hidden.setdefault((index, subindex), Entry(index, subindex, data_type, access="ro"))
 
     def find(self, index: int, subindex: int = 0) -> Entry | None:
         """Return an object of the dictionary, or None."""
@@ -236,21 +220,18 @@ class ObjectStore:
         for index, signature in _SIGNATURES.items():
             for entry in [e for (i, subindex), e in self._entries.items() if i == index and subindex]:
                 entry.check = refuse_unless(signature.__eq__, SdoAbort.NOT_TRANSFERABLE)
-                entry.changed = partial(_restore, entry)
+                entry.changed = partial(setattr, entry, "value", entry.initial)
 
     def _absent(self, index: int) -> SdoAbort:
         return SdoAbort.NO_SUBINDEX if index in self._indices else SdoAbort.NO_OBJECT
 
     def _fill_counts(self) -> None:
         """Set subindex 0 of arrays and records to its meaning (highest subindex) where the dictionary states none."""
-        highest_of: dict[int, int] = {}
-        for index, subindex in self._entries:
-            highest_of[index] = max(subindex, highest_of.get(index, 0))
+        highest_of = {index: subindex for index, subindex in sorted(self._entries) if subindex}
         for index, highest in highest_of.items():
             count = self._entries.get((index, 0))
-            if count is None or count.initial is not None or highest == 0 or any(index in r for r in _COUNTING_OBJECTS):
-                continue
-            count.initial = highest
+            if count is not None and count.initial is None and not any(index in r for r in _COUNTING_OBJECTS):
+                count.initial = highest
 
     def _override(self, place: tuple[int, int], value: int | float | str) -> None:
         name = f"objects.0x{place[0]:04X}.{place[1]}"
@@ -259,13 +240,9 @@ class ObjectStore:
             raise ParameterError(f"{name}: got {value!r}, but the dictionary lists no such object; remove the entry")
         entry.initial = _typed(entry.data_type, value)
         try:
-            entry.encode(_require(entry.initial))
+            entry.encode(cast(_Value, entry.initial))  # no type takes None
         except (ValueError, TypeError) as error:
             raise ParameterError(f"{name}: got {value!r}, expected a value of type 0x{entry.data_type:04X}") from error
-
-
-def _restore(entry: Entry) -> None:
-    entry.value = entry.initial
 
 
 def _refusal(entry: Entry, value: int | float) -> SdoAbort | None:
@@ -277,12 +254,6 @@ def _refusal(entry: Entry, value: int | float) -> SdoAbort | None:
     if value == entry.refused:
         return SdoAbort.VALUE_RANGE
     return None if entry.check is None else entry.check(int(value))
-
-
-def _require(value: _Value | None) -> _Value:
-    if value is None:
-        raise ValueError("no value")
-    return value
 
 
 def _entry(variable: Variable) -> Entry:
