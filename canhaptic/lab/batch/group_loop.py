@@ -50,7 +50,7 @@ from canhaptic.control.multi_axis.group_motion import (
     write_efforts,
 )
 from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, new
-from canhaptic.kernels.records import arrays_of, record_of, records_of
+from canhaptic.kernels.records import record_of, records_of
 from canhaptic.lab.batch import plants as event_plant
 from canhaptic.lab.batch.closed_loop import LoopSettings, Signals, acting, commanded, measured, read
 from canhaptic.lab.batch.plants import (
@@ -81,9 +81,7 @@ from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.assembly import PlantModel
 from canhaptic.sim.plant.mechanism.five_bar_linkage import (
     FiveBarMotion,
-    FiveBarStack,
     advance_five_bar,
-    five_bar_stack,
     place_at,
 )
 from canhaptic.sim.plant.mechanism.xy_stage import XYMotion
@@ -423,7 +421,6 @@ class FiveBarMotors(NamedTuple):
 
     settings: Any  # (FiveBarSettings,)
     state: Any  # (FiveBarState,)
-    stack: FiveBarStack
     left: int  # place of the left motor among those of the group
     right: int
 
@@ -437,10 +434,10 @@ class FiveBarPlan(NamedTuple):
 
     def made(self, *, listed: bool) -> FiveBarMotors:
         """The motors at their start; see `EventMotorsPlan.made`."""
-        settings, state, stack = [self.motion.settings], [replace(self.motion.state)], five_bar_stack()
+        settings, state = [self.motion.settings], [replace(self.motion.state)]
         if listed:
-            return FiveBarMotors(settings, state, stack, self.left, self.right)
-        return FiveBarMotors(records_of(settings), records_of(state), arrays_of(stack), self.left, self.right)
+            return FiveBarMotors(settings, state, self.left, self.right)
+        return FiveBarMotors(records_of(settings), records_of(state), self.left, self.right)
 
     def replacements(self) -> dict[object, object]:
         """Replacements in the loop of a group."""
@@ -453,7 +450,7 @@ def move_five_bar(motors: FiveBarMotors, room: GroupRoom, cycle: int) -> float:
     if cycle:
         torques = (room.acting[motors.left], room.acting[motors.right])
         place = place_at(settings.links, state.left, state.right)
-        advance_five_bar(settings, state, motors.stack, place, (cycle - 1) * TICKS, TICKS, torques)
+        advance_five_bar(settings, state, place, (cycle - 1) * TICKS, TICKS, torques)
         if state.stuck != 0.0:
             return float("nan")
     return arrive(room, motors.left, state.left, cycle) + arrive(room, motors.right, state.right, cycle)

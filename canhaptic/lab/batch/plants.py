@@ -49,7 +49,7 @@ from canhaptic.sim.plant import splitting, stepper
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.assembly import PlantModel, collect
 from canhaptic.sim.plant.effort_forces import RIPPLE, Bristle, Effort, bend, mean_force
-from canhaptic.sim.plant.hybrid_automaton import PRODUCTS_EACH, HybridAutomaton
+from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
 from canhaptic.sim.plant.propagator import TICKS, flow_changes
 from canhaptic.sim.plant.splitting import fixed_point, mean_torque
 from canhaptic.sim.plant.stepper import COUNTS, EVENTS, LIMIT, MISSING, MODE, NONE, ModeTables, StepperSettings, run
@@ -349,15 +349,12 @@ class EventModes:
         form, names, machine, accuracy = self._form, [*self._scene.names], self._machine, self._accuracy
         start, first = machine.state.copy(), machine.modes.index(machine.mode)
         ticks, targets = self._changes()
-        settings = StepperSettings(
-            accuracy.max_events, accuracy.event_bits, machine.tick_time, PRODUCTS_EACH * accuracy.max_events
-        )
         counts = np.zeros(COUNTS, dtype=np.int64)
         counts[MODE], counts[MISSING] = first, NONE
         width = 2 * max(len(mode.exits) for mode in machine.modes) + len(names)
         extra = (names.index("travel"), names.index("effort")) if self._scene.efforts else (0, 0)
         plant = EventPlant(
-            self._tables(), settings, form(start.copy()), form(start.copy()),
+            self._tables(), machine.settings, form(start.copy()), form(start.copy()),
             (Books(form(np.zeros(len(self._scene.works))), form(np.zeros(2 * len(names) * self._is_booked))),),
             form(counts), (form(np.zeros(width)), form(np.zeros(width))),
             form(np.array([place for place, name in enumerate(names) if name.endswith("_sine")], dtype=np.int64)),

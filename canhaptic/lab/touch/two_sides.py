@@ -26,8 +26,7 @@ from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, FurtherBus, GroupScene, MechanismScene, Scene
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, PointerTaskHand, TaskHand
-from canhaptic.sim.plant.pointer_hand import PointerHand
-from canhaptic.sim.plant.user import UserParameters
+from canhaptic.sim.plant.user import PointerHand, UserParameters
 from canhaptic.units import Parameters
 
 PLAIN: Final = "unprotected"

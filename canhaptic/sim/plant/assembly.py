@@ -35,7 +35,7 @@ PlantModel -> data of one mode: flows, work forms and guards. No scene-specific 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Final, Literal, NamedTuple, Protocol
+from typing import Any, ClassVar, Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -105,18 +105,6 @@ class LinearPart(Part):
     def assemble(self, rows: "Rows", mode: str) -> None:
         """Add the part's forces in its only mode."""
         self.write(rows)
-
-
-class _HandPart(Protocol):
-    """Interface of the hand to effects."""
-
-    name: str
-
-    def follow(self, scene: "PlantModel", name: str, amplitude: float, omega: float, phase: float) -> None:
-        """Add a sinusoid to the voluntary motion of the hand."""
-
-    def add_grasp(self, stiffness: float, damping: float) -> str:
-        """Return the mode of a further grasp."""
 
 
 class TorqueCommand(Protocol):
@@ -191,7 +179,7 @@ class PlantModel:
     settings: list[tuple[float, dict[str, float]]] = field(default_factory=list)  # (time [s], values of states)
     deflection: dict[str, float] = field(default_factory=dict)  # name -> factor: hand's deflection minus position
     slots: dict[str, str] = field(default_factory=dict)  # what may be there once -> the effect that is
-    hand: _HandPart | None = None
+    hand: Any = None  # a `Hand` that transmits a motion
     shaft: tuple[float, float] | None = None  # stiffness and damping of the shaft
     motor_torque: str = "torque"  # state or input that drives the motor's body
 
@@ -218,23 +206,6 @@ class PlantModel:
         return (*self.states, *extra, "torque", "one")
 
 
-class _PlantPart(Protocol):
-    """Anything that a scene names: the moving mass, the user, an effect."""
-
-    def add_to(self, scene: PlantModel) -> None:
-        """Add its components."""
-
-
-class _Effect(_PlantPart, Protocol):
-    """An effect of the scene; see `canhaptic.sim.plant.effects.Effect`."""
-
-    rank: ClassVar[int]
-
-    @property
-    def type(self) -> str:
-        """Its name in a scene."""
-
-
 class EffectParameters(Parameters):
     """Base of the effects: exact, and added after the hand, unless one says otherwise; see `Effect`."""
 
@@ -242,33 +213,31 @@ class EffectParameters(Parameters):
     rank: ClassVar[int] = 1
 
 
-def collect(axis: _PlantPart, user: _PlantPart | None, effects: Sequence[_Effect], sample_time: float) -> PlantModel:
+def collect(axis: Any, user: Any, effects: Sequence[Any], sample_time: float) -> PlantModel:
     """The model of a plant: body, shaft and motor first, then the hand, then the other effects.
+
+    Args:
+        axis: Parameters of the moving mass; it and all others have `add_to`.
+        user: The hand; None for a free handle.
+        effects: Effects of the scene; see `canhaptic.sim.plant.effects.Effect`.
+        sample_time: T [s].
 
     Raises:
         ParameterError: An effect needs another that is not there, or two exclude each other.
     """
     scene = PlantModel(sample_time)
     axis.add_to(scene)
-    ranked = sorted(effects, key=lambda effect: effect.rank)
-    for effect in (effect for effect in ranked if effect.rank == 0):
-        _add(effect, scene)
-    if user:
-        user.add_to(scene)
-    for effect in (effect for effect in ranked if effect.rank > 0):
-        _add(effect, scene)
+    parts = (*effects, user) if user else effects
+    for part in sorted(parts, key=lambda part: getattr(part, "rank", 0.5)):  # a hand has none
+        try:
+            part.add_to(scene)
+        except ParameterError as error:
+            error.part = getattr(part, "type", error.part)
+            raise
     for part in (*scene.commands, *scene.efforts):
         watch(type(part), ("apply", "force"), FORCE)
         watch(type(part), ("stored",))
     return scene
-
-
-def _add(effect: _Effect, scene: PlantModel) -> None:
-    try:
-        effect.add_to(scene)
-    except ParameterError as error:
-        error.part = effect.type
-        raise
 
 
 class Rows:

@@ -10,7 +10,8 @@ Motion of a plant under given torques: its state and works at the end of every h
 
 from array import array
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,14 +47,6 @@ def observed(plant: Plant, torques: Sequence[float], hold_ns: int | None = None)
     return Motion(*table.T)
 
 
-class _HasTorque(Protocol):
-    """Result of a controller step: any object with the torque for the next free hold."""
-
-    @property
-    def torque(self) -> float:
-        """Torque for the next free hold [N or N*m]."""
-
-
 class DirectRecord(NamedTuple):
     """Result of one run; row k belongs to SYNC k."""
 
@@ -64,12 +57,14 @@ class DirectRecord(NamedTuple):
     energy: PlantEnergy  # at the last SYNC [J]
 
 
+@dataclass(frozen=True)
 class DirectRig:
     """Plant and controller in one loop of floats.
 
     Args:
         plant: Plant before `begin`; its epoch becomes SYNC 0.
-        controller_step: (position, torque applied in the hold that ended) -> object with `.torque`.
+        controller_step: (position, torque applied in the hold that ended) -> object with the `torque` [N or N*m] for
+            the next free hold.
         sample_time_ns: Time between two SYNCs [ns].
         delay: Whole holds between the computation of a torque and the hold in which it acts, 0 or 1.
         counts_per_unit: Encoder counts per m or rad; None for an ideal encoder.
@@ -80,58 +75,38 @@ class DirectRig:
         ParameterError: A delay other than 0 or 1, a scale, quantum or limit that is not positive.
     """
 
-    def __init__(
-        self,
-        plant: Plant,
-        controller_step: Callable[[float, float], _HasTorque],
-        sample_time_ns: int,
-        delay: int = 0,
-        counts_per_unit: float | None = None,
-        torque_quantum: float | None = None,
-        torque_limit: float | None = None,
-    ) -> None:
-        if delay not in (0, 1):
-            raise ParameterError(f"delay: got {delay}, expected 0 (event RPDO) or 1 (synchronous RPDO)")
-        given = {"counts_per_unit": counts_per_unit, "torque_quantum": torque_quantum, "torque_limit": torque_limit}
-        for name, value in given.items():
-            if value is not None and not value > 0.0:
+    plant: Plant
+    controller_step: Callable[[float, float], Any]
+    sample_time_ns: int
+    delay: int = 0
+    counts_per_unit: float | None = None
+    torque_quantum: float | None = None
+    torque_limit: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.delay not in (0, 1):
+            raise ParameterError(f"delay: got {self.delay}, expected 0 (event RPDO) or 1 (synchronous RPDO)")
+        for name in ("counts_per_unit", "torque_quantum", "torque_limit"):
+            if (value := getattr(self, name)) is not None and not value > 0.0:
                 raise ParameterError(f"{name}: got {value}, expected > 0, or None for an ideal one")
-        self.plant = plant
-        self._step = controller_step
-        self._sample_time_ns = sample_time_ns
-        self._delay = delay
-        self._counts_per_unit = counts_per_unit
-        self._torque_quantum = torque_quantum
-        self._torque_limit = float("inf") if torque_limit is None else torque_limit
 
     def run(self, cycles: int) -> DirectRecord:
         """Run SYNC 0 .. cycles-1 from the plant's initial state and return the record."""
         flat = array("d")
-        plant, period, step = self.plant, self._sample_time_ns, self._step
+        plant, counts, quantum, limit = self.plant, self.counts_per_unit, self.torque_quantum, self.torque_limit
         plant.begin(0)
         held = waiting = 0.0
         for k in range(cycles):
             if k:
-                plant.advance_to(k * period, held)
-            position = self._measure(plant.encoder_position)
-            command = self._limited(step(position, held).torque)
+                plant.advance_to(k * self.sample_time_ns, held)
+            position = plant.encoder_position
+            if counts is not None:
+                position = round(position * counts) * (1.0 / counts)
+            command = self.controller_step(position, held).torque
+            if limit is not None and abs(command) > limit:  # false of NaN, which stays to be seen
+                command = limit if command > 0.0 else -limit
             flat.extend((position, plant.position, command, held))
-            quantised = self._quantise(command)
-            held, waiting = (waiting, quantised) if self._delay else (quantised, 0.0)
+            quantised = command if quantum is None else round(command / quantum) * quantum
+            held, waiting = (waiting, quantised) if self.delay else (quantised, 0.0)
         rows = np.array(flat).reshape(cycles, 4).T.copy()
         return DirectRecord(rows[0], rows[1], rows[2], rows[3], plant.energy())
-
-    def _measure(self, position: float) -> float:
-        if self._counts_per_unit is None:
-            return position
-        return round(position * self._counts_per_unit) * (1.0 / self._counts_per_unit)
-
-    def _limited(self, torque: float) -> float:
-        if abs(torque) > self._torque_limit:  # false of NaN, which stays to be seen
-            return self._torque_limit if torque > 0.0 else -self._torque_limit
-        return torque
-
-    def _quantise(self, torque: float) -> float:
-        if self._torque_quantum is None:
-            return torque
-        return round(torque / self._torque_quantum) * self._torque_quantum

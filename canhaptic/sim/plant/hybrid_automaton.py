@@ -18,12 +18,11 @@ be taken in one step. The bound is strict up to rounding, for which a part of th
 import math
 from collections.abc import Callable, Mapping, Sequence
 from operator import add
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
 from canhaptic.errors import EventLimitError
-from canhaptic.kernels import Indices
 from canhaptic.sim.plant import stepper
 from canhaptic.sim.plant.assembly import Exit, Mode, PlantModel, compile_mode, first_key, initial_state
 from canhaptic.sim.plant.propagator import TICKS, Array
@@ -72,18 +71,9 @@ class GuardHorizon:
         return HOLDS if sure.all() else int(sure.argmin())
 
 
-PRODUCTS_EACH: Final = 512
+_PRODUCTS_EACH: Final = 512
 """Products in one sample time for each event that is allowed: four times the dearest event."""
 _ACCOUNTS: Final = ("motor", "user", "dissipated")
-
-
-class _Snapshot(NamedTuple):
-    """Everything that a hold changes."""
-
-    state: Array
-    mode: int
-    totals: Array
-    events: int
 
 
 class HybridAutomaton:
@@ -92,16 +82,20 @@ class HybridAutomaton:
     Attributes:
         state: z, shape (n,); the torque is the last but one component.
         tick_time: T / 2^24 [s].
+        settings: Settings of its stepper.
+        modes: Every mode that is compiled, by its number.
+        targets: Number of the mode behind each guard of each mode; NONE while that mode is not compiled.
     """
 
     def __init__(self, scene: PlantModel, max_events: int, event_bits: int) -> None:
         self.scene = scene
         self.tick_time = scene.sample_time / TICKS
-        self._settings = StepperSettings(max_events, event_bits, self.tick_time, PRODUCTS_EACH * max_events)
-        self._modes: list[Mode] = []
+        self.settings = StepperSettings(max_events, event_bits, self.tick_time, _PRODUCTS_EACH * max_events)
+        self.modes: list[Mode] = []
         self._stored: list[Callable[[Array], float]] = []  # by mode
         self._index: dict[tuple[str, ...], int] = {}
         self._tables = ModeTables(*([] for _ in ModeTables._fields))
+        self.targets: list[list[int]] = self._tables.targets
         self._part_index = {part.name: i for i, part in enumerate(scene.parts)}
         booked = list(scene.works.values())
         self._sums_of = np.array([[of == account for of in booked] for account in _ACCOUNTS], dtype=float)
@@ -110,19 +104,13 @@ class HybridAutomaton:
         names = scene.names
         sines = [name for name in names if name.endswith("_sine")]
         self._oscillators = [(names.index(name), names.index(name[:-4] + "cosine")) for name in sines]
-        self._books: list[Any] = self._new_books()
-        self._counts: Indices = self._new_counts()
+        self._books: list[Any] = list(stepper.two_buffers(len(names), len(booked)))
+        self._counts = [0] * stepper.COUNTS
         self._values: Any = [None, None]
         self._first = self._mode_of(first_key(scene))
-        self._whole = self._whole_of(self._modes[self._first])
+        self._whole = self._whole_of(self.first_mode)
         self._horizons: dict[int, tuple[GuardHorizon, Any]] = {}  # by mode, with its `_whole`
         self.reset()
-
-    def _new_books(self) -> list[Any]:
-        return list(stepper.two_buffers(len(self.scene.names), len(self.scene.works)))
-
-    def _new_counts(self) -> Indices:
-        return [0] * stepper.COUNTS
 
     def reset(self) -> None:
         """Return to the initial state and mode, with no energy booked."""
@@ -140,34 +128,30 @@ class HybridAutomaton:
     @property
     def mode(self) -> Mode:
         """Present mode."""
-        return self._modes[int(self._counts[stepper.MODE])]
+        return self.modes[self._counts[stepper.MODE]]
 
     @property
     def first_mode(self) -> Mode:
         """Initial mode of the scene."""
-        return self._modes[self._first]
+        return self.modes[self._first]
 
     @property
     def events(self) -> int:
         """Mode changes since the start."""
-        return int(self._counts[stepper.EVENTS])
+        return self._counts[stepper.EVENTS]
 
     @property
     def products(self) -> int:
         """Number of flow steps tried since the start, a machine-independent cost."""
-        return int(self._counts[stepper.PRODUCTS]) + self._periods
+        return self._counts[stepper.PRODUCTS] + self._periods
 
-    def save(self) -> _Snapshot:
+    def save(self) -> tuple[Array, Array, int, int]:
         """Return a copy of everything that a hold changes."""
-        counts = self._counts
-        return _Snapshot(self.state.copy(), counts[stepper.MODE], self.totals.copy(), counts[stepper.EVENTS])
+        return self.state.copy(), self.totals.copy(), self._counts[stepper.MODE], self._counts[stepper.EVENTS]
 
-    def restore(self, saved: _Snapshot) -> None:
+    def restore(self, saved: tuple[Array, Array, int, int]) -> None:
         """Return to a saved copy."""
-        np.copyto(self.state, saved.state)
-        np.copyto(self.totals, saved.totals)
-        counts = self._counts
-        counts[stepper.MODE], counts[stepper.EVENTS] = saved.mode, saved.events
+        self.state[:], self.totals[:], self._counts[stepper.MODE], self._counts[stepper.EVENTS] = saved
 
     @property
     def totals(self) -> Array:
@@ -223,7 +207,7 @@ class HybridAutomaton:
 
     def set_part_mode(self, part: str, mode: str) -> None:
         """Put one part into another mode, at a time that the plant fixed beforehand."""
-        self._counts[stepper.MODE] = self.number_with(int(self._counts[stepper.MODE]), part, mode)
+        self._counts[stepper.MODE] = self.number_with(self._counts[stepper.MODE], part, mode)
 
     @staticmethod
     def _whole_of(mode: Mode) -> Any:
@@ -235,9 +219,9 @@ class HybridAutomaton:
 
         They may be taken by `period`, until anything else moves the plant.
         """
-        place = int(self._counts[stepper.MODE])
+        place = self._counts[stepper.MODE]
         if place not in self._horizons:
-            mode = self._modes[place]
+            mode = self.modes[place]
             count = len(mode.exits)
             bounds = mode.guards[:count], mode.guards[2 * count :], mode.bounds.slack[0]
             self._horizons[place] = GuardHorizon(*bounds, matrix_of(mode.flows[0])), self._whole_of(mode)
@@ -273,7 +257,7 @@ class HybridAutomaton:
         """Allow `max_events` for each sample time that begins in [begin, end), in ticks; else the remainder of them."""
         begun = -(-end // TICKS) - -(-begin // TICKS)
         if begun:
-            self._most = int(self._counts[stepper.EVENTS]) + self._settings.max_events * begun
+            self._most = self._counts[stepper.EVENTS] + self.settings.max_events * begun
 
     def run(self, ticks: int) -> int:
         """Move by `ticks` under constant inputs, through every event on the way; return the ticks left, 0.
@@ -297,16 +281,11 @@ class HybridAutomaton:
             EventLimitError: It has.
         """
         if left and self.events > self._most:
-            raise self._limit_error()
+            raise self._limit_error(0)
 
-    def _require_finished(self, left: int) -> None:
-        """Refuse to go on when time is left before any limit of events: the products are used up."""
-        if left and self._counts[stepper.EVENTS] < self._counts[stepper.LIMIT]:
-            raise self._limit_error(self._settings.max_products)
-
-    def _limit_error(self, products: int = 0) -> EventLimitError:
+    def _limit_error(self, products: int) -> EventLimitError:
         state = self.described(self._counts[stepper.MODE], self.state.tolist())
-        return EventLimitError(self._settings.max_events, state, products=products)
+        return EventLimitError(self.settings.max_events, state, products=products)
 
     def described(self, mode: int, state: Sequence[float]) -> str:
         """Parts with their modes, and the states, as text.
@@ -315,62 +294,41 @@ class HybridAutomaton:
             mode: Number of the mode.
             state: z, shape (n,).
         """
-        modes = [f"{part.name} {of_part}" for part, of_part in zip(self.scene.parts, self._modes[mode].key, strict=True)
+        modes = [f"{part.name} {of_part}" for part, of_part in zip(self.scene.parts, self.modes[mode].key, strict=True)
                  if len(part.modes) > 1]  # fmt: skip
         states = [f"{name} {value:.6g}" for name, value in zip(self.scene.names[:-1], state, strict=False)]
         return f"{', '.join(modes)}; {', '.join(states)}"
 
     def _run_on(self, ticks: int) -> int:
+        counts = self._counts
         while True:
-            self.state, self._moved, ticks = self._step(ticks)
-            if self._counts[stepper.MISSING] == NONE:
-                self._require_finished(ticks)
+            self.state, self._moved, ticks = stepper.run(
+                self._tables, self.settings, self.state, self._moved, self._books, counts, self._values, ticks
+            )
+            if counts[stepper.MISSING] == NONE:
+                if ticks and counts[stepper.EVENTS] < counts[stepper.LIMIT]:  # the products are used up
+                    raise self._limit_error(self.settings.max_products)
                 return ticks
-            self._enter_missing()
-
-    def _step(self, ticks: int) -> tuple[Array, Array, int]:
-        return stepper.run(
-            self._tables, self._settings, self.state, self._moved, self._books, self._counts, self._values, ticks
-        )
-
-    def _enter_missing(self) -> None:
-        """Compile the mode behind the guard at which the stepper waits, which can then pass it."""
-        mode, guard = int(self._counts[stepper.MODE]), int(self._counts[stepper.MISSING])
-        self._counts[stepper.MISSING] = NONE
-        self.connect(mode, guard)
+            missing, counts[stepper.MISSING] = counts[stepper.MISSING], NONE
+            self.connect(counts[stepper.MODE], missing)  # so that the stepper can pass the guard at which it waits
 
     def connect(self, mode: int, guard: int) -> None:
         """Compile the mode behind a guard of a mode, and put it into the tables."""
-        through = self._modes[mode].exits[guard]
-        self._tables.targets[mode][guard] = self._mode_of(self._key_with(self._modes[mode], through.part, through.mode))
+        through = self.modes[mode].exits[guard]
+        self.targets[mode][guard] = self.number_with(mode, self.scene.parts[through.part].name, through.mode)
 
     def number_with(self, mode: int, part: str, part_mode: str) -> int:
         """Return the number of the mode with one part in another mode, compiled if need be."""
-        return self._mode_of(self._key_with(self._modes[mode], self._part_index[part], part_mode))
-
-    @property
-    def modes(self) -> Sequence[Mode]:
-        """Every mode that is compiled, by its number."""
-        return self._modes
-
-    @property
-    def targets(self) -> Sequence[Sequence[int]]:
-        """Number of the mode behind each guard of each mode; NONE while that mode is not compiled."""
-        targets: Sequence[Sequence[int]] = self._tables.targets
-        return targets
-
-    def _key_with(self, mode: Mode, part: int, part_mode: str) -> tuple[str, ...]:
-        return (*mode.key[:part], part_mode, *mode.key[part + 1 :])
+        key, place = self.modes[mode].key, self._part_index[part]
+        return self._mode_of((*key[:place], part_mode, *key[place + 1 :]))
 
     def _mode_of(self, key: tuple[str, ...]) -> int:
-        if key not in self._index:
-            self._index[key] = len(self._modes)
-            self._add(compile_mode(self.scene, key))
-        return self._index[key]
-
-    def _add(self, mode: Mode) -> None:
-        """Put a mode at the end of the tables."""
-        self._modes.append(mode)
+        """Return the number of a mode, put at the end of the tables if need be."""
+        if key in self._index:
+            return self._index[key]
+        self._index[key] = len(self.modes)
+        mode = compile_mode(self.scene, key)
+        self.modes.append(mode)
         self._stored.append(_stored_by(mode.storage))
         resets = [reset_matrix(leaving, len(self.scene.names)).dot for leaving in mode.exits]
         bounds = mode.bounds
@@ -383,6 +341,7 @@ class HybridAutomaton:
         )  # fmt: skip
         for table, entry in zip(self._tables, row, strict=True):
             table.append(entry)
+        return self._index[key]
 
 
 def _stored_by(storage: Array) -> Callable[[Array], float]:

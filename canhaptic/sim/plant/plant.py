@@ -130,8 +130,8 @@ class Plant(SampleClock):
         self.scene = collect(parameters, user, effects, sample_time_ns * 1e-9)
         self.has_ideal_encoder = not self.scene.encoders
         self._machine = HybridAutomaton(self.scene, self.accuracy.max_events, self.accuracy.event_bits)
-        self._splitting = self._split() if self.scene.efforts else None
-        self.is_exact = self._splitting is None
+        self._splitting: Splitting | None = None
+        self.is_exact = not self.scene.efforts
         self._timetable: Timetable | None = None
         self._hold = self._chosen_hold()
         self._moves = self._hold  # until own code fails: then the body stays, so that the drives can be stopped
@@ -144,23 +144,19 @@ class Plant(SampleClock):
         self.state_names = (*self.scene.names, *kept)
         self.reset()
 
-    def _split(self) -> "Splitting":
-        from canhaptic.sim.plant.splitting import Splitting
-
-        return Splitting(self._machine, self.accuracy.substeps)
-
     def _chosen_hold(self) -> Callable[[int, float], None]:
         """Function that moves this model by a hold; specialised to the effects present."""
         scene, machine = self.scene, self._machine
         has_guards = any(part.has_guards for part in scene.parts)
         is_timed = bool(scene.schedule or scene.settings)
-        if not (has_guards or scene.efforts or is_timed or scene.commands):
-            return self._linear_hold
         if not (has_guards or scene.efforts or is_timed):
-            return self._commanded_hold
-        run: Callable[[int], object] = (
-            self._splitting.run if self._splitting else machine.run if has_guards else machine.run_free
-        )
+            return self._commanded_hold if scene.commands else self._linear_hold
+        run: Callable[[int], object] = machine.run if has_guards else machine.run_free
+        if scene.efforts:
+            from canhaptic.sim.plant.splitting import Splitting
+
+            self._splitting = Splitting(machine, self.accuracy.substeps)
+            run = self._splitting.run
         if is_timed:
             from canhaptic.sim.plant.timetable import Timetable
 

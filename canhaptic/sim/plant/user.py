@@ -257,11 +257,17 @@ class Hand(Part):
     def _follow_rows(self, scene: PlantModel, rows: Sequence[tuple[float, float]]) -> None:
         """Add the place of a recording as a state, and its speed, which is set at every row."""
         speeds = [(after - place) / (stop - start) for (start, place), (stop, after) in pairwise(rows)]
-        scene.add_state(PLACE, rows[0][1])
-        scene.add_state(SPEED, speeds[0])
-        scene.deflection[PLACE] = -1.0
+        self.add_place(scene, rows[0][1], speeds[0])
         following = zip(rows[1:], [*speeds[1:], 0.0], strict=True)
         scene.settings += [(time, {PLACE: place, SPEED: speed}) for (time, place), speed in following]
+
+    @staticmethod
+    def add_place(scene: PlantModel, place: float, speed: float | None = None) -> None:
+        """Add the place of the hand as a state that no force moves; with a speed, it moves at that."""
+        scene.add_state(PLACE, place)
+        if speed is not None:
+            scene.add_state(SPEED, speed)
+        scene.deflection[PLACE] = -1.0
 
     def add_grasp(self, stiffness: float, damping: float) -> str:
         """Return the mode of a further grasp."""
@@ -285,8 +291,25 @@ class Hand(Part):
             rows.set_rate(sine, rows.row(**{cosine: omega}))
             rows.set_rate(cosine, rows.row(**{sine: -omega}))
             force += rows.row(**{sine: stiffness * amplitude, cosine: damping * amplitude * omega})
-        if isinstance(self._user.motion, RecordedMotion):
+        if PLACE in rows.index:
+            force += rows.row(**{PLACE: stiffness})
+        if SPEED in rows.index:
             rows.set_rate(PLACE, rows.row(**{SPEED: 1.0}))
-            force += rows.row(**{PLACE: stiffness, SPEED: damping})
+            force += rows.row(**{SPEED: damping})
         rows.forces[handle] += force
         rows.add_power(_HAND, force, velocity)
+
+
+class PointerHand(UserParameters):
+    """A grip on the handle at a position that is set from outside while the plant runs, by `Plant.move_hand`.
+
+    The position is a state, so that the plant stays as exact as with any other hand.
+    """
+
+    place: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
+    """Where the hand is at the start."""
+
+    def add_to(self, scene: PlantModel) -> None:
+        """Add the hand and its position."""
+        Hand(self).add_to(scene)
+        Hand.add_place(scene, self.place)

@@ -21,8 +21,7 @@ from canhaptic.sim.plant.effects.hard_stop import HardStop
 from canhaptic.sim.plant.mechanism.task_hand import PointerTaskHand, TaskHand
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.plant.pointer_hand import PointerHand
-from canhaptic.sim.plant.user import UserParameters
+from canhaptic.sim.plant.user import PointerHand, UserParameters
 
 CONFIGS = Path(__file__).parents[3] / "configs"
 

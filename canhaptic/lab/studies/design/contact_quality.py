@@ -33,11 +33,8 @@ from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Reach
 from canhaptic.sim.plant.assembly import PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.plant.pointer_hand import PointerHand
-from canhaptic.sim.plant.user import PLACE, Hand
+from canhaptic.sim.plant.user import SPEED, Hand, PointerHand
 
-SPEED: Final = "hand_speed"
-"""State that is the speed of the place [m/s or rad/s]."""
 PUSH: Final = "hand_push"
 """State that is the force of the hand besides its grip [N or N*m]."""
 PUSH_RATE: Final = "hand_push_rate"
@@ -50,20 +47,18 @@ class GuidedHand(PointerHand):
     def add_to(self, scene: PlantModel) -> None:
         """Add the hand and its states."""
         _GuidedPart(self).add_to(scene)
-        for name, initial in ((PLACE, self.place), (SPEED, 0.0), (PUSH, 0.0), (PUSH_RATE, 0.0)):
-            scene.add_state(name, initial)
-        scene.deflection[PLACE] = -1.0
+        Hand.add_place(scene, self.place, 0.0)
+        scene.add_state(PUSH)
+        scene.add_state(PUSH_RATE)
 
 
 class _GuidedPart(Hand):
     def assemble(self, rows: Rows, mode: str) -> None:
-        """Add the force on the handle, its work, and the course of place and push."""
-        stiffness, damping = self.grasp(mode)
+        """Add the force on the handle, its work, and the course of the push."""
         super().assemble(rows, mode)
-        rows.set_rate(PLACE, rows.row(**{SPEED: 1.0}))
         rows.set_rate(PUSH, rows.row(**{PUSH_RATE: 1.0}))
         handle = len(rows.forces) - 1
-        force = rows.row(**{PLACE: stiffness, SPEED: damping, PUSH: 1.0})
+        force = rows.row(**{PUSH: 1.0})
         rows.forces[handle] += force
         rows.add_power(self.name, force, rows.velocity(handle))
 

@@ -30,7 +30,7 @@ from pydantic import model_validator
 
 from canhaptic.axis_units import Motion
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import Buffer, Indices, list_of_zeros, new
+from canhaptic.kernels import new
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.mechanism.task_hand import Ellipse, TaskHand
 from canhaptic.sim.plant.propagator import TICKS, SampleClock
@@ -305,14 +305,6 @@ class FiveBarState:
     stuck: float = 0.0  # substep for which no motion was found; 0: none [s]
 
 
-class FiveBarStack(NamedTuple):
-    """Pending substeps, the next one last."""
-
-    times: Buffer  # [s]
-    steps: Buffer  # [s]
-    depths: Indices  # halvings
-
-
 class FiveBarPlace(NamedTuple):
     """A pose with its inertia."""
 
@@ -331,12 +323,6 @@ class Solved(NamedTuple):
     hand: Pair  # torques of the hand [N*m]
 
 
-def five_bar_stack() -> FiveBarStack:
-    """Return a buffer for halved substeps."""
-    room = _HALVINGS + 2
-    return FiveBarStack(list_of_zeros(room), list_of_zeros(room), [0] * room)
-
-
 def place_at(links: Linkage, left: float, right: float) -> FiveBarPlace:
     """Pose and inertia at two motor angles [rad]; the inertia is undefined where the pose is singular."""
     pose = pose_at(links, left, right)
@@ -344,15 +330,13 @@ def place_at(links: Linkage, left: float, right: float) -> FiveBarPlace:
 
 
 def advance_five_bar(
-    settings: FiveBarSettings, state: FiveBarState, stack: FiveBarStack, place: FiveBarPlace, begin: int, ticks: int,
-    torques: Pair,
-) -> FiveBarPlace:  # fmt: skip
+    settings: FiveBarSettings, state: FiveBarState, place: FiveBarPlace, begin: int, ticks: int, torques: Pair
+) -> FiveBarPlace:
     """Move under torques [N*m]; return the final pose, or the one where the solver failed.
 
     Args:
         settings: Properties of links and hand.
         state: State of the motion; changed in place.
-        stack: Buffer for halved substeps.
         place: Pose of the state.
         begin: Tick at which the motion begins.
         ticks: Length of the motion [ticks].
@@ -363,30 +347,32 @@ def advance_five_bar(
     start = begin * settings.tick_time
     for k in range(count):
         if state.stuck == 0.0:
-            place = take_substep(settings, state, stack, place, start + k * step, step, torques)
+            place = take_substep(settings, state, place, start + k * step, step, torques)
     return place
 
 
 def take_substep(
-    settings: FiveBarSettings, state: FiveBarState, stack: FiveBarStack, place: FiveBarPlace, time: float, step: float,
-    torques: Pair,
-) -> FiveBarPlace:  # fmt: skip
-    """Take one substep, in halves where the solver does not converge."""
-    stack.times[0], stack.steps[0], stack.depths[0], top = time, step, 0, 0
-    while top >= 0:
-        time, step, depth = stack.times[top], stack.steps[top], stack.depths[top]
-        found = solve(settings, state, place, time, step, torques)
+    settings: FiveBarSettings, state: FiveBarState, place: FiveBarPlace, time: float, step: float, torques: Pair
+) -> FiveBarPlace:
+    """Take one substep, in halves where the solver does not converge: part `k` of 2^`depth` of it at a time."""
+    k, depth = 0, 0
+    while k < 1 << depth:
+        begin, part = time, step
+        for bit in range(depth - 1, -1, -1):
+            part *= 0.5
+            if k >> bit & 1:
+                begin += part
+        found = solve(settings, state, place, begin, part, torques)
         if found.is_found:
-            book_substep(settings, state, place, found, step, torques)
-            place = found.after
-            top -= 1
+            book_substep(settings, state, place, found, part, torques)
+            place, k = found.after, k + 1
+            while depth and not k & 1:
+                k, depth = k >> 1, depth - 1
         elif depth == _HALVINGS or (depth >= _DEEP and is_near_singular(settings, place)):
-            state.stuck = step
+            state.stuck = part
             return place
         else:
-            stack.times[top], stack.steps[top], stack.depths[top] = time + 0.5 * step, 0.5 * step, depth + 1
-            top += 1
-            stack.times[top], stack.steps[top], stack.depths[top] = time, 0.5 * step, depth + 1
+            k, depth = 2 * k, depth + 1
     return place
 
 
@@ -641,7 +627,7 @@ class FiveBarMotion(SampleClock):
         self.settings = FiveBarSettings(
             linkage, force_of_hand(hand), links.damping, stiffness, least, most, substeps, self.tick_time
         )
-        self._place, self._stack = place_at(linkage, *links.initial_angles), five_bar_stack()
+        self._place = place_at(linkage, *links.initial_angles)
         self.state = FiveBarState(*links.initial_angles)
         if not self._place.pose.is_regular:
             raise singular(linkage, *links.initial_angles, self._place.pose.span)
@@ -682,9 +668,7 @@ class FiveBarMotion(SampleClock):
         ticks = self.pass_until(now)
         if ticks:
             left, right = torques
-            self._place = advance_five_bar(
-                self.settings, self.state, self._stack, self._place, begin, ticks, (left, right)
-            )
+            self._place = advance_five_bar(self.settings, self.state, self._place, begin, ticks, (left, right))
             if self.state.stuck:
                 raise self._stuck(self.state.stuck)
 
