@@ -134,6 +134,7 @@ class PortFigures:
         damping: Sum of the damping rendered in contact [N*s/m].
         felt: Fit of the mass that is felt; None where none is asked for.
         asked: Sum of the effort requested by the environment of an axis [N].
+        reach: Lowest and highest position of an axis before its first contact [m or rad].
         rendered: Sum of the effort rendered in those holds [N].
         sizes_asked: Sum of the magnitudes of the requested effort, each at most the drive's limit [N].
         sizes_sent: Sum of the magnitudes of the torques sent in those holds [N].
@@ -141,7 +142,7 @@ class PortFigures:
 
     __slots__ = (
         "_lowest", "activity", "asked", "books_least", "contacts", "damping", "damping_asked", "felt",
-        "least_at_handle", "least_certain", "least_certain_at_handle", "rendered", "silent", "sizes_asked",
+        "least_at_handle", "least_certain", "least_certain_at_handle", "reach", "rendered", "silent", "sizes_asked",
         "sizes_sent",
     )  # fmt: skip
 
@@ -153,6 +154,7 @@ class PortFigures:
         self._lowest = self.least_certain = self.least_certain_at_handle = 0.0
         self.asked = self.rendered = self.damping = self.sizes_asked = self.sizes_sent = 0.0
         self.contacts = self.silent = 0
+        self.reach = inf, -inf
         self.felt: MassFelt | None = None
 
     def measured(self) -> Measured:
@@ -221,6 +223,8 @@ class AxisPort(PortFigures):
             if self._asks is not None:
                 meter.asked = -self._asks.asked
             meter.take(position, torque, sent, touches)
+            if not self.contacts and not self.reach[0] <= position <= self.reach[1]:
+                self.reach = min(self.reach[0], position), max(self.reach[1], position)
             if drive.open_time:
                 exact = -torque * (position - before)
                 meter.leave_open(drive.open_torque, drive.open_time, abs(exact - balance.h_i))

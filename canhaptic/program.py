@@ -118,10 +118,11 @@ def _guard_of(scene: Scene, asked: _Guard, *, is_replay: bool) -> str:
         raise InputError(f"guard: got {shown(asked)}, expected None (the certificates) or 'none'")
     in_scene = says_none(scene)
     if in_scene is not (asked == "none") and not (scene.simulated or is_replay):
-        one, other = ("the scene", 'the call: guard="none"') if in_scene else ("the call", "the scene: guard: none")
+        off, other = ("the scene", 'open_rig(guard="none")') if in_scene else ('open_rig(guard="none")', "the scene")
         raise InputError(
-            f"{scene.source}: guard: none is set in {one} alone, and the drives are real; a torque without a guard "
-            f"may give out any amount of energy: set it in {other} too, or in neither"
+            f"{scene.source}: {off} switches the guard off and {other} does not; unguarded torques of a real drive may "
+            'give out any amount of energy, so both must agree: add `guard: none` to the scene and guard="none" to the '
+            "call, or take it out of both (`algorithm: unprotected` also switches it off)"
         )
     return "certificates" if asked is None else "none"
 

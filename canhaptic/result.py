@@ -65,6 +65,7 @@ class RunResult(Verdicts):
     bus_effects: NotRequired[Mapping[str, object]]
     own_code: NotRequired[Mapping[str, int]]  # holds without an answer of its process, and the most in a row
     logs: NotRequired[dict[str, int]]
+    energy_log: NotRequired[str]  # why it ends before the run, and where
     unrestored: NotRequired[dict[str, list[str]]]  # axis -> objects that the start wrote and the stop did not put back
     error: NotRequired[Mapping[str, object]]
 
@@ -197,6 +198,8 @@ def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_t
     if port.least_at_handle is not None:
         account["least_at_handle"], account["device_dissipated"] = port.least_at_handle, measured.device_dissipated
         account["least_certain_at_handle"] = port.least_certain_at_handle
+    if not port.contacts and not port.books_least and port.reach[0] <= port.reach[1]:
+        account["reach"] = list(port.reach)
     if port.damping_asked is not None:
         account["contact"] |= {"asked": port.sizes_asked, "sent": port.sizes_sent}
         damping = port.damping_asked * port.contacts

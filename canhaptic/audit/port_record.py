@@ -168,6 +168,10 @@ class PortRecord(PortFigures):
             self._certificates |= 1 << int(number)
         touching = ~np.isin(branch, OUT_OF_CONTACT)
         self.contacts += int(touching.sum())
+        if not self.contacts and self.damping_asked is not None:
+            position = port.read("position", start, stop)[branch != Branch.HELD]
+            low, high = position.min(initial=self.reach[0]), position.max(initial=self.reach[1])
+            self.reach = float(low), float(high)
         self.silent += int((touching & (torque == 0.0)).sum())
         self.damping += float(port.read("damping_rendered", start, stop)[touching].sum())
         self._is_open = bool(branch[-1] == Branch.HELD)

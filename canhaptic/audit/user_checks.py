@@ -46,7 +46,8 @@ def check(result: Checked, expression: str) -> list[Outcome]:
 
     A name without a port means every port: `margin>=-1e-6`. A name may be shortened from the left as long as it ends
     at a dot: `handle.margin.value`, `margin`. A bound may carry a unit with a prefix; plain numbers are SI.
-    A verdict is named alone: `passive` is satisfied where the verdict is yes, and not where it is no or in doubt.
+    A verdict is named alone: `passive` is satisfied where the verdict is yes, and not where it is no, in doubt, or
+    where there was no contact to judge.
 
     Args:
         result: Output of `inspect` or `run --json`.
@@ -65,14 +66,17 @@ def check(result: Checked, expression: str) -> list[Outcome]:
     name, comparison, number, unit = match.groups()
     values = dict(_numbers(result, ""))
     wanted = _wanted(name)
-    found = {path: value for path, value in values.items() if f".{path}".endswith(f".{wanted}")}
+    found: dict[str, float] = {}
+    for sign in ("_", "."):  # as written, else with either sign for the other
+        found = found or {
+            n: v for n, v in values.items() if f".{n}".replace("_", sign).endswith(f".{wanted}".replace("_", sign))
+        }
     bound = float(number) * _factor(expression, unit, found, result)
     if not found:
         names = {path.split(".", 2)[-1] if path.startswith("ports.") else path for path in values}
-        near = difflib.get_close_matches(wanted, names, n=3, cutoff=0.4)
-        raise InputError(
-            f"check {expression!r}: the run has no {name!r}; did you mean {' or '.join(near) or 'margin'}?"
-        )
+        near = difflib.get_close_matches(wanted, names, n=3)
+        remedy = f"did you mean {' or '.join(near)}?" if near else "inspect --json lists all of them"
+        raise InputError(f"check {expression!r}: the run has no figure {name!r}; {remedy}")
     holds = _OPERATORS[comparison]
     return [
         {"check": expression, "name": path, "value": value, "holds": bool(holds(value, bound))}
@@ -94,6 +98,7 @@ def _verdicts(result: Checked, expression: str) -> list[Outcome]:
         raise InputError(f"check {expression!r}: the run has no account of that name; expected NAME.passive or passive")
     found: list[Outcome] = []
     for name, verdict in verdicts.items():
+        verdict = "no contact" if result["ports"][name].get("verdict") == "no contact" else verdict
         found.append(
             {"check": expression, "name": f"ports.{name}.{_VERDICT}", "value": verdict, "holds": verdict == "yes"}
         )
@@ -136,7 +141,7 @@ def _unit_of(path: str, result: Checked) -> str:
         while port not in result["ports"]:  # a name may hold dots
             head, _, figure = figure.partition(".")
             port = f"{port}.{head}"
-        motion = result["ports"][port].get("unit", "m")
+        motion: str = result["ports"][port].get("unit", "m")
         units = {
             "peak_torque": effort_unit(motion),
             "margin.time": "s",
@@ -144,6 +149,7 @@ def _unit_of(path: str, result: Checked) -> str:
             "active_since": "s",
             "margin.cycle": "1",
             "longest_hold": "1",
+            "wall": motion,
         }
         if figure.startswith("damping_rendered."):
             return damping_unit(motion)

@@ -83,8 +83,8 @@ def _place(scene: Scene, arguments: argparse.Namespace) -> Path | None:
     if arguments.in_place and not place.is_file():
         raise InputError(f"{place} is a scene of the package; name a file of your own with --out")
     new = _backup(place) if arguments.in_place else place
-    check_place(place)
-    check_place(new)
+    check_place(place, force=True)
+    check_place(new, force=True)
     if new.exists():
         raise InputError(f"{new} already exists; choose another name, or move it away first")
     edited_scene(scene, (), str(place), allow_code=arguments.allow_code)

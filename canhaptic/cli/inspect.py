@@ -93,13 +93,15 @@ def _check_files(arguments: argparse.Namespace) -> None:
         if path is not None:
             if path.suffix != f".{suffix}":
                 raise InputError(f"--{suffix} {path}: expected a name that ends in .{suffix}")
-            check_place(path)
+            check_place(path, arguments.force)
             require_library(path)
+    if arguments.repair is not None:
+        check_place(arguments.repair, arguments.force)
     for path in (arguments.png, arguments.svg):
         if path is not None:
-            check_picture(path)
+            check_picture(path, arguments.force)
     if arguments.html is not None:
-        check_page(arguments.html)
+        check_page(arguments.html, arguments.force)
 
 
 def _write_files(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) -> None:

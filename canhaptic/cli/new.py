@@ -5,7 +5,6 @@ import argparse
 from canhaptic.cli.check_eds import survey_of
 from canhaptic.cli.options import check_place
 from canhaptic.cli.output import note_file, write_file, write_line
-from canhaptic.errors import InputError
 from canhaptic.scene.starter import starter_scene
 
 
@@ -18,9 +17,7 @@ def execute(arguments: argparse.Namespace) -> int:
     """
     out = arguments.out
     if out is not None:
-        check_place(out)
-        if out.exists():
-            raise InputError(f"{out} already exists; choose another name, or move it away first")
+        check_place(out, arguments.force)
     found, profile = survey_of(arguments.file, arguments.display, arguments.force_object)
     text = starter_scene(found, simulate=arguments.simulate, drive=profile, out=out)
     if out is None:

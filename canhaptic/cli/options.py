@@ -70,50 +70,61 @@ def scene_of(arguments: argparse.Namespace, *, beyond_bus: bool = False) -> "Sce
     )
 
 
-def check_picture(path: Path) -> None:
+def check_picture(path: Path, force: bool) -> None:
     """Refuse a picture that could not be written, before the run.
 
+    Args:
+        path: The file.
+        force: Whether it may replace a file.
+
     Raises:
-        InputError: An unknown suffix, no place for it, or matplotlib is not installed.
+        InputError: An unknown suffix, no place for it, it exists, or matplotlib is not installed.
     """
     if path.suffix not in _PICTURES:
         raise InputError(f"{path}: expected a name that ends in {', '.join(_PICTURES[:-1])} or {_PICTURES[-1]}")
-    check_place(path)
-    from canhaptic.view.picture_style import require_matplotlib
-
-    require_matplotlib()
+    check_page(path, force)
 
 
-def check_page(path: Path) -> None:
+def check_page(path: Path, force: bool) -> None:
     """Refuse a page that could not be written, before the run.
 
+    Args:
+        path: The file.
+        force: Whether it may replace a file.
+
     Raises:
-        InputError: There is no place for it, or matplotlib is not installed.
+        InputError: There is no place for it, it exists, or matplotlib is not installed.
     """
     from canhaptic.view.picture_style import require_matplotlib
 
-    check_place(path)
+    check_place(path, force)
     require_matplotlib()
 
 
-def check_place(path: Path) -> None:
+def check_place(path: Path, force: bool) -> None:
     """Refuse a file that could not be written, before the run.
 
+    Args:
+        path: The file.
+        force: Whether it may replace a file.
+
     Raises:
-        InputError: There is no folder for it, or its path is no regular file.
+        InputError: There is no folder for it, it exists, or its path is no regular file.
     """
     if not path.absolute().parent.is_dir():
         raise InputError(f"{path}: no such folder {path.absolute().parent}; make it first")
     require_writable_place(path)
+    if not force:
+        require_new(path)
 
 
-def require_new(*logs: Path) -> None:
-    """Refuse logs that would overwrite a file, before the run.
+def require_new(*files: Path) -> None:
+    """Refuse to overwrite a file, before the run.
 
     Raises:
         InputError: One of them exists, or the remains of a killed run's log.
     """
-    for path in logs:
+    for path in files:
         unfinished = [path.with_name(f"{path.name}.log")] if path.suffix.lower() in CONVERTIBLE else []
         for taken in filter(Path.exists, [path, *unfinished]):
             raise InputError(f"{taken} already exists; --force replaces it, or name another file")

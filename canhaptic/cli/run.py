@@ -31,7 +31,7 @@ def execute(arguments: argparse.Namespace) -> int:
         if not arguments.force:
             require_new(*filter(None, (energy_log, bus_log)))
         if arguments.png is not None:
-            check_picture(arguments.png)
+            check_picture(arguments.png, arguments.force)
             if energy_log is None:
                 energy_log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.h5"
         require_no_guesses(scene)

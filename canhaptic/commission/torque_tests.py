@@ -245,7 +245,7 @@ def _report_mass(session: Session, axis: int, found: Dynamics) -> None:
     else:
         verdict, text = (
             StepVerdict.FAILED,
-            f"{text}; moving_mass must be an under-estimate, or guarded is not passive",
+            f"{text}; moving_mass must not exceed the real value, or guarded is not passive",
         )
     configured = "" if declared is None else f"at most {declared:.4g} {mass_unit}"
     session.found(axis, "moving mass", configured, f"{found.mass:.4g} {mass_unit}", verdict, text)
@@ -285,5 +285,5 @@ def _report_least_friction(session: Session, axis: int, found: Dynamics, curve: 
     configured = "" if declared is None else f"at least {declared:.4g} {unit}"
     verdict = StepVerdict.MEASURED if declared is None else StepVerdict.AGREES
     if declared is not None and declared > least:
-        verdict, seen = StepVerdict.FAILED, f"{seen}; device_friction must be an under-estimate"
+        verdict, seen = StepVerdict.FAILED, f"{seen}; device_friction must not exceed the real value"
     session.found(axis, item, configured, f"{least:.3g} {unit}", verdict, seen)

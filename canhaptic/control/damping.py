@@ -165,7 +165,7 @@ def least_oscillating_damping(delay: int, mass: float, sample_time: float) -> fl
 
     Args:
         delay: Whole holds between computation and action.
-        mass: Inertia rigid with the encoder [kg or kg*m^2]; an under-estimate is safe.
+        mass: Inertia rigid with the encoder [kg or kg*m^2]; must not exceed the real value.
         sample_time: Sample time [s].
     """
     n = 1 + delay

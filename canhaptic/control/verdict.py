@@ -131,6 +131,9 @@ class PortResult(_Flows, total=False):
     energy_allowance: float
     friction_excess: float
     rendered: RenderedShares
+    environment: str  # its type in the scene
+    wall: float  # position at which it begins, where it has one [m or rad]
+    reach: list[float]  # without a contact: lowest and highest position [m or rad]
     mass: dict[str, float | None]  # of an admittance display: asked, felt (None: not known) [kg or kg*m^2], share
     read_back: str
     hold: str  # whether a hands-off test found in which hold the torques of this drive act; of a group the worst

@@ -202,4 +202,4 @@ class EnergySink(LogSink):
     def fail(self, cause: str) -> None:
         """Leave the rows up to the last flush, with the cause as the status of the run."""
         unfinished(self._path)
-        mark_failed(self._path, cause)
+        mark_failed(self._path, f"{cause}; the log ends at cycle {self._next_row - self._lost}")

@@ -265,6 +265,14 @@ def failure_of(path: Path) -> str:
     return text.rstrip(b"\0").decode("utf-8", "replace") if text.startswith(_FAILED) else ""
 
 
+def note_length(path: Path, cycles: int) -> str:
+    """Add the length of its run to the cause with which a log ended early; return both, empty where it has none."""
+    cause = failure_of(path) if path.is_file() else ""
+    if cause:
+        mark_failed(path, f"{cause.removeprefix('failed: ')} of {cycles}")
+    return cause and failure_of(path)
+
+
 def row_digests(columns: Sequence[Array]) -> Array:
     """Return the CRC-32 of each row of some columns, shape (n_rows,): each value as 8 bytes, little endian."""
     table = np.stack([column.view("<u8") if column.dtype == "f8" else column.astype("<u8") for column in columns], 1)

@@ -285,6 +285,10 @@ class Experiment:
             self.close(status)
         except CanHapticError as raised:
             error = error or raised
+            if self.energy_log is not None and self.energy_log.failure:
+                from canhaptic.logs.hdf5 import note_length
+
+                result["energy_log"] = note_length(self.energy_log.path, result["cycles"])
         return result, error
 
     def close(self, status: str = "completed") -> None:
@@ -498,6 +502,10 @@ def _add_of_axes(experiment: Experiment, ports: Mapping[str, PortResult]) -> Non
     controllers = iter(experiment.cycle.controllers)
     for axis in experiment.scene.axes:
         port, controller = ports[axis.parameters.name], None if axis.group else next(controllers)
+        if not axis.group:
+            port["environment"] = axis.environment.name
+            if isinstance(wall := getattr(axis.environment.parameters, "position", None), float):
+                port["wall"] = wall
         if axis.parameters.hold_dither is not None:
             port["hold"] = getattr(controller, "hold_found", "") or port.get("hold", "undecided")
         if port.get("verdict") == "nothing rendered":

@@ -294,10 +294,11 @@ def _encoder_hint(axis: AxisScene) -> list[Hint]:
         return []
     what, unit = f"stiffness kept {ENCODER}", axis.parameters.unit
     if not friction:
-        text = "pressed back and forth the wall loses stiffness: give passivity.device_friction (canhaptic commission)"
+        text = "repeated presses soften the wall, as the encoder leaves energy uncertain: "
+        text += "declare passivity.device_friction (canhaptic commission measures it)"
         if asked:
-            text += f"; {asked * count:.2g} {effort_unit(unit)} of it would keep the wall asked, and k count^2 = "
-            text += f"{asked * count * count:.2g} J is in doubt for each count to and fro"
+            text += f"; {asked * count:.2g} {effort_unit(unit)} of it would keep the requested stiffness, without it "
+            text += f"each motion back and forth over one count leaves {asked * count * count:.2g} J uncertain"
         return [_hint(axis, what, "stiffness", None, asked, text)]
     text = "at any speed of any hand, by device_friction; twice that for tremor over one count"
     if asked:
@@ -317,7 +318,7 @@ def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
     if not held:
         return ""
     unit, most = _LINEAR_ROTARY["stiffness"][axis.parameters.unit == "rad"], max(held)
-    text = f"{axis.parameters.name}: guarantee rests on: {most[1]}, {most[0]:.3g} {unit} at the torque limit"
+    text = f"{axis.parameters.name}: guaranteed for the declared {most[1]}: {most[0]:.3g} {unit} at the torque limit"
     bound = axis.loop.device_damping_bound
     if bound and axis.loop.device_damping is None:
         limit = renderable_by_device_damping(bound, axis.loop.sample_time, axis.loop.delay + _losses(axis))
@@ -339,7 +340,7 @@ def _felt_hints(axis: AxisScene, response: DisplacementResponse, lag: int, text:
         )
     return [
         _hint(axis, what, "stiffness", limit, stiffness, f"{text}{_share(limit, stiffness)}"),
-        _hint(axis, "speed of a contact that is felt, from", "speed", slowest, None, f"{begins}; {text}"),
+        _hint(axis, "approach speed for a first torque, from", "speed", slowest, None, f"{begins}; {text}"),
         *_energy_hint(axis, response, lag, earned),
     ]
 

@@ -106,15 +106,16 @@ _COLOURS: Final[dict[Headline, str]] = {
 
 
 def verdict_bar(ports: Mapping[str, PortResult]) -> str:
-    """Return an HTML bar with every account's verdict, and a port's headline word where it differs."""
+    """Return an HTML bar with every account's verdicts, behind a port's headline where they do not all agree with it."""
     said: list[tuple[str, Headline]] = []
     for name, port in ports.items():
-        if "verdict" in port and port["verdict"] not in (port.get("passive", "yes"), port.get("passive_at_handle")):
+        if "verdict" in port and any(port.get(key, port["verdict"]) != port["verdict"] for key in _SUMS):
             said.append((headline_text(name, port).plain.strip(), port["verdict"]))
         for key, sum_of in _SUMS.items():
             if key in port:
                 word = port[key]
-                said.append((f"{name}: passive {sum_of}: {word if word != 'no' else 'NO'}", word))
+                why = f": {port['why']}" if word == "in doubt" and key == "passive_at_handle" and "why" in port else ""
+                said.append((f"{name}: passive {sum_of}: {word if word != 'no' else 'NO'}{why}", word))
     style = "display:inline-block;color:white;font-weight:bold;padding:3px 14px;margin-right:6px;border-radius:3px"
     return "".join(
         f"<span class='verdict' style='{style};background:{_COLOURS[word]}'>{html.escape(text)}</span>"

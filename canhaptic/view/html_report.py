@@ -21,7 +21,7 @@ from canhaptic.view.picture_style import BLUE, GREEN, PURPLE, VERMILION, axis_sc
 from canhaptic.view.run_lines import first_active
 from canhaptic.view.run_picture import draw_energy
 from canhaptic.view.series import FAULTS, decimate, losses
-from canhaptic.view.si import si
+from canhaptic.view.si import counted, si
 from canhaptic.view.table import Table
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def write_html(
 
 def _facts(result: "Inspection") -> str:
     return (
-        f"{result['status']}   {result['cycles']} cycles at {si(result['rate'], 'Hz', 3)}   configuration "
+        f"{result['status']}   {counted(result['cycles'], 'cycle')} at {si(result['rate'], 'Hz', 3)}   configuration "
         f"{result['config_hash'][:12]}   TPDOs received {100.0 * result['link']['success_rate']:.6g} %"
     )
 

@@ -12,7 +12,7 @@ from canhaptic.audit.user_checks import Outcome
 from canhaptic.axis_units import effort_unit
 from canhaptic.view.energy_table import energy, energy_report
 from canhaptic.view.run_lines import Result
-from canhaptic.view.si import si
+from canhaptic.view.si import counted, si
 from canhaptic.view.table import Cell, Styled, Table, in_lines
 
 if TYPE_CHECKING:
@@ -64,22 +64,27 @@ def _contacts_table(name: str, contacts: list[ContactStretch], unit: str, depth_
         ]
         for contact in sorted(hardest, key=lambda contact: contact["start"])
     ]  # fmt: skip
-    title = f" {name}: {len(contacts)} contact{'s' if len(contacts) != 1 else ''}{shown}"
+    title = f" {name}: {counted(len(contacts), 'contact')}{shown}"
     return Table(title, ("start", "duration", "depth", "peak", "energy taken in"), rows, keys=0)
 
 
 def _events_table(events: list[LoggedEvent]) -> Table:
     more = f", the first {_EVENTS_SHOWN}" if len(events) > _EVENTS_SHOWN else ""
     rows: list[list[Cell]] = [
-        [f"{event['time']:.4f} s", event["sync_index"], event["kind"], event["port"], event["text"]]
+        [
+            f"{event['time']:.4f} s", event["sync_index"], event["kind"].replace("unrestored", "not restored"),
+            event["port"], event["text"],
+        ]
         for event in events[:_EVENTS_SHOWN]
-    ]
-    title = f" {len(events)} event{'s' if len(events) != 1 else ''}{more}"
+    ]  # fmt: skip
+    title = f" {counted(len(events), 'event')}{more}"
     return Table(title, ("time", "cycle", "kind", "port", "what"), rows)
 
 
 def _checked(check: Outcome) -> str:
     value = check["value"]
+    if value == "no contact":
+        return "no contact, so nothing was tested"
     since = f", first below zero at {check['first_active']:.4g} s" if "first_active" in check else ""
     return f"{value}{since}" if isinstance(value, str) else f"{value:.9g}"
 
@@ -107,9 +112,8 @@ def _recomputed_line(recomputed: Recomputed) -> Text:
     if recomputed["mismatch"] is None and recomputed["unchecked_rows"]:
         lost = f"{recomputed['missing_rows']} rows are missing"
         skipped = "a SYNC was skipped, and only the bus log has the length of its hold: add --bus-log"
-        words = (
-            f" {recomputed['port']}: the first {recomputed['rows']} cycles recomputed, equal bit for bit; after them "
-        )
+        rows = counted(recomputed["rows"], "cycle")
+        words = f" {recomputed['port']}: the first {rows} recomputed, equal bit for bit; after them "
         return Text(words + (lost if recomputed["missing_rows"] else skipped), style="bold red")
     mismatch = recomputed["mismatch"]
     if mismatch is None:
@@ -123,7 +127,9 @@ def _recomputed_line(recomputed: Recomputed) -> Text:
 
 def _rederived_line(rederived: "Rederived") -> Text:
     if not rederived["differences"]:
-        words = f" from the frames alone: {rederived['cycles']} cycles, samples and account equal bit for bit"
+        words = (
+            f" from the frames alone: {counted(rederived['cycles'], 'cycle')}, samples and account bit for bit equal"
+        )
         return Text(words, style="green")
     lines = (
         f" {found['port']}: from the frames, {found['quantity']} of cycle {found['cycle']} is {found['rederived']!r}, "
@@ -136,9 +142,9 @@ def _rederived_line(rederived: "Rederived") -> Text:
 def _comparison(comparison: LogComparison) -> RenderableType:
     first, second = comparison["rows"]
     if comparison["identical"]:
-        return Text(f" identical: {first} cycles, every quantity equal bit for bit", style="green")
+        return Text(f" identical: {counted(first, 'cycle')}, every quantity equal bit for bit", style="green")
     count = len(comparison["differences"])
-    parts: list[RenderableType] = [Text(f" different: {first} and {second} cycles", style="bold red")]
+    parts: list[RenderableType] = [Text(f" different: {first} and {counted(second, 'cycle')}", style="bold red")]
     if comparison["missing"]:
         parts.append(Text(f" only in one of them: {', '.join(comparison['missing'])}"))
     if count:

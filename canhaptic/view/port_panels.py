@@ -125,6 +125,10 @@ class PortPanels:
             panel.hspan(y=[wall], line_color=GREY, line_dash="dashed", legend_label="wall", name="wall")
             edge = {"top": wall} if self._facts.wall_side == "below" else {"bottom": wall}
             panel.add_layout(BoxAnnotation(**edge, fill_color=GREY, fill_alpha=0.10, line_alpha=0.0, level="underlay"))
+        if self._facts.notches:
+            look: Any = {"line_color": GREY, "line_dash": "dashed", "line_alpha": 0.6}
+            panel.hspan(y=self._facts.notches, legend_label="notch", name="notches", **look)
+            panel.y_range = DataRange1d(renderers=panel.select({"name": "position"}))
         add_hover(panel, "position", {"position": ("position", unit)})
         return finished(panel)
 

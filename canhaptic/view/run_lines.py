@@ -12,7 +12,7 @@ from rich.text import Text
 
 from canhaptic.axis_units import mass_unit
 from canhaptic.control.verdict import Headline, PortResult
-from canhaptic.view.si import si
+from canhaptic.view.si import counted, si
 from canhaptic.view.terminal import visible
 
 _PLAIN_WIDTH: Final = 100  # columns, where there is no terminal to ask
@@ -21,6 +21,8 @@ Result = Mapping[str, Any]
 _SHOWN_AT_ZERO: Final = frozenset({"deadlines_missed", "missing", "missed_tpdos", "skipped_syncs", "success_rate"})
 _WHOLE: Final = 0.995
 """Rendered share of a stiffness above which the wall is whole; a damper adds to the effort while the hand goes in."""
+_RENDERED: Final = {"detents": "notch force", "coulomb_surface": "friction"}
+"""Rendered part of an environment that has no stiffness."""
 _LOSSES: Final = ("skipped_syncs", "missed_tpdos", "missing")
 """Link counters that show a problem where they are not zero."""
 STYLES: Final[dict[Headline, str]] = {
@@ -77,12 +79,13 @@ def _first_figures(port: PortResult) -> list[str]:
     found = [f"{si(port['in'], 'J', 3)} in, {si(port['out'], 'J', 3)} out"] if "in" in port else []
     share = port["rendered"]["stiffness"] if "rendered" in port else None
     if share is not None:
-        found.append("stiffness as requested" if share > _WHOLE else f"stiffness {100.0 * share:.3g} % of requested")
+        what = _RENDERED.get(port.get("environment", ""), "stiffness")
+        found.append(f"{what} as requested" if share > _WHOLE else f"{what} {100.0 * share:.3g} % of requested")
     if "mass" in port:
         found.append(f"mass felt {mass_text(port)}")
     certificate = port.get("certificate", "none")
     if port["verdict"] == "yes" and certificate not in ("none", "exact"):
-        found.append(f"guarantee rests on: {certificate.replace('_', ' ')}")
+        found.append(f"guaranteed for the {guaranteed_for(certificate)}")
     if "hold" in port and (port["verdict"] == "yes" or port["hold"].startswith("acts ")):
         found.append(f"hold: {port['hold']}")
     return found
@@ -108,14 +111,26 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
         found += [(", ", "before this part already")] if port.get("active_before") else []
         found += [(", ", f"first below zero at {first_active(port)}")] if "first_active" in port else []
     if word == "in doubt":
-        found.append((": ", f"the account is certain to +-{si(port.get('energy_resolution', 0.0), 'J', 3)}"))
+        found.append((": ", f"the account is uncertain by +-{si(port.get('energy_resolution', 0.0), 'J', 3)}"))
         found += [("; ", port["why"])] if "why" in port else []
+    if word == "no contact" and "reach" in port:
+        unit = port.get("unit", "m")
+        found.append((": ", f"the handle stayed between {' and '.join(si(at, unit, 3) for at in port['reach'])}"))
+        found += [(", ", f"the wall begins at {si(port['wall'], unit, 3)}")] if "wall" in port else []
     if word == "nothing rendered" and "advice" in port:
         found.append((": ", port["advice"]))
     if "contradicted" in port:
         names = " and ".join(name.replace("_", " ") for name in port["contradicted"])
         found.append(("; ", f"contradicts its certificates ({names}): one of {', '.join(port['suspects'])} is wrong"))
     return found
+
+
+def guaranteed_for(*certificates: str) -> str:
+    """Return in words for which hands and devices the weakest of some certificates guarantee passivity."""
+    declared = [name.replace("_", " ").removeprefix("declared ") for name in certificates if name != "exact"]
+    if "none" in declared:
+        return "nothing"
+    return f"declared {', '.join(declared)}" if declared else "any hand"
 
 
 def _is_at_handle(port: PortResult) -> bool:
@@ -127,11 +142,14 @@ def brief_report(result: Result) -> RenderableType:
     parts: list[RenderableType] = [*headlines(result), heading(result)]
     link, method = result.get("link") or {}, result.get("method", "")
     amiss = [_words(key, value) for key, value in link.items() if key in _LOSSES and value]
-    late = (result.get("timing") or {}).get("deadlines_missed", 0)
+    timing = result.get("timing") or {}
+    late = timing.get("deadlines_missed", 0)
     if amiss or late:
         parts.append(line("link", ", ".join([*amiss, *([f"deadlines missed {late}"] if late else [])])))
     if " order " in method or " error" in method.lower():
         parts.append(line("method", method))
+    if refused := {k: v for k, v in timing.items() if k.startswith("realtime_") and v != "granted"}:
+        parts.append(line("timing", refused))
     return Group(*parts, Text(" every figure: --full, or `canhaptic inspect` of an energy log", style="dim"))
 
 
@@ -157,7 +175,9 @@ def heading(result: Result) -> Text:
     text = Text(" ")
     text.append(status, style="bold green" if status in {"ok", "complete", "completed"} else "bold yellow")
     if "cycles" in result:
-        text.append(f"   {result['cycles']} cycles")
+        text.append(f"   {counted(result['cycles'], 'cycle')}")
+    if "energy_log" in result:
+        text.append(f"   energy log {result['energy_log']}", style="bold red")
     if result.get("config_hash"):
         text.append(f"   configuration {str(result['config_hash'])[:12]}", style="dim")
     return text
@@ -200,13 +220,13 @@ def _value(name: str, value: object) -> str:
     return f"{value:.6g}" if "per_second" in name or abs(value) >= 1000.0 else si(value, "s", 3)
 
 
-def first_active(port: PortResult) -> str:
+def first_active(port: Result) -> str:
     """First time at which the net energy of a port was below zero, with its contact where that is known."""
     contact = f" (contact {port['first_active_contact']})" if port.get("first_active_contact") else ""
     return f"{port['first_active']:.4g} s{contact}"
 
 
-def mass_text(port: PortResult) -> str:
+def mass_text(port: Result) -> str:
     """Mass that was felt at an admittance display, with the mass asked for and the share of it."""
     mass, unit = port["mass"], mass_unit(port["unit"])
     if (felt := mass["felt"]) is None:

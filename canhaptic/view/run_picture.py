@@ -31,7 +31,7 @@ from canhaptic.view.picture_style import (
     save_picture,
 )
 from canhaptic.view.series import TaskPlane, decimate, faults_of, notches_of, task_plane
-from canhaptic.view.si import si
+from canhaptic.view.si import counted, si
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -381,7 +381,7 @@ def _layout(
 
 
 def _caption(log: EnergyLog) -> str:
-    parts = [log.path.name, f"{log.rows} cycles at {si(1.0 / log.sample_time, 'Hz', 3)}", log.status]
+    parts = [log.path.name, f"{counted(log.rows, 'cycle')} at {si(1.0 / log.sample_time, 'Hz', 3)}", log.status]
     if "config_hash" in log.attributes:
         parts.insert(1, f"configuration {str(log.attributes['config_hash'])[:12]}")
     return "   ".join(parts)

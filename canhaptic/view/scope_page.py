@@ -17,7 +17,7 @@ from canhaptic.view.html_page import verdict_bar
 from canhaptic.view.live_log import LiveLog, News
 from canhaptic.view.port_panels import OPTIONAL, PortPanels, fault_columns, is_empty, link_panel, timing_panel
 from canhaptic.view.series import FAULTS, decimate
-from canhaptic.view.si import si
+from canhaptic.view.si import counted, si
 
 _POINTS: Final = 6000  # kept per line
 _BUCKETS: Final = 250  # per look; about twice as many rows
@@ -136,7 +136,7 @@ def _status(news: News, last: News) -> str:
     """Return the current status of the log, with the values of the last look that found rows."""
     facts = [
         f"<b>{html.escape(news.status)}</b>",
-        f"{news.rows} cycles",
+        counted(news.rows, "cycle"),
         f"{last.time[-1]:.2f} s" if len(last.time) else "",
         f"TPDOs received {100.0 * news.fresh_share:.4g} %",
         *(f"{name} {last.lost[name][-1]}" for name in _COUNTED if len(last.time)),

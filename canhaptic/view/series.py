@@ -82,6 +82,7 @@ class PortFacts(NamedTuple):
     units: dict[str, str]  # SI unit of each column
     wall: float | None  # where it begins [m or rad]
     wall_side: str  # of its inside: below or above
+    notches: list[float]  # of detents, around the first one [m or rad]
 
     @property
     def is_display(self) -> bool:
@@ -100,11 +101,13 @@ def port_facts(log: EnergyLog, name: str) -> PortFacts:
         "applied": effort,
         "damping": port.unit("damping_rendered"),
     }
-    has_notches = f"{name}.wall_pitch" in log.attributes
-    wall = None if has_notches else log.attributes.get(f"{name}.wall_position")
+    pitch, start = (log.number(f"{name}.wall_{key}") for key in ("pitch", "position"))
+    reach = 0.49 * _MOST_NOTCHES * pitch
+    wall = None if pitch else log.attributes.get(f"{name}.wall_position")
     side = str(log.attributes.get(f"{name}.wall_side", "below"))
     place = float(wall) if isinstance(wall, int | float) else None
-    return PortFacts(name, name in log.groups, name in log.group_of, units, place, side)
+    notches = notches_of(log, name, start - reach, start + reach)
+    return PortFacts(name, name in log.groups, name in log.group_of, units, place, side, notches)
 
 
 _MOST_NOTCHES: Final = 200

@@ -41,6 +41,11 @@ def si(value: float, unit: str, digits: int = 4) -> str:
     return f"{_pad_digits(number, digits)} {_PREFIXES[exponent]}{unit}"
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number of things, such as `1 cycle` or `2 cycles`."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
 def _pad_digits(number: str, digits: int) -> str:
     """Keep trailing zeros, so that a column of numbers reads at one glance: 1.5 -> 1.500."""
     shown = sum(letter.isdigit() for letter in number.lstrip("-0."))

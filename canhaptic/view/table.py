@@ -5,6 +5,7 @@ import html
 import io
 import json
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
@@ -131,8 +132,8 @@ class Table:
 
 
 def in_lines(text: str, width: int) -> str:
-    """Return a text in lines of at most `width` characters, broken at any position."""
-    return "\n".join(text[at : at + width] for at in range(0, len(text), width))
+    """Return a text in lines of at most `width` characters, broken behind a separator where there is one."""
+    return "\n".join(re.findall(rf".{{1,{width}}}(?:(?<=[/_.\s-])|$)|.{{1,{width}}}", text))
 
 
 def _plain(cell: Cell) -> str | int | float | None:

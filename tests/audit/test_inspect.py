@@ -13,11 +13,17 @@ from canhaptic.audit.port_record import contacts
 from canhaptic.audit.user_checks import check
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.control.ledger import Ledger
+from canhaptic.cycle import run
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import overall
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
 from tests.view import typed
 from tests.view.synthetic_run import write_run, write_troubled_run
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+Captured = pytest.CaptureFixture[str]
 
 
 @pytest.fixture(scope="module")
@@ -189,6 +195,8 @@ def test_late_cycles_and_lost_frames_are_counted(tmp_path: Path) -> None:
         ("cycles >= 4000", True),
         ("cycles != 3999", True),
         ("in > 90 mJ", True),
+        ("peak.torque < 1 kN", True),
+        ("margin_value >= -1 mJ", True),
     ],
 )
 def test_checks_read_like_sentences(log: Path, expression: str, holds: bool) -> None:
@@ -199,7 +207,13 @@ def test_checks_read_like_sentences(log: Path, expression: str, holds: bool) -> 
 
 @pytest.mark.parametrize(
     ("expression", "message"),
-    [("margin", "NAME >="), ("margn>0", "did you mean"), ("in>1 xJ", "unknown unit"), ("in>1.2.3", "NAME >=")],
+    [
+        ("margin", "NAME >="),
+        ("margn>0", "did you mean margin"),
+        ("foo>0", "no figure 'foo'; inspect --json lists"),
+        ("in>1 xJ", "unknown unit"),
+        ("in>1.2.3", "NAME >="),
+    ],
 )
 def test_checks_that_cannot_be_read_are_refused(log: Path, expression: str, message: str) -> None:
     with EnergyLog.open(log) as opened, pytest.raises(InputError, match=message):
@@ -264,6 +278,19 @@ def test_the_verdict_of_a_run_is_its_worst() -> None:
     for worst, better in zip(words[1:], words, strict=False):
         ports: Any = {"a": {"passive": "yes", "verdict": worst}, "b": {"passive": "yes", "verdict": better}}
         assert overall(ports)["verdict"] == worst
+
+
+def test_a_run_without_a_contact_fails_the_check_of_its_verdict(tmp_path: Path, capsys: Captured) -> None:
+    scene = load_scene(CONFIGS / "demo.yaml", ["environment.position=-1"])
+    with build(scene, energy_log=tmp_path / "run.h5") as experiment:
+        run(experiment.cycle, 300)
+    assert typed.inspect(tmp_path / "run.h5", "--check", "passive", "--json") == 1
+    (outcome,) = json.loads(capsys.readouterr().out)["checks"]
+    assert (outcome["value"], outcome["holds"]) == ("no contact", False)
+    assert typed.inspect(tmp_path / "run.h5", "--check", "handle.passive") == 1
+    shown = capsys.readouterr().out
+    assert "no contact, so nothing was tested" in shown
+    assert "the wall begins at -1" in shown
 
 
 def test_a_value_that_is_not_a_number_fails_every_check() -> None:
@@ -375,7 +402,7 @@ def test_repair_saves_the_rows_before_the_damage(log: Path, tmp_path: Path, caps
         assert np.array_equal(repaired.ports["handle"]["h_i"], whole.ports["handle"]["h_i"][: repaired.rows])
         assert repaired.status == "repaired"
     with pytest.raises(InputError, match="another name"):
-        typed.inspect(log, "--repair", log)
+        typed.inspect(log, "--repair", log, "--force")
 
 
 def break_chunk(path: Path, name: str, number: int) -> None:

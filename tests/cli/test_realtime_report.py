@@ -29,6 +29,13 @@ def test_the_timing_line_says_what_was_refused(capsys: Captured) -> None:
     assert "realtime freeze garbage granted" in out
 
 
+def test_a_brief_run_says_what_was_refused_and_nothing_that_was_granted(capsys: Captured) -> None:
+    assert main(["run", DEMO, "--pace", "real", "--duration", "0.05", *ASKED]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "timing realtime cpus refused: [Errno 22]" in out
+    assert "granted" not in out
+
+
 def test_nothing_is_said_where_nothing_was_asked(capsys: Captured) -> None:
     assert main(["run", DEMO, "--pace", "real", "--duration", "0.05", "--json", *PATIENT]) == 0
     assert not [name for name in json.loads(capsys.readouterr().out)["timing"] if name.startswith("realtime")]

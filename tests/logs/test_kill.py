@@ -150,7 +150,7 @@ def test_a_full_disk_stops_the_log_with_one_message_and_never_the_cycle(
         writer.close("complete")
     assert sorted(file.name for file in tmp_path.iterdir()) == ["run.h5"]
     with EnergyLog.open(tmp_path / "run.h5") as log:
-        assert log.status == "failed: no space"
+        assert log.status == f"failed: no space; the log ends at cycle {log.rows}"
         assert log.rows > 1000
         assert np.array_equal(log.timing["sync_index"], np.arange(log.rows) + np.cumsum(log.timing["dropped_before"]))
         assert log.changed_rows() == []

@@ -300,6 +300,32 @@ def test_a_log_that_exists_is_kept_and_nothing_is_started(
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [(taken, "mine")]
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run", DEMO, "--png"],
+        ["compare", DEMO, "--png"],
+        ["map", "walls", "--html"],
+        ["accuracy", DEMO, "--markdown"],
+        ["inspect", "run.h5", "--svg"],
+        ["inspect", "run.h5", "--csv"],
+        ["inspect", "run.h5", "--repair"],
+        ["new", str(Path(DEMO).parents[1] / "eds" / "cia402_servo.eds"), "--out"],
+    ],
+)
+def test_every_output_of_a_command_that_exists_is_kept(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    suffix = {"--markdown": "md", "--repair": "h5", "--out": "yaml"}.get(words[-1], words[-1].removeprefix("--"))
+    taken = tmp_path / f"mine.{suffix}"
+    taken.write_text("mine")
+    assert main([*words, str(taken)]) == 2
+    assert capsys.readouterr().err == (
+        f"canhaptic: error: {taken} already exists; --force replaces it, or name another file\n"
+    )
+    assert taken.read_text() == "mine"
+
+
 def test_what_a_killed_run_left_of_a_log_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     left = tmp_path / "run.blf.log"
     left.write_text("mine")

@@ -92,7 +92,7 @@ def test_check_and_run_say_that_there_is_no_wall_and_strict_fails(capsys: pytest
 def test_a_wall_that_was_not_reached_is_no_contact_and_keeps_strict(capsys: pytest.CaptureFixture[str]) -> None:
     scene = str(CONFIGS / "demo.yaml")
     assert main(["run", scene, "--duration", "0.2", "--pace", "free", "--strict"]) == 0
-    assert capsys.readouterr().out.startswith(" handle: no contact\n")
+    assert capsys.readouterr().out.startswith(" handle: no contact: the handle stayed between 0 m and ")
     assert main(["check", scene]) == 0
     assert "; felt from 0.0015 m/s, " in capsys.readouterr().out.splitlines()[0]
 
@@ -137,7 +137,7 @@ def test_a_run_needs_a_word_for_an_allowance_above_ten_millijoules(capsys: pytes
 def test_check_says_on_which_declaration_the_guarantee_rests_and_what_the_encoder_keeps() -> None:
     demo = axis(*UNCOMMISSIONED)
     said = guarantee(demo, stability_hints(demo))
-    assert said.startswith("handle: guarantee rests on: hand force, ")
+    assert said.startswith("handle: guaranteed for the declared hand force: ")
     assert said.endswith("with device_damping measured: up to 2e+03 N/m for every hand")  # b / T, one sample late
     rough = axis(*UNCOMMISSIONED, "axes.0.counts_per_unit=10000", "passivity.device_friction=0.2")
     kept = next(hint for hint in stability_hints(rough) if hint.what.startswith("stiffness kept"))

@@ -68,6 +68,19 @@ def test_a_page_waits_for_its_log_and_then_shows_the_last_seconds(tmp_path: Path
     assert "SYNC 1500 emcy handle: 0x8130 heartbeat lost" in status_of(document)
 
 
+def test_detents_are_notches_that_leave_the_scale_to_the_position(tmp_path: Path) -> None:
+    scene = load_scene(CONFIGS / "rotary_knob.yaml")
+    with build(scene, energy_log=tmp_path / "run.h5") as experiment:
+        run(experiment.cycle, 20)
+    page, document = page_of(tmp_path / "run.h5")
+    page.update()
+    panel = document.select_one({"name": "knob: position"})
+    notches = np.array(document.select_one({"name": "notches"}).data_source.data["y"])
+    assert np.allclose(np.diff(notches), np.radians(15.0))
+    assert panel.y_range.renderers == [document.select_one({"name": "position"})]
+    assert document.select_one({"name": "wall"}) is None
+
+
 @pytest.mark.slow
 def test_a_page_looks_again_in_its_period(tmp_path: Path) -> None:
     write_run(tmp_path / "run.h5", cycles=10)

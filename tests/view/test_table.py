@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from canhaptic.view.table import Styled, Table
+from canhaptic.view.table import Styled, Table, in_lines
 
 WORDS = st.text(st.characters(codec="utf-8", exclude_categories=("C", "Z")), max_size=12)
 CELLS = st.one_of(WORDS, st.integers(-9999, 9999), st.none(), st.builds(Styled, WORDS, st.just("bold red")))
@@ -126,3 +126,23 @@ def test_words_are_folded_and_none_is_lost() -> None:
     text = printed(Table("", ("key", "why"), [["a", "one two three four five six seven"]]), 24)
     assert max(map(len, text.splitlines())) <= 24
     assert {"one", "four", "seven"} <= set(text.split())
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        ("ports/handle/effort_asked", ["ports/handle/effort_", "asked"]),
+        ("short", ["short"]),
+        ("a" * 30, ["a" * 24, "a" * 6]),
+        ("", []),
+    ],
+)
+def test_a_long_name_is_broken_behind_a_separator_where_it_has_one(text: str, lines: list[str]) -> None:
+    assert in_lines(text, 24).splitlines() == lines
+
+
+@given(WORDS, st.integers(1, 20))
+def test_a_broken_name_keeps_every_letter_and_the_width(text: str, width: int) -> None:
+    lines = in_lines(text, width).split("\n")
+    assert "".join(lines) == text
+    assert all(len(line) <= width for line in lines)

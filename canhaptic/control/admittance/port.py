@@ -43,11 +43,11 @@ class AdmittanceProperties(Parameters):
     filter: Annotated[float, quantity("Hz", ge=0.0, le=1e6)] = 0.0
     """Corner of the sensor's first-order filter; 0: none."""
     force_slew: Annotated[float, quantity("N/s", "N*m/s", gt=0.0)]
-    """Largest slew of the force, an over-estimate."""
+    """Largest slew of the force, an upper bound."""
     handle_acceleration: Annotated[float, quantity("m/s^2", "rad/s^2", gt=0.0)]
-    """Largest acceleration of the mass with the encoder, an over-estimate."""
+    """Largest acceleration of the mass with the encoder, an upper bound."""
     force_error: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
-    """Largest error of one force: offset after the tare, drift, noise and quantisation, an over-estimate."""
+    """Largest error of one force: offset after the tare, drift, noise and quantisation, an upper bound."""
     encoder_count: Annotated[float, quantity("m", "rad", ge=0.0)] = 0.0
     """Displacement of one encoder count; 0 for an ideal encoder."""
     speed_quantum: Annotated[float, quantity("m/s", "rad/s", ge=0.0)] = 0.0

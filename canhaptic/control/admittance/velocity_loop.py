@@ -298,11 +298,11 @@ class GuardedAdmittanceParameters(Parameters):
     """Parameters of an admittance display on which its certificate rests."""
 
     drive_mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
-    """OVER-estimate of the mass that the drive moves up to the sensor."""
+    """Upper bound of the mass that the drive moves up to the sensor."""
     loop_gain: Annotated[float, quantity("N*s/m", "N*m*s/rad", gt=0.0, le=1e9)]
-    """OVER-estimate of the gain of the drive's velocity loop: 2 pi f M for a bandwidth of f."""
+    """Upper bound of the gain of the drive's velocity loop: 2 pi f M for a bandwidth of f."""
     integral_gain: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e12)] = 0.0
-    """OVER-estimate of the loop's integral gain; of a position loop: its gain times `loop_gain`. 0: no integral."""
+    """Upper bound of the loop's integral gain; of a position loop: its gain times `loop_gain`. 0: no integral."""
     spread: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.2
     """The gains are at least (1 - spread) times the declared ones; with a `drive_friction` the mass too."""
     energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
@@ -310,24 +310,24 @@ class GuardedAdmittanceParameters(Parameters):
     max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Consecutive cycles without a new command at the drive that the certificate survives; only without an integral."""
     largest_hand_force: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] = 0.0
-    """OVER-estimate of the force of the hand: lighter masses, for such hands only; not with an integral. 0: none."""
+    """Upper bound of the force of the hand: lighter masses, for such hands only; not with an integral. 0: none."""
     drive_friction: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
-    """OVER-estimate of the dry friction of the drive: force and motion are then compared, and the rig stops where they
+    """Upper bound of the dry friction of the drive: force and motion are then compared, and the rig stops where they
     do not agree. None: they are not compared. Needed with hand_stiffness; 0 where there is none."""
     drive_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
-    """OVER-estimate of the damping of its bearings, for both."""
+    """Upper bound of the damping of its bearings, for both."""
     hand_stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)] = 0.0
-    """OVER-estimate of the stiffness of sensor, grip and hand: lighter masses, for such hands only. 0: not declared.
+    """Upper bound of the stiffness of sensor, grip and hand: lighter masses, for such hands only. 0: not declared.
 
     Constant while it touches: a hand that stiffens by dK at a stretch x gives dK x^2 / 2 more each time. Not with an
     integral, lost commands or jitter; drive_mass too must then be at least 1 - spread of its declared value.
     """
     hand_speed: Annotated[float, quantity("m/s", "rad/s", ge=0.0, le=1e3)] = 0.0
-    """OVER-estimate of the speed of the arm behind the grip; with hand_stiffness."""
+    """Upper bound of the speed of the arm behind the grip; with hand_stiffness."""
     hand_mass: Annotated[float, quantity("kg", "kg*m^2", ge=0.0, le=1e6)] = 0.0
-    """OVER-estimate of the mass behind the sensor that is rigid with it; with hand_stiffness."""
+    """Upper bound of the mass behind the sensor that is rigid with it; with hand_stiffness."""
     hand_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
-    """OVER-estimate of the damping of the grip; with hand_stiffness."""
+    """Upper bound of the damping of the grip; with hand_stiffness."""
 
 
 def loop_settings(parameters: GuardedAdmittanceParameters, properties: AdmittanceProperties) -> VelocityLoopSettings:
@@ -368,7 +368,7 @@ def _require_what_a_hand_needs(parameters: GuardedAdmittanceParameters, properti
         return
     if parameters.drive_friction is None:
         raise ParameterError(
-            "guarded: drive_friction: with hand_stiffness: got none, expected over-estimates of it and drive_damping: "
+            "guarded: drive_friction: with hand_stiffness: got none, expected upper bounds of it and drive_damping: "
             "the proof for such a hand needs them"
         )
     why = "the motion that the commands make must be known"

@@ -15,13 +15,13 @@ class LoopProperties(Parameters):
     delay: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Whole holds from the computation of a torque to the hold in which it acts: 0 event RPDO, 1 synchronous."""
     moving_mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0)] | None = None
-    """UNDER-estimate of the inertia rigid with the encoder."""
+    """Lower bound of the inertia rigid with the encoder."""
     device_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] | None = None
-    """Certain viscous damping of the device, an under-estimate."""
+    """Certain viscous damping of the device, a lower bound."""
     device_damping_bound: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] | None = None
     """Upper bound of the device damping (b_max of the hand-force certificate). None: not known."""
     device_friction: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
-    """Certain dry friction of the device while it moves, an under-estimate. None: not known, none is counted on."""
+    """Certain dry friction of the device while it moves, a lower bound. None: not known, none is counted on."""
     device_friction_bound: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
     """Upper bound of the dry friction and cogging of the device, which may push out of a contact as well as hold.
     None: not known; 0 in a bare loop."""
@@ -29,7 +29,7 @@ class LoopProperties(Parameters):
     """Part of that bound that pulls: cogging, weight, wind-up of a gear. The rest only brakes where
     `presliding_stiffness` is declared too. None: all of it pulls, as in a group."""
     presliding_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0)] | None = None
-    """UNDER-estimate of the stiffness of dry friction before it slides. It has to be some 20 times
+    """Lower bound of the stiffness of dry friction before it slides. It has to be some 20 times
     the moving mass over T^2, or nothing is gained. None: not known."""
     sync_jitter: Annotated[float, quantity("1", ge=0.0, le=0.5)] | None = None
     """Every hold, from position to position, lasts T (1 +- jitter). None: not known; 0 in a bare loop."""

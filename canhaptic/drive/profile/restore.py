@@ -12,7 +12,7 @@ from canhaptic.drive.profile.torque_axis import TorqueAxis, Written
 from canhaptic.errors import SdoError
 
 _LIMITS: Final = (od.MAX_TORQUE, od.MAX_PROFILE_VELOCITY, od.MAX_MOTOR_SPEED)
-_KEPT: Final = "a limit, kept (restore_limits: true puts it back)"
+_KEPT: Final = "a limit, left as the run set it (restore_limits: true restores it)"
 
 
 def restore(drive: TorqueAxis, problem: str = "") -> None:

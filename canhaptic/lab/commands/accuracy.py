@@ -21,11 +21,11 @@ def execute(arguments: argparse.Namespace) -> int:
     """
     scene = scene_of(arguments, beyond_bus=arguments.beyond_bus)
     if arguments.png is not None:
-        check_picture(arguments.png)
+        check_picture(arguments.png, arguments.force)
     if arguments.html is not None:
-        check_page(arguments.html)
+        check_page(arguments.html, arguments.force)
     if arguments.markdown is not None:
-        check_place(arguments.markdown)
+        check_place(arguments.markdown, arguments.force)
     for text in dear_holds(scene):
         write_note(f"  {text}")
     with StopSignal() as stop, run_progress(UNITS, scene.bus.sample_time, "free", every=1) as progress:

@@ -24,7 +24,7 @@ def execute(arguments: argparse.Namespace) -> int:
         write_note(f"  {line}")
     if arguments.png is not None:
         _require_picture(scene)
-        check_picture(arguments.png)
+        check_picture(arguments.png, arguments.force)
     algorithms = compared_algorithms(scene, arguments.algorithms)
     total = cycles_of(scene, arguments.duration) * len(algorithms)
     if not scene.groups and not are_displays(scene):

@@ -15,9 +15,9 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: A file, key, figure or picture that cannot be used.
     """
     if arguments.png is not None:
-        check_picture(arguments.png)
+        check_picture(arguments.png, arguments.force)
     if arguments.html is not None:
-        check_page(arguments.html)
+        check_page(arguments.html, arguments.force)
     with SweepTable(arguments.file) as table:
         fields = fields_of(table, arguments.axis, allow_code=arguments.allow_code)
         chosen = Chosen(arguments.x, arguments.y, arguments.metric, arguments.by)
@@ -26,10 +26,11 @@ def execute(arguments: argparse.Namespace) -> int:
         for line in table.note("plant_errors").splitlines():
             write_note(f"  {line}")
         shares = {one.algorithm: passing_share(one, arguments.by or usual_judgement(one)) for one in fields}
+        untouched = {one.algorithm: float(one.untouched().mean()) for one in fields}
     if arguments.json:
-        write_json({"file": str(arguments.file), "passing": shares, "lines": _lines(columns)})
+        write_json({"file": str(arguments.file), "passing": shares, "no_contact": untouched, "lines": _lines(columns)})
     else:
-        _print(columns, shares)
+        _print(columns, shares, untouched)
     if arguments.png is not None:
         from canhaptic.lab.render.map_picture import draw_map
 
@@ -52,9 +53,11 @@ def _lines(columns: list[list[Panel | None]]) -> list[dict[str, object]]:
     ]  # fmt: skip
 
 
-def _print(columns: list[list[Panel | None]], shares: dict[str, float]) -> None:
+def _print(columns: list[list[Panel | None]], shares: dict[str, float], untouched: dict[str, float]) -> None:
     for name, share in shares.items():
-        write_line(f" {name}: {100.0 * share:.3g} % of the scenes pass")
+        passing = [] if untouched[name] == 1.0 else [f"{100.0 * share:.3g} % of the scenes with a contact pass"]
+        without = [f"{100.0 * untouched[name]:.3g} % had no contact"] if untouched[name] else []
+        write_line(f" {name}: {', '.join([*passing, *without])}")
     for column in columns:
         for panel in column:
             if isinstance(panel, Lines):

@@ -47,26 +47,26 @@ _CALM: Final = "the paper, section V: oscillations of the force"
 METRICS: Final[dict[str, Figure]] = {
     "diverged": Figure("1 where the axis left every place the user could have taken it, else 0", "", ("diverged",)),
     "cycles": Figure("SYNCs that the figures are of: all, or those until it diverged", "", ("cycles",)),
-    "interaction": Figure("true sum(h_i) at the end", "J", ("interaction",)),
+    "interaction": Figure("energy in less energy out at the end, from the plant", "J", ("interaction",)),
     "least_interaction": Figure(
-        "least true sum(h_i) after any hold", "J", ("least_interaction",),
+        "lowest energy in less energy out after any hold, from the plant", "J", ("least_interaction",),
         "lowest net energy, from the plant", "not negative", _PAPER,
     ),
     "least_covered": Figure(
-        "least true sum(h_i) + (b / T) sum(dq^2) + f_c sum|dq| after any hold: with what damping b and Coulomb "
-        "friction f_c of the device dissipate at least; b as declared, else of the simulated plant",
+        "the same with the least that damping b and Coulomb friction f_c of the device dissipate added, (b / T) "
+        "sum(dq^2) + f_c sum|dq|; b as declared, else of the simulated plant",
         "J", ("least_covered",),
     ),
     "margin": Figure(
-        "least true sum(h_i) less booked sum(h_r) after any hold", "J", ("margin",), "smallest margin",
-        "not negative", _PAPER,
+        "lowest energy in less energy out (plant) and dissipated (booked) after any hold", "J", ("margin",),
+        "smallest margin", "not negative", _PAPER,
     ),
-    "believed_margin": Figure("the same as booked", "J", ("believed_margin",), source=_PAPER),
+    "believed_margin": Figure("the same, all as booked", "J", ("believed_margin",), source=_PAPER),
     "believed_error": Figure(
-        "largest |accounted - true| sum(h_i) after any hold", "J", ("believed_error",),
+        "largest difference of booked and true energy in less energy out after any hold", "J", ("believed_error",),
         "largest error of the account", "less",
     ),
-    "surplus_end": Figure("h_dis at the end", "J", ("surplus",), source=_PAPER),
+    "surplus_end": Figure("energy created by sampling, not yet removed, at the end", "J", ("surplus",), source=_PAPER),
     "torque_peak": Figure("largest |torque| held", "N", ("torque_peak",)),
     "force_variation": Figure("total variation of the torque held, the first step included", "N", ("variation",)),
     "contact": Figure("share of the holds that ended in contact", "1", ("contacts", "cycles")),
@@ -238,10 +238,10 @@ DISPLAY_METRICS: Final[dict[str, str]] = {
     "diverged": "1 where the run ended early: diverged, or what stops the rig, else 0",
     "cycles": "SYNCs that the figures are of",
     "interaction": "true energy through the sensors at the end [J]",
-    "least_interaction": "least true energy through the sensors after any hold, eq. 3 [J]",
+    "least_interaction": "lowest true energy through the sensors after any hold [J]",
     "believed_error": "largest |accounted - true| energy after any hold [J]",
     "energy_resolution": "uncertainty of the energy that came in [J]",
-    "surplus_end": "h_dis at the end [J]",
+    "surplus_end": "energy created by sampling and not yet removed, at the end [J]",
     "mass_felt": "mass that fits true force and velocity best [kg or kg*m^2]",
     "mass_felt.share": "that over the mass asked",
     "damping_felt": "damping that fits true force and velocity best [N*s/m or N*m*s/rad]",

@@ -13,6 +13,7 @@ from rich.text import Text
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.lab.figures.figures import CONTINUOUS, METRICS, Figure
+from canhaptic.view.run_lines import guaranteed_for
 from canhaptic.view.si import si
 from canhaptic.view.table import Cell, Styled, Table
 
@@ -105,6 +106,8 @@ def _best(values: list[float | str | None], better: Callable[[float], float] | N
 
 def _verdict(account: _Account) -> str | None:
     """Whether more came in than went out at every moment, by the energy of the plant."""
+    if account.get("contact") == 0.0:
+        return "no contact"
     least = account["least_interaction"]
     return None if least is None else "yes" if least >= -PASSIVE_TOLERANCE else "no"
 
@@ -164,6 +167,10 @@ def _damping(account: _Account, group: _Account) -> str:
     return f"{rendered['least']:.3g}..{rendered['most']:.3g} {damping_unit(group['unit'])}"
 
 
+def _guaranteed(certificate: str, _unit: str) -> str:
+    return guaranteed_for(certificate).removeprefix("declared ").removeprefix("device ")
+
+
 def _from_one(value: float) -> float:
     return abs(value - 1.0)
 
@@ -186,7 +193,7 @@ _ROWS: Final = (
     _Row("passive, by the plant", lambda a, _: _verdict(a)),
     *(row_of(name, figure) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.label),
     _Row("damping rendered", _asked_damping, _share, _from_one),
-    _Row("guarantee rests on", lambda a, _: a["certificate"].replace("_", " ").removeprefix("device ")),
+    _Row("guaranteed for, as declared", lambda a, _: a["certificate"], _guaranteed),
     _Row("time of a step", lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
 )
 _GROUP_ROWS: Final = (
@@ -201,16 +208,16 @@ _GROUP_ROWS: Final = (
     _Row("dissipated", lambda a, _: a["dissipated"], _joule),
     _Row("energy created by sampling, peak", lambda a, _: a["surplus"]["max"], _joule),
     _Row("damping rendered", _damping),
-    _Row("guarantee rests on", lambda a, _: a["certificate"].replace("_", " ")),
+    _Row("guaranteed for, as declared", lambda a, _: a["certificate"], _guaranteed),
 )
 _DISPLAY_ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
     _Row("energy in", lambda a, _: a["account"]["in"], _joule),
     _Row("energy out", lambda a, _: a["account"]["out"], _joule),
-    _Row("the account is certain to +-", lambda a, _: a["account"]["energy_resolution"], _joule),
+    _Row("uncertainty of the account, +-", lambda a, _: a["account"]["energy_resolution"], _joule),
     _Row("passive, by the account", lambda a, _: a["account"]["passive"]),
     _Row("passive, by the plant", lambda a, _: _verdict(a["truth"])),
-    _Row("guarantee rests on", lambda a, _: a["account"]["certificate"].replace("_", " ")),
+    _Row("guaranteed for, as declared", lambda a, _: a["account"]["certificate"], _guaranteed),
     _Row("net energy, from the plant", lambda a, _: a["truth"]["interaction"], _joule),
     _Row("lowest net energy, from the plant", lambda a, _: a["truth"]["least_interaction"], _joule, is_bounded=True),
 )

@@ -63,7 +63,7 @@ def _price(result: Row) -> list[Text]:
         f" energy given out beyond what came in: {si(max(0.0, -result['least_interaction']), 'J', 3)}{covered}"
     )
     if result["remark"]:
-        lines.append(f" {result['remark']}: on the rig declare what is certain, an under-estimate")
+        lines.append(f" {result['remark']}: on the rig declare a lower bound")
     texts = [Text(line) for line in lines]
     if result["failing_below"]:
         count = f"{result['failing_below']} of {result['tried_below']}"

@@ -10,7 +10,7 @@ import numpy as np
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.map import Cells, Lines, Panel, common_limits
 from canhaptic.view.html_page import picture, words, write_page
-from canhaptic.view.picture_style import drawing, save_picture
+from canhaptic.view.picture_style import GREY, drawing, save_picture
 from canhaptic.view.table import Cell, Table
 
 if TYPE_CHECKING:
@@ -133,6 +133,10 @@ def _draw_cells(figure: "Figure", place: "Axes", panel: Cells, limits: tuple[flo
     else:
         drawn = place.pcolormesh(*panel.edges(), panel.values, norm=norm, cmap=colours, rasterized=True)
         _draw_contour(place, panel)
+    if np.any(panel.untouched):
+        x, y = (panel.x, panel.y) if panel.dots else np.meshgrid(panel.x, panel.y)
+        place.scatter(x[panel.untouched], y[panel.untouched], color=GREY, marker="x", s=14.0, label="no contact")
+        place.legend(loc="best", fontsize=8.0)
     figure.colorbar(drawn, ax=place, label=panel.value_label, pad=0.02)
 
 

@@ -41,7 +41,7 @@ from canhaptic.lab.batch.varied import scene_with
 from canhaptic.lab.figures.field_figures import NEAR
 from canhaptic.lab.loop.admittance_loop import is_display
 from canhaptic.lab.loop.axis_loop import Array, display_under, viscous_friction, with_algorithm
-from canhaptic.lab.studies.sweep.chunk import BATCHED, COMPLETED, RADIUS, batch_key
+from canhaptic.lab.studies.sweep.chunk import BATCHED, COMPLETED, RADIUS, UNTOUCHED, batch_key
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.lab.studies.sweep.vary import CONTROLLER
 from canhaptic.scene.hints import quantisation_bound, stability_hints
@@ -94,8 +94,13 @@ class MapField:
         return np.where(self.judged(), found, np.nan)
 
     def judged(self) -> Mask:
-        """Return which scenes were completed, in the shape of a figure."""
-        found: Mask = self._shaped(self._table.status() == COMPLETED)
+        """Return which scenes were completed and touched, in the shape of a figure."""
+        found: Mask = self._shaped(self._table.status(self.axis) == COMPLETED)
+        return found
+
+    def untouched(self) -> Mask:
+        """Return which scenes had no contact, in the shape of a figure."""
+        found: Mask = self._shaped(self._table.status(self.axis) == UNTOUCHED)
         return found
 
     def has(self, metric: str) -> bool:
@@ -259,10 +264,11 @@ def _stable_stiffness(scene: Scene) -> float | None:
 
 JUDGEMENTS: Final = {
     "stable": "stable",
-    "passive": "net energy from the plant >= 0",
+    "passive": "energy in less energy out of the plant >= 0 at the motor, as `run` judges without declared damping",
     "margin": "margin of (4) >= 0",
-    "settled": "net energy from the plant at the end >= 0",
-    "covered": "net energy from the plant, with what the device dissipates, >= 0",
+    "settled": "energy in less energy out of the plant >= 0 at the end",
+    "covered": "energy in less energy out of the plant >= 0 at the handle, what the device dissipates included; `run` "
+    "counts that only where it is declared, as does --by passive",
 }
 """Name -> meaning of passing, in words."""
 _ENERGIES: Final = {
@@ -416,6 +422,7 @@ class Cells:
     contour: float | None = None
     dots: bool = False
     more_is_worse: bool = False
+    untouched: Any = False  # which scenes had no contact, of the shape of `values`
 
     def marks(self) -> list[float]:
         """Return the values to mark along a logarithmic x; none where there are too many, or no columns."""
@@ -423,7 +430,7 @@ class Cells:
 
     def has_something(self) -> bool:
         """Whether there is anything to draw."""
-        return bool(np.isfinite(self.values).any())
+        return bool(np.isfinite(self.values).any() or np.any(self.untouched))
 
     def edges(self) -> tuple[Array, Array]:
         """Return the edges of the cells along x and y, shapes (nx + 1,) and (ny + 1,)."""
@@ -515,10 +522,17 @@ def _panel(fields: list[MapField], z: str, x: str, at: dict[str, float]) -> Line
         curves.append(PanelCurve(one.algorithm, places, positive(border), style, number))
     curves += _theory(fields, x, places, at)
     where = "".join(f", {field.level(key, value)}" for key, value in at.items())
-    note = f"{JUDGEMENTS[common_judgement(field)]}; worst of all else; no line: no wall tried passes"
+    note = f"{_judged(field, common_judgement(field))}; worst case over all other keys; no line: no wall tried passes"
     shown = tuple(curve for curve in curves if np.isfinite(curve.y).any())
     title = f"stiffest wall that is passive and within {100.0 * NEAR:g} %{where}"
     return Lines(title, field.label(x), field.label(z), shown, is_log(places), is_log(field.values[z]), note)
+
+
+def _judged(field: MapField, judgement: str) -> str:
+    """Return in words what a wall had to keep, and for which hand."""
+    user: Any = field.scene.axes[0].simulation and field.scene.axes[0].simulation.user
+    motion = getattr(getattr(user, "motion", None), "type", "own")
+    return f"{JUDGEMENTS[judgement]}; for the scene's hand alone ({motion} motion)"
 
 
 def _theory(fields: list[MapField], x: str, places: Array, at: dict[str, float]) -> list[PanelCurve]:
@@ -640,7 +654,7 @@ def _width(field: MapField, z: str, x: str, y: str | None, judgement: str) -> Pa
     order = np.argsort(field.values[x])
     places = field.values[x][order]
     title = f"{field.algorithm}: largest {z.rpartition('.')[2]}"
-    note = f"{JUDGEMENTS[judgement]}, worst of all else"
+    note = f"{_judged(field, judgement)}; worst case over all other keys"
     levels = [None] if y is None else sorted(field.values[y].tolist())
     if y is not None and len(levels) > _MOST_LINES:
         ranks = np.argsort(field.values[y])
@@ -693,13 +707,15 @@ def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
     )
     values, label, kind = _shown(field, metric)
     title = f"{field.algorithm}: {label}"
+    untouched: Any = field.untouched()
     if field.is_grid:
         keys = [field.keys.index(key) for key in (y, x)]
         rest = [i for i in range(values.ndim) if i not in keys]
         values = _worst(values.transpose(*keys, *rest), tuple(range(2, values.ndim)), kind)
         rows, columns = (np.argsort(field.values[key]) for key in (y, x))
         values = values[rows][:, columns]
-        title += ", worst of all else" if any(np.array(field.figure(metric).shape)[rest] > 1) else ""
+        untouched = untouched.transpose(*keys, *rest).any(axis=tuple(range(2, untouched.ndim)))[rows][:, columns]
+        title += ", worst case over all other keys" if any(np.array(field.figure(metric).shape)[rest] > 1) else ""
         places = field.values[x][columns], field.values[y][rows]
     else:
         places = field.values[x], field.values[y]
@@ -707,7 +723,7 @@ def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
     return Cells(
         title, field.label(x), field.label(y), *places, values, label, is_log(places[0]), is_log(places[1]),
         value_log=kind in ("energy", "error"), limits=limits, contour=0.95 if kind == "share" else None,
-        dots=not field.is_grid, more_is_worse=kind in ("energy", "error"),
+        dots=not field.is_grid, more_is_worse=kind in ("energy", "error"), untouched=untouched & np.isnan(values),
     )  # fmt: skip
 
 

@@ -5,11 +5,14 @@ import runpy
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.lab.commands.scene_progress import scene_progress
+from canhaptic.lab.studies.map import Cells, Chosen, fields_of, panels_of
 from canhaptic.lab.studies.runner import Progress
+from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 DEMO = str(REPOSITORY / "configs" / "demo.yaml")
@@ -24,7 +27,7 @@ def test_json_is_one_object_with_what_computed_each_scene(capsys: Captured, tmp_
     assert main([*SMALL, *words]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["scenes"] == result["finished"] == 12
-    assert result["status"] == {"completed": 6, "refused": 6}
+    assert result["status"] == {"no contact": 6, "refused": 6}
     assert sum(result["engines"].values()) == 12
     assert set(result["figures"]["handle"]) == {"unprotected", "guarded"}
     assert any("does not fit the bus" in entry["remark"] for entry in result["remarks"])
@@ -33,8 +36,28 @@ def test_json_is_one_object_with_what_computed_each_scene(capsys: Captured, tmp_
 def test_the_table_says_engine_and_reason(capsys: Captured) -> None:
     assert main([*SMALL, "--set", "simulation.effects=[{type: coulomb_friction, static: 0.1 N, kinetic: 0.1 N}]"]) == 0
     shown = capsys.readouterr().out
-    assert "computed by: 3 scalar" in shown
+    assert "computed: 3 one at a time" in shown
     assert "3 of 3 scenes" in shown
+
+
+def test_a_scene_without_a_contact_counts_neither_as_passive_nor_as_active(capsys: Captured, tmp_path: Path) -> None:
+    words = ["--vary", "environment.position=0.01,-1", "--controllers", "unprotected,guarded"]
+    assert main([*SMALL, *words, "--out", str(tmp_path / "a"), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["status"] == {"completed": 6, "no contact": 6}
+    for entry in result["figures"]["handle"].values():
+        assert (entry["scenes"], entry["no_contact"]) == (3, 3)
+    assert main(["map", str(tmp_path / "a"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["no_contact"] == {"unprotected": 0.5, "guarded": 0.5}
+    with SweepTable(tmp_path / "a") as table:
+        field = fields_of(table)[0]
+        (panel,) = [one for one in panels_of([field], Chosen(metric="margin"))[0] if isinstance(one, Cells)]
+        assert np.array_equal(panel.untouched, np.isnan(panel.values))
+        assert panel.untouched.mean() == 0.5
+    assert main([*SMALL, "--set", "environment.position=-1"]) == 0
+    shown = capsys.readouterr().out
+    assert "status:   3 no contact" in shown
+    assert "100 %" not in shown
 
 
 @pytest.mark.parametrize(

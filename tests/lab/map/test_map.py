@@ -182,7 +182,8 @@ def test_what_is_not_drawn_counts_at_its_worst_and_one_failing_scene_ends_a_colu
 
 def test_scenes_that_were_refused_or_not_run_are_blank(tmp_path):
     path = tmp_path / "a"
-    sweep(load_scene(DEMO), ["environment.stiffness=100,200", "bus.rate=100,3000"], path, cycles=20)
+    touching = load_scene(DEMO, ["environment.position=0.01"])
+    sweep(touching, ["environment.stiffness=100,200", "bus.rate=100,3000"], path, cycles=20)
     with SweepTable(path) as table:
         border = border_of(fields_of(table)[0], "environment.stiffness", ["bus.rate"], "passive")
     assert np.isfinite(border.value).tolist() == [True, False]

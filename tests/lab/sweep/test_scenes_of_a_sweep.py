@@ -59,18 +59,18 @@ def test_the_bits_do_not_depend_on_how_scenes_are_dealt_into_chunks(demo, tmp_pa
 def test_what_the_bus_cannot_carry_is_refused_row_by_row_and_judged_when_asked(demo, tmp_path):
     vary = ["bus.rate=500,2000", "environment.stiffness=100:1000:3"]
     with run(demo, vary, tmp_path / "a", cycles=50) as table:
-        assert table.status().tolist() == [1, 1, 1, 2, 2, 2]
+        assert table.status().tolist() == [4, 4, 4, 2, 2, 2]
         assert table.remark(3).startswith("bus.rate: the cycle does not fit the bus")
         assert np.isnan(table.figure("handle", "margin")[3:]).all()
-        assert summary(table)["status"] == {"completed": 3, "refused": 3}
+        assert summary(table)["status"] == {"no contact": 3, "refused": 3}
     with run(demo, vary, tmp_path / "b", cycles=50, beyond_bus=True) as table:
-        assert table.status().tolist() == [1] * 6
+        assert table.status().tolist() == [4] * 6
 
 
 def test_a_range_beyond_what_the_bus_carries_is_refused_exactly_where_the_scene_is(demo, tmp_path):
     with run(demo, ["bus.rate=1400:1440:5"], tmp_path / "a", cycles=20) as table:
         assert table.values("bus.rate").tolist() == [1400.0, 1410.0, 1420.0, 1430.0, 1440.0]
-        assert table.status().tolist() == [1, 1, 2, 2, 2]
+        assert table.status().tolist() == [4, 4, 2, 2, 2]
 
 
 @pytest.mark.slow

@@ -416,7 +416,7 @@ def _declared(axis: AxisScene, scene: Scene) -> dict[str, float]:
     if axis.loop.moving_mass is None:
         raise InputError(
             f"{scene.source}: neither simulates a plant nor declares passivity.moving_mass; weigh what moves with the "
-            "encoder and give an under-estimate"
+            "encoder and give a lower bound"
         )
     return {"mass": axis.loop.moving_mass, "damping": axis.loop.device_damping or 0.0}
 

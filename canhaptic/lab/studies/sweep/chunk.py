@@ -386,8 +386,8 @@ def usual_figures(scene: Scene) -> tuple[str, ...]:
     return tuple(DISPLAY_METRICS) if all(displays) else tuple(dict.fromkeys((*USUAL, *DISPLAY_METRICS)))
 
 
-STATUS: Final = ("pending", "completed", "refused", "failed")
-COMPLETED, REFUSED, _FAILED = (STATUS.index(name) for name in ("completed", "refused", "failed"))
+STATUS: Final = ("pending", "completed", "refused", "failed", "no contact")
+COMPLETED, REFUSED, _FAILED, UNTOUCHED = range(1, len(STATUS))
 ENGINES: Final = ("none", "closed form", "python", "numba", "scalar")
 SLOTS: Final = 32
 """Different remarks that one chunk keeps."""

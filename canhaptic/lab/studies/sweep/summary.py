@@ -12,7 +12,7 @@ from rich.text import Text
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.sweep.chunk import COMPLETED, RADIUS
+from canhaptic.lab.studies.sweep.chunk import COMPLETED, RADIUS, UNTOUCHED
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.lab.studies.sweep.vary import CONTROLLER
 from canhaptic.view.si import si
@@ -53,17 +53,20 @@ def _by(counts: Counter[tuple[str, str, str]], part: int) -> dict[str, int]:
 
 def _figures(table: SweepTable, axis: str) -> Row:
     """Return shares and medians over the completed scenes, per algorithm."""
-    completed = table.status() == COMPLETED
+    status = table.status(axis)
     if CONTROLLER not in table.keys:
-        return {"of the scene": _shares(table, axis, completed)}
+        return {"of the scene": _shares(table, axis, status)}
     numbers = table.points.numbers(CONTROLLER)
     names = next(one.values for one in table.points.varied if one.key == CONTROLLER)
-    return {str(name): _shares(table, axis, completed & (numbers == i)) for i, name in enumerate(names)}
+    return {str(name): _shares(table, axis, np.where(numbers == i, status, 0)) for i, name in enumerate(names)}
 
 
-def _shares(table: SweepTable, axis: str, rows: NDArray[np.bool_]) -> Row:
-    """Return shares, least values and medians of some scenes, one figure after the other; None where there are none."""
+def _shares(table: SweepTable, axis: str, status: NDArray[np.uint8]) -> Row:
+    """Return shares, least values and medians of some scenes that were touched; None where there are none."""
+    rows = status == COMPLETED
     found: Row = {"scenes": int(rows.sum())}
+    if untouched := int((status == UNTOUCHED).sum()):
+        found["no_contact"] = untouched
     for name, (metric, figure) in _SHARES.items():
         if metric in table.metrics:
             values = table.figure(axis, metric)[rows]
@@ -107,7 +110,8 @@ def summary_report(found: Row) -> RenderableType:
 
 
 def _counts(found: Row) -> RenderableType:
-    lines = [Text(f" computed by: {_listed(found['engines'])}"), Text(f" status:      {_listed(found['status'])}")]
+    engines = {_ENGINES[name]: number for name, number in found["engines"].items()}
+    lines = [Text(f" computed: {_listed(engines)}"), Text(f" status:   {_listed(found['status'])}")]
     style = {"refused": "yellow", "failed": "red"}
     lines += [
         Text(
@@ -124,7 +128,10 @@ def _listed(counts: dict[str, int]) -> str:
     return ", ".join(f"{number} {name}" for name, number in counts.items()) or "nothing yet"
 
 
+_ENGINES: Final = {"none": "not run", "scalar": "one at a time", "python": "in batches", "numba": "in compiled batches",
+                   "closed form": "in closed form"}  # fmt: skip
 _COLUMNS: Final = {
+    "no_contact": "no contact",
     "passive": "passive, by the plant",
     "margin_kept": "margin kept",
     "least_margin": "smallest margin",
@@ -149,4 +156,6 @@ def _shares_table(found: Row) -> Table:
 def _cell(key: str, value: float | None) -> str:
     if value is None:
         return "-"
+    if key == "no_contact":
+        return str(value)
     return si(value, "J", 3) if key == "least_margin" else f"{100.0 * value:.3g} %"

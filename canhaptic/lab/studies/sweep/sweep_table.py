@@ -7,7 +7,7 @@ remark texts           one more than the index among the texts of the chunk; 0 f
 """
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
@@ -20,7 +20,7 @@ from canhaptic.errors import LogFormatError
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.store import Store, create_store
-from canhaptic.lab.studies.sweep.chunk import ENGINES, STATUS, ChunkResult
+from canhaptic.lab.studies.sweep.chunk import COMPLETED, ENGINES, STATUS, UNTOUCHED, ChunkResult
 from canhaptic.lab.studies.sweep.vary import Column, Points, Varied
 
 _KIND: Final = "sweep"
@@ -85,9 +85,14 @@ class SweepTable(Store):
         """Return a figure of every scene, NaN where there is none, shape (n,)."""
         return self._column(f"{axis}/{metric}", np.full(len(self), np.nan))
 
-    def status(self) -> NDArray[np.uint8]:
-        """Return the status of every scene, an index in `STATUS`, shape (n,)."""
-        return self._column("status", np.zeros(len(self), dtype=np.uint8))
+    def status(self, axis: str = "") -> NDArray[np.uint8]:
+        """Return the status of every scene, of one axis or of all, an index in `STATUS`, shape (n,)."""
+        found = self._column("status", np.zeros(len(self), dtype=np.uint8))
+        return _with_untouched(found, [self.figure(name, "contact") for name in self._judged(axis)])
+
+    def _judged(self, axis: str = "") -> list[str]:
+        """Return an axis, or all of them; none where the sweep does not know whether they were touched."""
+        return [name for name in self.axes if axis in ("", name) and "contact" in self.metrics]
 
     def engine(self) -> NDArray[np.uint8]:
         """Return the engine of every scene, an index in `ENGINES`, shape (n,)."""
@@ -103,6 +108,7 @@ class SweepTable(Store):
         """Yield (status, engine, remark, number of scenes) of each chunk in turn, equal ones counted together."""
         for chunk in np.flatnonzero(self.done()).tolist():
             texts, *rows = self._read(chunk, "texts", "status", "engine", "remark")
+            _with_untouched(rows[0], self._read(chunk, *(f"{name}/contact" for name in self._judged())))
             kinds, counts = np.unique(np.stack(rows), axis=1, return_counts=True)
             for (status, engine, number), count in zip(kinds.T.tolist(), counts.tolist(), strict=True):
                 yield STATUS[status], ENGINES[engine], str(texts[number - 1]) if number else "", count
@@ -137,6 +143,13 @@ class SweepTable(Store):
                 return [np.asarray(found[name]) for name in names]
         except (OSError, ValueError, KeyError, BadZipFile) as error:
             raise LogFormatError(f"{path}: cannot be read ({error}); remove it and --resume") from error
+
+
+def _with_untouched(status: NDArray[np.uint8], contacts: Sequence[Array]) -> NDArray[np.uint8]:
+    """Mark the completed scenes in which nothing was touched: they say nothing about passivity."""
+    if contacts:
+        status[(status == COMPLETED) & (np.stack(contacts) == 0.0).all(axis=0)] = UNTOUCHED
+    return status
 
 
 def create(path: Path, chunk: int, identity: Row, notes: dict[str, str], *, replace: bool) -> None:
