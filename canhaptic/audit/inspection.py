@@ -227,18 +227,13 @@ def _port(log: EnergyLog, port_name: str, rows: slice) -> PortResult:
     def column(name: str) -> Array:
         return port.read(name, rows.start, rows.stop)
 
-    account: PortResult = {
+    return {
         "unit": port.unit("position"),
         **_summary(log, column, rows).as_json(log.sample_time),
         **_record(log, port_name, rows),
         "peak_torque": float(np.abs(column("torque_applied")).max(initial=0.0)),
         "limited_cycles": int((column("statusword") & StatusBit.INTERNAL_LIMIT != 0).sum()),
     }
-    if environment := log.attributes.get(f"{port_name}.environment"):
-        account["environment"] = str(environment)
-    if isinstance(wall := log.attributes.get(f"{port_name}.wall_position"), float):
-        account["wall"] = wall
-    return account
 
 
 def _ports(log: EnergyLog, rows: slice, truth: Mapping[str, TruthResult]) -> dict[str, PortResult]:

@@ -148,7 +148,8 @@ class PortRecord(PortFigures):
         self._interaction, self._least = np.longdouble(0.0), 0.0
         self._watch = _declared(log, f"{name}.{FRICTION_DECLARED}", lambda of: FrictionWatch(FrictionDeclared(**of)))
         self.felt = _declared(log, f"{name}.mass_asked", lambda of: MassFelt(MassAsked(**of)))
-        self._hold = ""
+        self._hold, self._environment = "", log.attributes.get(f"{name}.environment")
+        self._wall = log.attributes.get(f"{name}.wall_position")
 
     def _at(self, log: EnergyLog, column: str, row: int) -> float:
         return float(log.ports[self._name].read(column, row, row + 1)[0]) if self._is_measured else 0.0
@@ -264,6 +265,10 @@ class PortRecord(PortFigures):
             account = port_account(self, account, self._promise, self._sample_time)
             if self._before & ACTIVE_AT_MOTOR:
                 account["active_before"] = True
+        if isinstance(self._environment, str):
+            account["environment"] = self._environment
+        if isinstance(self._wall, float):
+            account["wall"] = self._wall
         if self._is_dry:
             claim_nothing(account)
         return account

@@ -10,7 +10,7 @@ from canhaptic.audit.inspection import Inspection, compare, inspect
 from canhaptic.audit.port_record import CHANGED
 from canhaptic.audit.recompute import recompute_all, scene_of
 from canhaptic.audit.user_checks import Checked, Outcome, check
-from canhaptic.cli.options import check_page, check_picture, check_place
+from canhaptic.cli.options import check_page, check_picture, check_place, require_new
 from canhaptic.cli.output import write_json
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
@@ -95,8 +95,8 @@ def _check_files(arguments: argparse.Namespace) -> None:
                 raise InputError(f"--{suffix} {path}: expected a name that ends in .{suffix}")
             check_place(path, arguments.force)
             require_library(path)
-    if arguments.repair is not None:
-        check_place(arguments.repair, arguments.force)
+    if arguments.repair is not None and not arguments.force:
+        require_new(arguments.repair)
     for path in (arguments.png, arguments.svg):
         if path is not None:
             check_picture(path, arguments.force)

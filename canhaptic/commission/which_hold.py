@@ -326,7 +326,7 @@ def _report_motion(session: Session, axis: int, begin: int, times: HoldTimes) ->
     configured, found, hold = f"{begin} SYNC", _text(begin, times.motion, times.hold), times.hold
     late = quirks_of(parameters.quirks).syncs_late
     if hold is None:
-        text = "raise --torque; until the hold is known, no account of this drive is checked"
+        text = "raise --torque, --travel and --speed; until the hold is known, no account of a real drive is checked"
         session.found(axis, _MOTION, configured, found, StepVerdict.UNKNOWN, text)
     elif hold == 0:
         session.found(axis, _MOTION, configured, found, StepVerdict.AGREES)

@@ -106,7 +106,7 @@ _COLOURS: Final[dict[Headline, str]] = {
 
 
 def verdict_bar(ports: Mapping[str, PortResult]) -> str:
-    """Return an HTML bar with every account's verdicts, behind a port's headline where they do not all agree with it."""
+    """Return an HTML bar with every account's verdicts, behind a port's headline where one differs from it."""
     said: list[tuple[str, Headline]] = []
     for name, port in ports.items():
         if "verdict" in port and any(port.get(key, port["verdict"]) != port["verdict"] for key in _SUMS):
