@@ -11,6 +11,7 @@ The environments are those with a flow in closed form: `why_not_continuous` give
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import repeat
 from math import inf
 from typing import Any, Final, NamedTuple, cast
 
@@ -25,22 +26,15 @@ from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.kernels import Kernel
+from canhaptic.lab.batch import plants as event_plant
 from canhaptic.lab.batch.closed_loop import LinearPlants, LoopSettings, Losses, ReferenceSettings
-from canhaptic.lab.batch.plants import (
-    LinearMotion,
-    PlantValues,
-    SignalEffects,
-    distinct_plants,
-    is_linear,
-    linear_motion,
-    why_not_in_loop,
-)
 from canhaptic.lab.batch.varied import scene_with, split_key
 from canhaptic.lab.figures.figures import CONTINUOUS, last_rows
 from canhaptic.lab.figures.meter import MeterSettings
 from canhaptic.lab.loop.axis_loop import EVERYWHERE, Array, LoopCase, Reach, loop_case
 from canhaptic.lab.reference import readings_per_hold
 from canhaptic.registry import load
+from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisSimulation, Scene
 from canhaptic.sim.plant.propagator import flow_changes
@@ -65,9 +59,9 @@ class BatchCase:
 
     common: LoopCase
     numbers: Numbers
-    linear: LinearMotion | None  # of the plants; None: they have events
-    plants: Sequence[PlantValues] = ()  # with events, each distinct one once
-    signals: SignalEffects = field(default_factory=SignalEffects)
+    linear: event_plant.LinearMotion | None  # of the plants; None: they have events
+    plants: Sequence[event_plant.PlantValues] = ()  # with events, each distinct one once
+    signals: Sequence[ComponentSpec] = ()  # effects on torque and encoder
     losses: Losses = field(default_factory=Losses)  # of frames
     reach: Reach = EVERYWHERE
 
@@ -80,7 +74,7 @@ class BatchCase:
     def part(self, rows: slice) -> "BatchCase":
         """Return some of the scenes."""
         some: Any = (v if v is None or len(v) == 1 else v[rows] for v in self.linear or ())
-        linear = self.linear and LinearMotion(*some)
+        linear = self.linear and event_plant.LinearMotion(*some)
         numbers = {name: v[rows] if isinstance(v, np.ndarray) else v for name, v in self.numbers.items()}
         return replace(self, numbers=numbers, linear=linear)
 
@@ -107,41 +101,31 @@ def scene_rows(case: BatchCase, kernel: Kernel, count: int) -> Iterator[SceneRow
         kernel: Kernel of the algorithm.
         count: Number of scenes.
     """
-    common = case.common
-    environment = _Varied("environment", common.environment, case.numbers)
-    parameters = _Varied("passivity", common.parameters, case.numbers)
-    properties = _Varied("loop", common.loop, case.numbers)
-    fixed = environment.fixed and parameters.fixed and properties.fixed
-    known: tuple[Any, Any] | None = None
-    for row, loop in enumerate(loops_of(case, count)):
-        if known is None or not fixed:
-            world = environment.at(row)
-            known = world, kernel.settings(world, parameters.at(row), properties.at(row))
+    common, before = case.common, list[Any]()
+    known: Any = None
+    given = {"environment": common.environment, "passivity": common.parameters, "loop": common.loop}
+    models = [_models(section, model, case.numbers, count) for section, model in given.items()]
+    for loop, *parts in zip(loops_of(case, count), *models, strict=True):
+        if known is None or any(part is not last for part, last in zip(parts, before, strict=True)):
+            known = parts[0], kernel.settings(*parts)
+        before = parts
         yield SceneRow(*known, loop)
 
 
-class _Varied:
-    """A parameter model with different numbers for each scene, as a plain object."""
-
-    def __init__(self, section: str, model: Any, numbers: Numbers) -> None:
-        self._model = model
-        own = {name.removeprefix(f"{section}."): v for name, v in numbers.items() if name.startswith(f"{section}.")}
-        self._columns = {name: values.tolist() for name, values in own.items() if isinstance(values, np.ndarray)}
-        self._fields = {**vars(model), **{name: v for name, v in own.items() if name not in self._columns}}
-        self.fixed = not self._columns
-        self._known = None if not self.fixed else (plain_with(type(model), self._fields) if own else plain(model))
-
-    def at(self, row: int) -> Any:
-        """Return the model of one scene."""
-        if self._known is not None:
-            return self._known
-        values = {name: column[row] for name, column in self._columns.items()}
-        return plain_with(type(self._model), {**self._fields, **values})
+def _models(section: str, model: Any, numbers: Numbers, count: int) -> Iterator[Any]:
+    """Yield the plain object of a parameter model for every scene; the same one where none of its numbers varies."""
+    own = {name.removeprefix(f"{section}."): v for name, v in numbers.items() if name.startswith(f"{section}.")}
+    columns = {name: values.tolist() for name, values in own.items() if isinstance(values, np.ndarray)}
+    fields = {**vars(model), **{name: v for name, v in own.items() if name not in columns}}
+    if not columns:
+        yield from repeat(plain_with(type(model), fields) if own else plain(model), count)
+    for row in zip(*columns.values(), strict=True):
+        yield plain_with(type(model), {**fields, **dict(zip(columns, row, strict=True))})
 
 
 def loops_of(case: BatchCase, count: int) -> list[LoopSettings]:
     """Return the loop between plant and controller of every scene."""
-    common, is_random = case.common, case.signals.effects or case.losses.exists
+    common, is_random = case.common, case.signals or case.losses.exists
     period = case.number("loop", "sample_time")
     values = {
         "counts_per_unit": common.counts_per_unit or 0.0,
@@ -159,15 +143,15 @@ def loops_of(case: BatchCase, count: int) -> list[LoopSettings]:
     rows = [
         LoopSettings(
             common.delay, counts, quantum, limit, *case.reach,
-            MeterSettings(last_from, damping, common.device_friction, brief == 1.0), case.signals.at(time, int(seed)),
-            replace(case.losses, seed=int(seed)),
+            MeterSettings(last_from, damping, common.device_friction, brief == 1.0),
+            event_plant.signals_of(case.signals, time, int(seed)), replace(case.losses, seed=int(seed)),
         )
         for time, counts, quantum, limit, last_from, damping, brief, seed in zip(*columns, strict=True)
     ]  # fmt: skip
     return rows if varies else rows * count
 
 
-def linear_plants(motion: LinearMotion, *, listed: bool) -> LinearPlants:
+def linear_plants(motion: event_plant.LinearMotion, *, listed: bool) -> LinearPlants:
     """Return the plants of many scenes.
 
     Args:
@@ -179,17 +163,11 @@ def linear_plants(motion: LinearMotion, *, listed: bool) -> LinearPlants:
     return LinearPlants(*(array.tolist() for array in found) if listed else found)
 
 
-CLOSED_FORM: Final = (SpringDamperWall, TwoSidedWall, DamperWall, ViscousMedium, FreeSpace)
-"""Environments that are linear in each of their modes."""
-_ANGLE: Final = 0.5
-"""Largest sum of the rates of a scene times its step [rad]."""
-_MOST_STEPS: Final = 4096
-"""Steps per hold beyond which a scene has no reference."""
-
-
 def why_not_continuous(case: BatchCase) -> str:
     """Reason why continuous runs cannot be followed along with their loops; empty where they can."""
-    if not isinstance(case.common.environment, CLOSED_FORM):
+    if not isinstance(
+        case.common.environment, SpringDamperWall | TwoSidedWall | DamperWall | ViscousMedium | FreeSpace
+    ):
         return f"{type(case.common.environment).__name__} has no flow in closed form"
     known = case.linear is not None and case.linear.rates is not None
     return "" if known else "the plant has effects that are not in arrays"
@@ -199,7 +177,7 @@ class _Linear(NamedTuple):
     """Many scenes: y' = F y in each mode, y = [states of the plant..., 1]."""
 
     rates: tuple[Array, ...]  # by mode, each of shape (n, k, k) [1/s]
-    start: Array  # shape (k, n)
+    start: Array  # shape (n, k)
     lower: Array  # solid below, -inf for none, shape (n,) [m or rad]
     upper: Array  # solid above, inf for none
     stiffness: Array  # [N/m or N*m/rad]
@@ -256,46 +234,39 @@ def continuous_modes(
         last_from[period == value] = last_rows(cycles, float(value)).start
         if with_force:
             readings[period == value] = readings_per_hold(round(float(value) * 1e9), cycles)
-    steps = 2 ** np.ceil(np.log2(np.maximum(1.0, period * _fastest(linear) / (_ANGLE * readings))))
+    angle = 0.5  # largest sum of the rates of a scene times its step [rad]
+    steps = 2 ** np.ceil(np.log2(np.maximum(1.0, period * _fastest(linear) / (angle * readings))))
     step = period / (readings * steps)
-    flows = [_flows(rates, step) for rates in linear.rates[:1]]
-    flows += [flows[0] if rates is linear.rates[0] else _flows(rates, step) for rates in linear.rates[1:]]
+    flows = {id(rates): _flows(rates, step) for rates in linear.rates}
     columns = (
-        (steps * readings <= _MOST_STEPS).tolist(), linear.lower.tolist(), linear.upper.tolist(),
+        (steps * readings <= 4096).tolist(), linear.lower.tolist(), linear.upper.tolist(),
         linear.stiffness.tolist(), linear.damping.tolist(), [linear.everywhere] * count, [with_force] * count,
         [with_travel] * count,
         readings.tolist(), steps.astype(np.int64).tolist(), step.tolist(), last_from.tolist(),
     )  # fmt: skip
     settings = [ReferenceSettings(*row) for row in zip(*columns, strict=True)]
-    return ContinuousModes(settings, _stacked(flows), _stacked(linear.rates), np.ascontiguousarray(linear.start.T))
+    flow = np.stack([flows[id(rates)] for rates in linear.rates], axis=1)
+    return ContinuousModes(settings, flow, np.stack(linear.rates, axis=1), linear.start)
 
 
 def _flows(rates: Array, step: Array) -> Array:
     """State y after a step of y' = F y in many scenes, shape (n, k, k); computed once for equal scenes."""
+    which: Any = slice(None)
     if (rates == rates[0]).all():
         step, which = np.unique(step, return_inverse=True)
-        return _flows_of_each(rates[: len(step)], step)[which]
-    return _flows_of_each(rates, step)
-
-
-def _flows_of_each(rates: Array, step: Array) -> Array:
-    return np.asarray(np.eye(rates.shape[1]) + flow_changes(rates * step[:, None, None]))
-
-
-def _stacked(modes: Sequence[Array]) -> Array:
-    """Return the matrices of the three modes, shape (n, 3, k, k); of an environment without surfaces the same."""
-    return np.ascontiguousarray(np.stack([modes[min(mode, len(modes) - 1)] for mode in range(3)], axis=1))
+    found: Array = (np.eye(rates.shape[1]) + flow_changes(rates[: len(step)] * step[:, None, None]))[which]
+    return found
 
 
 def _linear(case: BatchCase, count: int) -> _Linear:
     def number(name: str) -> Array:
         return np.array(np.broadcast_to(case.number("environment", name), (count,)), dtype=float)
 
-    motion, environment = cast(LinearMotion, case.linear), case.common.environment
+    motion, environment = cast(event_plant.LinearMotion, case.linear), case.common.environment
     states = motion.starts.shape[1] - 2
     known, kept = cast(Array, motion.rates), [*range(states), states + 1]  # all but the held torque
     free = np.broadcast_to(known[:, kept][:, :, kept], (count, states + 1, states + 1)).copy()
-    start = np.broadcast_to(motion.starts[:, kept], (count, states + 1)).T.copy()
+    start = np.broadcast_to(motion.starts[:, kept], (count, states + 1)).copy()
     share = np.broadcast_to(known[:, 1, states], (count,))  # 1 / mass
     stiffness, damping = number("stiffness"), number("damping")
     lower, upper = np.full(count, -np.inf), np.full(count, np.inf)
@@ -317,8 +288,7 @@ def _linear(case: BatchCase, count: int) -> _Linear:
         inside[:, 1, 1] -= share * damping
         inside[:, 1, states] += share * stiffness * np.where(np.isfinite(surface), surface, 0.0)
         rates.append(inside)
-    guarded = bool(np.isfinite(lower).any() or np.isfinite(upper).any())
-    return _Linear(tuple(rates if guarded else rates[:1]), start, lower, upper, stiffness, damping, everywhere)
+    return _Linear(tuple(rates), start, lower, upper, stiffness, damping, everywhere)
 
 
 def _fastest(linear: _Linear) -> Array:
@@ -368,7 +338,7 @@ def why_not_compiled(case: LoopCase) -> str:
 
 def why_not_compared(scene: Scene, metrics: Sequence[str]) -> str:
     """Reason why a batch lacks the quantities for comparing a scene; empty where it has them."""
-    if set(metrics).isdisjoint(CONTINUOUS) or is_linear(simulation_of(scene.axes[0])):
+    if set(metrics).isdisjoint(CONTINUOUS) or event_plant.is_linear(simulation_of(scene.axes[0])):
         return ""
     return "a plant with events has its continuous run by itself"
 
@@ -394,7 +364,7 @@ def _why_not_moved(simulation: AxisSimulation, algorithm: str, own: type[Any] | 
         return f"algorithm {algorithm} is own code"
     if simulation.user is not None and not simulation.user.has_equations:
         return "the hand is own code or a recording"
-    return why_not_in_loop(simulation)
+    return event_plant.why_not_in_loop(simulation)
 
 
 def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:
@@ -452,13 +422,14 @@ def many_loops(case: LoopCase, numbers: Numbers, varied: Mapping[str, Array]) ->
     if _RATE in varied:
         found["loop.sample_time"] = ticks * 1e-9
     found["damping_per_time"] = _device_damping(case, simulation, varied) / (ticks * 1e-9)
-    linear, plants = None, list[PlantValues]()
-    if is_linear(simulation):
-        linear = linear_motion(simulation, ticks, varied)
+    linear, plants = None, list[event_plant.PlantValues]()
+    signals = [effect for effect in simulation.effects if effect.name in event_plant.SIGNAL_EFFECTS]
+    if event_plant.is_linear(simulation):
+        linear = event_plant.linear_motion(simulation, ticks, varied)
     else:
-        plants, which = distinct_plants(simulation, ticks, varied)
+        plants, which = event_plant.distinct_plants(simulation, ticks, varied)
         found["plant"] = which.astype(float)
-    return BatchCase(case, {**found, **numbers}, linear, plants, SignalEffects.of(simulation.effects))
+    return BatchCase(case, {**found, **numbers}, linear, plants, signals)
 
 
 def _device_damping(case: LoopCase, simulation: AxisSimulation, varied: Mapping[str, Array]) -> Array | float:

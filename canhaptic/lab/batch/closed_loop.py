@@ -20,16 +20,13 @@ from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.hold_account import Axis
 from canhaptic.kernels import Buffer, Matrix, Run, new
+from canhaptic.lab.batch.mode_arrays import evaluate
 from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, diverge, miss, take
 from canhaptic.sim.plant.effects.encoder_noise import noise, uniform
 from canhaptic.sim.plant.propagator import TICKS
 
 OUTSIDE, LOWER, UPPER = 0, 1, 2
 TERMS: Final = 14  # of the series: 0.5^14 / 14! is below 1e-15
-_NEWTON: Final = 8
-_CLOSE: Final = 1e-12
-"""Part of a piece within which a Newton step ends the search: the step after it would be below rounding."""
-_MOST_PIECES: Final = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +146,7 @@ def move_step(settings: ReferenceSettings, reference: ReferenceState, memory: Re
 def move_in_pieces(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
     """Move by one step, piece by piece: each ends at a surface, at a turning point, or at the end."""
     state, series, left = memory.state, memory.series, settings.step
-    for _ in range(_MOST_PIECES):
+    for _ in range(64):
         expand(memory, reference.mode)
         velocity, end = state[1], value_at(series, 1, left)
         turns = velocity * end < 0.0
@@ -218,7 +215,7 @@ def root(series: Matrix, row: int, constant: float, until: float, end: float) ->
     """
     low, high = 0.0, until
     at = until * constant / (constant - end)
-    for _ in range(_NEWTON):
+    for _ in range(8):
         rising = slope = 0.0
         for order in range(TERMS - 1, 0, -1):
             rising = rising * at + series[order][row]
@@ -230,7 +227,7 @@ def root(series: Matrix, row: int, constant: float, until: float, end: float) ->
             low = at
         newton = at - value / slope if slope != 0.0 else low - 1.0
         better = newton if low <= newton <= high else 0.5 * (low + high)
-        found = abs(better - at) <= _CLOSE * until
+        found = abs(better - at) <= 1e-12 * until  # the step after it would be below rounding
         at = better
         if found:
             break
@@ -516,15 +513,10 @@ def hand_over(loop: LoopSettings, place: CycleState) -> None:
 
 def move_plant(plant: LinearPlant, torque: float, cycle: int) -> bool:
     """Move a linear plant to a SYNC under a constant torque [N or N*m]; return True."""
-    flow, state, moved = plant.flow, plant.state, plant.moved
-    states = len(moved)
-    state[states] = torque
-    for row in range(states):
-        factors, total = flow[row], 0.0
-        for column in range(states + 2):
-            total += factors[column] * state[column]
-        moved[row] = total
-    for row in range(states):
+    state, moved = plant.state, plant.moved
+    state[len(moved)] = torque
+    evaluate(plant.flow, state, moved)
+    for row in range(len(moved)):
         state[row] = moved[row]
     return True
 

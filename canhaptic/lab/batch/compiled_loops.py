@@ -24,30 +24,9 @@ from canhaptic.errors import EventLimitError, InputError, ParameterError
 from canhaptic.kernels import Buffer, Kernel, Matrix, Run
 from canhaptic.kernels.compiler import compiled, fixed_tuple
 from canhaptic.kernels.records import Records, arrays_of, record_of, records_of
-from canhaptic.lab.batch.cases import (
-    LoopJob,
-    NotBatchableError,
-    SceneRow,
-    kernel_of,
-    linear_plants,
-    many_loops,
-    no_modes,
-    scene_rows,
-)
-from canhaptic.lab.batch.closed_loop import (
-    TERMS,
-    AxisRun,
-    CycleState,
-    LinearPlants,
-    ReferenceMemory,
-    ReferenceSettings,
-    ReferenceState,
-    begin_plant,
-    follow,
-    plant_at,
-    run_loop,
-    step,
-)
+from canhaptic.lab.batch import cases, closed_loop
+from canhaptic.lab.batch.cases import NotBatchableError
+from canhaptic.lab.batch.closed_loop import AxisRun, ReferenceMemory, begin_plant, follow, plant_at, run_loop
 from canhaptic.lab.batch.group_loop import GroupCase, GroupMeter, GroupRig, GroupRoom, run_group, take_group
 from canhaptic.lab.batch.group_loop import step as step_group
 from canhaptic.lab.batch.plants import CALLS, Plants, Stopped, loop_replacements, never_stopped, run_event_plants
@@ -85,7 +64,7 @@ def step_of_numbers(numbers: tuple[float, ...], run: AxisRun, position: float, t
 
 
 def follow_nothing(
-    settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory, cycle: int
+    settings: closed_loop.ReferenceSettings, reference: closed_loop.ReferenceState, memory: ReferenceMemory, cycle: int
 ) -> float:
     """Replace `follow` where no scene is compared with a continuous run: this saves a third of the code to optimise."""
     return 0.0
@@ -93,7 +72,7 @@ def follow_nothing(
 
 def run_loops(
     table: Array, settings: Records, loops: Records, rest: Records, states: Records, memory: object, zeros: Array,
-    meters: Records, plants: LinearPlants, rest_place: Records, places: Records, continuous: Records,
+    meters: Records, plants: closed_loop.LinearPlants, rest_place: Records, places: Records, continuous: Records,
     references: Records, mode_flows: Array, mode_rates: Array, mode_starts: Array, state: Buffer,
     moved_state: Buffer, series: Matrix, first: int, cycles: int,
 ) -> int:  # fmt: skip
@@ -126,7 +105,7 @@ def compiled_loops(kind: Any, kernel: Kernel, replaced: tuple[tuple[object, obje
         replaced: Functions of the loop, each with its replacement.
     """
     instead = {
-        new_environment: kind, "WIDTH": len(kind._fields), step: step_with, own_step: kernel.step,
+        new_environment: kind, "WIDTH": len(kind._fields), closed_loop.step: step_with, own_step: kernel.step,
         noise: compiled_noise, uniform: compiled_uniform, **dict(replaced),
     }  # fmt: skip
     return compiled(run_loops, instead, keep=True, calls=CALLS, units=(step_of_numbers, follow, stepper.run))
@@ -139,21 +118,21 @@ class CompiledLoops:
         NotBatchableError: numba cannot compile the environment.
     """
 
-    def __init__(self, job: LoopJob) -> None:
+    def __init__(self, job: cases.LoopJob) -> None:
         self._kernel, self._rows, self._modes, self._cycles, instead = job
         kernel, rows, modes = job[:3]
         self._settings, self._loops = records_of([row.settings for row in rows]), records_of([row.loop for row in rows])
         self._continuous = records_of(modes.settings)
-        self._rest, self._place = records_of([kernel.state()]), records_of([CycleState()])
+        self._rest, self._place = records_of([kernel.state()]), records_of([closed_loop.CycleState()])
         self.meters: Any = np.repeat(records_of([Meter()]), len(rows))
-        self.references = np.repeat(records_of([ReferenceState()]), len(rows))
+        self.references = np.repeat(records_of([closed_loop.ReferenceState()]), len(rows))
         self._kind = tuple_type(rows[0].environment)
         numbers = attrgetter(*self._kind._fields)
         self._table = np.array([numbers(row.environment) for row in rows], dtype=float).reshape(len(rows), -1)
         without = {} if np.any(modes.exist) else {follow: follow_nothing}
         self._instead = (*instead.items(), *without.items())
         size = modes.starts.shape[1]
-        self._state, self._moved, self._series = np.empty(size), np.empty(size), np.zeros((TERMS, size))
+        self._state, self._moved, self._series = np.empty(size), np.empty(size), np.zeros((closed_loop.TERMS, size))
 
     def run(self, some: Sequence[int], plants: Plants, stopped: Stopped) -> None:
         """Run some of the scenes; see `InterpretedLoops.run`."""
@@ -164,7 +143,7 @@ class CompiledLoops:
         memory, zeros = _memory(self._kernel, self._rows[some[0]].settings)
         meters, references, modes = self.meters[some], self.references[some], self._modes
         states, places, first = self._rest.copy(), self._place.copy(), 0
-        if isinstance(plants, LinearPlants):
+        if isinstance(plants, closed_loop.LinearPlants):
             plants = plants._replace(flows=_of(plants.flows, numbers), starts=_of(plants.starts, numbers))
         fixed = (
             self._table[some], self._settings[some], self._loops[some], self._rest, states, memory, zeros, meters,
@@ -210,7 +189,7 @@ def _of(values: Array, some: Numbers) -> Array:
     return values if len(values) == 1 else values[some]
 
 
-def _alike(kernel: Kernel, rows: Sequence[SceneRow]) -> list[Numbers]:
+def _alike(kernel: Kernel, rows: Sequence[cases.SceneRow]) -> list[Numbers]:
     """Return the numbers of the rows whose buffers have the same lengths, together."""
     lengths: dict[int, tuple[int, ...]] = {}
     found: dict[tuple[int, ...], list[int]] = {}
@@ -289,11 +268,11 @@ def run_compiled(case: GroupCase, cycles: int, rows: Array, instead: Mapping[obj
     world = case.world
     bare, tables = compiled_world(world)
     parts = type(world.mechanism), type(world.geometry), type(world.functions)
-    run = _compiled_loop(case.kernel, parts, (*case.motors.replacements().items(), *instead.items()))
+    run = _compiled_loop(case.kernel, parts, (*case.motors.replaced.items(), *instead.items()))
     meters = records_of([GroupMeter()])
     run(
         bare, tables, record_of(case.settings), records_of([case.kernel.state()]),
-        record_of(case.kernel.memory(world, case.settings)), record_of(case.rig), case.motors.made(listed=False),
+        record_of(case.kernel.memory(world, case.settings)), record_of(case.rig), case.motors.made(False),
         record_of(case.room()), records_of([GroupMotion()]), meters, rows, cycles,
     )  # fmt: skip
     found = GroupMeter()
@@ -382,10 +361,10 @@ def compiled_rows(case: LoopCase, cycles: int, reach: Reach) -> Array:
         EventLimitError: The plant had more events in one sample time than are allowed.
         NotBatchableError: numba cannot compile the environment.
     """
-    batch, kernel = replace(many_loops(case, {}, {}), reach=reach), cast(Kernel, kernel_of(case.algorithm))
-    rows = [*scene_rows(batch, kernel, 1)]
+    batch, kernel = replace(cases.many_loops(case, {}, {}), reach=reach), cast(Kernel, cases.kernel_of(case.algorithm))
+    rows = [*cases.scene_rows(batch, kernel, 1)]
     instead: dict[object, object] = {**_KEEPING, **loop_replacements(batch.plants)}
-    loops = CompiledLoops(LoopJob(kernel, rows, no_modes(1), cycles, instead))
+    loops = CompiledLoops(cases.LoopJob(kernel, rows, cases.no_modes(1), cycles, instead))
     loops.meters = np.full((1, cycles, 4 + len(EnergyBalance._fields)), np.nan)
     if batch.linear is None:
         stopped: dict[int, EventLimitError] = {}
@@ -393,6 +372,6 @@ def compiled_rows(case: LoopCase, cycles: int, reach: Reach) -> Array:
         if stopped:
             raise stopped[0]
     else:
-        loops.run([0], linear_plants(batch.linear, listed=False), never_stopped)
+        loops.run([0], cases.linear_plants(batch.linear, listed=False), never_stopped)
     found: Array = loops.meters[0]
     return found[np.isfinite(found[:, 0])]

@@ -22,7 +22,7 @@ Models of the motors of a group for its loop: one flow, the stepper, or a five-b
 The one group of a scene in kernel form: environment, algorithm and motors.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, isfinite, sqrt
 from typing import Any, Final, NamedTuple, cast
@@ -49,26 +49,13 @@ from canhaptic.control.multi_axis.group_motion import (
     world_of,
     write_efforts,
 )
+from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, new
 from canhaptic.kernels.records import record_of, records_of
 from canhaptic.lab.batch import plants as event_plant
 from canhaptic.lab.batch.closed_loop import LoopSettings, Signals, acting, commanded, measured, read
-from canhaptic.lab.batch.plants import (
-    EventModes,
-    EventPlant,
-    PlantValues,
-    SignalEffects,
-    book_motor,
-    by_its_way,
-    is_linear,
-    move_held,
-    residual_of_plant,
-    run_on,
-    run_substeps,
-    why_not_events,
-    why_not_in_loop,
-    works_are_booked,
-)
+from canhaptic.lab.batch.mode_arrays import evaluate
+from canhaptic.lab.batch.plants import move_held, run_on, run_substeps
 from canhaptic.lab.figures.meter import Meter, count_branch, take_energy
 from canhaptic.lab.loop.axis_loop import FURTHEST, mechanism_of_group
 from canhaptic.registry import load
@@ -84,6 +71,7 @@ from canhaptic.sim.plant.mechanism.five_bar_linkage import (
     advance_five_bar,
     place_at,
 )
+from canhaptic.sim.plant.mechanism.shared_mechanism import SharedMechanism
 from canhaptic.sim.plant.mechanism.xy_stage import XYMotion
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import TICKS, Array
@@ -111,14 +99,6 @@ class LinearMotors(NamedTuple):
     state: Buffer  # [states..., torques..., 1]
     moved: Buffer  # buffer for the states
     places: Indices  # of the positions of the motors in the state
-
-    def made(self, *, listed: bool) -> Any:
-        """The motors at their start; see `EventMotorsPlan.made`."""
-        return self._replace(state=list(self.state)) if listed else record_of(self)[0]
-
-    def replacements(self) -> dict[object, object]:
-        """Replacements in the loop of a group."""
-        return {}
 
 
 class GroupRoom(NamedTuple):
@@ -316,16 +296,12 @@ def shares(meter: GroupMeter) -> tuple[float, float]:
 
 def move_motors(motors: Any, room: GroupRoom, cycle: int) -> float:
     """Move the motors to a SYNC; return the work that they did in that hold [J], NaN where they cannot move."""
-    flow, state, moved = motors.flow, motors.state, motors.moved
+    state, moved = motors.state, motors.moved
     states, work, count = len(moved), 0.0, len(room.held)
     if cycle:
         for i in range(count):
             state[states + i] = room.acting[i]
-        for row in range(states):
-            factors, total = flow[row], 0.0
-            for column in range(states + count + 1):
-                total += factors[column] * state[column]
-            moved[row] = total
+        evaluate(motors.flow, state, moved)
         for row in range(states):
             state[row] = moved[row]
     for i in range(count):
@@ -349,52 +325,17 @@ class EventMotors(NamedTuple):
     places: Indices  # place of its position
 
 
-class EventMotorsPlan(NamedTuple):
-    """Plants of motors with events, and the indices of the motors in them."""
-
-    models: Sequence[Callable[[], PlantModel]]
-    accuracy: Sequence[AccuracyParameters | None]
-    owners: Sequence[int]
-    forces: Sequence[int]
-    places: Sequence[int]
-
-    def made(self, *, listed: bool) -> EventMotors:
-        """The motors at their start.
-
-        Args:
-            listed: Whether Python runs the loop, on lists.
-        """
-        plants = []
-        for model, accuracy in zip(self.models, self.accuracy, strict=True):
-            modes = EventModes(model(), accuracy, listed=listed, is_booked=self.is_booked)
-            plants.append(modes.plants().plant)
-        whole: Callable[[Sequence[int]], Any] = list if listed else np.array
-        return EventMotors(tuple(plants), *(whole(part) for part in (self.owners, self.forces, self.places)))
-
-    @property
-    def is_booked(self) -> bool:
-        """Whether the work of a motor is more than its torque times displacement."""
-        return any(works_are_booked(model()) for model in self.models)
-
-    def replacements(self) -> dict[object, object]:
-        """Replacements in the loop of a group."""
-        found: dict[object, object] = {**by_its_way(), move_motors: move_event_motors}
-        if any(model().efforts for model in self.models):
-            found |= {event_plant.run_ticks: run_with_efforts, splitting.residual: residual_of_plant}
-        return found | {stepper.book: book_motor, work_over: booked_over} if self.is_booked else found
-
-
-def run_with_efforts(plant: EventPlant, ticks: int, most: int) -> int:
-    """Replace `event_plant.run_ticks` where some plants have forces over substeps."""
+def run_with_efforts(plant: event_plant.EventPlant, ticks: int, most: int) -> int:
+    """Replace `run_ticks` where some plants have forces over substeps."""
     return run_substeps(plant, ticks, most) if len(plant.efforts) else run_on(plant, ticks, most)
 
 
-def work_over(plant: EventPlant, way: float) -> float:
+def work_over(plant: event_plant.EventPlant, way: float) -> float:
     """Work of a motor in a hold [J], from its torque times displacement."""
     return way
 
 
-def booked_over(plant: EventPlant, way: float) -> float:
+def booked_over(plant: event_plant.EventPlant, way: float) -> float:
     """Replace `work_over` where the work is booked."""
     now = plant.now[0]
     booked: float = plant.books[0].totals[0] + now.rippled - now.began_work
@@ -425,25 +366,6 @@ class FiveBarMotors(NamedTuple):
     right: int
 
 
-class FiveBarPlan(NamedTuple):
-    """A five-bar at its start, and the numbers of its two motors."""
-
-    motion: FiveBarMotion  # at its start
-    left: int
-    right: int
-
-    def made(self, *, listed: bool) -> FiveBarMotors:
-        """The motors at their start; see `EventMotorsPlan.made`."""
-        settings, state = [self.motion.settings], [replace(self.motion.state)]
-        if listed:
-            return FiveBarMotors(settings, state, self.left, self.right)
-        return FiveBarMotors(records_of(settings), records_of(state), self.left, self.right)
-
-    def replacements(self) -> dict[object, object]:
-        """Replacements in the loop of a group."""
-        return {move_motors: move_five_bar}
-
-
 def move_five_bar(motors: FiveBarMotors, room: GroupRoom, cycle: int) -> float:
     """Replace `move_motors`; NaN where the links were pushed through a singular pose."""
     state, settings = motors.state[0], motors.settings[0]
@@ -456,8 +378,82 @@ def move_five_bar(motors: FiveBarMotors, room: GroupRoom, cycle: int) -> float:
     return arrive(room, motors.left, state.left, cycle) + arrive(room, motors.right, state.right, cycle)
 
 
-def motors_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> LinearMotors | EventMotorsPlan | FiveBarPlan | str:
-    """Return the motors of a group at their start, or the reason why they cannot run in the group's loop.
+class Motors:
+    """The motors of a group as plants or one mechanism, at their start.
+
+    Args:
+        scene: Scene with the group alone.
+        axes: Axes of the group.
+
+    Raises:
+        InputError: The motors are not simulated, or move with others.
+    """
+
+    def __init__(self, scene: Scene, axes: Sequence[AxisScene]) -> None:
+        self.sample_time_ns, self._torques = scene.bus.sample_time_ns, tuple(0.0 for _ in axes)
+        of = mechanism_of_group(scene)
+        shared = None if of is None else SharedMechanism(build_mechanism(of, self.sample_time_ns), len(axes))
+        self._mechanism = shared and shared.mechanism
+        self._motors: list[Any] = (
+            [build_plant(simulation_of(axis), self.sample_time_ns) for axis in axes]
+            if of is None or shared is None
+            else [shared.motors[of.axes.index(axis.parameters.name)] for axis in axes]
+        )
+        for i, motor in enumerate(self._motors):
+            if shared is not None:
+                motor.connect(lambda i=i: self._torques[i])
+            motor.begin(0)
+
+    def positions(self) -> list[float]:
+        """Return the true positions [m or rad]."""
+        return [motor.position for motor in self._motors]
+
+    def velocities(self) -> list[float]:
+        """Return the true velocities [m/s or rad/s]."""
+        return [motor.velocity for motor in self._motors]
+
+    def encoders(self) -> list[float]:
+        """Return the positions after the effects of encoders [m or rad]."""
+        return [getattr(motor, "encoder_position", motor.position) for motor in self._motors]
+
+    def advance_to(self, now: int, torques: tuple[float, ...]) -> None:
+        """Move to a time [ns] under constant torques [N or N*m]."""
+        self._torques = torques
+        for motor, torque in zip(self._motors, torques, strict=True):
+            motor.advance_to(now, torque)
+
+    def works(self) -> tuple[float, float]:
+        """Return the works of all motors and of all hands since the start [J]."""
+        energies = [motor.energy() for motor in self._motors]
+        return sum(energy.motor for energy in energies), sum(energy.user for energy in energies)
+
+    def evaluations(self) -> int:
+        """Return the evaluations of the equations of motion since the start."""
+        if self._mechanism is not None:
+            return int(getattr(self._mechanism, "iterations", 0))
+        return sum(motor.products for motor in self._motors)
+
+
+def move_objects(motors: Motors, room: GroupRoom, cycle: int) -> float:
+    """Replace `move_motors`."""
+    before, _ = motors.works()
+    if cycle:
+        motors.advance_to(cycle * motors.sample_time_ns, tuple(room.held))
+    for i, at in enumerate(motors.positions()):
+        arrive(room, i, at, cycle)
+    room.read[:] = motors.encoders()
+    return motors.works()[0] - before
+
+
+class GroupPlant(NamedTuple):
+    """The motors of a group in a form of its loop."""
+
+    made: Callable[[bool], Any]  # (whether Python runs the loop, on lists) -> motors at their start
+    replaced: Mapping[object, object]  # functions of the loop, each with its replacement
+
+
+def _plant_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> GroupPlant | str:
+    """Return the motors of a group, or the reason why they cannot run in the group's loop.
 
     Args:
         scene: Scene with the group alone.
@@ -466,43 +462,65 @@ def motors_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> LinearMotors | Ev
     Raises:
         InputError: The motors of the group are not simulated, or move with others.
     """
-    of = mechanism_of_group(scene)
+    of, time = mechanism_of_group(scene), scene.bus.sample_time_ns
     if of is not None:
-        return _of_mechanism(of, [of.axes.index(axis.parameters.name) for axis in axes], scene.bus.sample_time_ns)
+        return _of_mechanism(build_mechanism(of, time), [of.axes.index(axis.parameters.name) for axis in axes], of)
     simulations = [simulation_of(axis) for axis in axes]
-    reason = next(filter(None, map(why_not_in_loop, simulations)), "")
+    reason = next(filter(None, map(event_plant.why_not_in_loop, simulations)), "")
     if reason:
         return reason
-    if all(map(is_linear, simulations)):
-        return _side_by_side([build_plant(simulation, scene.bus.sample_time_ns) for simulation in simulations])
-    values = [PlantValues(simulation, scene.bus.sample_time_ns) for simulation in simulations]
-    forces = [len(one.scene().names) - 2 for one in values]
-    accuracy, owners = [one.simulation.accuracy for one in values], list(range(len(axes)))
-    return EventMotorsPlan([one.scene for one in values], accuracy, owners, forces, [0] * len(axes))
+    if all(map(event_plant.is_linear, simulations)):
+        return _side_by_side([build_plant(simulation, time) for simulation in simulations])
+    models = [event_plant.PlantValues(simulation, time).scene for simulation in simulations]
+    forces, accuracy = [len(model().names) - 2 for model in models], [one.accuracy for one in simulations]
+    return _with_events(models, accuracy, list(range(len(axes))), forces, [0] * len(axes))
 
 
-def _of_mechanism(
-    of: MechanismScene, order: Sequence[int], sample_time_ns: int
-) -> LinearMotors | EventMotorsPlan | FiveBarPlan | str:
-    """Model of a mechanism in the loop.
-
-    Args:
-        of: The mechanism.
-        order: Places of the group's motors among the mechanism's.
-        sample_time_ns: T [ns].
-    """
-    moving: Any = build_mechanism(of, sample_time_ns)
+def _of_mechanism(moving: Any, order: Sequence[int], of: MechanismScene) -> GroupPlant | str:
+    """Model of a mechanism in the loop; `order` has the places of the group's motors among the mechanism's."""
     if isinstance(moving, FiveBarMotion):
-        return FiveBarPlan(moving, order.index(0), order.index(1))
+        return _five_bar(moving, order.index(0), order.index(1))
     if not isinstance(moving, XYMotion):
         return f"the mechanism {of.mechanism.name} is own code"
     if moving.is_linear:
         return _stage(moving, order)
     places = [[part[at] for at in order] for part in (moving.force_places, moving.position_places)]
-    return why_not_events(moving.model()) or EventMotorsPlan([moving.model], [None], [0] * len(order), *places)
+    return event_plant.why_not_events(moving.model()) or _with_events([moving.model], [None], [0] * len(order), *places)
 
 
-def _side_by_side(plants: Sequence[Plant]) -> LinearMotors:
+def _with_events(
+    models: Sequence[Callable[[], PlantModel]], accuracy: Sequence[AccuracyParameters | None], *places: Sequence[int]
+) -> GroupPlant:
+    """Plants of motors with events; `places` are owners, forces and places of `EventMotors`."""
+    is_booked = any(event_plant.works_are_booked(model()) for model in models)  # more than torque times displacement
+
+    def made(listed: bool) -> EventMotors:
+        modes = (
+            event_plant.EventModes(model(), given, listed=listed, is_booked=is_booked)
+            for model, given in zip(models, accuracy, strict=True)
+        )
+        whole: Callable[[Sequence[int]], Any] = list if listed else np.array
+        return EventMotors(tuple(of.plants().plant for of in modes), *map(whole, places))
+
+    replaced: dict[object, object] = {**event_plant.by_its_way(), move_motors: move_event_motors}
+    if any(model().efforts for model in models):
+        replaced |= {event_plant.run_ticks: run_with_efforts, splitting.residual: event_plant.residual_of_plant}
+    if is_booked:
+        replaced |= {stepper.book: event_plant.book_motor, work_over: booked_over}
+    return GroupPlant(made, replaced)
+
+
+def _five_bar(motion: FiveBarMotion, left: int, right: int) -> GroupPlant:
+    def made(listed: bool) -> FiveBarMotors:
+        settings, state = [motion.settings], [replace(motion.state)]
+        if listed:
+            return FiveBarMotors(settings, state, left, right)
+        return FiveBarMotors(records_of(settings), records_of(state), left, right)
+
+    return GroupPlant(made, {move_motors: move_five_bar})
+
+
+def _side_by_side(plants: Sequence[Plant]) -> GroupPlant:
     """Return plants of states [position, ..., torque, 1] each as one."""
     flows, starts = [plant.whole_flow() for plant in plants], [plant.initial_state() for plant in plants]
     sizes = [len(start) - 2 for start in starts]
@@ -510,17 +528,13 @@ def _side_by_side(plants: Sequence[Plant]) -> LinearMotors:
     states, motors = sum(sizes), len(plants)
     whole, state = np.zeros((states, states + motors + 1)), np.zeros(states + motors + 1)
     for i, (flow, start, place, size) in enumerate(zip(flows, starts, places, sizes, strict=True)):
-        rows = slice(place, place + size)
-        whole[rows, rows], whole[rows, states + i], whole[rows, -1] = (
-            flow[:size, :size],
-            flow[:size, -2],
-            flow[:size, -1],
-        )
-        state[rows] = start[:size]
+        rows = range(place, place + size)
+        whole[np.ix_(rows, [*rows, states + i, -1])] = flow[:size]
+        state[place : place + size] = start[:size]
     return _listed(whole, state, places)
 
 
-def _stage(stage: XYMotion, order: Sequence[int]) -> LinearMotors:
+def _stage(stage: XYMotion, order: Sequence[int]) -> GroupPlant:
     """Return a stage, whose forces are constant states.
 
     Args:
@@ -534,100 +548,10 @@ def _stage(stage: XYMotion, order: Sequence[int]) -> LinearMotors:
     return _listed(flow[np.ix_(rest, columns)], start[columns], [rest.index(stage.position_places[at]) for at in order])
 
 
-def _listed(flow: Array, state: Array, places: Sequence[int]) -> LinearMotors:
+def _listed(flow: Array, state: Array, places: Sequence[int]) -> GroupPlant:
     state[-1] = 1.0
-    return LinearMotors(flow.tolist(), state.tolist(), [0.0] * len(flow), list(places))
-
-
-_PER_MILLE: Final = 1e-3
-
-
-class Motors(NamedTuple):
-    """The motors of a group, as separate plants or a mechanism."""
-
-    sample_time_ns: int
-    positions: Callable[[], Sequence[float]]  # true
-    velocities: Callable[[], Sequence[float]]  # true
-    encoders: Callable[[], Sequence[float]]  # the positions after the effects of encoders
-    advance_to: Callable[[int, tuple[float, ...]], None]
-    work: Callable[[], float]  # of all motors since the start [J]
-    user_work: Callable[[], float]  # of all hands since the start [J]
-    evaluations: Callable[[], int]  # of the equations of motion since the start
-
-    def made(self, *, listed: bool) -> "Motors":
-        """The motors at their start."""
-        return self
-
-    def replacements(self) -> dict[object, object]:
-        """Replacements in the loop of a group."""
-        return {move_motors: move_objects}
-
-
-def move_objects(motors: Motors, room: GroupRoom, cycle: int) -> float:
-    """Replace `move_motors`."""
-    before = motors.work()
-    if cycle:
-        motors.advance_to(cycle * motors.sample_time_ns, tuple(room.held))
-    for i, at in enumerate(motors.positions()):
-        arrive(room, i, at, cycle)
-    room.read[:] = motors.encoders()
-    return motors.work() - before
-
-
-def loop_of(axis: AxisScene, delay: int) -> LoopSettings:
-    """Loop between a motor and the controller of its group."""
-    parameters, rated = axis.parameters, axis.parameters.rated_torque
-    quantum = 0.0 if rated is None else rated * _PER_MILLE
-    return LoopSettings(delay, parameters.counts_per_unit or 0.0, quantum, parameters.torque_limit or inf)
-
-
-def motors_of(scene: Scene, axes: Sequence[AxisScene]) -> Motors:
-    """Plant that a group of axes moves, at its start.
-
-    Raises:
-        InputError: The motors are not simulated, or move with others.
-    """
-    of, names = mechanism_of_group(scene), [axis.parameters.name for axis in axes]
-    if of is None:
-        return _own_plants(scene, axes)
-    mechanism, place = build_mechanism(of, scene.bus.sample_time_ns), [of.axes.index(name) for name in names]
-    order = [names.index(name) for name in of.axes]
-    mechanism.begin(0)
-
-    def positions() -> list[float]:
-        return [mechanism.positions[at] for at in place]
-
-    return Motors(
-        scene.bus.sample_time_ns,
-        positions,
-        lambda: [mechanism.velocities[at] for at in place],
-        positions,
-        lambda now, torques: mechanism.advance_to(now, tuple([torques[at] for at in order])),
-        lambda: sum(mechanism.energy(at).motor for at in range(len(place))),
-        lambda: sum(mechanism.energy(at).user for at in range(len(place))),
-        lambda: int(getattr(mechanism, "iterations", 0)),
-    )
-
-
-def _own_plants(scene: Scene, axes: Sequence[AxisScene]) -> Motors:
-    plants = [build_plant(simulation_of(axis), scene.bus.sample_time_ns) for axis in axes]
-
-    def advance(now: int, torques: tuple[float, ...]) -> None:
-        for plant, torque in zip(plants, torques, strict=True):
-            plant.advance_to(now, torque)
-
-    for plant in plants:
-        plant.begin(0)
-    return Motors(
-        scene.bus.sample_time_ns,
-        lambda: [plant.position for plant in plants],
-        lambda: [plant.velocity for plant in plants],
-        lambda: [plant.encoder_position for plant in plants],
-        advance,
-        lambda: sum(plant.energy().motor for plant in plants),
-        lambda: sum(plant.energy().user for plant in plants),
-        lambda: sum(plant.products for plant in plants),
-    )
+    motors = LinearMotors(flow.tolist(), state.tolist(), [0.0] * len(flow), list(places))
+    return GroupPlant(lambda listed: motors._replace(state=list(motors.state)) if listed else record_of(motors)[0], {})
 
 
 class GroupCase(NamedTuple):
@@ -637,7 +561,7 @@ class GroupCase(NamedTuple):
     world: GroupModel
     settings: Any
     rig: GroupRig
-    motors: LinearMotors | EventMotorsPlan | FiveBarPlan | Motors
+    motors: GroupPlant
     why_not: str = ""  # reason by name why its loop cannot be compiled; "" where it can
 
     @property
@@ -649,7 +573,8 @@ class GroupCase(NamedTuple):
         """Return the same group with plants as objects, which have their effects themselves."""
         axes = [scene.axis(name) for name in scene.groups[0].axes]
         bare = [replace(loop, signals=Signals()) for loop in self.rig.loops]
-        return self._replace(motors=motors_of(scene, axes), rig=self.rig._replace(loops=bare))
+        motors = GroupPlant(lambda _listed: Motors(scene, axes), {move_motors: move_objects})
+        return self._replace(motors=motors, rig=self.rig._replace(loops=bare))
 
     def room(self) -> GroupRoom:
         """Return buffers of zeros."""
@@ -679,20 +604,22 @@ def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
     kernel: GroupKernel = load(GROUP_ALGORITHMS, group.passivity.name, "group algorithm").kernel
     settings = kernel.settings(world, group.passivity.parameters, loops)
     exact = tuple(loop.model_copy(update={"encoder_count": 0.0}) for loop in loops)
-    time = scene.bus.sample_time
     rig = GroupRig(
-        scene.bus.delay, [_with_effects(loop_of(axis, scene.bus.delay), axis, time) for axis in axes],
-        [(axis.loop.device_damping or 0.0) / time for axis in axes], FURTHEST, explains, motion_settings(world, exact),
+        scene.bus.delay, [_loop_of(axis, scene.bus) for axis in axes],
+        [(axis.loop.device_damping or 0.0) / scene.bus.sample_time for axis in axes], FURTHEST, explains,
+        motion_settings(world, exact),
     )  # fmt: skip
-    found = motors_in_loop(scene, axes)
+    found = _plant_in_loop(scene, axes)
     if isinstance(found, str):
-        return GroupCase(kernel, world, settings, rig, cast(Motors, None), found).with_objects(scene)
+        return GroupCase(kernel, world, settings, rig, GroupPlant(lambda _listed: None, {}), found).with_objects(scene)
     return GroupCase(kernel, world, settings, rig, found, why_not_world(world))
 
 
-def _with_effects(loop: LoopSettings, axis: AxisScene, sample_time: float) -> LoopSettings:
-    """Loop between a motor and its controller, with the effects of its plant on torque and encoder."""
-    simulation = axis.simulation
-    if simulation is None:
-        return loop
-    return replace(loop, signals=SignalEffects.of(simulation.effects).at(sample_time, simulation.seed))
+def _loop_of(axis: AxisScene, bus: BusParameters) -> LoopSettings:
+    """Loop between a motor and the controller of its group, with the effects of its plant on torque and encoder."""
+    parameters, of = axis.parameters, axis.simulation
+    signals = Signals() if of is None else event_plant.signals_of(of.effects, bus.sample_time, of.seed)
+    return LoopSettings(
+        bus.delay, parameters.counts_per_unit or 0.0, (parameters.rated_torque or 0.0) * 1e-3,
+        parameters.torque_limit or inf, signals=signals,
+    )  # fmt: skip

@@ -13,31 +13,8 @@ import numpy as np
 from canhaptic.errors import EventLimitError, ParameterError
 from canhaptic.kernels import Kernel, Run, list_of_zeros
 from canhaptic.kernels.records import bound
-from canhaptic.lab.batch.cases import (
-    BatchCase,
-    ContinuousModes,
-    LoopJob,
-    NotBatchableError,
-    batch_case,
-    check_values,
-    continuous_modes,
-    kernel_of,
-    linear_plants,
-    no_modes,
-    scene_rows,
-    why_not_beforehand,
-    why_not_continuous,
-)
-from canhaptic.lab.batch.closed_loop import (
-    TERMS,
-    CycleState,
-    ReferenceMemory,
-    ReferenceState,
-    begin_plant,
-    plant_at,
-    run_loop,
-    step,
-)
+from canhaptic.lab.batch import cases, closed_loop
+from canhaptic.lab.batch.cases import NotBatchableError
 from canhaptic.lab.batch.engine import WORTH_COMPILING, Engine, chosen_engine
 from canhaptic.lab.batch.plants import Plants, Stopped, loop_replacements, never_stopped, run_event_plants
 from canhaptic.lab.batch.varied import scene_with
@@ -55,11 +32,11 @@ class InterpretedLoops:
         references: Memory of each scene's continuous run.
     """
 
-    def __init__(self, job: LoopJob) -> None:
+    def __init__(self, job: cases.LoopJob) -> None:
         self._kernel, self._rows, self._modes, self._cycles, instead = job
         self._begin, self._at, self._run = _functions(self._kernel, tuple(instead.items()))
         self.meters = [Meter() for _ in self._rows]
-        self.references = [ReferenceState() for _ in self._rows]
+        self.references = [closed_loop.ReferenceState() for _ in self._rows]
 
     def run(self, some: Sequence[int], plants: Plants, stopped: Stopped) -> None:
         """Run some of the scenes.
@@ -71,7 +48,7 @@ class InterpretedLoops:
         """
         for number, i in enumerate(some):
             row, kernel = self._rows[i], self._kernel
-            place = CycleState(temperature=row.loop.signals.winding.ambient)
+            place = closed_loop.CycleState(temperature=row.loop.signals.winding.ambient)
             run = Run(row.settings, kernel.state(), kernel.memory(row.settings, list_of_zeros))
             reference = reference_memory_of(self._modes, i)
             self._begin(plants, number)
@@ -84,15 +61,17 @@ class InterpretedLoops:
 
 @lru_cache(maxsize=64)
 def _functions(kernel: Kernel, instead: tuple[tuple[object, object], ...]) -> tuple[Any, Any, Any]:
-    replaced = {**dict(instead), step: kernel.step}
-    begin, at = (replaced.get(function, function) for function in (begin_plant, plant_at))
-    return begin, at, bound(run_loop, replaced)
+    replaced = {**dict(instead), closed_loop.step: kernel.step}
+    begin, at = (replaced.get(function, function) for function in (closed_loop.begin_plant, closed_loop.plant_at))
+    return begin, at, bound(closed_loop.run_loop, replaced)
 
 
-def reference_memory_of(modes: ContinuousModes, row: int) -> ReferenceMemory:
+def reference_memory_of(modes: cases.ContinuousModes, row: int) -> closed_loop.ReferenceMemory:
     """Return the matrices and buffers of one scene as lists."""
     flows, rates, starts = (values[row % len(values)].tolist() for values in modes[1:])
-    return ReferenceMemory(flows, rates, starts, list(starts), [[0.0] * len(starts) for _ in range(TERMS)])
+    return closed_loop.ReferenceMemory(
+        flows, rates, starts, list(starts), [[0.0] * len(starts) for _ in range(closed_loop.TERMS)]
+    )
 
 
 _MOST: Final = 8192
@@ -104,7 +83,7 @@ _COMPARED: Final = (*_TRAVELS, "position_squares", "position_worst", *_FORCES)
 
 
 def march(
-    case: BatchCase,
+    case: cases.BatchCase,
     scenes: int,
     cycles: int,
     engine: Engine,
@@ -128,7 +107,9 @@ def march(
     failed: dict[int, str] = {}
     found: dict[str, Array] = {name: np.empty(scenes) for name in sums_of(names)}
     brief = float(BRIEF.union(_COMPARED).issuperset(found))
-    case = replace(case, numbers={**case.numbers, "last_from": _last_from(case, cycles), "is_brief": brief})
+    period = np.asarray(case.number("loop", "sample_time"), dtype=float)
+    last_from = np.vectorize(lambda time: float(last_rows(cycles, time).start), otypes=[float])(period)[()]
+    case = replace(case, numbers={**case.numbers, "last_from": last_from, "is_brief": brief})
     chosen = chosen_engine(engine, scenes * cycles >= WORTH_COMPILING)
     for first in range(0, scenes, _MOST):
         part = slice(first, min(first + _MOST, scenes))
@@ -146,42 +127,33 @@ def march(
     return metrics_found
 
 
-def _last_from(case: BatchCase, cycles: int) -> Array | float:
-    """SYNC at which the last part of each run begins."""
-    period = np.asarray(case.number("loop", "sample_time"), dtype=float)
-    found = {value: float(last_rows(cycles, value).start) for value in np.unique(period).tolist()}
-    return np.array([found[value] for value in period.tolist()]) if period.ndim else found[float(period)]
-
-
 def _part(
-    case: BatchCase, count: int, cycles: int, engine: str, asked: Mapping[str, Array],
+    case: cases.BatchCase, count: int, cycles: int, engine: str, asked: Mapping[str, Array],
     stopped: dict[int, EventLimitError],
 ) -> dict[str, Array]:  # fmt: skip
-    kernel = kernel_of(case.common.algorithm)
+    kernel = cases.kernel_of(case.common.algorithm)
     if kernel is None:
         raise NotBatchableError(f"algorithm {case.common.algorithm} is not written as a kernel")
-    modes = no_modes(count)
-    if not {*asked}.isdisjoint(_COMPARED) and not why_not_continuous(case):
+    modes = cases.no_modes(count)
+    if not {*asked}.isdisjoint(_COMPARED) and not cases.why_not_continuous(case):
         forces, travels = (not {*asked}.isdisjoint(some) for some in (_FORCES, _TRAVELS))
-        modes = continuous_modes(case, count, cycles, with_force=forces, with_travel=travels)
+        modes = cases.continuous_modes(case, count, cycles, with_force=forces, with_travel=travels)
     listed = engine == "python"
-    rows = list(scene_rows(case, kernel, count))
-    loops = _loops(not listed)(LoopJob(kernel, rows, modes, cycles, loop_replacements(case.plants)))
+    rows = list(cases.scene_rows(case, kernel, count))
+    job = cases.LoopJob(kernel, rows, modes, cycles, loop_replacements(case.plants))
+    if listed:
+        loops: Any = InterpretedLoops(job)
+    else:
+        from canhaptic.lab.batch.compiled_loops import CompiledLoops
+
+        loops = CompiledLoops(job)
     if case.linear is None:
         which = np.broadcast_to(case.numbers["plant"], (count,))
         run_event_plants(loops, case.plants, which, stopped, listed=listed)
     else:
-        loops.run(range(count), linear_plants(case.linear, listed=listed), never_stopped)
+        loops.run(range(count), cases.linear_plants(case.linear, listed=listed), never_stopped)
     sums, runs = _columns(loops.meters), _columns(loops.references)
     return sums | _compared(sums, runs, modes)
-
-
-def _loops(compiles: bool) -> Any:
-    if not compiles:
-        return InterpretedLoops
-    from canhaptic.lab.batch.compiled_loops import CompiledLoops
-
-    return CompiledLoops
 
 
 def _columns(found: Any) -> dict[str, Array]:
@@ -190,7 +162,7 @@ def _columns(found: Any) -> dict[str, Array]:
     return {name: np.array([getattr(one, name) for one in found]) for name in type(found[0]).__slots__}
 
 
-def _compared(sums: Mapping[str, Array], runs: Mapping[str, Array], modes: ContinuousModes) -> dict[str, Array]:
+def _compared(sums: Mapping[str, Array], runs: Mapping[str, Array], modes: cases.ContinuousModes) -> dict[str, Array]:
     """Sums of the continuous runs and of the comparison with them; NaN where a scene has none."""
     found = {
         **{name: sums[name] for name in _COMPARED if name in sums},
@@ -200,9 +172,6 @@ def _compared(sums: Mapping[str, Array], runs: Mapping[str, Array], modes: Conti
     }
     exist = modes.exist
     return {name: np.where(exist, values, np.nan) for name, values in found.items()}
-
-
-_DELAY: Final = "loop.delay"
 
 
 def run_batch(
@@ -236,16 +205,16 @@ def run_batch(
     if unknown or cycles < 2:
         raise ParameterError(f"run_batch: got metrics {unknown} and {cycles} cycles; expected {list(ALL)}, 2 or more")
     arrays = {key: np.asarray(values, dtype=float) for key, values in varied.items()}
-    reason = why_not_beforehand(scene)
+    reason = cases.why_not_beforehand(scene)
     if reason:
         raise NotBatchableError(f"{scene.source}: {reason}; run such scenes one by one with run_scalar")
-    count = check_values(scene, arrays)
+    count = cases.check_values(scene, arrays)
     found = {name: np.empty(count) for name in names}
-    delays = arrays.pop(_DELAY, None)
+    delays = arrays.pop("loop.delay", None)
     for delay in [None] if delays is None else sorted({*delays.tolist()}):
         rows = np.arange(count) if delays is None else np.flatnonzero(delays == delay)
-        of_delay = scene if delay is None else scene_with(scene, {_DELAY: delay})
-        case = batch_case(of_delay, {key: np.ascontiguousarray(values[rows]) for key, values in arrays.items()})
+        of_delay = scene if delay is None else scene_with(scene, {"loop.delay": delay})
+        case = cases.batch_case(of_delay, {key: np.ascontiguousarray(values[rows]) for key, values in arrays.items()})
         if seeds is not None:
             case = replace(case, numbers={**case.numbers, "seed": seeds[rows].astype(float)})
         ended: dict[int, str] = {}

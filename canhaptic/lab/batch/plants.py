@@ -57,8 +57,6 @@ from canhaptic.sim.plant.user import UserParameters
 
 _MOST_MODES: Final = 100
 """Modes of one plant at most; more would take longer to compile than a run."""
-_TIDY: Final = 1024
-"""Sample times between two tidyings of rounding, as in `Plant`."""
 
 
 @dataclass(slots=True)
@@ -155,7 +153,7 @@ def move_held(plant: EventPlant, cycle: int) -> bool:
         now.changes += 1
     if not left:
         left = run_ticks(plant, end - tick, most)
-    if cycle % _TIDY == 0:
+    if cycle % 1024 == 0:  # as in `Plant`
         tidy(plant)
     return left == 0
 
@@ -205,9 +203,6 @@ def booked_work(plant: EventPlant, interaction: float, torque: float, travel: fl
     return 0.0 - booked
 
 
-_UNKNOWN_SLOPE: Final = -1.0
-
-
 def run_substeps(plant: EventPlant, ticks: int, most: int) -> int:
     """Replace `event_plant.run_ticks`: move in substeps that end at their first event at the latest."""
     counts, now = plant.counts, plant.now[0]
@@ -219,10 +214,20 @@ def run_substeps(plant: EventPlant, ticks: int, most: int) -> int:
 
 
 def substep(plant: EventPlant, ticks: int, most: int) -> int:
-    """Move by `ticks` or to the first event; return the ticks that passed."""
-    state, now = plant.state, plant.now[0]
-    now.start, now.held = state[0], state[plant.torque_place]
-    force = solve(plant, ticks, most)
+    """Move by `ticks` or to the first event; return the ticks that passed.
+
+    The force is consistent with its own motion, at the end of which the plant is left.
+    """
+    state, counts, now = plant.state, plant.counts, plant.now[0]
+    for row in range(len(state)):
+        plant.saved[row] = state[row]
+    now.saved_mode, now.saved_events, now.saved_work = counts[MODE], counts[EVENTS], plant.books[0].totals[0]
+    now.start, now.begin, now.held = state[0], state[plant.torque_place], state[plant.torque_place]
+    now.ticks, now.limit, now.is_stopped = ticks, -1, False
+    force, now.slope, found = fixed_point(plant, now.force, now.slope)
+    if not found:
+        now.limit = most
+        force, now.slope, _ = fixed_point(plant, now.force, -1.0)  # with an unknown slope
     if now.is_stopped:
         return 0
     travel = state[plant.travel_place]
@@ -234,21 +239,6 @@ def substep(plant: EventPlant, ticks: int, most: int) -> int:
     now.force = force
     passed: int = now.passed
     return passed
-
-
-def solve(plant: EventPlant, ticks: int, most: int) -> float:
-    """Force consistent with its own motion; the plant is left at the end of that motion."""
-    counts, now = plant.counts, plant.now[0]
-    for row in range(len(plant.state)):
-        plant.saved[row] = plant.state[row]
-    now.saved_mode, now.saved_events, now.saved_work = counts[MODE], counts[EVENTS], plant.books[0].totals[0]
-    now.begin, now.ticks = now.held, ticks
-    now.limit, now.is_stopped = -1, False
-    force, now.slope, found = fixed_point(plant, now.force, now.slope)
-    if not found:
-        now.limit = most
-        force, now.slope, _ = fixed_point(plant, now.force, _UNKNOWN_SLOPE)
-    return force
 
 
 def residual_of_plant(plant: EventPlant, force: float) -> float:
@@ -275,11 +265,6 @@ def residual_of_plant(plant: EventPlant, force: float) -> float:
         )
     return total - force
 
-
-_PRODUCTS: Final = {
-    getattr(stepper, name): getattr(mode_arrays, name)
-    for name in ("move", "evaluate", "pace", "largest_term", "stored")
-}
 
 CALLS: Final = (
     stepper.run, splitting.fixed_point, residual_of_plant, doubt_of_late, end_gap, free_of_late, largest_of_late,
@@ -401,7 +386,8 @@ class EventModes:
 
 def by_its_way() -> dict[object, object]:
     """Functions to replace in a loop where the motor's work is its torque times displacement."""
-    return {**_PRODUCTS, stepper.book: book_nothing}
+    products = ("move", "evaluate", "pace", "largest_term", "stored")
+    return {stepper.book: book_nothing, **{getattr(stepper, name): getattr(mode_arrays, name) for name in products}}
 
 
 def works_are_booked(scene: PlantModel) -> bool:
@@ -409,12 +395,11 @@ def works_are_booked(scene: PlantModel) -> bool:
     return scene.motor_torque != "torque" or any(effort.account == "motor" for effort in scene.efforts)
 
 
-def replacements(scene: PlantModel) -> dict[object, object]:
-    """Functions to replace in a loop of plants with events.
-
-    Args:
-        scene: Model of one of the plants.
-    """
+def loop_replacements(plants: Sequence[PlantValues]) -> dict[object, object]:
+    """Replacements of functions of the loop for plants with events; none for linear ones."""
+    if not plants:
+        return {}
+    scene = plants[0].scene()
     found: dict[object, object] = {
         **by_its_way(), closed_loop.move_plant: move_events, closed_loop.begin_plant: begin_events,
         closed_loop.plant_at: events_at,
@@ -452,57 +437,36 @@ def never_stopped(*_what: object) -> None:
     """Placeholder, never called by a loop of a linear plant."""
 
 
-def loop_replacements(plants: Sequence[PlantValues]) -> dict[object, object]:
-    """Replacements of functions of the loop for plants with events; none for linear ones."""
-    return replacements(plants[0].scene()) if plants else {}
-
-
-_NOISE: Final = "encoder_noise"
 _TORQUE: Final = ("torque_saturation", "thermal_derating", "torque_quantisation")
-SIGNAL_EFFECTS: Final = (_NOISE, "encoder_quantisation", *_TORQUE)
-"""Their names in a scene."""
+SIGNAL_EFFECTS: Final = ("encoder_noise", "encoder_quantisation", *_TORQUE)
+"""Names in a scene of effects that change a number and not the motion."""
 
 
-@dataclass(frozen=True, slots=True)
-class SignalEffects:
-    """Signal effects of one plant, in the order in which they act."""
+def signals_of(effects: Sequence[ComponentSpec], sample_time: float, seed: int) -> Signals:
+    """Return the signal effects of a plant as numbers.
 
-    effects: tuple[ComponentSpec, ...] = ()
-
-    @classmethod
-    def of(cls, effects: Sequence[ComponentSpec]) -> "SignalEffects":
-        """Signal effects among the effects of a plant."""
-        return cls(tuple(effect for effect in effects if effect.name in SIGNAL_EFFECTS))
-
-    def at(self, sample_time: float, seed: int) -> Signals:
-        """Return the effects as numbers.
-
-        Args:
-            sample_time: Sample time [s].
-            seed: Seed of everything random.
-        """
-        found: dict[str, Any] = {effect.name: effect.parameters for effect in self.effects}
-        order = [effect.name for effect in self.effects if effect.name in _TORQUE]
-        noise, encoder = found.get(_NOISE), found.get("encoder_quantisation")
-        saturation, rounding = found.get("torque_saturation"), found.get("torque_quantisation")
-        warms = found.get("thermal_derating")
-        last = saturation is not None and warms is not None and order.index("thermal_derating") == 0
-        return Signals(
-            noise.deviation if noise else 0.0, seed, encoder.count if encoder else 0.0, bool(order),
-            saturation.limit if saturation else inf, last, rounding.quantum if rounding else 0.0,
-            _winding(warms, sample_time) if warms else Winding(),
+    Args:
+        effects: Effects of the plant, in the order in which they act.
+        sample_time: Sample time [s].
+        seed: Seed of everything random.
+    """
+    found: dict[str, Any] = {effect.name: effect.parameters for effect in effects}
+    order = [effect.name for effect in effects if effect.name in _TORQUE]
+    noise, encoder = found.get("encoder_noise"), found.get("encoder_quantisation")
+    saturation, rounding = found.get("torque_saturation"), found.get("torque_quantisation")
+    warms, winding = found.get("thermal_derating"), Winding()
+    if warms is not None:
+        winding = Winding(
+            warms.torque_limit, warms.thermal_resistance * warms.copper_loss, warms.ambient, warms.hot,
+            warms.hot - warms.warm, -expm1(-sample_time / warms.time_constant),
         )  # fmt: skip
-
-
-def _winding(derating: Any, sample_time: float) -> Winding:
-    return Winding(
-        derating.torque_limit, derating.thermal_resistance * derating.copper_loss, derating.ambient, derating.hot,
-        derating.hot - derating.warm, -expm1(-sample_time / derating.time_constant),
+    last = saturation is not None and order[0] == "thermal_derating"
+    return Signals(
+        noise.deviation if noise else 0.0, seed, encoder.count if encoder else 0.0, bool(order),
+        saturation.limit if saturation else inf, last, rounding.quantum if rounding else 0.0, winding,
     )  # fmt: skip
 
 
-_IN_ARRAYS: Final = ("viscous_friction", "tremor")
-"""Effects with a known place in the equation of motion."""
 _ANY_NS: Final = 1_000_000
 """A sample time, where it does not matter [ns]."""
 
@@ -553,7 +517,7 @@ def linear_motion(
         varied: Keys under `simulation.` -> value of each scene.
     """
     keys = {key: values for key, values in varied.items() if key.startswith("simulation.")}
-    is_known = all(effect.name in (*_IN_ARRAYS, *SIGNAL_EFFECTS) for effect in simulation.effects)
+    is_known = all(effect.name in ("viscous_friction", "tremor", *SIGNAL_EFFECTS) for effect in simulation.effects)
     rates, starts = _in_arrays(simulation, keys) if is_known else (None, None)
     if rates is not None and (keys or not isinstance(sample_time_ns, float)):
         steps = rates * np.reshape(np.asarray(sample_time_ns) * 1e-9, (-1, 1, 1))

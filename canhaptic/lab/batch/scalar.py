@@ -12,9 +12,10 @@ NaN: a group has no position.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from functools import lru_cache
 from math import nan
+from types import SimpleNamespace
 from typing import Any, Final, cast
 
 import numpy as np
@@ -27,22 +28,9 @@ from canhaptic.control.passivity.hold_account import Axis
 from canhaptic.errors import CanHapticError, ControlError
 from canhaptic.kernels import Run, with_quick_fields
 from canhaptic.kernels.records import bound
+from canhaptic.lab.batch import closed_loop
 from canhaptic.lab.batch.cases import BatchCase, NotBatchableError, loops_of, why_not_compiled
-from canhaptic.lab.batch.closed_loop import (
-    AxisRun,
-    CycleState,
-    LoopSettings,
-    ReferenceMemory,
-    ReferenceSettings,
-    ReferenceState,
-    Signals,
-    encoder,
-    follow,
-    move_plant,
-    run_loop,
-    step,
-    work_in,
-)
+from canhaptic.lab.batch.closed_loop import AxisRun, LoopSettings, ReferenceMemory, ReferenceSettings, ReferenceState
 from canhaptic.lab.batch.continuous import continuous_reference
 from canhaptic.lab.batch.engine import ChosenEngine
 from canhaptic.lab.batch.group_loop import GroupCase, GroupMeter, GroupRig, GroupRoom, group_case, run_group, take_group
@@ -50,17 +38,8 @@ from canhaptic.lab.batch.group_loop import step as step_group
 from canhaptic.lab.batch.plants import PlantValues
 from canhaptic.lab.figures.figures import CONTINUOUS, METRICS, last_rows, metrics_of, sums_of, sums_of_continuous
 from canhaptic.lab.figures.meter import Meter, MeterSettings, diverge, take
-from canhaptic.lab.loop.axis_loop import (
-    EVERYWHERE,
-    FURTHEST,
-    LoopCase,
-    LoopRun,
-    Reach,
-    Recorder,
-    finished,
-    loop_case,
-    plant_parts,
-)
+from canhaptic.lab.loop import axis_loop
+from canhaptic.lab.loop.axis_loop import EVERYWHERE, LoopCase, LoopRun, Reach, Recorder, finished
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.plant import Plant
@@ -94,7 +73,7 @@ def object_work(plant: ObjectPlant, interaction: float, torque: float, travel: f
     return 0.0 - plant.of.energy().motor
 
 
-def object_encoder(plant: ObjectPlant, signals: Signals, cycle: int, position: float) -> float:
+def object_encoder(plant: ObjectPlant, signals: closed_loop.Signals, cycle: int, position: float) -> float:
     """Replace `encoder`."""
     return plant.of.encoder_position
 
@@ -106,7 +85,10 @@ def object_step(environment: Environment, run: AxisRun, position: float, torque_
 
 
 def known_reference(
-    settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory, cycle: int
+    settings: ReferenceSettings,
+    reference: ReferenceState,
+    memory: ReferenceMemory,
+    cycle: int,
 ) -> float:
     """Replace `follow`: the series are the positions and mean torques of a continuous run."""
     positions, torques = memory.series
@@ -131,32 +113,24 @@ def _run(case: LoopCase, cycles: int, loop: LoopSettings, meter: Any, continuous
     known = [] if continuous is None else [continuous.position.tolist(), continuous.torque.tolist()]
     try:
         _object_loop(isinstance(meter, Recorder))(
-            plain(case.environment), Run(None, _NoKernel(), case.controller()), loop, meter,
-            ObjectPlant(case.make_plant(), case.sample_time_ns), CycleState(), ReferenceSettings(exists=bool(known)),
-            ReferenceState(), ReferenceMemory((), (), [0.0], [], known), cycles,
+            plain(case.environment), Run(None, SimpleNamespace(axis=Axis()), case.controller()), loop, meter,
+            ObjectPlant(case.make_plant(), case.sample_time_ns), closed_loop.CycleState(),
+            ReferenceSettings(exists=bool(known)), ReferenceState(), ReferenceMemory((), (), [0.0], [], known), cycles,
         )  # fmt: skip
     except ControlError as error:
         return str(error)
     return ""
 
 
-@dataclass
-class _NoKernel:
-    """State of the axis of a controller that keeps its own."""
-
-    axis: Axis = field(default_factory=Axis)
-
-
 @lru_cache(maxsize=2)
 def _object_loop(is_recorded: bool) -> Callable[..., bool]:
     """Return `run_loop` for objects, with a recorder or a meter."""
-    replaced: dict[object, object] = {
-        step: object_step, move_plant: move_object, work_in: object_work, encoder: object_encoder,
-        follow: known_reference,
-    }  # fmt: skip
+    of, replaced = closed_loop, dict[object, object]()
+    replaced |= {of.step: object_step, of.move_plant: move_object, of.work_in: object_work}
+    replaced |= {of.encoder: object_encoder, of.follow: known_reference}
     if is_recorded:
         replaced |= {take: record, diverge: forget}
-    return bound(run_loop, replaced)
+    return bound(closed_loop.run_loop, replaced)
 
 
 def render(
@@ -232,7 +206,7 @@ def record_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, recorder: Re
 
 
 def render_group(
-    engine: ChosenEngine, scene: Scene, cycles: int, furthest: float = FURTHEST,
+    engine: ChosenEngine, scene: Scene, cycles: int, furthest: float = axis_loop.FURTHEST,
     progress: Callable[[], None] | None = None,
 ) -> LoopRun:  # fmt: skip
     """Run the one group of a scene; see `render_by`. Python moves the plants themselves.
@@ -293,9 +267,9 @@ def _run_group(
 ) -> None:
     """Run a group in Python."""
     memory = with_quick_fields(case.kernel.memory(case.world, case.settings))
-    run = _python_loop(case.kernel, (*case.motors.replacements().items(), *replaced.items()))
+    run = _python_loop(case.kernel, (*case.motors.replaced.items(), *replaced.items()))
     world, settings = (with_quick_fields(part) for part in (case.world, case.settings))
-    motors = case.motors.made(listed=True)
+    motors = case.motors.made(True)
     run(world, settings, case.kernel.state(), memory, case.rig, motors, case.room(), GroupMotion(), meter, rows, cycles)
 
 
@@ -328,9 +302,9 @@ def run_scalar(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) 
     if scene.groups:
         return group_figures(group_meter(group_case(scene), cycles), metrics)
     axis = scene.axes[0]
-    case, names, continuous = loop_case(axis, scene), list(METRICS if metrics is None else metrics), None
+    case, names, continuous = axis_loop.loop_case(axis, scene), list(METRICS if metrics is None else metrics), None
     if any(name in CONTINUOUS for name in names):
-        parts = plant_parts(axis)[:3]
+        parts = axis_loop.plant_parts(axis)[:3]
         continuous = continuous_reference(case.environment, *parts, scene.bus.sample_time_ns, cycles)
     return run_case(case, cycles, names, continuous)
 

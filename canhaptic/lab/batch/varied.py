@@ -1,8 +1,8 @@
 """The keys of a scene that may differ inside one batch, and the scene with other values at them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import ParameterError
@@ -10,10 +10,7 @@ from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.units import Parameters
 
-_P = TypeVar("_P", bound=Parameters)
-
 _LOOP: Final = ("moving_mass", "device_damping", "device_damping_bound")
-_MOTION: Final = ("amplitude", "frequency", "phase", "offset")
 
 BATCH_KEYS: Final[dict[str, tuple[str, ...]]] = {
     "environment": (
@@ -22,7 +19,8 @@ BATCH_KEYS: Final[dict[str, tuple[str, ...]]] = {
     ),
     "passivity": (*_LOOP, "hand_force", "hand_speed", "energy_allowance", "alpha", "damping_limit"),
     "simulation.plant": ("mass", "damping", "initial_position", "initial_velocity"),
-    "simulation.user": ("stiffness", "damping", "push", "rest", *(f"motion.{name}" for name in _MOTION)),
+    "simulation.user": ("stiffness", "damping", "push", "rest", "motion.amplitude", "motion.frequency", "motion.phase",
+        "motion.offset"),
     "bus": ("rate",),
     "loop": ("delay",),
     "axes.0": ("counts_per_unit", "rated_torque", "torque_limit"),
@@ -47,8 +45,12 @@ def scene_with(scene: Scene, values: Mapping[str, float]) -> Scene:
             bus = BusParameters(**{**bus.model_dump(), name: value})
         elif section == "loop":
             bus = BusParameters(**{**bus.model_dump(), "rpdo": "synchronous" if value else "event"})
+        elif section == "passivity" and name in _LOOP:
+            axis = _changed(axis, ("loop", name), value, key)
+        elif section == "axes.0":
+            axis = _changed(axis, ("parameters", name), value, key)
         else:
-            axis = _axis_with(axis, section, name, value)
+            axis = _changed(axis, key.split("."), value, key)
     derived = {"sample_time": bus.sample_time, "delay": bus.delay, **_of_axis(axis)}
     axis = replace(axis, loop=_with(axis.loop, **derived))
     return replace(scene, bus=bus, axes=(axis, *scene.axes[1:]))
@@ -70,39 +72,33 @@ def split_key(key: str) -> tuple[str, str]:
     )
 
 
-def _axis_with(axis: AxisScene, section: str, name: str, value: float) -> AxisScene:
-    if section == "environment":
-        return replace(axis, environment=_typed_with(axis.environment, name, value))
-    if section == "passivity":
-        if name in _LOOP:
-            return replace(axis, loop=_with(axis.loop, **{name: value}))
-        return replace(axis, passivity=_typed_with(axis.passivity, name, value))
-    if section == "axes.0":
-        return replace(axis, parameters=_with(axis.parameters, **{name: value}))
-    simulation = axis.simulation
-    if simulation is None:
-        raise ParameterError(f"varied: got {section}.{name} for an axis that is not simulated; add `simulation`")
-    return replace(axis, simulation=_simulation_with(simulation, section, name, value))
-
-
 def simulation_with(simulation: AxisSimulation, values: Mapping[str, float]) -> AxisSimulation:
     """Return a simulation with other values at keys under `simulation.`."""
     for key, value in values.items():
-        simulation = _simulation_with(simulation, *split_key(key), value)
+        simulation = _changed(simulation, key.split(".")[1:], value, key)
     return simulation
 
 
-def _simulation_with(simulation: AxisSimulation, section: str, name: str, value: float) -> AxisSimulation:
-    if section == "simulation.plant":
-        return replace(simulation, plant=_with(simulation.plant, **{name: value}))
-    user, motion = simulation.user, name.removeprefix("motion.")
-    if user is None:
-        raise ParameterError(f"varied: got {section}.{name}, but the scene has no hand; add simulation.user")
-    if motion == name:
-        return replace(simulation, user=_with(user, **{name: value}))
-    if user.motion is None:
-        raise ParameterError(f"varied: got {section}.{name}, but the user has no motion; add simulation.user.motion")
-    return replace(simulation, user=_with(user, motion=_with(user.motion, **{motion: value})))
+_ABSENT: Final = {
+    "simulation": " for an axis that is not simulated; add `simulation`",
+    "user": ", but the scene has no hand; add simulation.user",
+    "motion": ", but the user has no motion; add simulation.user.motion",
+}
+
+
+def _changed(part: Any, path: Sequence[str], value: Any, key: str) -> Any:
+    """Return a part of a scene with another value at a path, validated by the model that owns it."""
+    name, *rest = path
+    if isinstance(part, ComponentSpec):
+        if name not in type(part.parameters).model_fields:
+            raise ParameterError(f"varied: got {name}, which {part.name} does not have; leave it out")
+        return ComponentSpec(part.name, _with(part.parameters, **{name: value}))
+    if rest:
+        inner = getattr(part, name)
+        if inner is None:
+            raise ParameterError(f"varied: got {key}{_ABSENT[name]}")
+        value = _changed(inner, rest, value, key)
+    return _with(part, **{name: value}) if isinstance(part, Parameters) else replace(part, **{name: value})
 
 
 def _of_axis(axis: AxisScene) -> dict[str, Any]:
@@ -114,13 +110,6 @@ def _of_axis(axis: AxisScene) -> dict[str, Any]:
     }
 
 
-def _typed_with(typed: ComponentSpec, name: str, value: float) -> ComponentSpec:
-    if name not in type(typed.parameters).model_fields:
-        raise ParameterError(f"varied: got {name}, which {typed.name} does not have; leave it out")
-    return ComponentSpec(typed.name, _with(typed.parameters, **{name: value}))
-
-
-def _with(model: _P, **values: Any) -> _P:
+def _with(model: Parameters, **values: Any) -> Any:
     """Return a model with other values, validated."""
-    changed = {name: getattr(model, name) for name in type(model).model_fields}
-    return type(model)(**{**changed, **values})
+    return type(model)(**{**{name: getattr(model, name) for name in type(model).model_fields}, **values})

@@ -10,33 +10,12 @@ from functools import partial
 from typing import Any, Protocol
 
 from canhaptic.errors import InputError
-from canhaptic.lab.judge.reference_model import (
-    MOTOR_WORK,
-    POSITION,
-    USER_WORK,
-    VELOCITY,
-    Floats,
-    Model,
-    Modes,
-    ReferenceStickSlip,
-    Transition,
-)
+from canhaptic.lab.judge import reference_model
+from canhaptic.lab.judge.reference_model import POSITION, VELOCITY, Floats, Model, Modes, Transition
 from canhaptic.lab.judge.solvers import SwitchedModel
 from canhaptic.sim.plant.mechanism import MechanismParameters
-from canhaptic.sim.plant.mechanism.five_bar_linkage import (
-    FiveBarLinkage,
-    Inertia,
-    LinkagePose,
-    force_of_hand,
-    hand_pull,
-    inertia_in,
-    inertia_rate,
-    pose_at,
-    quadratic,
-    singular,
-    solved,
-    span_rates,
-)
+from canhaptic.sim.plant.mechanism import five_bar_linkage as five_bar
+from canhaptic.sim.plant.mechanism.five_bar_linkage import Inertia, LinkagePose, hand_pull, quadratic
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
 
@@ -92,8 +71,8 @@ class AxesModel:
 
     def works(self, state: State) -> tuple[float, float]:
         """Return the works of all motors and of the user; see `ReferenceGroup`."""
-        motor = sum(float(state[part.stop + MOTOR_WORK]) for part in self._parts)
-        return motor, sum(float(state[part.stop + USER_WORK]) for part in self._parts)
+        motor = sum(float(state[part.stop + reference_model.MOTOR_WORK]) for part in self._parts)
+        return motor, sum(float(state[part.stop + reference_model.USER_WORK]) for part in self._parts)
 
     def inertia(self, positions: State) -> list[Floats]:
         """Return the moving masses; see `ReferenceGroup`."""
@@ -145,7 +124,7 @@ class _TwoMotors:
     switches = False
 
     def __init__(self, hand: TaskHand | None, positions: Sequence[float]) -> None:
-        self._hand = force_of_hand(hand)
+        self._hand = five_bar.force_of_hand(hand)
         self.start, self.breaks = [*positions, 0.0, 0.0, 0.0, 0.0], list[float]()
         self.evaluations = 0
 
@@ -173,7 +152,7 @@ class StageModel(_TwoMotors):
         super().__init__(hand, stage.initial_position)
         self._masses, self._damping = (stage.mass_x, stage.mass_y), (stage.damping_x, stage.damping_y)
         self._guides = [
-            ReferenceStickSlip(
+            reference_model.ReferenceStickSlip(
                 dry.kinetic, dry.static, 0.0, 1.0, 0.0, partial(self._other_force, guide), (guide, 2 + guide)
             )
             for guide, dry in enumerate((stage.friction_x, stage.friction_y))
@@ -213,13 +192,13 @@ class StageModel(_TwoMotors):
 class FiveBarModel(_TwoMotors):
     """A five-bar."""
 
-    def __init__(self, links: FiveBarLinkage, hand: TaskHand | None) -> None:
+    def __init__(self, links: five_bar.FiveBarLinkage, hand: TaskHand | None) -> None:
         super().__init__(hand, links.initial_angles)
         self._linkage, self._damping, self._stop = links.linkage(), links.damping, links.elbow_stop
 
     def inertia(self, positions: State) -> list[Floats]:
         """Return the inertia in a pose; see `ReferenceGroup`."""
-        found = inertia_in(self._linkage, self._pose(float(positions[0]), float(positions[1])))
+        found = five_bar.inertia_in(self._linkage, self._pose(float(positions[0]), float(positions[1])))
         return [[found.a, found.b], [found.b, found.c]]
 
     def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
@@ -230,11 +209,14 @@ class FiveBarModel(_TwoMotors):
         (xl, xr), (yl, yr) = pose.jacobian
         force = hand_pull(self._hand, time, pose.handle, (xl * v_left + xr * v_right, yl * v_left + yr * v_right))
         hand = xl * force[0] + yl * force[1], xr * force[0] + yr * force[1]
-        by_left, by_right = (inertia_rate(self._linkage, pose, by) for by in (0, 1))
+        by_left, by_right = (five_bar.inertia_rate(self._linkage, pose, by) for by in (0, 1))
         turning = Inertia(*(a * v_left + b * v_right for a, b in zip(by_left, by_right, strict=True)))  # dM / dt
-        centrifugal = 0.5 * quadratic(by_left, v_left, v_right), 0.5 * quadratic(by_right, v_left, v_right)
+        centrifugal = (
+            0.5 * quadratic(by_left, v_left, v_right),
+            0.5 * quadratic(by_right, v_left, v_right),
+        )
         pull = self._stop_pull(pose.span)
-        spans = span_rates(pose)
+        spans = five_bar.span_rates(pose)
         total = [
             torque[i] + hand[i] - self._damping * v - pull * spans[i] + centrifugal[i] - turned
             for i, v, turned in (
@@ -242,7 +224,7 @@ class FiveBarModel(_TwoMotors):
                 (1, v_right, turning.b * v_left + turning.c * v_right),
             )
         ]
-        accelerations = solved(inertia_in(self._linkage, pose), *total)
+        accelerations = five_bar.solved(five_bar.inertia_in(self._linkage, pose), *total)
         return [
             v_left, v_right, *accelerations, torque[0] * v_left + torque[1] * v_right,
             hand[0] * v_left + hand[1] * v_right,
@@ -254,9 +236,9 @@ class FiveBarModel(_TwoMotors):
         Raises:
             ParameterError: It is singular.
         """
-        pose = pose_at(self._linkage, left, right)
+        pose = five_bar.pose_at(self._linkage, left, right)
         if not pose.is_regular:
-            raise singular(self._linkage, left, right, pose.span)
+            raise five_bar.singular(self._linkage, left, right, pose.span)
         return pose
 
     def _stop_pull(self, span: float) -> float:
@@ -274,7 +256,7 @@ def mechanism_model(parameters: MechanismParameters, hand: TaskHand | None) -> S
     """
     if isinstance(parameters, XYStage):
         return StageModel(parameters, hand)
-    if isinstance(parameters, FiveBarLinkage):
+    if isinstance(parameters, five_bar.FiveBarLinkage):
         return FiveBarModel(parameters, hand)
     raise InputError(f"the mechanism {type(parameters).__name__} has no equations here")
 

@@ -11,37 +11,18 @@ the energy given out.
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from canhaptic.axis_units import mass_unit
 from canhaptic.errors import InputError
 from canhaptic.lab.studies import Row
+from canhaptic.lab.studies.accuracy import accuracy_table
 from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR
-from canhaptic.lab.studies.accuracy.accuracy_table import (
-    accuracy_tables,
-    advice_lines,
-    base_loop,
-    front,
-    heading,
-    is_of_display,
-    part_of,
-    price_lines,
-)
 from canhaptic.lab.studies.accuracy.admittance_accuracy import display_accuracy_table, display_heading
 from canhaptic.lab.studies.accuracy.plant_solvers import OURS
+from canhaptic.view import picture_style as style
 from canhaptic.view.html_page import picture, words, write_page
-from canhaptic.view.picture_style import (
-    BLUE,
-    GREEN,
-    ORANGE,
-    PALE,
-    PURPLE,
-    SKY,
-    VERMILION,
-    drawing,
-    require_matplotlib,
-    save_picture,
-)
+from canhaptic.view.picture_style import BLUE, GREEN, ORANGE, PALE, PURPLE, SKY, VERMILION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,6 +33,11 @@ _STYLES: Final[dict[str, tuple[str, str]]] = {
     "implicit midpoint": (ORANGE, "s"),
     "RK4": (VERMILION, "^"),
     "LSODA, located": (BLUE, "D"),
+}
+_WORK: Final = "evaluations_per_period"
+_PRICES: Final = {
+    "us_per_period": "wall time per period [us], least of interleaved repeats",
+    _WORK: "evaluations of the equations of motion per period",
 }
 _GROUPS: Final[dict[str, str]] = {
     "as it is": "#000000",
@@ -71,39 +57,34 @@ def draw_accuracy(result: Row, path: str | Path) -> None:
     Raises:
         InputError: matplotlib is not installed, the file cannot be written, or nothing was measured.
     """
-    require_matplotlib()
-    if is_of_display(result):
+    if accuracy_table.is_of_display(result):
         _draw_display(result, path)
         return
-    if not result["plant"]:
-        raise InputError("nothing was measured, so there is nothing to draw")
-    with drawing() as figure_type:
-        base = base_loop(result)
+    with style.drawing() as figure_type:
+        if not result["plant"]:
+            raise InputError("nothing was measured, so there is nothing to draw")
+        base = accuracy_table.base_loop(result)
         felt = base is None or base["largest_torque"] > 0.0
         loop = [row for row in result["loop"] if row["position_error"]] if felt else []
         effects = [row for row in (result["advice"] or {"effects": ()})["effects"] if row.get("position_error")]
         widths = [1.0, 1.0, *([1.05] if loop else []), *([0.6] if effects else [])]
-        figure = figure_type(
-            figsize=(4.8 * sum(widths), max(6.4, 1.6 + 0.22 * len(loop))), dpi=110, layout="constrained"
-        )
+        size = 4.8 * sum(widths), max(6.4, 1.6 + 0.22 * len(loop))
+        figure = figure_type(figsize=size, dpi=110, layout="constrained")
         panels = figure.subplots(1, len(widths), width_ratios=widths)
-        time = _price_of(result)
-        _draw_ladder(panels[0], result, time[0], "position_error")
+        price = next(price for price in _PRICES if any(row.get(price) for row in result["plant"]) or price == _WORK)
+        _draw_ladder(panels[0], result, price, "position_error")
         panels[0].set_title("plant: error against time, by method", fontweight="bold")
-        panels[0].set_xlabel(time[1])
         panels[0].set_ylabel(f"largest error of the position [{result['unit']}]")
-        _draw_ladder(panels[1], result, "evaluations_per_period", "energy_error")
+        _draw_ladder(panels[1], result, _WORK, "energy_error")
         panels[1].set_title("energy: error against work", fontweight="bold")
-        panels[1].set_xlabel("evaluations of the equations of motion per period")
         panels[1].set_ylabel("largest error of an energy [J]")
         if loop:
             _draw_loop(panels[2], loop, result)
         if effects:
             _draw_effects(panels[-1], effects, result)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower left", ncols=5, fontsize=8.5)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower left", ncols=5, fontsize=8.5)
         figure.suptitle(_caption(result), x=0.01, ha="left", fontsize=9.5, color="#404040")
-        save_picture(figure, path)
+        style.save_picture(figure, path)
 
 
 def write_accuracy_page(result: Row, path: Path) -> None:
@@ -113,26 +94,19 @@ def write_accuracy_page(result: Row, path: Path) -> None:
         InputError: matplotlib is not installed, the page cannot be written, or nothing was measured.
     """
     title, shown = f"{result['scene']} - accuracy", picture(lambda file: draw_accuracy(result, file), "accuracy")
-    if is_of_display(result):
+    if accuracy_table.is_of_display(result):
         write_page(path, title, [words(*display_heading(result)), shown, display_accuracy_table(result)])
         return
-    prices = [line.replace("\t", ": ") for line in price_lines(result)]
-    said = words(*advice_lines(result)), words(*prices), words(*heading(result))
-    write_page(path, title, [*said, shown, *accuracy_tables(result, wide=True)])
-
-
-def _price_of(result: Row) -> tuple[str, str]:
-    """Return the key and the name of the price to draw: time, or evaluations where nothing was timed."""
-    if any(row.get("us_per_period") for row in result["plant"]):
-        return "us_per_period", "wall time per period [us], least of interleaved repeats"
-    return "evaluations_per_period", "evaluations of the equations of motion per period"
+    prices = [line.replace("\t", ": ") for line in accuracy_table.price_lines(result)]
+    said = words(*accuracy_table.advice_lines(result)), words(*prices), words(*accuracy_table.heading(result))
+    write_page(path, title, [*said, shown, *accuracy_table.accuracy_tables(result, wide=True)])
 
 
 def _caption(result: Row) -> str:
     witness = result["reference"]["witness"]
     apart = "" if witness is None else f", LSODA at 1e-9 is {witness['apart']:.1e} {result['unit']} away from it"
     return (
-        f"{result['scene']}, {part_of(result)}: {result['holds']} periods at {result['rate']:g} Hz;   "
+        f"{result['scene']}, {accuracy_table.part_of(result)}: {result['holds']} periods at {result['rate']:g} Hz;   "
         f"reference: {result['reference']['method']}{apart}"
     )
 
@@ -151,15 +125,14 @@ def _draw_ladder(panel: "Axes", result: Row, price: str, error: str) -> None:
                 [row[price] for row in own], [max(row[error], floor) for row in own], marker=marker, color=colour,
                 label="_" * bool(number) + label, markersize=6.0, linewidth=1.0, alpha=0.85,
             )  # fmt: skip
-    edge = sorted(front([(row[price], max(row[error], floor)) for row in stable]))
+    edge = sorted(accuracy_table.front([(row[price], max(row[error], floor)) for row in stable]))
     panel.plot(
         [x for x, _ in edge], [y for _, y in edge], color="black", linewidth=0.9, linestyle=(0, (4, 2)), marker="o",
         markersize=11.0, markerfacecolor="none", markeredgecolor="black", label="Pareto front", zorder=1.5,
     )  # fmt: skip
     if error == "position_error":
         panel.axhline(result["tolerance"], color="#CC0000", linewidth=1.0, linestyle=":", label="tolerance")
-    panel.set_xscale("log")
-    panel.set_yscale("log")
+    panel.set(xscale="log", yscale="log", xlabel=_PRICES[price])
     panel.margins(0.08)
 
 
@@ -184,36 +157,37 @@ def _draw_loop(panel: "Axes", loop: Sequence[Row], result: Row) -> None:
     panel.set_yticks(places, [f"{row['group']}: {row['setting'].replace('_', ' ')}" for row in loop], fontsize=8.0)
     for label, row in zip(panel.get_yticklabels(), loop, strict=True):
         label.set_color(_GROUPS[row["group"]])
-    panel.set_xscale("log")
-    panel.set_ylim(-0.8, len(loop) + 0.2)
     panel.grid(axis="y", visible=False)
     panel.set_title("loop: one thing changed", fontweight="bold")
     panel.set_xlabel(f"from the continuous axis:  o position [{result['unit']}],  | energy [J]")
-    across = panel.get_yaxis_transform()
-    panel.text(1.02, len(loop) - 0.1, "control, bus load", transform=across, fontsize=8.0, va="center", color="#404040")
+    panel.set(xscale="log", ylim=(-0.8, len(loop) + 0.2))
+    _write_right(panel, len(loop) - 0.1, "control, bus load")
     for place, row in zip(places, loop, strict=True):
         thread = row.get("control_thread_us")
         words = [] if thread is None else [f"{thread:.0f} us"]
         words.append(f"{100.0 * row['bus_load']:.0f} %" + ("" if row["bus_fits"] else " !"))
-        panel.text(1.02, place, ", ".join(words), transform=across, fontsize=8.0, va="center", color="#404040")
+        _write_right(panel, place, ", ".join(words))
+
+
+def _write_right(panel: "Axes", place: float, text: str) -> None:
+    panel.text(
+        1.02, place, text, transform=panel.get_yaxis_transform(), fontsize=8.0, va="center", color="#404040"
+    )  # fmt: skip
 
 
 def _draw_effects(panel: "Axes", effects: Sequence[Row], result: Row) -> None:
     """Draw one row per effect: the error of leaving it out, and the saving in words."""
-    across = panel.get_yaxis_transform()
     for place, row in enumerate(effects):
         panel.plot([row["position_error"]], [place], "o", color=VERMILION, markersize=6.0)
         saved = row["us_saved_per_period"]
         price = f"{row['evaluations_saved_per_period']:.3g} evaluations" if saved is None else f"{saved:.3g} us"
-        panel.text(1.02, place, f"saves {price}", transform=across, fontsize=8.0, va="center", color="#404040")
+        _write_right(panel, place, f"saves {price}")
     panel.axvline(result["tolerance"], color="#CC0000", linewidth=1.0, linestyle=":")
     panel.set_yticks(range(len(effects)), [row["effect"].replace("_", " ") for row in effects], fontsize=8.0)
-    panel.set_xscale("log")
-    panel.set_ylim(len(effects) - 0.2, -0.8)
+    panel.set(xscale="log", ylim=(len(effects) - 0.2, -0.8), xlabel=f"error of it [{result['unit']}]")
     panel.margins(x=0.15)
     panel.grid(axis="y", visible=False)
     panel.set_title("an effect left out", fontweight="bold")
-    panel.set_xlabel(f"error of it [{result['unit']}]")
 
 
 _COLOURS: Final = {
@@ -223,35 +197,6 @@ _LEAST: Final = 1e-12
 """Drawn for zero on an axis of powers of ten."""
 
 
-class _Figure(NamedTuple):
-    """One column of the picture."""
-
-    title: str
-    value: Callable[[Row], float]
-    is_steep: bool
-
-
-def _figures(unit: str) -> tuple[_Figure, ...]:
-    return (
-        _Figure(f"largest error of the position [{unit}]", lambda row: row["position_error"], True),
-        _Figure("largest error of the energy [J]", lambda row: row["energy_error"], True),
-        _Figure(f"mass felt [{mass_unit(unit)}]", lambda row: row["mass_felt"], False),
-        _Figure("energy given out [J]", lambda row: max(0.0, row["given_out"]), False),
-    )
-
-
-def _drawn(result: Row) -> list[Row]:
-    """Return the rows that have figures.
-
-    Raises:
-        InputError: None has.
-    """
-    rows = [row for row in result["loop"] if "position_error" in row]
-    if not rows:
-        raise InputError("nothing was measured, so there is nothing to draw")
-    return rows
-
-
 def _name(row: Row) -> str:
     ended = "" if row["status"] == "ok" else " (ended early)"
     return f"{row['changed']}: {row['to']}".rstrip(": ").replace("_", " ") + ended
@@ -259,17 +204,25 @@ def _name(row: Row) -> str:
 
 def _draw_display(result: Row, path: str | Path) -> None:
     """Draw the study of a display; errors as for `draw_accuracy`."""
-    rows, columns = _drawn(result), _figures(result["unit"])
-    places = list(range(len(rows)))[::-1]
-    with drawing() as figure_type:
+    unit = result["unit"]
+    columns: dict[str, Callable[[Row], float]] = {
+        f"largest error of the position [{unit}]": lambda row: max(row["position_error"], _LEAST),
+        "largest error of the energy [J]": lambda row: max(row["energy_error"], _LEAST),
+        f"mass felt [{mass_unit(unit)}]": lambda row: row["mass_felt"],
+        "energy given out [J]": lambda row: max(0.0, row["given_out"]),
+    }
+    with style.drawing() as figure_type:
+        rows = [row for row in result["loop"] if "position_error" in row]
+        if not rows:
+            raise InputError("nothing was measured, so there is nothing to draw")
+        places = list(range(len(rows)))[::-1]
         figure = figure_type(figsize=(14.5, 2.2 + 0.3 * len(rows)), dpi=110, layout="constrained")
-        for panel, column in zip(figure.subplots(1, len(columns), sharey=True), columns, strict=True):
-            values = [column.value(row) for row in rows]
-            for place, row, value in zip(places, rows, values, strict=True):
-                shown = max(value, _LEAST) if column.is_steep else value
+        for panel, (title, value) in zip(figure.subplots(1, len(columns), sharey=True), columns.items(), strict=True):
+            values = [value(row) for row in rows]
+            for place, row, shown in zip(places, rows, values, strict=True):
                 panel.plot([shown], [place], "o", color=_COLOURS.get(row["changed"], VERMILION), markersize=6.0)
-            panel.set_xlabel(column.title)
-            if column.is_steep:
+            panel.set_xlabel(title)
+            if title.startswith("largest"):
                 panel.set_xscale("log")
                 panel.margins(x=0.15)
             elif not any(values):
@@ -278,4 +231,4 @@ def _draw_display(result: Row, path: str | Path) -> None:
                 panel.axvline(max(values[0], _LEAST), color="black", linewidth=0.8, linestyle=":")
             panel.set_yticks(places, [_name(row) for row in rows], fontsize=8.5)
         figure.suptitle("\n".join(display_heading(result)), x=0.01, ha="left", fontsize=9.0, color="#404040")
-        save_picture(figure, path)
+        style.save_picture(figure, path)

@@ -11,7 +11,6 @@ from canhaptic.lab.studies.arena import COLUMNS
 from canhaptic.view.html_page import picture, words, write_page
 from canhaptic.view.table import Cell, Styled, Table, shown
 
-_OURS: Final = "guarded"
 _CASE: Final = (
     "scene", "rate", "delay", "algorithm", "status", "certificate", "energy_given_out", "energy_beyond_device",
     "position_error", "force_variation", "stiffness_error", "rate_hardness", "limit_cycle", "drag",
@@ -57,13 +56,9 @@ def _standings(found: Found) -> Table:
 
 def _standing(row: Mapping[str, Any], ranks: Mapping[str, int], times: Mapping[str, float]) -> list[Cell]:
     name = row["algorithm"]
-    figures = (_ranked(row[key], ranks.get(key)) for key in COLUMNS)
+    figures = (row[key] if None in (row[key], ranks.get(key)) else f"{row[key]:.4g} ({ranks[key]})" for key in COLUMNS)
     cells = [name, row["cases"], *figures, times.get(name)]
-    return [Styled(shown(cell), "bold") for cell in cells] if name == _OURS else cells
-
-
-def _ranked(value: float | None, rank: int | None) -> Cell:
-    return value if value is None or rank is None else f"{value:.4g} ({rank})"
+    return [Styled(shown(cell), "bold") for cell in cells] if name == "guarded" else cells
 
 
 def _plain(rows: Sequence[Mapping[str, Any]]) -> Table:

@@ -17,24 +17,15 @@ if TYPE_CHECKING:
 Found = Mapping[str, Any]
 _COLOURS: Final = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, GREY)
 _MARKS: Final = "osv^<>DPX*hpd"
-_THEORY: Final = (
-    ("Colgate", "--", "#404040"),
-    ("eigenvalues", "-.", "#404040"),
-    ("largest certificate", ":", "#000000"),
-)
+_THEORY: Final = {"C": ("--", "#404040"), "e": ("-.", "#404040"), "l": (":", "#000000")}
+"""Look of the lines of Colgate, of eigenvalues and of the largest certificate."""
 _OUR: Final = "guarded"
 _PLAIN: Final = "unprotected"
-_NAMED: Final = 3
-"""Lines in colour next to `guarded` and the plain wall; all others are grey, and one entry of the legend."""
 _WORDS: Final = {"passive": "stiffest wall that stays passive", "near": "and is rendered within 5 %"}
-_LEAST_DAMPING: Final = 0.05
-"""Below it the axis of the damping is linear [N*s/m]."""
 _DPI: Final = 110
 _LEAST: Final = 1e-6
 """Energy from which a cell is coloured [J]."""
 _WHITE, _BLACK = "#fffffe", "#000001"  # on coloured cells; no greys, which a dark page would turn over
-_DARK: Final = 3e-3
-"""Energy from which a cell is so dark that its number is white [J]."""
 
 
 def _draw_borders(found: Found, path: Path) -> None:
@@ -60,8 +51,7 @@ def _draw_borders(found: Found, path: Path) -> None:
 
 def _save_with_legend(figure: "Figure", panel: "Axes", path: Path) -> None:
     """Save a picture with the lines of one panel explained on its right."""
-    handles, labels = panel.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside right upper", fontsize=8.0)
+    figure.legend(*panel.get_legend_handles_labels(), loc="outside right upper", fontsize=8.0)
     save_picture(figure, path)
 
 
@@ -71,20 +61,15 @@ def _draw_border(panel: "Axes", found: Found, delay: int, key: str, lines: Mappi
         values = [b[key] if b[key] > 0.0 else np.nan for b in own]
         panel.plot([b["damping"] for b in own], values, **line)
     for name, points in found["theory"][str(delay)].items():
-        _, style, colour = next(kind for kind in _THEORY if name.startswith(kind[0]))
+        style, colour = _THEORY[name[0]]
         places = [p["damping"] for p in points], [p["stiffness"] for p in points]
         panel.plot(*places, linestyle=style, color=colour, linewidth=1.3, label=name)
     if key == "passive" and any(border["open"] and border["delay"] == delay for border in found["borders"]):
         most = max(border["passive"] for border in found["borders"])
-        panel.annotate(
-            "passive up to the stiffest wall that was tried",
-            (0.0, most),
-            xytext=(4, -12),
-            textcoords="offset points",
-            fontsize=7.0,
-        )
+        text = "passive up to the stiffest wall that was tried"
+        panel.annotate(text, (0.0, most), xytext=(4, -12), textcoords="offset points", fontsize=7.0)
     panel.set_yscale("log")
-    panel.set_xscale("symlog", linthresh=_LEAST_DAMPING)
+    panel.set_xscale("symlog", linthresh=0.05)
     panel.set_xlim(left=-0.004)
     ticks = [d for d in sorted({b["damping"] for b in found["borders"]}) if d in (0.0, 0.1, 1.0, 10.0, 100.0)]
     panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
@@ -103,7 +88,7 @@ def _lines(found: Found, part: str, figure: Callable[[Row], float]) -> dict[str,
     means = {name: float(np.mean([figure(row) for row in found[part] if row["algorithm"] == name])) for name in names}
     middle = float(np.median(list(means.values())))
     others = [name for name in names if name not in (_OUR, _PLAIN)]
-    named = sorted(others, key=lambda name: -abs(means[name] - middle))[:_NAMED]
+    named = sorted(others, key=lambda name: -abs(means[name] - middle))[:3]
     rest = f"the other {len(others) - len(named)}"
     looks: dict[str, Row] = {}
     for name in sorted(names, key=lambda name: (name not in (*named, _PLAIN, _OUR), name != _OUR)):
@@ -111,8 +96,8 @@ def _lines(found: Found, part: str, figure: Callable[[Row], float]) -> dict[str,
         if name == _OUR:
             looks[name] = {"color": "black", "linewidth": 2.6, "zorder": 5, "label": name}
         elif name in (*named, _PLAIN):
-            mark = {"marker": _MARKS[number % len(_MARKS)], "markersize": 4.5, "fillstyle": "none", "zorder": 4}
-            looks[name] = {**mark, "color": _COLOURS[number % len(_COLOURS)], "linewidth": 1.3, "label": name}
+            mark = {"marker": _MARKS[number], "markersize": 4.5, "fillstyle": "none", "zorder": 4}
+            looks[name] = {**mark, "color": _COLOURS[number], "linewidth": 1.3, "label": name}
         else:
             looks[name] = {"color": "#B0B0B0", "linewidth": 0.9, "label": rest}
             rest = "_"  # one entry of the legend for all
@@ -176,16 +161,10 @@ def _draw_given_out(found: Found, path: Path) -> None:
         for row, name in enumerate(names):
             for column, scene in enumerate(scenes):
                 cases = _cell(found, name, scene, "cases")
-                dark = cases > 0 and most[row, column] > _DARK
+                dark = cases > 0 and most[row, column] > 3e-3  # [J]
                 text = "" if np.isnan(cases) else f"{cases:.0f}"
-                panel.text(
-                    column,
-                    row,
-                    text,
-                    ha="center",
-                    va="center",
-                    color=_WHITE if dark else _BLACK if most[row, column] > _LEAST else "black",
-                )
+                colour = _WHITE if dark else _BLACK if most[row, column] > _LEAST else "black"
+                panel.text(column, row, text, ha="center", va="center", color=colour)
         panel.set_xticks(range(len(scenes)), scenes, rotation=35, ha="right")
         panel.set_yticks(range(len(names)), names)
         panel.grid(visible=False)

@@ -16,19 +16,10 @@ from canhaptic.axis_units import effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
-from canhaptic.lab.reference import ContinuousReference
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import AxisComparison, Comparison
-from canhaptic.view.picture_style import (
-    BLUE,
-    GREEN,
-    PALE,
-    VERMILION,
-    axis_scale,
-    drawing,
-    require_matplotlib,
-    save_picture,
-)
+from canhaptic.view import picture_style as style
+from canhaptic.view.picture_style import GREEN, VERMILION
 from canhaptic.view.series import decimate
 from canhaptic.view.si import si
 
@@ -36,14 +27,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-_BUCKETS: Final = 1200
 _ACROSS: Final = 4
 """Columns of one band: more are too small to read on a page."""
-_ROOM: Final = 0.35
-"""Above and below the continuous run, as a part of its range."""
-_FLATTENING: Final = 4.0
-"""Times the median range of an energy, beyond which a run does not widen the scale of all."""
-_PAPER: Final[Any] = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 1.0}
 
 
 def draw_comparison(comparison: Comparison, path: str | Path) -> None:
@@ -52,26 +37,25 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
     Raises:
         InputError: matplotlib is not installed, the file cannot be written, or no algorithm ran.
     """
-    require_matplotlib()
+    style.require_matplotlib()
     most = max(len(_drawn(axis)) for axis in comparison.axes)
     if most == 0:
         raise InputError("no algorithm ran, so there is nothing to draw; the table says why")
     bands = -(-most // _ACROSS)
     columns = -(-most // bands)
     rows = 3 * bands * len(comparison.axes)
-    with drawing() as figure_type:
+    with style.drawing() as figure_type:
         figure = figure_type(figsize=(1.2 + 3.0 * columns, 0.9 + 2.1 * rows), dpi=110, layout="constrained")
         panels = figure.subplots(rows, columns, sharex=True, sharey="row", squeeze=False)
         for index, axis in enumerate(comparison.axes):
             _draw_axis(axis, comparison, panels[3 * bands * index : 3 * bands * (index + 1)])
-        figure.suptitle(_caption(comparison), x=0.01, ha="left", fontsize=9.5, color="#404040")
-        save_picture(figure, path)
-
-
-def _caption(comparison: Comparison) -> str:
-    result = comparison.result
-    path = "over the CAN path" if result["path"] == "can" else "without a bus"
-    return f"{result['scene']}   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {path}   grey: continuous"
+        result = comparison.result
+        way = "over the CAN path" if result["path"] == "can" else "without a bus"
+        caption = (
+            f"{result['scene']}   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {way}   grey: continuous"
+        )
+        figure.suptitle(caption, x=0.01, ha="left", fontsize=9.5, color="#404040")
+        style.save_picture(figure, path)
 
 
 def _drawn(axis: AxisComparison) -> dict[str, LoopRun]:
@@ -99,8 +83,12 @@ def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: NDArray[Any
         title = name if len(comparison.axes) == 1 else f"{axis.name}: {name}"
         position.set_title(title, fontweight="bold", fontsize=10.0, pad=18.0)
         _write_verdict(position, run)
-        _draw_position(position, run, reference, period, scales[0])
-        _draw_force(force, run, reference, period, scales[1])
+        if reference is not None:
+            behind: Any = {"color": style.PALE, "linewidth": 3.0, "alpha": 0.6}
+            _line(position, period, reference.position, scales[0], **behind)
+            _line(force, float(reference.fine_time[1]), reference.fine_torque, scales[1], **behind)
+        _line(position, period, run.true_position, scales[0], color=style.BLUE, linewidth=1.0)
+        _line(force, period, run.torque, scales[1], color=VERMILION, linewidth=0.9, drawstyle="steps-pre")
         _draw_energy(energy, run, period, scales[2])
         energy.set_xlabel("time [s]")
         energy.tick_params(labelbottom=True)
@@ -119,64 +107,33 @@ def _comparable(lines: list[Array]) -> list[Array]:
     """Return the lines, except any whose range would flatten the rest."""
     ranges = [float(np.ptp(line)) for line in lines]
     usual = float(np.median(ranges))
-    return [line for line, size in zip(lines, ranges, strict=True) if size <= _FLATTENING * usual]
+    return [line for line, size in zip(lines, ranges, strict=True) if size <= 4.0 * usual]
 
 
 def _scale(*lines: Array) -> _Scale:
     """Return factor, SI prefix and limits that show all lines with room around them."""
     low = min(float(line.min(initial=0.0)) for line in lines)
     high = max(float(line.max(initial=0.0)) for line in lines)
-    room = _ROOM * max(high - low, 1e-12)
+    room = 0.35 * max(high - low, 1e-12)
     largest = max(abs(low), abs(high))
-    scale, prefix = axis_scale(largest)
+    scale, prefix = style.axis_scale(largest)
     return scale, prefix, (low - room, high + room)
 
 
-def _times(values: Array, period: float) -> Array:
-    return np.arange(len(values), dtype=np.float64) * np.float64(period)
-
-
-def _line(panel: "Axes", time: Array, values: Array, scale: _Scale, **style: Any) -> None:
-    """Draw a line, cut off a little outside the panel so that a diverged run keeps its direction."""
+def _line(panel: "Axes", period: float, values: Array, scale: _Scale, **look: Any) -> None:
+    """Draw a line, cut off a little outside the panel so that a diverged run keeps its direction; `period` in s."""
     low, high = scale[2]
-    far = 3.0 * (high - low)
-    shown = decimate(values, _BUCKETS)
-    panel.plot(time[shown], np.clip(values[shown], low - far, high + far) / scale[0], **style)
-
-
-def _draw_position(
-    panel: "Axes", run: LoopRun, reference: ContinuousReference | None, period: float, scale: _Scale
-) -> None:
-    if reference is not None:
-        time = _times(reference.position, period)
-        _line(panel, time, reference.position, scale, color=PALE, linewidth=3.0, alpha=0.6)
-    time = _times(run.true_position, period)
-    _line(panel, time, run.true_position, scale, color=BLUE, linewidth=1.0)
-
-
-def _draw_force(
-    panel: "Axes", run: LoopRun, reference: ContinuousReference | None, period: float, scale: _Scale
-) -> None:
-    if reference is not None:
-        _line(panel, reference.fine_time, reference.fine_torque, scale, color=PALE, linewidth=3.0, alpha=0.6)
-    time = _times(run.torque, period)
-    _line(panel, time, run.torque, scale, color=VERMILION, linewidth=0.9, drawstyle="steps-pre")
+    far, shown = 3.0 * (high - low), decimate(values, 1200)
+    time = np.arange(len(values), dtype=np.float64) * np.float64(period)
+    panel.plot(time[shown], np.clip(values[shown], low - far, high + far) / scale[0], **look)
 
 
 def _draw_energy(panel: "Axes", run: LoopRun, period: float, scale: _Scale) -> None:
-    time = _times(run.interaction, period)
     panel.axhline(0.0, color="black", linewidth=0.8)
-    _line(panel, time, run.interaction, scale, color=BLUE, linewidth=1.2, label="in")
-    _line(panel, time, run.dissipated, scale, color=VERMILION, linewidth=1.1, linestyle="--", label="dissipated")
-    _line(
-        panel,
-        time,
-        run.interaction - run.dissipated,
-        scale,
-        color=GREEN,
-        linewidth=1.1,
-        label="margin: in less dissipated",
-    )
+    left = run.interaction - run.dissipated
+    _line(panel, period, run.interaction, scale, color=style.BLUE, linewidth=1.2, label="in")
+    _line(panel, period, run.dissipated, scale, color=VERMILION, linewidth=1.1, linestyle="--", label="dissipated")
+    _line(panel, period, left, scale, color=GREEN, linewidth=1.1, label="margin: in less dissipated")
     panel.set_title(f"smallest margin {si(run.least_margin, 'J', 3)}", fontsize=8.0, loc="left")
     if (place := panel.get_subplotspec()) is not None and place.is_first_col() and place.rowspan.start == 2:
         panel.legend(loc="upper left", fontsize=7.5, ncols=1)
@@ -196,6 +153,6 @@ def _write_error(panel: "Axes", account: Row, unit: str) -> None:
         words = [str(account["status"]).partition(":")[0]]
     elif ratio is not None:
         words.append(f"force varies {ratio:.3g} x")
-    panel.text(
-        0.02, 0.98, "\n".join(words), transform=panel.transAxes, va="top", fontsize=8.0, color="#404040", bbox=_PAPER
-    )
+    paper: Any = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 1.0}
+    look: Any = {"va": "top", "fontsize": 8.0, "color": "#404040", "bbox": paper}
+    panel.text(0.02, 0.98, "\n".join(words), transform=panel.transAxes, **look)

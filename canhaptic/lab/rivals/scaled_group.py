@@ -20,26 +20,12 @@ State of a network that holds only received energy: every change balances the en
 
 from dataclasses import dataclass, field
 from math import inf, isnan, sqrt
-from typing import ClassVar, Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple, TypeAlias
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.damping import Alpha, modulated_damping
-from canhaptic.control.multi_axis.group_kernel import (
-    Group,
-    GroupHold,
-    GroupHolds,
-    GroupKernel,
-    GroupLoop,
-    GroupMemory,
-    SteppedGroup,
-    end_holds,
-    group_loop,
-    group_memory,
-    next_place,
-    norm,
-    send_nothing,
-    torque_held,
-)
+from canhaptic.control.multi_axis import group_kernel
+from canhaptic.control.multi_axis.group_kernel import GroupHold, end_holds, next_place, norm, send_nothing, torque_held
 from canhaptic.control.multi_axis.group_motion import GroupModel, begin_motion, move, to_motors
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import HoldAccount
@@ -55,18 +41,15 @@ from canhaptic.control.port_hamiltonian.sampled_network import (
     springs,
 )
 from canhaptic.control.port_hamiltonian.storages import Functions
-from canhaptic.kernels import Buffer, list_of_zeros, new
+from canhaptic.kernels import Buffer, Run, list_of_zeros, new
 from canhaptic.units import Parameters
 
 EVALUATIONS: Final = 60
 """Most evaluations of the energy in one balance."""
-_SEARCH: Final = 20
-"""Evaluations for the bracket; halving has the rest."""
 _PIECES: Final = 8
 """Pieces of a step, searched for a place that takes up the energy received where the end of the step does not."""
 FURTHEST: Final = 2.0
 """Largest share of a step, in either direction; a demand beyond that is left over."""
-_ROUNDING: Final = 1e-15
 
 
 class StepScaling(NamedTuple):
@@ -159,7 +142,7 @@ def solve_scale(
     """
     stiffness = stiffness_along(tables, line)
     if stiffness < 0.0:
-        tolerance = _ROUNDING * (abs(energy) + abs(loss))
+        tolerance = 1e-15 * (abs(energy) + abs(loss))
         return search_scale(tables, functions, line, energy, loss, limit, tolerance)
     square = 0.0
     for s in line.step:
@@ -220,7 +203,7 @@ def bracket_downwards(
         Also whether it suffices, otherwise the share with the largest release, and the evaluations.
     """
     near, here, least, best, evaluations = 0.0, far, 0.0, 0.0, 0
-    for _ in range(_SEARCH):
+    for _ in range(20):  # halving has the rest of the evaluations
         here_energy, here_slope = taken(tables, functions, line, loss, here)
         evaluations += 1
         if here_energy < least:
@@ -270,146 +253,129 @@ def root_between(
 
 _START, _EXACT, _STICKY = Branch.START.value, Branch.EXACT.value, Branch.STICKY.value
 _FALLBACK, _DEPLETED = Branch.FALLBACK.value, Branch.DEPLETED.value
-_EXIT, _FREE = Branch.EXIT.value, Branch.FREE.value
+_EXIT, _FREE, _NONE = Branch.EXIT.value, Branch.FREE.value, Certificate.NONE.value
 _STATE_ROUNDING: Final = 1e-12  # of the energy at hand: below it a rest is rounding, not a leak
 
 
-@dataclass(slots=True)
-class PaidState:
-    """Stored energy, and the state of the paper's flow chart (Fig. 6)."""
+class ScaledGroupParameters(Parameters):
+    """Free parameters of the algorithm."""
 
+    alpha: Alpha = 0.0
+    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
+
+
+class ScaledSettings(NamedTuple):
+    """Constants of a run."""
+
+    loop: group_kernel.GroupLoop
+    alpha: float  # [s/m^2 or s/rad^2]
+
+
+@dataclass(slots=True)
+class ScaledState:
+    """State kept from SYNC to SYNC, with that of the paper's flow chart (Fig. 6)."""
+
+    h_dis: float = 0.0  # surplus still to be dissipated [J]
     h_s: float = 0.0  # energy stored at the state, computed from it [J]
     engaged: bool = False  # whether anything can be felt
     pace: float = 0.0  # size of the last change of state over the step of the model: its velocity over the measured one
     blind: int = 0  # holds for which a start goes on
     touched: bool = False  # whether the model was in contact
+    group: group_kernel.Group = field(default_factory=group_kernel.Group)
 
 
-@dataclass(slots=True)
-class ScaledGroupState:
-    """State kept from SYNC to SYNC."""
+class ScaledMemory(NamedTuple):
+    """Buffers of a group; shapes (states,), (ports,) and (axes,)."""
 
-    h_dis: float = 0.0  # surplus still to be dissipated [J]
-    group: Group = field(default_factory=Group)
-    paid: PaidState = field(default_factory=PaidState)
-
-
-class PaidMemory(NamedTuple):
-    """Buffers of the state; shapes (states,) and (ports,)."""
-
+    group: group_kernel.GroupMemory
     line: LineMemory
     model: Buffer  # state of the model
     rest: Buffer  # change of state that takes every storage back to its edge
     efforts: Buffer
     ports: Buffer  # motion of the ports in one hold [m or rad]
     whole: Buffer  # efforts at the ports [N or N*m]
-
-
-class ScaledGroupMemory(NamedTuple):
-    """Buffers of a group."""
-
-    group: GroupMemory
-    paid: PaidMemory
     previous: Buffer  # displacement of the hold before, (axes,) [rad or m]
     spring: Buffer  # efforts to be sent, (axes,) [N*m or N]
     damper: Buffer
 
 
-def paid_memory(tables: NetworkTables) -> PaidMemory:
-    """Return empty buffers."""
-    states, ports = len(tables.stiffness), len(tables.gain[0])
-    return PaidMemory(
-        line_memory(states), *[list_of_zeros(states) for _ in range(3)], *[list_of_zeros(ports) for _ in range(2)]
-    )  # fmt: skip
+ScaledRun: TypeAlias = Run[ScaledSettings, ScaledState, ScaledMemory]
+"""Settings, state and memory of a group."""
 
 
-def begin_state(world: GroupModel, state: ScaledGroupState, memory: ScaledGroupMemory) -> None:
+def begin_state(world: GroupModel, run: ScaledRun) -> None:
     """Take the first coordinates: strain there stores energy that no port supplied, and is released."""
-    paid, motion, followed = state.paid, state.group.motion, memory.group.motion.network
-    paid.h_s, paid.engaged, paid.pace, paid.blind, paid.touched = 0.0, False, 0.0, 0, False
+    _, state, memory = run
+    motion, followed = state.group.motion, memory.group.motion.network
+    state.h_s, state.engaged, state.pace, state.blind, state.touched = 0.0, False, 0.0, 0, False
     if not motion.located:
         return
     begin_network(world, motion.network, followed, memory.group.motion.coordinates)
     for i in range(len(followed.state)):
         followed.state[i] -= extension(world.tables, i, followed.state[i])
     settle_network(world, motion.network, followed)
-    paid.h_s = motion.network.energy
-    write_model(world, state, memory)
-    paid.touched = touches(world.tables, memory.paid)
+    state.h_s = motion.network.energy
+    write_model(world, run)
+    state.touched = touches(world.tables, memory.model)
 
 
-def exchange(
-    world: GroupModel,
-    state: ScaledGroupState,
-    memory: ScaledGroupMemory,
-    delay: int,
-    h_m: float,
-    damped: float,
-    power: float,
-) -> HoldAccount:
+def exchange(world: GroupModel, run: ScaledRun, h_m: float, damped: float, power: float) -> HoldAccount:
     """Book a hold whose motion `group_motion.move` has taken.
 
     Args:
         world: Network and kinematics of the group.
-        state: State of the group; changed.
-        memory: Buffers of the group.
-        delay: Whole holds between computation and action.
+        run: Settings, state and memory of the group.
         h_m: Energy received by the model [J].
         damped: Damper efforts inside the torques applied, times the displacements [J].
         power: The same efforts times the velocities they came from, times the hold (eq. 18) [J].
     """
-    paid, motion, followed = state.paid, state.group.motion, memory.group.motion
+    _, state, memory = run
+    motion, followed = state.group.motion, memory.group.motion
     if not motion.located or motion.began:
-        available = paid.h_s + h_m
-        begin_state(world, state, memory)
-        rest = available - paid.h_s
+        available = state.h_s + h_m
+        begin_state(world, run)
+        rest = available - state.h_s
         return new(HoldAccount, (_EXIT, 0.0, 0.0, max(0.0, -rest), max(0.0, rest)))
     propose(world, motion.network, followed.network, followed.displacement, motion.elapsed)
-    write_model(world, state, memory)
-    touching, touched = touches(world.tables, memory.paid), paid.touched
+    write_model(world, run)
+    touching, touched = touches(world.tables, memory.model), state.touched
     entered, left = touching and not touched, touched and not touching
-    paid.touched = touching
-    starts = touching and (entered or paid.blind > 0 or (paid.h_s == 0.0 and paid.pace == 0.0))
+    state.touched = touching
+    starts = touching and (entered or state.blind > 0 or (state.h_s == 0.0 and state.pace == 0.0))
     if starts and not entered and not is_pushed_inward(world, memory):
-        paid.blind, starts = 0, False
-    if starts:
-        account = start(world, state, memory, delay, h_m, entered)
-    else:
-        account = balance(world, state, memory, h_m, damped, power)
-    return leave(world, state, memory, account, touching, left or h_m != 0.0)
+        state.blind, starts = 0, False
+    account = start(world, run, h_m, entered) if starts else balance(world, run, h_m, damped, power)
+    return leave(world, run, account, touching, left or h_m != 0.0)
 
 
-def start(
-    world: GroupModel, state: ScaledGroupState, memory: ScaledGroupMemory, delay: int, h_m: float, entered: bool
-) -> HoldAccount:
+def start(world: GroupModel, run: ScaledRun, h_m: float, entered: bool) -> HoldAccount:
     """First-order start (eq. 14): the state is the model's, and the energy for it is created.
 
     After it the user feels no torque before `delay` more holds have ended; until then the start continues.
     """
-    paid, network, followed = state.paid, state.group.motion.network, memory.group.motion.network
-    model = memory.paid.model
-    paid.blind = delay if entered or paid.blind == 0 else paid.blind - 1
-    available = paid.h_s + h_m
-    paid.pace = share_inside(world.tables, followed.room, model) if entered else 1.0
+    settings, state, memory = run
+    network, followed, model = state.group.motion.network, memory.group.motion.network, memory.model
+    state.blind = settings.loop.delay if entered or state.blind == 0 else state.blind - 1
+    available = state.h_s + h_m
+    state.pace = share_inside(world.tables, followed.room, model) if entered else 1.0
     for i in range(len(model)):
         followed.state[i] = model[i]
     settle_network(world, network, followed)
-    paid.h_s = h_s = network.energy
+    state.h_s = h_s = network.energy
     return new(HoldAccount, (_START, 0.0, max(0.0, h_s - available), 0.0, max(0.0, available - h_s)))
 
 
-def lay_line(memory: ScaledGroupMemory, step: Buffer) -> None:
+def lay_line(memory: ScaledMemory, step: Buffer) -> None:
     """Set the line from the state along a step."""
-    line, state = memory.paid.line, memory.group.motion.network.state
+    line, state = memory.line, memory.group.motion.network.state
     for i in range(len(state)):
         line.state[i], line.step[i] = state[i], step[i]
 
 
-def balance(
-    world: GroupModel, state: ScaledGroupState, memory: ScaledGroupMemory, h_m: float, damped: float, power: float
-) -> HoldAccount:
+def balance(world: GroupModel, run: ScaledRun, h_m: float, damped: float, power: float) -> HoldAccount:
     """Solve the scalar balance and take its step; eq. 18 where there is no solution."""
-    tables, functions, line, before = world.tables, world.functions, memory.paid.line, state.paid.h_s
+    _, state, memory = run
+    tables, functions, line, before = world.tables, world.functions, memory.line, state.h_s
     step = memory.group.motion.network.room.step
     lay_line(memory, step)
     loss = damped + state.group.motion.network.internal
@@ -419,26 +385,24 @@ def balance(
         scale = solve_scale(tables, functions, line, h_m, 0.0, FURTHEST)
     share = scale.share
     if not scale.found and h_m <= 0.0:
-        return approximate(world, state, memory, h_m, power, share)
+        return approximate(world, run, h_m, power, share)
     is_sticky = h_m > 0.0 and taken(tables, functions, line, 0.0, 0.0)[1] * share < 0.0
-    take(world, state, memory, share, step)
-    return settle_state(world, state, memory, _STICKY if is_sticky else _EXACT, before + h_m, loss * share, share)
+    take(world, run, share, step)
+    return settle_state(world, run, _STICKY if is_sticky else _EXACT, before + h_m, loss * share, share)
 
 
-def approximate(
-    world: GroupModel, state: ScaledGroupState, memory: ScaledGroupMemory, h_m: float, power: float, deepest: float
-) -> HoldAccount:
+def approximate(world: GroupModel, run: ScaledRun, h_m: float, power: float, deepest: float) -> HoldAccount:
     """Dissipate the last velocity's loss, as far as available; the state takes the remaining energy (eq. 18).
 
     Where that frees too little, the step is taken to its largest energy release, and the rest is a deficit.
     """
-    tables, functions, followed, h_s = world.tables, world.functions, memory.group.motion.network, state.paid.h_s
-    line, rest, model, available = memory.paid.line, memory.paid.rest, followed.room.step, h_s + h_m
+    tables, functions, followed, h_s = world.tables, world.functions, run.memory.group.motion.network, run.state.h_s
+    line, rest, model, available = run.memory.line, run.memory.rest, followed.room.step, h_s + h_m
     h_r = min(max(0.0, power), max(0.0, available))
     left, is_empty = max(0.0, available) - h_r, available <= 0.0
     for i in range(len(rest)):
         rest[i] = -extension(tables, i, followed.state[i])
-    lay_line(memory, rest)
+    lay_line(run.memory, rest)
     sunk = solve_scale(tables, functions, line, left - h_s, 0.0, 1.0)
     share, sinks = (sunk.share, True) if sunk.found else (deepest, False)
     is_bottom = left <= _STATE_ROUNDING * h_s  # a double root, not to be searched for
@@ -450,15 +414,15 @@ def approximate(
         line.step[i] = change
         square += model[i] * model[i]
         along += change * model[i]
-    take(world, state, memory, 1.0, line.step)
+    take(world, run, 1.0, line.step)
     pace = along / square if square > 0.0 and not is_empty else 0.0
-    return settle_state(world, state, memory, _DEPLETED if is_empty else _FALLBACK, available, h_r, pace)
+    return settle_state(world, run, _DEPLETED if is_empty else _FALLBACK, available, h_r, pace)
 
 
-def take(world: GroupModel, state: ScaledGroupState, memory: ScaledGroupMemory, share: float, step: Buffer) -> None:
+def take(world: GroupModel, run: ScaledRun, share: float, step: Buffer) -> None:
     """Change the state by a share of a step; it does not cross to the other side of a wall that the model touches."""
-    tables, found, model = world.tables, memory.group.motion.network.state, memory.paid.model
-    write_model(world, state, memory)
+    tables, found, model = world.tables, run.memory.group.motion.network.state, run.memory.model
+    write_model(world, run)
     for i in range(len(found)):
         found[i] += share * step[i]
     for i in tables.edged:
@@ -468,80 +432,66 @@ def take(world: GroupModel, state: ScaledGroupState, memory: ScaledGroupMemory, 
 
 
 def settle_state(
-    world: GroupModel,
-    state: ScaledGroupState,
-    memory: ScaledGroupMemory,
-    branch: int,
-    available: float,
-    h_r: float,
-    pace: float,
+    world: GroupModel, run: ScaledRun, branch: int, available: float, h_r: float, pace: float
 ) -> HoldAccount:
     """Update the energy of the state; book its excess or shortfall."""
-    network = state.group.motion.network
-    settle_network(world, network, memory.group.motion.network)
-    state.paid.h_s = h_s = network.energy
-    state.paid.pace = pace
-    rest = available - h_r - h_s
-    if abs(rest) <= _STATE_ROUNDING * max(abs(available), h_r, h_s):
+    state, network = run.state, run.state.group.motion.network
+    settle_network(world, network, run.memory.group.motion.network)
+    state.h_s, state.pace = network.energy, pace
+    rest = available - h_r - state.h_s
+    if abs(rest) <= _STATE_ROUNDING * max(abs(available), h_r, state.h_s):
         rest = 0.0
     return new(HoldAccount, (branch, h_r, 0.0, max(0.0, -rest), max(0.0, rest)))
 
 
-def leave(
-    world: GroupModel,
-    state: ScaledGroupState,
-    memory: ScaledGroupMemory,
-    account: HoldAccount,
-    touching: bool,
-    exchanged: bool,
-) -> HoldAccount:
+def leave(world: GroupModel, run: ScaledRun, account: HoldAccount, touching: bool, exchanged: bool) -> HoldAccount:
     """Leak the energy of storages that the model no longer touches."""
-    tables, paid, motion = world.tables, state.paid, state.group.motion
-    followed, model = memory.group.motion.network, memory.paid.model
+    tables, state, motion = world.tables, run.state, run.state.group.motion
+    followed, model = run.memory.group.motion.network, run.memory.model
     branch, h_r, gen, deficit, leak = account
     if not tables.moving:
         before = motion.network.energy
-        write_model(world, state, memory)
+        write_model(world, run)
         for i in tables.edged:
             if extension(tables, i, model[i]) == 0.0:
                 upper, lower = tables.upper[i], tables.lower[i]
                 followed.state[i] = upper if abs(model[i] - upper) <= abs(model[i] - lower) else lower
         settle_network(world, motion.network, followed)
-        paid.h_s = motion.network.energy
+        state.h_s = motion.network.energy
         leak = leak + before - motion.network.energy
-    paid.engaged = touching and motion.limit == 0
+    state.engaged = touching and motion.limit == 0
     if not touching:
-        paid.pace, paid.blind = 0.0, 0
+        state.pace, state.blind = 0.0, 0
         branch = _EXIT if exchanged or leak != 0.0 else _FREE
     return new(HoldAccount, (branch, h_r, gen, deficit, leak))
 
 
-def write_model(world: GroupModel, state: ScaledGroupState, memory: ScaledGroupMemory) -> None:
+def write_model(world: GroupModel, run: ScaledRun) -> None:
     """Write the state of the model: at the ports, or a whole step further."""
-    followed, model = memory.group.motion.network, memory.paid.model
-    if world.tables.moving or not state.group.motion.located:
+    followed, model = run.memory.group.motion.network, run.memory.model
+    if world.tables.moving or not run.state.group.motion.located:
         for i in range(len(model)):
             model[i] = followed.state[i] + followed.room.step[i]
     else:
-        place_state(world.tables, followed, memory.group.motion.coordinates, model)
+        place_state(world.tables, followed, run.memory.group.motion.coordinates, model)
 
 
-def touches(tables: NetworkTables, memory: PaidMemory) -> bool:
+def touches(tables: NetworkTables, model: Buffer) -> bool:
     """Return whether the model is in contact."""
     if tables.always or len(tables.edged) == 0:
         return True
     for i in tables.edged:
-        if extension(tables, i, memory.model[i]) != 0.0:
+        if extension(tables, i, model[i]) != 0.0:
             return True
     return False
 
 
-def is_pushed_inward(world: GroupModel, memory: ScaledGroupMemory) -> bool:
+def is_pushed_inward(world: GroupModel, memory: ScaledMemory) -> bool:
     """Return True when the step stores energy at the model's state, or when nothing opposes it there."""
-    tables, efforts, step = world.tables, memory.paid.efforts, memory.group.motion.network.room.step
-    gradient(tables, memory.paid.model, efforts)
+    tables, efforts, step = world.tables, memory.efforts, memory.group.motion.network.room.step
+    gradient(tables, memory.model, efforts)
     if tables.by_functions:
-        world.functions.add_gradient(memory.paid.model, efforts)
+        world.functions.add_gradient(memory.model, efforts)
     along, moves = 0.0, False
     for i in range(len(step)):
         along += efforts[i] * step[i]
@@ -550,72 +500,59 @@ def is_pushed_inward(world: GroupModel, memory: ScaledGroupMemory) -> bool:
     return along > 0.0 or (along == 0.0 and moves)
 
 
-def write_state_efforts(world: GroupModel, state: ScaledGroupState, memory: ScaledGroupMemory) -> float:
+def write_state_efforts(world: GroupModel, run: ScaledRun) -> float:
     """Write springs and dampers at the motors and their sum at the ports; return the dampers' power in a hold [J]."""
+    _, state, memory = run
     motion, followed, tables = state.group.motion, memory.group.motion, world.tables
-    holds, ports, network = motion.holds, memory.paid.ports, followed.network
+    holds, ports, network = motion.holds, memory.ports, followed.network
     for j in range(len(ports)):
-        ports[j] = state.paid.pace * followed.displacement[j] / holds
+        ports[j] = state.pace * followed.displacement[j] / holds
     for j in range(len(network.room.engaged)):
         network.room.engaged[j] = 1.0
-    write_model(world, state, memory)
+    write_model(world, run)
     spring, damper = followed.spring_at_ports, followed.damper_at_ports
-    dampers(tables, network, ports, motion.elapsed / holds, memory.paid.model, damper)
+    dampers(tables, network, ports, motion.elapsed / holds, memory.model, damper)
     springs(world, network, 0.0, 1, ports, spring, followed.lead_at_ports)
     power = 0.0
     for j in range(len(ports)):
         power += damper[j] * ports[j]
-        memory.paid.whole[j] = spring[j] + damper[j]
+        memory.whole[j] = spring[j] + damper[j]
     to_motors(followed, spring, memory.spring)
     to_motors(followed, damper, memory.damper)
     return power
 
 
-_NO_PROMISE = Certificate.NONE.value
-
-
-class ScaledGroupParameters(Parameters):
-    """Free parameters of the algorithm."""
-
-    alpha: Alpha = 0.0
-    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
-
-
-class ScaledGroupSettings(NamedTuple):
-    """Constants of a run."""
-
-    loop: GroupLoop
-    alpha: float  # [s/m^2 or s/rad^2]
-
-
 def settings_of(
     world: GroupModel, parameters: ScaledGroupParameters, loops: tuple[LoopProperties, ...]
-) -> ScaledGroupSettings:
+) -> ScaledSettings:
     """Constants of a run."""
-    return ScaledGroupSettings(group_loop(world, loops), parameters.alpha)
+    return ScaledSettings(group_kernel.group_loop(world, loops), parameters.alpha)
 
 
-def memory_of(world: GroupModel, settings: ScaledGroupSettings) -> ScaledGroupMemory:
+def memory_of(world: GroupModel, settings: ScaledSettings) -> ScaledMemory:
     """Return the buffers of a group at rest."""
-    axes, one = len(settings.loop.caps), list_of_zeros
-    ports = world.geometry.ports
-    return ScaledGroupMemory(
-        group_memory(world, settings.loop, ports), paid_memory(world.tables), one(axes), one(axes), one(axes)
+    axes, ports, states = len(settings.loop.caps), world.geometry.ports, len(world.tables.stiffness)
+    sizes = [states] * 3 + [ports] * 2 + [axes] * 3
+    return ScaledMemory(
+        group_kernel.group_memory(world, settings.loop, ports),
+        line_memory(states),
+        *(list_of_zeros(size) for size in sizes),
     )
 
 
 def step(
-    world: GroupModel, settings: ScaledGroupSettings, state: ScaledGroupState, memory: ScaledGroupMemory, missed: int,
+    world: GroupModel, settings: ScaledSettings, state: ScaledState, memory: ScaledMemory, missed: int,
     positions: Buffer, torques_applied: Buffer,
 ) -> GroupHold:  # fmt: skip
     """Account for the hold that ended; see `GroupKernel`."""
     group, motion, ended, loop = state.group, state.group.motion, memory.group.ended, settings.loop
+    run = Run(settings, state, memory)  # not by `new`: compiled, no function returns a record
     if not group.started:
         group.started = True
         for i in range(len(positions)):
             ended.position[i] = positions[i]
         begin_motion(world, loop.motion, motion, memory.group.motion, positions)
-        begin_state(world, state, memory)
+        begin_state(world, run)
         return new(GroupHold, (AT_REST, 0.0, 0.0, 0.0, 0, 0))
     commands = memory.group.commands
     group.oldest = end_holds(commands, ended, loop.largest, group.oldest, missed, positions, torques_applied)
@@ -630,20 +567,19 @@ def step(
         supplied -= commands.ports[place][j] * motion.moved
     h_i = h_i + supplied - uncertainty
     power = commands.power[place] * (missed + 1)
-    account = exchange(world, state, memory, loop.delay, h_i - h_pas, damped, power)
-    branch, h_r, gen, deficit, leak = account
+    branch, h_r, gen, deficit, leak = exchange(world, run, h_i - h_pas, damped, power)
     surplus = state.h_dis + gen + deficit - h_pas
     paid = min(leak, surplus) if leak > 0.0 and surplus > 0.0 else 0.0
     state.h_dis = surplus - paid
-    rendered = send(world, settings, state, memory)
+    rendered = send(world, run)
     balance = new(EnergyBalance, (
-        norm(commands.torques[place]), h_i, h_pas, h_i - h_pas, h_r, state.paid.h_s, state.h_dis, gen, deficit,
-        leak, paid, branch, rendered, _NO_PROMISE, memory.group.motion.network.state[0],
+        norm(commands.torques[place]), h_i, h_pas, h_i - h_pas, h_r, state.h_s, state.h_dis, gen, deficit,
+        leak, paid, branch, rendered, _NONE, memory.group.motion.network.state[0],
     ))  # fmt: skip
     return new(GroupHold, (balance, supplied, uncertainty, uncertainty, motion.limit, place))
 
 
-def unsure_of(memory: ScaledGroupMemory, ended: GroupHolds, missed: int) -> float:
+def unsure_of(memory: ScaledMemory, ended: group_kernel.GroupHolds, missed: int) -> float:
     """Largest error of the energy over holds of which only the total displacement is known [J]."""
     total = 0.0
     for i in range(len(ended.displacement)):
@@ -657,18 +593,19 @@ def unsure_of(memory: ScaledGroupMemory, ended: GroupHolds, missed: int) -> floa
     return total
 
 
-def send(world: GroupModel, settings: ScaledGroupSettings, state: ScaledGroupState, memory: ScaledGroupMemory) -> float:
+def send(world: GroupModel, run: ScaledRun) -> float:
     """Send the torques of the state, its dampers and the modulated damper; return the damping rendered."""
+    settings, state, memory = run
     group, commands, caps = state.group, memory.group.commands, settings.loop.caps
     place, displacement, elapsed = group.oldest, memory.group.ended.displacement, group.motion.elapsed
-    if not state.paid.engaged:
+    if not state.engaged:
         group.oldest = send_nothing(commands, place)
         return 0.0
     spring, damper = memory.spring, memory.damper
-    power = write_state_efforts(world, state, memory)
+    power = write_state_efforts(world, run)
     size = room = square = moved = along = extra = 0.0
     for i in range(len(caps)):
-        velocity = state.paid.pace * displacement[i] / elapsed
+        velocity = state.pace * displacement[i] / elapsed
         size += damper[i] * damper[i] / caps[i]
         room += caps[i] * velocity * velocity
         square += velocity * velocity
@@ -678,7 +615,7 @@ def send(world: GroupModel, settings: ScaledGroupSettings, state: ScaledGroupSta
         share = sqrt(room / size)
     for i in range(len(caps)):
         damper[i] *= share
-        along += damper[i] * (state.paid.pace * displacement[i] / elapsed)
+        along += damper[i] * (state.pace * displacement[i] / elapsed)
     rendered, moved = along / square if square != 0.0 else 0.0, sqrt(moved)
     if settings.alpha > 0.0 and state.h_dis > 0.0 and moved != 0.0:
         extra = modulated_damping(settings.alpha, state.h_dis, rendered, settings.loop.least_cap, moved, elapsed)
@@ -686,15 +623,15 @@ def send(world: GroupModel, settings: ScaledGroupSettings, state: ScaledGroupSta
         modulated = extra * displacement[i] / elapsed
         commands.torques[place][i] = -spring[i] - damper[i] - modulated
         commands.dampers[place][i], commands.modulated[place][i] = damper[i], modulated
-    for j in range(len(memory.paid.whole)):
-        commands.ports[place][j] = memory.paid.whole[j]
+    for j in range(len(memory.whole)):
+        commands.ports[place][j] = memory.whole[j]
     commands.power[place] = share * power
     group.oldest = next_place(commands, place)
     return rendered + extra
 
 
-class ScaledGroup(SteppedGroup):
+class ScaledGroup(group_kernel.SteppedGroup):
     """A network whose state holds only received energy."""
 
     parameters_type: ClassVar[type[Parameters]] = ScaledGroupParameters
-    kernel: ClassVar[GroupKernel] = GroupKernel(settings_of, ScaledGroupState, memory_of, step)
+    kernel: ClassVar[group_kernel.GroupKernel] = group_kernel.GroupKernel(settings_of, ScaledState, memory_of, step)

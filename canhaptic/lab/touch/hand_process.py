@@ -23,7 +23,7 @@ from collections.abc import Callable, MutableSequence
 from dataclasses import dataclass, replace
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -41,15 +41,6 @@ from canhaptic.sim.plant.plant import Plant
 TouchPace = Literal["even", "real"]
 X, Y, TOKEN, ARRIVED, RUN = range(5)
 """Places in the shared array: of the pointer, the page's data with it, its time of arrival [ns], current run."""
-SHARED: Final = 5
-_SETTLING: Final = (
-    0.006  # [s] time constant with which the hand follows the pointer: pages send some 60 places a second
-)
-_FASTEST: Final = 10.0  # widths of the displayed range, per second
-_BATCH: Final = 0.01  # [s] between two parcels of rows
-_MOST_ROWS: Final = 4000  # kept for a reader that does not read
-_GIVEN_UP: Final = 100_000_000  # [ns] behind the wall clock: a longer delay is not caught up
-_BUFFER: Final = 1 << 22  # [bytes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +116,7 @@ def work(pipe: Connection, shared: SharedNumbers) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_follow_parent, daemon=True).start()
     with contextlib.suppress(OSError), socket.socket(fileno=os.dup(pipe.fileno())) as end:
-        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 22)
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
             job: TouchJob = pipe.recv()
@@ -151,16 +142,13 @@ class _HandRun:
 
     def run(self) -> None:
         """Run until another run is requested, or something fails; the last parcel says why it ended."""
-        ended = ""
         try:
             touched = self._job.touched()
             with build(touched.scene, "free" if self._job.pace == "even" else "real") as experiment:
                 self._begin(touched, experiment)
                 run(experiment.cycle, None, self._is_over, self._after_cycle)
         except CanHapticError as error:
-            ended = str(error)
-        if ended:
-            self._send(ended)
+            self._send(str(error))
 
     def _is_over(self) -> bool:
         return int(self._shared[RUN]) != self._job.number
@@ -168,10 +156,10 @@ class _HandRun:
     def _begin(self, touched: TouchScene, experiment: Experiment) -> None:
         self._experiment = experiment
         self._period = touched.scene.bus.sample_time
-        self._share = 1.0 - math.exp(-self._period / _SETTLING)
-        self._steps = [_FASTEST * (high - low) * self._period for low, high in touched.shown]
+        self._share = 1.0 - math.exp(-self._period / 0.006)  # [s]: pages send some 60 places a second
+        self._steps = [10.0 * (high - low) * self._period for low, high in touched.shown]  # a second
         self._place = list(touched.start)
-        self._every = max(1, round(_BATCH / self._period))
+        self._every = max(1, round(0.01 / self._period))
         ports = [axis.parameters.name for axis in touched.scene.axes]
         groups = [group.name for group in touched.scene.groups]
         self._axes = [[ports.index(name) for name in side.axes] for side in touched.sides]
@@ -181,16 +169,12 @@ class _HandRun:
         ]
         self._start = self._clock.now()
         self._is_display = touched.is_display
-        self._servos = [[self._servo(axis) for axis in axes] for axes in self._axes]
+        if experiment.far_side is None:
+            raise InputError("touch: the drives are not in this process, expected simulated ones")
+        drives = experiment.far_side.drives
+        self._servos = [[drives[axis].servo for axis in axes] for axes in self._axes]
         self._movers = [self._mover([servo.motor for servo in servos]) for servos in self._servos]
         self._least = [0.0] * len(touched.sides)
-
-    def _servo(self, axis: int) -> Any:
-        """Return the power stage of a simulated drive."""
-        drives = self._experiment.far_side
-        if drives is None:
-            raise InputError("touch: the drives are not in this process, expected simulated ones")
-        return drives.drives[axis].servo
 
     def _mover(self, motors: list[Any]) -> Callable[..., None]:
         """Mover of the hand of a side, by its motors."""
@@ -247,44 +231,29 @@ class _HandRun:
             due = self._start + self._given_up + round(cycles * self._period * 1e9)
             self._clock.wait_until(due)
             late = self._clock.now() - due
-            if late > _GIVEN_UP:
+            if late > 100_000_000:  # [ns]: a longer delay is not caught up
                 self._given_up += late
         self._lateness.add(late)
-        if late > self._period * 1e9:
-            self._late += 1
+        self._late += late > self._period * 1e9
 
     def _send(self, ended: str) -> None:
         """Hand rows and status over; keep them while the pipe is full."""
         if not ended and not select.select([], [self._pipe.fileno()], [], 0.0)[1]:
-            del self._rows[:-_MOST_ROWS]
+            del self._rows[:-4000]
             return
-        status = self._status(ended)
-        self._pipe.send((np.array(self._rows), status))
+        self._pipe.send((np.array(self._rows), self._status(ended)))
         self._rows.clear()
 
     def _status(self, ended: str) -> TouchStatus:
         experiment: Experiment | None = getattr(self, "_experiment", None)
         if experiment is None:
             return no_run(self._job.number, ended)
-        cycle = experiment.cycle
-        return TouchStatus(
-            self._job.number,
-            cycle.cycles,
-            self._late,
-            experiment.rig.skipped_syncs,
-            self._given_up * 1e-9,
-            _half_and_most(self._lateness),
-            _half_and_most(self._answered),
-            (self._least[0], self._least[1]),
-            ended,
+        cycles, skipped = experiment.cycle.cycles, experiment.rig.skipped_syncs
+        lateness, answered = (
+            (durations.quantile(0.5), durations.quantile(0.99)) for durations in (self._lateness, self._answered)
         )
-
-
-def _half_and_most(durations: DurationHistogram) -> tuple[float, float]:
-    return durations.quantile(0.5), durations.quantile(0.99)
-
-
-_END: Final = 2.0  # [s] until a process that does not end is ended
+        number, given_up, least = self._job.number, self._given_up * 1e-9, (self._least[0], self._least[1])
+        return TouchStatus(number, cycles, self._late, skipped, given_up, lateness, answered, least, ended)
 
 
 class TouchNews(NamedTuple):
@@ -317,7 +286,7 @@ class TouchHand:
         self.touched: TouchScene = self._job.touched()
         self._clock = WallClock()
         context = multiprocessing.get_context("spawn")
-        self._shared: SharedNumbers = context.Array("d", SHARED, lock=False)
+        self._shared: SharedNumbers = context.Array("d", RUN + 1, lock=False)
         self._pipe, far_end = context.Pipe()
         self._process = context.Process(target=work, args=(far_end, self._shared), daemon=True)
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: Ctrl-C is for the page, not for the process
@@ -376,7 +345,7 @@ class TouchHand:
         """End the run and the process; a second call does nothing."""
         self._shared[RUN] = -1.0
         self._pipe.close()
-        self._process.join(_END)
+        self._process.join(2.0)
         if self._process.is_alive():
             self._process.terminate()
 

@@ -3,25 +3,13 @@
 import html
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from bokeh import models
 from bokeh.document import Document
 from bokeh.events import Pan, PanStart
 from bokeh.layouts import column, row
-from bokeh.models import (
-    BoxAnnotation,
-    Button,
-    ColumnDataSource,
-    CustomJS,
-    CustomJSTickFormatter,
-    DataRange1d,
-    Div,
-    RadioButtonGroup,
-    Range1d,
-    Slider,
-    Span,
-)
 from bokeh.plotting import figure
 
 from canhaptic.axis_units import effort_unit
@@ -36,13 +24,7 @@ from canhaptic.view.picture_style import BLUE, GREY, PALE, VERMILION
 from canhaptic.view.series import decimate
 from canhaptic.view.si import si
 
-_WINDOW: Final = 3.0  # [s]
-_POINTS: Final = 3000  # kept per line
-_BUCKETS: Final = 120  # per second of the run
-_LINES_EVERY: Final = 0.2  # [s] of the run: handles move at every look, lines grow more slowly
-_MOST_WAITED: Final = 60  # looks without an answer, after which the page is asked again
 _COLOURS: Final = (VERMILION, BLUE)
-_RATES: Final = ("200", "500", "1000", "2000")  # [Hz]
 _DELAYS: Final = {"event": "no delay", "synchronous": "one sample late"}
 _SEND: Final = """
 pointer.data = {x: [cb_obj.x], y: [cb_obj.y], token: [performance.now()]};
@@ -70,24 +52,22 @@ class TouchPage:
     def __init__(self, document: Document, hand: TouchHand, period: float) -> None:
         self._hand, self._document = hand, document
         touched = hand.touched
-        self._pointer = ColumnDataSource({"x": [0.0], "y": [0.0], "token": [0.0]}, name="pointer")
+        self._pointer = models.ColumnDataSource({"x": [0.0], "y": [0.0], "token": [0.0]}, name="pointer")
         self._pointer.on_change("data", self._take_pointer)
-        self._status = Div(text="the drives start ...", name="status", sizing_mode="stretch_width")
+        self._status = models.Div(text="the drives start ...", name="status", sizing_mode="stretch_width")
         self._sides = [_SideView(hand, number, self._pointer) for number in range(2)]
         self._handles = self._sides[-1].handle
-        self._drawn = ColumnDataSource({"frame": [0]}, name="drawn")
-        self._handles.js_on_change("data", CustomJS(args={"drawn": self._drawn}, code=_MEASURE))
+        self._drawn = models.ColumnDataSource({"frame": [0]}, name="drawn")
+        self._handles.js_on_change("data", models.CustomJS(args={"drawn": self._drawn}, code=_MEASURE))
         self._frame = self._waited = 0
         _share_range(self._sides)
         self._controls = _Controls(hand, self._begin)
         document.title = f"canhaptic touch: {touched.scene.source}"
         sides = row(*(side.layout for side in self._sides), sizing_mode="stretch_width")
-        hint = Div(
-            text=f"Drag in a {'square' if touched.is_plane else 'strip'}: the pointer is the hand on both handles."
-        )
-        document.add_root(
-            column(hint, self._controls.layout, sides, self._status, sizing_mode="stretch_width", name="root")
-        )
+        room = "square" if touched.is_plane else "strip"
+        hint = models.Div(text=f"Drag in a {room}: the pointer is the hand on both handles.")
+        rows = (hint, self._controls.layout, sides, self._status)
+        document.add_root(column(*rows, sizing_mode="stretch_width", name="root"))
         self._looking = document.add_periodic_callback(self.update, max(20, round(1000 * period)))
 
     def end(self, text: str) -> None:
@@ -99,7 +79,7 @@ class TouchPage:
     def update(self) -> None:
         """Draw new rows, once the page has drawn the last ones: a slow browser must not fall behind."""
         self._waited += 1
-        if self._drawn.data["frame"][0] != self._frame and self._waited < _MOST_WAITED:
+        if self._drawn.data["frame"][0] != self._frame and self._waited < 60:  # after which the page is asked again
             return
         news = self._hand.look()
         if len(news.rows["time"]):
@@ -139,56 +119,38 @@ def _share_range(sides: list["_SideView"]) -> None:
 class _SideView:
     """Handle, force, energy and verdict of one side."""
 
-    def __init__(self, hand: TouchHand, number: int, pointer: ColumnDataSource) -> None:
+    def __init__(self, hand: TouchHand, number: int, pointer: models.ColumnDataSource) -> None:
         touched = hand.touched
         self._waiting: list[dict[str, Array]] = []
         self._is_touched = False
         self._name, self._number = touched.sides[number].name, number
         self._directions, self._is_display = touched.directions, touched.is_display
         self._allowance = touched.sides[number].allowance
-        start = dict(zip(("x", "y"), (*touched.start, 0.0), strict=False))
-        self.handle = ColumnDataSource(
-            {
-                "x": [start["x"]],
-                "y": [start["y"]],
-                "hand_x": [start["x"]],
-                "hand_y": [start["y"]],
-                "token": [0.0],
-                "frame": [0],
-            },
-            name=f"handle {number}",
-        )
+        x, y = ([at] for at in (*touched.start, 0.0)[:2])
+        handle = {"x": x, "y": y, "hand_x": x, "hand_y": y, "token": [0.0], "frame": [0]}
+        self.handle = models.ColumnDataSource(handle, name=f"handle {number}")
         vectors = ("force", "velocity", "command") if touched.is_display else ("force",)
         self._columns = {f"{vector} {d}": f"{number}.{vector}.{d}" for vector in vectors for d in self._directions}
         self._columns["energy"] = f"{number}.energy"
-        self._lines = ColumnDataSource({name: [] for name in ("time", *self._columns)}, name=f"lines {number}")
-        self._verdict = Div(text="", name=f"verdict {number}", sizing_mode="stretch_width")
+        self._lines = models.ColumnDataSource({name: [] for name in ("time", *self._columns)}, name=f"lines {number}")
+        self._verdict = models.Div(text="", name=f"verdict {number}", sizing_mode="stretch_width")
         self._touched = touched
-        self._notches = ColumnDataSource({"x": [], "y": []}, name=f"notches {number}")
+        self._notches = models.ColumnDataSource({"x": [], "y": []}, name=f"notches {number}")
         self.scene = self._new_scene(touched, pointer)
         self.draw_notches(0.0)
         self.panels = self._panels(touched)
-        self.panels[-1].add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_dash="dashed"))
-        title = Div(text=f"<b style='font-size:1.3em;color:{_COLOURS[number]}'>{html.escape(self._name)}</b>")
+        self.panels[-1].add_layout(models.Span(location=0.0, dimension="width", line_color=GREY, line_dash="dashed"))
+        title = models.Div(text=f"<b style='font-size:1.3em;color:{_COLOURS[number]}'>{html.escape(self._name)}</b>")
         parts = (title, self._verdict, self.scene, *self.panels)
         self.layout = column(*parts, sizing_mode="stretch_width")
 
-    def _new_scene(self, touched: TouchScene, pointer: ColumnDataSource) -> figure:
+    def _new_scene(self, touched: TouchScene, pointer: models.ColumnDataSource) -> figure:
         """Return the place where the handle is dragged."""
-        (low, high), *rest = touched.shown
-        across = rest[0] if rest else (-1.0, 1.0)
-        plane = figure(
-            height=330 if touched.is_plane else 105,
-            x_range=Range1d(low, high),
-            y_range=Range1d(*across),
-            tools="",
-            toolbar_location=None,
-            sizing_mode="stretch_width",
-            output_backend="canvas",
-            min_border_left=90,
-            min_border_right=40,
-            name=f"scene {self._number}",
-        )
+        (low, high), across = touched.shown[0], (*touched.shown, (-1.0, 1.0))[1]
+        look: Any = {"tools": "", "toolbar_location": None, "sizing_mode": "stretch_width", "output_backend": "canvas"}
+        look |= {"min_border_left": 90, "min_border_right": 40, "name": f"scene {self._number}"}
+        ranges: Any = {"x_range": models.Range1d(low, high), "y_range": models.Range1d(*across)}
+        plane = figure(height=330 if touched.is_plane else 105, **ranges, **look)
         plane.grid.grid_line_color = None
         plane.xaxis.formatter = plane.yaxis.formatter = si_ticks(touched.unit)
         plane.yaxis.visible = touched.is_plane
@@ -198,7 +160,7 @@ class _SideView:
         plane.scatter("hand_x", "hand_y", source=self.handle, marker="cross", size=22, line_color=GREY, line_width=2)
         plane.scatter("x", "y", source=self.handle, size=26, fill_color=_COLOURS[self._number], line_color="white")
         for event in (PanStart, Pan):
-            plane.js_on_event(event, CustomJS(args={"pointer": pointer}, code=_SEND))
+            plane.js_on_event(event, models.CustomJS(args={"pointer": pointer}, code=_SEND))
         return plane
 
     def draw_notches(self, pitch: float) -> None:
@@ -217,12 +179,12 @@ class _SideView:
             for (left, right), (bottom, top) in zip(touched.solid[::2], touched.solid[1::2], strict=True):
                 for edge in ({"right": left}, {"left": right}, {"left": left, "right": right, "top": bottom},
                              {"left": left, "right": right, "bottom": top}):  # fmt: skip
-                    plane.add_layout(BoxAnnotation(**edge, **look))
+                    plane.add_layout(models.BoxAnnotation(**edge, **look))
             return
         for low, high in touched.solid:
             edges = {"left": low} if low > shown[0] else {}
             edges |= {"right": high} if high < shown[1] else {}
-            plane.add_layout(BoxAnnotation(**edges, **look))
+            plane.add_layout(models.BoxAnnotation(**edges, **look))
 
     def _panels(self, touched: TouchScene) -> list[figure]:
         """Return force, of an admittance display velocity too, and energy, each against time."""
@@ -233,7 +195,7 @@ class _SideView:
 
     def _panel(self, title: str, unit: str, vectors: list[str]) -> figure:
         # A range of its own: a shared one stands still while any of its panels is scrolled out of sight.
-        time = DataRange1d(follow="end", follow_interval=_WINDOW, range_padding=0.0)
+        time = models.DataRange1d(follow="end", follow_interval=3.0, range_padding=0.0)
         panel = new_panel(title, unit, time, 150)
         shown = [name for vector in vectors for name in self._columns if name.split()[0] == vector]
         for name in shown:
@@ -265,17 +227,16 @@ class _SideView:
                 last[name + d] = rows[prefix + d][-1:] if d in self._directions else np.zeros(1)
         self.handle.data = last
         self._waiting.append(rows)
-        if rows["time"][-1] - self._waiting[0]["time"][0] >= _LINES_EVERY:
-            parts, self._waiting = self._waiting, []
-            self._grow({name: np.concatenate([part[name] for part in parts]) for name in rows})
-
-    def _grow(self, rows: dict[str, Array]) -> None:
-        """Add rows to the lines."""
+        lasted = rows["time"][-1] - self._waiting[0]["time"][0]
+        if lasted < 0.2:  # [s]: handles move at every look, lines grow more slowly
+            return
+        parts, self._waiting = self._waiting, []
+        rows = {name: np.concatenate([part[name] for part in parts]) for name in rows}
         columns = {name: rows[column] for name, column in self._columns.items()}
-        buckets = max(2, round(_BUCKETS * (rows["time"][-1] - rows["time"][0])))
+        buckets = max(2, round(120 * lasted))
         shown = np.unique(np.concatenate([decimate(values, buckets) for values in columns.values()]))
         new = {"time": rows["time"][shown]} | {name: values[shown] for name, values in columns.items()}
-        self._lines.stream(new, rollover=_POINTS)
+        self._lines.stream(new, rollover=3000)
 
     def judge(self, status: TouchStatus) -> None:
         """Show whether the side gave out more than it took in so far."""
@@ -284,9 +245,8 @@ class _SideView:
             return
         least = status.least[self._number]
         passive, _ = passive_verdict(least + self._allowance + PASSIVE_TOLERANCE)
-        verdict = verdict_bar(
-            {self._name: {"passive_at_sensor": passive} if self._is_display else {"passive": passive}}
-        )
+        of: Any = {"passive_at_sensor" if self._is_display else "passive": passive}
+        verdict = verdict_bar({self._name: of})
         allowed = f", it may {si(self._allowance, 'J')}" if self._allowance else ""
         self._verdict.text = f"{verdict} gave out {si(max(0.0, -least), 'J')} more than it took in{allowed}"
 
@@ -302,18 +262,18 @@ class _Controls:
     def __init__(self, hand: TouchHand, begin: Callable[[dict[str, str]], object]) -> None:
         self._begin = begin
         bus, touched = hand.touched.scene.bus, hand.touched
-        self._sliders: list[tuple[TouchSlider, Slider]] = [(one, _slider(one)) for one in touched.sliders]
+        self._sliders: list[tuple[TouchSlider, models.Slider]] = [(one, _slider(one)) for one in touched.sliders]
         rate = f"{bus.rate:g}"
-        self._rates = sorted({*_RATES, rate}, key=float)
-        self._rate = RadioButtonGroup(
+        self._rates = sorted({"200", "500", "1000", "2000", rate}, key=float)
+        self._rate = models.RadioButtonGroup(
             labels=[f"{rate} Hz" for rate in self._rates], active=self._rates.index(rate), name="rate"
         )
-        self._delay = RadioButtonGroup(
+        self._delay = models.RadioButtonGroup(
             labels=list(_DELAYS.values()), active=list(_DELAYS).index(bus.rpdo), name="delay",
             disabled=touched.is_display,
         )  # fmt: skip
-        again = Button(label="start again", name="again")
-        again.on_click(self._changed)
+        again = models.Button(label="start again", name="again")
+        again.on_click(lambda: self._moved("", None, None))
         widgets = [widget for _, widget in self._sliders]
         for slider in widgets:
             slider.on_change("value_throttled", self._moved)
@@ -322,26 +282,23 @@ class _Controls:
         self.layout = row(*widgets, self._rate, self._delay, again, sizing_mode="stretch_width")
 
     def _moved(self, _name: str, _old: object, _new: object) -> None:
-        self._changed()
-
-    def _changed(self) -> None:
         changes = {"bus.rate": self._rates[self._rate.active], "bus.rpdo": list(_DELAYS)[self._delay.active]}
         for one, widget in self._sliders:
             changes[one.key] = repr(float(10.0**widget.value if one.decades else widget.value))
         self._begin(changes)
 
 
-def _slider(one: TouchSlider) -> Slider:
+def _slider(one: TouchSlider) -> models.Slider:
     """Return the widget of a value of the scene."""
     if not one.decades:
         most, step = max(20.0, 5.0 * one.value), max(0.1, one.value / 20.0)
         title = f"{one.title} [{one.unit}]"
-        return Slider(start=0.0, end=most, step=step, value=one.value, title=title, name=one.title)
+        return models.Slider(start=0.0, end=most, step=step, value=one.value, title=title, name=one.title)
     middle = np.log10(max(one.value, 1e-6))
-    shown = CustomJSTickFormatter(
+    shown = models.CustomJSTickFormatter(
         args={"unit": one.unit}, code="return `${Math.pow(10, tick).toPrecision(3)} ${unit}`"
     )  # fmt: skip
-    return Slider(
+    return models.Slider(
         start=middle - one.decades, end=middle + one.decades, step=0.025 * one.decades, value=middle, title=one.title,
         format=shown, name=one.title,
     )  # fmt: skip

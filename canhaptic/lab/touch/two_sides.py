@@ -10,6 +10,7 @@ Both sides of admittance displays: force in, velocity out; one axis, or two axes
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Any, Final, NamedTuple, cast
 
 from canhaptic.axis_units import damping_unit, effort_unit, mass_unit, stiffness_unit
@@ -31,12 +32,8 @@ from canhaptic.units import Parameters
 
 PLAIN: Final = "unprotected"
 GUARDED: Final = "guarded"
-_PATIENCE: Final = 10.0  # [s] until a silent peer counts as lost
-_LOST_CYCLES: Final = 2000
 HAND: Final = {"stiffness": 300.0, "damping": 3.0}
 """Hand of a scene without one [N/m, N*s/m] or [N*m/rad, N*m*s/rad]."""
-_ROOM: Final = 0.1
-"""Half of the displayed range of a scene whose hand does not move [m or rad]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,14 +92,14 @@ class TouchScene:
     notches: tuple[float, ...] = ()
 
     @property
+    def directions(self) -> tuple[str, ...]:
+        """Names of the directions in which the handle moves: a plane has two."""
+        return ("x", "y")[: len(self.shown)]
+
+    @property
     def is_plane(self) -> bool:
         """Whether the handle moves in a plane."""
         return len(self.shown) == 2
-
-    @property
-    def directions(self) -> tuple[str, ...]:
-        """Names of the directions in which it moves."""
-        return ("x", "y") if self.is_plane else ("x",)
 
 
 def sliders_of(section: str, values: Parameters, names: Sequence[str], unit: str) -> tuple[TouchSlider, ...]:
@@ -138,7 +135,7 @@ def pointer_hand(user: UserParameters, start: float) -> PointerHand:
 def reach(motion: Any, rest: float, start: float) -> tuple[float, float]:
     """Range on the page in a direction [m or rad]: one and a half times the motion of the scene's hand."""
     middle = rest + (motion.offset if motion else 0.0)
-    half = 1.5 * motion.amplitude if motion else _ROOM
+    half = 1.5 * motion.amplitude if motion else 0.1
     return min(middle - half, start), max(middle + half, start)
 
 
@@ -150,9 +147,7 @@ def on_two_buses(
     mechanisms: tuple[MechanismScene, ...] = (),
 ) -> Scene:
     """Return a scene with a bus for each side, with long timeouts of drives and master."""
-    bus = scene.bus.model_copy(
-        update={"heartbeat_timeout": _PATIENCE, "stop_cycles": max(_LOST_CYCLES, scene.bus.stop_cycles)}
-    )
+    bus = scene.bus.model_copy(update={"heartbeat_timeout": 10.0, "stop_cycles": max(2000, scene.bus.stop_cycles)})
     log = scene.log.model_copy(update={"energy": None, "bus": None})
     return replace(
         scene, bus=bus, bus_name=sides[0].name, further_buses=(FurtherBus(name=sides[1].name),), axes=tuple(axes),
@@ -216,14 +211,14 @@ def _held_axis(axis: AxisScene, side: Side, port: str) -> AxisScene:
     if display is not None:
         force = display.force.model_copy(update={"frozen_after": None})
         display = display.model_copy(update={"force": force})
-    changes = {"name": port, "energy_loss_limit": "none", "admittance": display}
-    return replace(
-        axis,
-        parameters=axis.parameters.model_copy(update=changes),
-        bus=side.name,
-        group=side.group,
-        simulation=replace(simulation_of(axis), user=pointer_hand(*_hand_of(axis))),
-    )
+    simulation = replace(simulation_of(axis), user=pointer_hand(*_hand_of(axis)))
+    return replace(_named(axis, side, port, admittance=display), group=side.group, simulation=simulation)
+
+
+def _named(axis: AxisScene, side: Side, port: str, **changes: Any) -> AxisScene:
+    """Return an axis of one side under the name of its port, with other parameters."""
+    changes |= {"name": port, "energy_loss_limit": "none"}
+    return replace(axis, parameters=axis.parameters.model_copy(update=changes), bus=side.name)
 
 
 def _hand_of(axis: AxisScene) -> tuple[UserParameters, float]:
@@ -234,17 +229,14 @@ def _hand_of(axis: AxisScene) -> tuple[UserParameters, float]:
 
 def _guard_of(*axes: AxisScene) -> ComponentSpec:
     """`guarded` with the simulated drives' properties, for a scene that is unprotected."""
-    masses, gains, integrals = [0.0], [0.0], [0.0]
-    for axis in axes:
-        simulation = simulation_of(axis)
-        masses.append(simulation.plant.mass)
-        if simulation.admittance is not None:
-            gains.append(simulation.admittance.loop.gain)
-            integrals.append(simulation.admittance.loop.integral_gain)
+    simulations = [simulation_of(axis) for axis in axes]
+    loops = [one.admittance.loop for one in simulations if one.admittance is not None]
     known = GuardedAdmittanceParameters(
-        drive_mass=_OVER * max(masses), loop_gain=_OVER * max(gains), integral_gain=_OVER * max(integrals),
+        drive_mass=_OVER * max(one.plant.mass for one in simulations),
+        loop_gain=_OVER * max((loop.gain for loop in loops), default=0.0),
+        integral_gain=_OVER * max((loop.integral_gain for loop in loops), default=0.0),
         energy_allowance=1e-3,
-    )  # fmt: skip
+    )
     return ComponentSpec(GUARDED, known)
 
 
@@ -335,18 +327,9 @@ def _name_of(axis: AxisScene) -> str:
 def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:
     """Region where an environment is felt, within the page [m or rad]; nothing where it is felt everywhere."""
     low, high = shown
-    step = (high - low) / 2000
-    places = [low + step * k for k in range(2001)]
-    felt = [bool(environment.contact(place)) for place in places]
-    if all(felt):
-        return ()
-    spans: list[tuple[float, float]] = []
-    for place, inside in zip(places, felt, strict=True):
-        if inside and spans and place - spans[-1][1] < 1.5 * step:
-            spans[-1] = (spans[-1][0], place)
-        elif inside:
-            spans.append((place, place))
-    return tuple(spans)
+    places = [low + (high - low) / 2000 * k for k in range(2001)]
+    runs = [[*run] for felt, run in groupby(places, lambda place: bool(environment.contact(place))) if felt]
+    return () if len(runs) == 1 and len(runs[0]) == 2001 else tuple((run[0], run[-1]) for run in runs)
 
 
 # --- in a plane ---------------------------------------------------------------------------------------------------
@@ -379,11 +362,7 @@ def _plane(scene: Scene, name: str) -> TouchScene:
     members = [scene.axis(axis) for axis in group.axes]
     plain = [_walled(axis, box, k) for k, axis in enumerate(members)]
     axes = [
-        replace(
-            axis,
-            parameters=axis.parameters.model_copy(update={"name": port, "energy_loss_limit": "none"}),
-            bus=side.name,
-        )
+        _named(axis, side, port)
         for side, of_side in zip(sides, (plain, members), strict=True)
         for axis, port in zip(of_side, side.axes, strict=True)
     ]
@@ -391,17 +370,11 @@ def _plane(scene: Scene, name: str) -> TouchScene:
     mechanisms = tuple(_held(of, members, side) for side in sides)
     hand = of.hand or TaskHand()
     start = tuple(float(place) for place in getattr(of.mechanism.parameters, "initial_position", (0.0, 0.0)))
-    reaches = zip(hand.motions, hand.rest, start, strict=True)
-    solid = zip(box.lower, box.upper, strict=True)
-    return TouchScene(
-        on_two_buses(scene, axes, sides, groups=(guarded,), mechanisms=mechanisms),
-        sides,
-        "m",
-        tuple(reach(motion, rest, at) for motion, rest, at in reaches),
-        start,
-        tuple((float(low), float(high)) for low, high in solid),
-        sliders_of(f"groups.{index}.network", box, _SLIDERS, "m"),
-    )
+    shown = tuple(map(reach, hand.motions, hand.rest, start))
+    solid = tuple((float(low), float(high)) for low, high in zip(box.lower, box.upper, strict=True))
+    both = on_two_buses(scene, axes, sides, groups=(guarded,), mechanisms=mechanisms)
+    sliders = sliders_of(f"groups.{index}.network", box, _SLIDERS, "m")
+    return TouchScene(both, sides, "m", shown, start, solid, sliders)
 
 
 def _walled(axis: AxisScene, box: Box, direction: int) -> AxisScene:

@@ -103,7 +103,7 @@ def test_every_hold_of_step_scaling_is_that_of_internal_dissipation(delay, alpha
         network = memory.group.motion.network
         network.state[0] = storage.state
         settle_network(world, state.group.motion.network, network)
-        state.paid.h_s, state.paid.pace, state.h_dis = storage.h_s, storage.velocity, axis.h_dis
+        state.h_s, state.pace, state.h_dis = storage.h_s, storage.velocity, axis.h_dis
         sent = memory.group.commands
         for index in range(delay + 1):
             place, own = axis.oldest + index - delay - 1, state.group.oldest + index - delay - 1

@@ -126,8 +126,9 @@ def test_nothing_felt_has_no_share() -> None:
 
 def test_a_number_that_is_not_finite_ends_the_loop() -> None:
     case = group_case(scene_of("xy_box"))
-    assert isinstance(case.motors, LinearMotors)
-    far = case.motors._replace(state=[float("nan"), *case.motors.state[1:]])
+    motors = case.motors.made(True)
+    assert isinstance(motors, LinearMotors)
+    far = case.motors._replace(made=lambda _listed: motors._replace(state=[float("nan"), *motors.state[1:]]))
     assert group_meter(case._replace(motors=far), 10).figures.diverged == 1.0
 
 

@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.lab.batch.group_loop import Motors, motors_of
+from canhaptic.lab.batch.group_loop import Motors
 from canhaptic.lab.batch.scalar import render_group
 from canhaptic.lab.judge.reference_group import ReferenceGroup
 from canhaptic.lab.judge.reference_model import MotionError, difference
@@ -545,14 +545,14 @@ class _Mechanism:
         accuracy = AccuracyParameters(substeps=substeps)
 
         def run(look: Callable[[Motors], object]) -> tuple[list[Any], int]:
-            motors, period, found = motors_of(scene, axes), scene.bus.sample_time_ns, []
+            motors, period, found = Motors(scene, axes), scene.bus.sample_time_ns, []
             for k, torques in enumerate(self.torques.tolist()):
                 motors.advance_to((k + 1) * period, tuple(torques))
                 found.append(look(motors))
             return found, motors.evaluations() or len(found)
 
         def observe() -> tuple[Motion, int, int]:
-            table, evaluations = run(lambda m: (m.positions(), m.velocities(), m.work(), m.user_work()))
+            table, evaluations = run(lambda m: (m.positions(), m.velocities(), *m.works()))
             return Motion(*(np.array(column) for column in zip(*table, strict=True))), evaluations, 0
 
         setting = "exact" if self._order is None else counted(substeps, "substep")
