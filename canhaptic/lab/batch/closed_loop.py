@@ -146,7 +146,7 @@ def move_step(settings: ReferenceSettings, reference: ReferenceState, memory: Re
 def move_in_pieces(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
     """Move by one step, piece by piece: each ends at a surface, at a turning point, or at the end."""
     state, series, left = memory.state, memory.series, settings.step
-    for _ in range(64):
+    for _ in range(64):  # pieces at most
         expand(memory, reference.mode)
         velocity, end = state[1], value_at(series, 1, left)
         turns = velocity * end < 0.0
@@ -215,7 +215,7 @@ def root(series: Matrix, row: int, constant: float, until: float, end: float) ->
     """
     low, high = 0.0, until
     at = until * constant / (constant - end)
-    for _ in range(8):
+    for _ in range(8):  # Newton steps
         rising = slope = 0.0
         for order in range(TERMS - 1, 0, -1):
             rising = rising * at + series[order][row]

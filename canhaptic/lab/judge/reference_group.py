@@ -7,6 +7,7 @@ accelerations and for any solver, where the simulated one takes steps of a discr
 import math
 from collections.abc import Sequence
 from functools import partial
+from itertools import accumulate
 from typing import Any, Protocol
 
 from canhaptic.errors import InputError
@@ -47,10 +48,8 @@ class AxesModel:
 
     def __init__(self, models: Sequence[Model], masses: Sequence[float]) -> None:
         self._models, self._masses = models, masses
-        ends = [sum(len(model.start) for model in models[: i + 1]) for i in range(len(models))]
-        self._parts = [slice(end - len(model.start), end) for model, end in zip(models, ends, strict=True)]
-        ends = [sum(len(model.first) for model in models[: i + 1]) for i in range(len(models))]
-        self._modes = [slice(end - len(model.first), end) for model, end in zip(models, ends, strict=True)]
+        self._parts = _slices([len(model.start) for model in models])
+        self._modes = _slices([len(model.first) for model in models])
         self.start = [value for model in models for value in model.start]
         self.first: Modes = tuple(mode for model in models for mode in model.first)
         self.breaks = [time for model in models for time in model.breaks]
@@ -211,10 +210,7 @@ class FiveBarModel(_TwoMotors):
         hand = xl * force[0] + yl * force[1], xr * force[0] + yr * force[1]
         by_left, by_right = (five_bar.inertia_rate(self._linkage, pose, by) for by in (0, 1))
         turning = Inertia(*(a * v_left + b * v_right for a, b in zip(by_left, by_right, strict=True)))  # dM / dt
-        centrifugal = (
-            0.5 * quadratic(by_left, v_left, v_right),
-            0.5 * quadratic(by_right, v_left, v_right),
-        )
+        centrifugal = (0.5 * quadratic(by_left, v_left, v_right), 0.5 * quadratic(by_right, v_left, v_right))
         pull = self._stop_pull(pose.span)
         spans = five_bar.span_rates(pose)
         total = [
@@ -259,6 +255,10 @@ def mechanism_model(parameters: MechanismParameters, hand: TaskHand | None) -> S
     if isinstance(parameters, five_bar.FiveBarLinkage):
         return FiveBarModel(parameters, hand)
     raise InputError(f"the mechanism {type(parameters).__name__} has no equations here")
+
+
+def _slices(sizes: Sequence[int]) -> list[slice]:
+    return [slice(end - size, end) for size, end in zip(sizes, accumulate(sizes), strict=True)]
 
 
 def _diagonal(masses: Sequence[float]) -> list[Floats]:

@@ -79,9 +79,13 @@ class Element(Protocol):
         """Return the transitions out of a mode; `index` is the element's own index."""
 
 
-class _Smooth:
-    """Common part of elements without modes."""
+_Apply = Callable[[float, State, str, Floats, Floats], None]
 
+
+class Smooth(NamedTuple):
+    """An element without modes."""
+
+    apply: _Apply
     modes: tuple[str, ...] = ("only",)
 
     def ways(self, index: int, mode: str) -> Sequence[Transition]:
@@ -89,46 +93,44 @@ class _Smooth:
         return ()
 
 
-class Drag(_Smooth):
+def drag(damping: float) -> Smooth:
     """Viscous friction on the motor: -damping v."""
 
-    def __init__(self, damping: float) -> None:
-        self._damping = damping
+    def apply(time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
+        forces[0] -= damping * state[VELOCITY]
 
-    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Add the friction."""
-        forces[0] -= self._damping * state[VELOCITY]
+    return Smooth(apply)
 
 
-class ReferenceDetents(_Smooth):
+def detents(amplitude: float, pitch: float, phase: float) -> Smooth:
     """Cogging: -amplitude sin(2 pi q / pitch + phase)."""
+    wave_number = 2.0 * math.pi / pitch
 
-    def __init__(self, amplitude: float, pitch: float, phase: float) -> None:
-        self._amplitude, self._wave_number, self._phase = amplitude, 2.0 * math.pi / pitch, phase
+    def apply(time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
+        forces[0] -= amplitude * math.sin(wave_number * state[POSITION] + phase)
 
-    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Add the detent force."""
-        forces[0] -= self._amplitude * math.sin(self._wave_number * state[POSITION] + self._phase)
+    return Smooth(apply)
 
 
-class Shaft(_Smooth):
-    """Spring and damper between motor and load."""
+def shaft_between(stiffness: float, damping: float, twist: int, load: int) -> Smooth:
+    """Spring and damper between motor and load; `twist` and `load`, a velocity, are places in the state."""
 
-    def __init__(self, stiffness: float, damping: float, twist: int, load_velocity: int) -> None:
-        self._stiffness, self._damping, self._twist, self._load = stiffness, damping, twist, load_velocity
-
-    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Add the torque of the shaft to both sides."""
-        force = self._stiffness * state[self._twist] + self._damping * (state[VELOCITY] - state[self._load])
+    def apply(time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
+        force = stiffness * state[twist] + damping * (state[VELOCITY] - state[load])
         forces[0] -= force
         forces[1] += force
 
+    return Smooth(apply)
 
-class ReferenceHand(_Smooth):
+
+_Numbers = Sequence[tuple[float, ...]]
+
+
+def hand_on(place: BodyPlace, grasps: _Numbers, push: float, rest: float, sines: _Numbers, rows: _Numbers) -> Smooth:
     """K (x_u - q) + D (v_u - v) + push on the last body; its work goes to the last state.
 
     Args:
-        place: Index of the held body.
+        place: Place of the held body.
         grasps: (from time, stiffness, damping), ascending.
         push: Constant force.
         rest: Rest position of the spring.
@@ -136,70 +138,50 @@ class ReferenceHand(_Smooth):
         rows: (time, place) of a recorded voluntary motion, joined by straight lines; empty: none.
     """
 
-    def __init__(
-        self,
-        place: BodyPlace,
-        grasps: Sequence[tuple[float, float, float]],
-        push: float,
-        rest: float,
-        sines: Sequence[tuple[float, float, float]],
-        rows: Sequence[tuple[float, float]] = (),
-    ) -> None:
-        self._place, self._grasps = place, tuple(grasps)
-        self._push, self._rest, self._sines, self._rows = push, rest, tuple(sines), tuple(rows)
-
-    @property
-    def changes(self) -> list[float]:
-        """Times at which the grasp changes, or the recorded motion turns [s]."""
-        return [time for time, *_ in (*self._grasps[1:], *self._rows[1:])]
-
-    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Add the force of the hand and its power."""
-        _, stiffness, damping = next(g for g in reversed(self._grasps) if g[0] <= time or g is self._grasps[0])
-        place, speed = self._rest, 0.0
-        for amplitude, omega, phase in self._sines:
+    def apply(time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
+        _, stiffness, damping = next(g for g in reversed(grasps) if g[0] <= time or g is grasps[0])
+        at, speed = rest, 0.0
+        for amplitude, omega, phase in sines:
             angle = omega * time + phase
-            place += amplitude * math.sin(angle)
+            at += amplitude * math.sin(angle)
             speed += amplitude * omega * math.cos(angle)
-        if self._rows:
-            after = bisect_right(self._rows, time, key=itemgetter(0))
-            (begin, here), (end, there) = self._rows[after - 1], (*self._rows, (math.inf, 0.0))[after]
+        if rows:
+            after = bisect_right(rows, time, key=itemgetter(0))
+            (begin, here), (end, there) = rows[after - 1], (*rows, (math.inf, 0.0))[after]
             pace = (there - here) / (end - begin)
-            place, speed = place + here + pace * (time - begin), speed + pace
-        velocity = state[self._place.velocity]
-        force = stiffness * (place - self._place.position(state)) + damping * (speed - velocity) + self._push
+            at, speed = at + here + pace * (time - begin), speed + pace
+        velocity = state[place.velocity]
+        force = stiffness * (at - place.position(state)) + damping * (speed - velocity) + push
         forces[-1] += force
         rates[-1] += force * velocity
 
+    return Smooth(apply)
 
-class ReferenceOwnHand(_Smooth):
+
+def own_hand(force_of: Callable[[float, float, float], float]) -> Smooth:
     """A user-defined force on the motor, by time, position and velocity; its work goes to the last state."""
 
-    def __init__(self, force: Callable[[float, float, float], float]) -> None:
-        self._force = force
-
-    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Add the force and its power."""
+    def apply(time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
         velocity = float(state[VELOCITY])
-        force = self._force(time, float(state[POSITION]), velocity)
+        force = force_of(time, float(state[POSITION]), velocity)
         forces[0] += force
         rates[-1] += force * velocity
 
+    return Smooth(apply)
 
-class LuGre(_Smooth):
+
+def lugre(p: Any, deflection: int) -> Smooth:
     """Bristles that bend and slip; the deflection is a state."""
 
-    def __init__(self, friction: Any, deflection: int) -> None:
-        self._friction, self._deflection = friction, deflection
-
-    def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Add the friction and the rate of the deflection."""
-        p, velocity, bend = self._friction, state[VELOCITY], state[self._deflection]
+    def apply(time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
+        velocity, bend = state[VELOCITY], state[deflection]
         ratio = velocity / p.stribeck_velocity
         level = p.kinetic + (p.static - p.kinetic) * math.exp(-ratio * ratio)
         rate = velocity - p.bristle_stiffness * abs(velocity) / level * bend
-        rates[self._deflection] = rate
+        rates[deflection] = rate
         forces[0] -= p.bristle_stiffness * bend + p.bristle_damping * rate + p.viscous * velocity
+
+    return Smooth(apply)
 
 
 class ReferenceContact:
@@ -347,15 +329,7 @@ MOTOR_WORK, USER_WORK = -2, -1
 Modes = tuple[str, ...]
 _DRY: Final = ("coulomb_friction", "stribeck_friction")
 _COMMANDS: Final = ("torque_saturation", "torque_quantisation", "thermal_derating")
-_ONCE: Final = (
-    "current_loop",
-    "voltage_limit",
-    "shaft_compliance",
-    "backlash",
-    "lugre_friction",
-    "thermal_derating",
-    *_DRY,
-)
+_ONCE: Final = ("current_loop", "voltage_limit", "shaft_compliance", "backlash", "lugre_friction", _COMMANDS[2], *_DRY)
 _OFTEN: Final = ("torque_ripple", "viscous_friction", "cogging", "hard_stop", "grasp_change", "tremor", *_COMMANDS[:2])
 _OF_THE_ENCODER: Final = ("encoder_noise", "encoder_quantisation")
 """Effects on measured values, on which the motion does not depend."""
@@ -448,11 +422,11 @@ class Model:
             self._places.append(BodyPlace(load, ((POSITION, 1.0), (twist, -1.0))))
             self.kinematics[twist] = ((VELOCITY, 1.0), (load, -1.0))
             if not self._one("backlash"):
-                self._elements.append(Shaft(shaft.stiffness, shaft.damping, twist, load))
-        self._elements.append(Drag(parameters.damping))
-        self._elements += [Drag(drag.damping) for drag in self._effects.get("viscous_friction", [])]
+                self._elements.append(shaft_between(shaft.stiffness, shaft.damping, twist, load))
+        self._elements.append(drag(parameters.damping))
+        self._elements += [drag(viscous.damping) for viscous in self._effects.get("viscous_friction", [])]
         for cogging in self._effects.get("cogging", []):
-            self._elements.append(ReferenceDetents(cogging.amplitude, cogging.pitch, cogging.phase))
+            self._elements.append(detents(cogging.amplitude, cogging.pitch, cogging.phase))
 
     def _add_contacts(self) -> None:
         for stop in self._effects.get("hard_stop", []):
@@ -471,7 +445,7 @@ class Model:
 
     def _add_hand(self, user: UserParameters | None) -> None:
         if isinstance(user, OwnHand):
-            self._elements.append(ReferenceOwnHand(user.force))
+            self._elements.append(own_hand(user.force))
         elif user is not None and type(user) is not UserParameters:
             raise ParameterError("user: got own code, expected a sinusoid, a recording or an OwnHand: no equations")
         if user is None or not (user.stiffness or user.damping or user.push):
@@ -486,15 +460,13 @@ class Model:
             sines.append((tremor.amplitude, 2.0 * math.pi * tremor.frequency, tremor.phase))
         rest = user.rest + (user.sinusoid.offset if user.sinusoid else 0.0)
         rows = user.motion.rows if isinstance(user.motion, RecordedMotion) else ()
-        hand = ReferenceHand(self._places[-1], grasps, user.push, rest, sines, rows)
-        self.breaks = hand.changes
-        self._elements.append(hand)
+        self.breaks = [time for time, *_ in (*grasps[1:], *rows[1:])]
+        self._elements.append(hand_on(self._places[-1], grasps, user.push, rest, sines, rows))
 
     def _add_friction(self) -> None:
         self._friction: ReferenceStickSlip | None = None
-        lugre = self._one("lugre_friction")
-        if lugre:
-            self._elements.append(LuGre(lugre, self.add_state("bristle_deflection")))
+        if bristles := self._one("lugre_friction"):
+            self._elements.append(lugre(bristles, self.add_state("bristle_deflection")))
         dry = next((self._one(name) for name in _DRY if self._one(name)), None)
         if dry:
             width = getattr(dry, "stribeck_velocity", 1.0)

@@ -24,15 +24,11 @@ from canhaptic.lab.judge.reference_model import Floats, Model, Modes, State, Tra
 from canhaptic.sim.plant.direct_rig import Motion
 from canhaptic.sim.plant.propagator import Array
 
-_MISSING: Final = f"the reference of an accuracy study needs scipy; install it with: {install_hint('study')}"
 _LONGEST_STEP: Final = 2.5e-4
 """[s] where modes may change: their guards are looked at at the ends of steps."""
 _MOST_CHANGES: Final = 10_000
 """Changes of mode in one hold."""
-_STRETCH: Final = 0.02
-"""[s] that are solved at once, so that memory stays small and a request to stop is noticed."""
-_CHAIN: Final = 16
-"""Changes of mode without time between them."""
+_Stop = Callable[[], bool] | None
 
 
 class SwitchedModel(Protocol):
@@ -57,9 +53,7 @@ class SwitchedModel(Protocol):
         """Every transition out of these modes; valid until the next call."""
 
 
-def reference(
-    model: SwitchedModel, torques: Sequence[float], sample_time_ns: int, stop: Callable[[], bool] | None = None
-) -> Motion:
+def reference(model: SwitchedModel, torques: Sequence[float], sample_time_ns: int, stop: _Stop = None) -> Motion:
     """Return the motion under the torques by DOP853 with relative tolerance 1e-12.
 
     Args:
@@ -74,17 +68,9 @@ def reference(
     return located(model, torques, sample_time_ns, "DOP853", 1e-12, 1e-15, stop)
 
 
-def located(
-    model: SwitchedModel,
-    torques: Sequence[float],
-    sample_time_ns: int,
-    method: str,
-    rtol: float,
-    atol: float,
-    stop: Callable[[], bool] | None = None,
-) -> Motion:
+def located(*how: Any) -> Motion:
     """Return the motion under the torques; arguments and errors as for `located_states`."""
-    return motion_of(located_states(model, torques, sample_time_ns, method, rtol, atol, stop))
+    return motion_of(located_states(*how))
 
 
 def located_states(
@@ -94,7 +80,7 @@ def located_states(
     method: str,
     rtol: float,
     atol: float,
-    stop: Callable[[], bool] | None = None,
+    stop: _Stop = None,
 ) -> list[Floats]:
     """Return every state at the end of each hold, by a solver of `scipy.integrate.solve_ivp`.
 
@@ -126,11 +112,7 @@ def located_states(
 
 
 def states_at(
-    model: SwitchedModel,
-    times: Sequence[float],
-    rtol: float,
-    stop: Callable[[], bool] | None = None,
-    longest: float = _LONGEST_STEP,
+    model: SwitchedModel, times: Sequence[float], rtol: float, stop: _Stop = None, longest: float = _LONGEST_STEP
 ) -> list[Floats]:
     """Return every state without a torque at some times, by DOP853 with dense output.
 
@@ -154,7 +136,8 @@ def states_at(
         if len(due):
             found.extend(result.sol(due).T.tolist())
 
-    cuts = [*np.arange(0.0, times[-1], _STRETCH), *(t for t in model.breaks if t < times[-1]), times[-1]]
+    # so many [s] are solved at once that memory stays small and a request to stop is noticed
+    cuts = [*np.arange(0.0, times[-1], 0.02), *(t for t in model.breaks if t < times[-1]), times[-1]]
     for start, finish in pairwise(sorted(cuts)):
         if finish > start:
             state, modes = _hold(model, solve, state, modes, 0.0, (start, finish), read)
@@ -166,11 +149,13 @@ def _solve_ivp() -> Callable[..., Any]:
     try:
         from scipy.integrate import solve_ivp
     except ImportError as error:
-        raise InputError(_MISSING) from error
+        raise InputError(
+            f"the reference of an accuracy study needs scipy; install it with: {install_hint('study')}"
+        ) from error
     return cast(Callable[..., Any], solve_ivp)
 
 
-def _require_running(stop: Callable[[], bool] | None) -> None:
+def _require_running(stop: _Stop) -> None:
     """Raise InputError where a stop was requested."""
     if stop is not None and stop():
         raise InputError("stopped before the reference was computed; nothing can be compared without it")
@@ -208,7 +193,7 @@ def settled(
     model: SwitchedModel, time: float, state: list[float], torque: Any, modes: Modes
 ) -> tuple[list[float], Modes]:
     """Return state and modes after every transition whose value is below zero."""
-    for _ in range(_CHAIN):
+    for _ in range(16):  # without time between them
         ways = model.ways(modes)
         broken = next((way for way in ways if way.value(time, state, torque) < -way.rounding), None)
         if broken is None:
@@ -236,9 +221,6 @@ def _event(way: Transition) -> Any:
 
 
 _Step = Callable[[Model, float, Floats, float, Modes, float], Floats]
-_LARGEST: Final = 1e6  # [m or rad] beyond which a motion counts as diverged
-_CLOSE: Final = 1e-13  # relative change at which the implicit step is solved
-_MOST_CORRECTIONS: Final = 8
 
 
 def fixed_step(model: Model, torques: Sequence[float], sample_time_ns: int, step: _Step, substeps: int) -> Motion:
@@ -270,7 +252,7 @@ def fixed_step_states(
                 state = step(model, now, state, torque, modes, length)
             except (OverflowError, np.linalg.LinAlgError):
                 state = [float("inf")] * len(state)
-            if not abs(state[0]) < _LARGEST:
+            if not abs(state[0]) < 1e6:  # [m or rad]
                 states += [[float("inf")] * len(state)] * (len(torques) - k)
                 return states
         if model.switches:
@@ -311,12 +293,12 @@ class _ImplicitMidpoint:
         begin = np.array(state)
         middle, rates = begin.copy(), np.array(model.rates(middle_time, state, torque, modes))
         key = (modes, step)
-        for correction in range(_MOST_CORRECTIONS):
+        for correction in range(8):
             residual = (begin + 0.5 * step * rates - middle)[:size]
             change = np.linalg.solve(self._matrix(model, middle_time, middle, torque, key), residual)
             middle[:size] += change
             rates = np.array(model.rates(middle_time, middle.tolist(), torque, modes))
-            if np.abs(change).max() <= _CLOSE * max(1e-6, float(np.abs(middle[:size]).max())):
+            if np.abs(change).max() <= 1e-13 * max(1e-6, float(np.abs(middle[:size]).max())):
                 break
             if correction == 2:
                 self._solvers.pop(key, None)  # the Jacobian is out of date

@@ -21,15 +21,7 @@ from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controller, build_group
 from canhaptic.sim.plant.velocity_drive import AdmittancePlant
 
-Mask = NDArray[np.bool_]
-_CUTS: Final = (
-    Certificate.VELOCITY_LOOP.value, Certificate.LARGEST_HAND_FORCE.value, Certificate.DECLARED_HAND.value
-)  # fmt: skip
-_NONE: Final = Certificate.NONE.value
 _STILL: Final = 1e-9  # command that counts as none [m/s or rad/s]
-_FREE_MASS: Final = "virtual_mass"
-_FIRST: Final = 20  # SYNCs at the beginning that are left out of the mass felt
-_BRAKING: Final = 10e-3  # time that a drive takes to stop at a wall, at most [s]
 _FEWEST: Final = 30  # SYNCs from which the felt mass is computed
 
 
@@ -48,11 +40,12 @@ class AdmittanceRun(LoopRun):
     def shares(self) -> tuple[float, float, int]:
         """Return the shares of cut holds among those with a command, and of uncertified ones; weakest certificate."""
         certificate = self.booked.certificate.astype(int)
-        cut = np.isin(certificate, _CUTS)
+        cuts = Certificate.VELOCITY_LOOP, Certificate.LARGEST_HAND_FORCE, Certificate.DECLARED_HAND
+        cut = np.isin(certificate, [of.value for of in cuts])
         moving = np.count_nonzero(cut | (np.abs(self.booked.torque) > _STILL))
         weakest = max(certificate.tolist(), key=RANKS.__getitem__, default=Certificate.EXACT.value)
         cycles = max(1, len(certificate))
-        return cut.sum() / max(1, moving), np.count_nonzero(certificate == _NONE) / cycles, weakest
+        return cut.sum() / max(1, moving), np.count_nonzero(certificate == Certificate.NONE.value) / cycles, weakest
 
 
 class _Motor(NamedTuple):
@@ -75,9 +68,6 @@ class _Motor(NamedTuple):
         return self.channel.take(round(self.plant.read_force() / self.per_count + self.offset))
 
 
-_JUMP: Final = 2.0  # of the speed limit, as in the drive's link policy
-
-
 def run_display(scene: Scene, cycles: int) -> AdmittanceRun:
     """Result of a run of one axis, or of one group.
 
@@ -89,7 +79,8 @@ def run_display(scene: Scene, cycles: int) -> AdmittanceRun:
         InputError: An axis is not simulated, or is no admittance display.
         ParameterError: The controller cannot be built.
     """
-    motors, controller = [_motor(axis, scene) for axis in scene.axes], _controller(scene)
+    motors, groups = [_motor(axis, scene) for axis in scene.axes], scene.groups
+    controller: Any = build_group(scene, groups[0]) if groups else build_axis_controller(scene.axes[0])
     recorder, motion, reason = Recorder(len(motors)), list[list[float]](), ""
     try:
         reason = _walk(motors, controller, scene, cycles, recorder, motion)
@@ -107,19 +98,11 @@ def _motor(axis: AxisScene, scene: Scene) -> _Motor:
     simulation = simulation_of(axis)
     plant = cast(AdmittancePlant, build_plant(simulation, scene.bus.sample_time_ns))
     channel = ForceChannel(display.force, scene.bus.sample_time)
-    own = simulation.drive.display
+    own, per_count, offset = simulation.drive.display, display.force.per_count, display.force.offset_counts
     if own is not None:
         per_count, offset = own.force_per_count, own.force_offset_counts
-    else:
-        per_count, offset = display.force.per_count, display.force.offset_counts
-    fastest = _JUMP * given.largest_speed * scene.bus.sample_time
+    fastest = 2.0 * given.largest_speed * scene.bus.sample_time  # as in the link policy of drives
     return _Motor(plant, given.counts_per_unit, channel, per_count, offset, fastest, given.name)
-
-
-def _controller(scene: Scene) -> Any:
-    if scene.groups:
-        return build_group(scene, scene.groups[0])
-    return build_axis_controller(scene.axes[0])
 
 
 def _walk(
@@ -164,9 +147,9 @@ def felt(run: AdmittanceRun, scene: Scene) -> tuple[float, float]:
     F - k (q - rest) = m v' + b v + F_0, m and b the same for all axes; away from walls and limits of the position. NaN
     where there is too little motion, and on a path, across which a hand feels another mass.
     """
-    if scene.groups and scene.groups[0].network.name != _FREE_MASS:
+    if scene.groups and scene.groups[0].network.name != "virtual_mass":
         return float("nan"), float("nan")
-    motion, time = run.motion[_FIRST:], scene.bus.sample_time
+    motion, time = run.motion[20:], scene.bus.sample_time
     if len(motion) < _FEWEST or not np.isfinite(motion).all() or np.ptp(motion[:, :, 1]) < _STILL:
         return float("nan"), float("nan")
     environment = (scene.groups[0].network if scene.groups else scene.axes[0].environment).parameters
@@ -176,7 +159,8 @@ def felt(run: AdmittanceRun, scene: Scene) -> tuple[float, float]:
         position, speed, force = motion[1:-1, place, :].T
         rise = (motion[2:, place, 1] - motion[:-2, place, 1]) / (2.0 * time)
         spring = getattr(environment, "stiffness", 0.0) * (position - getattr(environment, "rest", 0.0))
-        is_free = _is_free(scene, place, position, float(np.abs(speed).max()) * (3.0 * time + _BRAKING))
+        near = float(np.abs(speed).max()) * (3.0 * time + 10e-3)  # in which a drive stops
+        is_free = _is_free(scene, place, position, near)
         rows.append(np.column_stack([rise, speed, np.tile(np.eye(axes)[place], (len(rise), 1))])[is_free])
         forces.append((force - spring)[is_free])
     every = np.concatenate(rows)
@@ -186,7 +170,7 @@ def felt(run: AdmittanceRun, scene: Scene) -> tuple[float, float]:
     return float(fit[0]), float(fit[1])
 
 
-def _is_free(scene: Scene, place: int, position: Array, near: float) -> Mask:
+def _is_free(scene: Scene, place: int, position: Array, near: float) -> NDArray[np.bool_]:
     """SYNCs at which every axis is farther than a distance from its walls and limits."""
     environment: Any = (scene.groups[0].network if scene.groups else scene.axes[0].environment).parameters
     environment = environment.of_axis(place) if scene.groups else environment

@@ -13,7 +13,7 @@ from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, NamedTuple, Protocol, TypeVar, cast
+from typing import Any, Final, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,22 +44,7 @@ Array = NDArray[np.float64]
 
 FURTHEST: Final = 1e3
 """Distance that counts as divergence unless something is known of the motion [m or rad]."""
-_TRAVELS: Final = 10.0
-"""The same, in multiples of the travel of an axis whose motion is known."""
-_LEAST_TRAVEL: Final = 5e-3  # [m or rad]
 _APART: Final = (Branch.FREE.value, Branch.EXIT.value)
-_COUNTED: Final = [EnergyBalance._fields.index(name) for name in ("branch", "certificate")]
-
-
-class Case(Protocol):
-    """An environment with its algorithm and plant, on an axis or a group."""
-
-    @property
-    def sample_time_ns(self) -> int:
-        """T [ns]."""
-
-    def controller(self) -> Any:
-        """Return the algorithm, at rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +87,7 @@ class Reach(NamedTuple):
     def around(cls, motion: Array) -> "Reach":
         """Ten times the range of a known motion [m or rad], shape (n,)."""
         lowest, highest = float(motion.min()), float(motion.max())
-        centre, furthest = 0.5 * (lowest + highest), _TRAVELS * max(highest - lowest, _LEAST_TRAVEL)
+        centre, furthest = 0.5 * (lowest + highest), 10.0 * max(highest - lowest, 5e-3)
         return cls(centre - furthest, centre + furthest)
 
 
@@ -147,9 +132,8 @@ class LoopRun:
     def balances(self) -> Iterator[EnergyBalance]:
         """Yield the balance of every SYNC."""
         for row in self.rows[:, -len(EnergyBalance._fields) :].tolist():
-            for place in _COUNTED:
-                row[place] = int(row[place])
-            yield new(EnergyBalance, row)
+            balance = new(EnergyBalance, row)
+            yield balance._replace(branch=int(balance.branch), certificate=int(balance.certificate))
 
     @cached_property
     def believed(self) -> Array:
@@ -251,14 +235,9 @@ def finished(run: LoopRun, cycles: int, reach: Reach) -> LoopRun:
     return run
 
 
-_DEFAULT_DURATION: Final = 5.0
-"""Duration of scenes that name none [s]."""
-_PER_MILLE: Final = 1e-3
-
-
 def cycles_of(scene: Scene, duration: float | None) -> int:
     """SYNCs of a run of a duration [s], at least 2; for None the duration of the scene."""
-    return max(2, round((duration or scene.run.duration or _DEFAULT_DURATION) / scene.bus.sample_time))
+    return max(2, round((duration or scene.run.duration or 5.0) / scene.bus.sample_time))
 
 
 def require_design_room(margin: float, tolerance: float) -> None:
@@ -301,13 +280,11 @@ def parts_of(scene: Scene) -> dict[str, Scene]:
         for axis in scene.axes
         if not axis.group
     }
-    return alone | {group.name: _of_group(scene, group) for group in scene.groups}
-
-
-def _of_group(scene: Scene, group: GroupScene) -> Scene:
-    axes = tuple(axis for axis in scene.axes if axis.group == group.name)
-    moved = tuple(of for of in scene.mechanisms if not set(of.axes).isdisjoint(group.axes))
-    return replace(scene, axes=axes, groups=(group,), mechanisms=moved)
+    for group in scene.groups:
+        axes = tuple(axis for axis in scene.axes if axis.group == group.name)
+        moved = tuple(of for of in scene.mechanisms if not set(of.axes).isdisjoint(group.axes))
+        alone[group.name] = replace(scene, axes=axes, groups=(group,), mechanisms=moved)
+    return alone
 
 
 def mechanism_of_group(scene: Scene) -> MechanismScene | None:
@@ -337,13 +314,12 @@ def at_rate(scene: Scene, rate: float) -> Scene:
         ParameterError: The rate is out of range.
     """
     bus = BusParameters(**{**scene.bus.model_dump(), "rate": rate})
-    return replace(scene, bus=bus, axes=tuple(axis_at(axis, bus.sample_time) for axis in scene.axes))
-
-
-def axis_at(axis: AxisScene, sample_time: float) -> AxisScene:
-    """Return an axis at another sample time [s]; its torques act in the first half of a hold at the latest."""
-    window = axis.loop.torque_window and min(axis.loop.torque_window, 0.5 * sample_time)
-    return replace(axis, loop=axis.loop.model_copy(update={"sample_time": sample_time, "torque_window": window}))
+    time, axes = bus.sample_time, []
+    for axis in scene.axes:
+        window = axis.loop.torque_window and min(axis.loop.torque_window, 0.5 * time)
+        loop = axis.loop.model_copy(update={"sample_time": time, "torque_window": window})
+        axes.append(replace(axis, loop=loop))
+    return replace(scene, bus=bus, axes=tuple(axes))
 
 
 def environment_of(axis: AxisScene) -> Environment:
@@ -373,7 +349,8 @@ def plant_parts(axis: AxisScene) -> tuple[PlantParameters, UserParameters | None
 def loop_case(axis: AxisScene, scene: Scene) -> LoopCase:
     """Return an axis as a loop without a bus, with the quantisation, delay and torque limit of its scene."""
     simulation, sample_time_ns = simulation_of(axis), scene.bus.sample_time_ns
-    rated = axis.parameters.rated_torque
+    rated, declared = axis.parameters.rated_torque, axis.loop.device_damping
+    damping = simulation.plant.damping + viscous_friction(simulation) if declared is None else declared
     return LoopCase(
         environment=environment_of(axis),
         algorithm=axis.passivity.name,
@@ -385,20 +362,11 @@ def loop_case(axis: AxisScene, scene: Scene) -> LoopCase:
         sample_time_ns=sample_time_ns,
         delay=scene.bus.delay,
         counts_per_unit=axis.parameters.counts_per_unit,
-        torque_quantum=None if rated is None else rated * _PER_MILLE,
+        torque_quantum=None if rated is None else rated * 1e-3,
         torque_limit=axis.parameters.torque_limit,
-        device_damping=_device_damping(axis),
+        device_damping=damping,
         device_friction=sum(float(getattr(effect.parameters, "kinetic", 0.0)) for effect in simulation.effects),
     )
-
-
-def _device_damping(axis: AxisScene) -> float:
-    """Declared damping of the device, else the simulated plant's."""
-    if axis.loop.device_damping is not None:
-        return axis.loop.device_damping
-    if axis.simulation is None:
-        return 0.0
-    return axis.simulation.plant.damping + viscous_friction(axis.simulation)
 
 
 def viscous_friction(simulation: AxisSimulation) -> float:
@@ -489,67 +457,53 @@ def _under(part: _Part, name: str, table: Mapping[str, str], kind: str, *, keeps
     return replace(part, passivity=ComponentSpec(name, parameters))
 
 
-def _with_known_plant(axis: AxisScene) -> AbleAxis:
-    """An axis with undeclared properties of its algorithm taken from the simulated plant."""
-    plant = simulation_of(axis).plant
-    from_plant = tuple(key for key in PLANT_OF if getattr(axis.loop, key) is None)
-    values = {key: getattr(plant, PLANT_OF[key]) for key in from_plant}
-    return AbleAxis(replace(axis, loop=axis.loop.model_copy(update=values)), from_plant)
-
-
 def able_under(axis: AxisScene, name: str, scene: Scene) -> AbleAxis:
     """An axis under an algorithm; where properties that it needs are undeclared, they are taken from the plant.
 
     Raises:
         ParameterError: It cannot be built even so.
     """
-    chosen = AbleAxis(with_algorithm(axis, name))
+    chosen = with_algorithm(axis, name)
     try:
-        loop_case(chosen.axis, scene).controller()
+        loop_case(chosen, scene).controller()
+        return AbleAxis(chosen)
     except ParameterError:
-        chosen = _with_known_plant(chosen.axis)
-        loop_case(chosen.axis, scene).controller()
-    return chosen
+        plant = simulation_of(chosen).plant
+        from_plant = tuple(key for key in PLANT_OF if getattr(chosen.loop, key) is None)
+        values = {key: getattr(plant, PLANT_OF[key]) for key in from_plant}
+        chosen = replace(chosen, loop=chosen.loop.model_copy(update=values))
+        loop_case(chosen, scene).controller()
+        return AbleAxis(chosen, from_plant)
 
 
-_Block = list[tuple[float, float]]
-"""(position, torque applied) of each step; of a group a list of each."""
-
-_STEPS: Final = 2000
-"""Steps of one timing, from the middle of a run, where contacts are."""
 _BLOCK: Final = 250
 """Steps between two readings of the clock: short enough that some repeat of each block is not interrupted."""
 
 
-def microseconds_per_step(cases: Mapping[str, tuple[Case, LoopRun]], repeats: int) -> dict[str, float]:
+def microseconds_per_step(cases: Mapping[str, tuple[Any, LoopRun]], repeats: int) -> dict[str, float]:
     """Return the time of a step [us]: the minimum of each block of steps over interleaved repeats.
 
     Args:
         cases: Algorithm -> its case and the run that feeds it; a run without steps is left out.
         repeats: Number of repeats of each, in turn A B C A B C, so that a drifting machine affects all alike.
     """
-    blocks = {name: _blocks(run) for name, (_, run) in cases.items() if run.position.size}
-    best = {name: [float("inf")] * len(of_run) for name, of_run in blocks.items()}
+    pairs = {name: _middle_of(run) for name, (_, run) in cases.items() if run.position.size}
+    best = {name: [float("inf")] * -(-len(of_run) // _BLOCK) for name, of_run in pairs.items()}
+    clock = WallClock()
     for _ in range(repeats):
-        for name, of_run in blocks.items():
-            times = _times(cases[name][0].controller().step, of_run)
-            best[name] = [min(pair) for pair in zip(best[name], times, strict=True)]
-    steps = {name: sum(len(block) for block in of_run) for name, of_run in blocks.items()}
-    return {name: sum(times) * 1e-3 / steps[name] for name, times in best.items()}
+        for name, of_run in pairs.items():
+            step = cases[name][0].controller().step
+            for place, start in enumerate(range(0, len(of_run), _BLOCK)):
+                block = of_run[start : start + _BLOCK]
+                begin = clock.now()
+                for position, torque in block:
+                    step(position, torque)
+                best[name][place] = min(best[name][place], clock.now() - begin)
+    return {name: sum(times) * 1e-3 / len(pairs[name]) for name, times in best.items()}
 
 
-def _times(step: Callable[[float, float], object], blocks: Sequence[_Block]) -> list[int]:
-    clock, times = WallClock(), []
-    for block in blocks:
-        begin = clock.now()
-        for position, torque in block:
-            step(position, torque)
-        times.append(clock.now() - begin)
-    return times
-
-
-def _blocks(run: LoopRun) -> list[_Block]:
-    begin = max(0, (len(run.position) - _STEPS) // 2)
-    part = slice(begin, begin + _STEPS)
-    pairs = list(zip(run.position[part].tolist(), run.torque[part].tolist(), strict=True))
-    return [pairs[start : start + _BLOCK] for start in range(0, len(pairs), _BLOCK)]
+def _middle_of(run: LoopRun) -> list[tuple[float, float]]:
+    """(position, torque applied) of 2000 steps from the middle of a run, where contacts are; of a group lists."""
+    begin = max(0, (len(run.position) - 2000) // 2)
+    part = slice(begin, begin + 2000)
+    return list(zip(run.position[part].tolist(), run.torque[part].tolist(), strict=True))

@@ -5,6 +5,7 @@ One scene under several algorithms, each over its simulated drives: the account 
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from types import SimpleNamespace
 from typing import Any, TypedDict
 
 from canhaptic.control.balance import EnergyBalance
@@ -16,33 +17,10 @@ from canhaptic.registry import load
 from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_axis_controllers
-from canhaptic.signals import CycleTiming, Sample, Truth
+from canhaptic.signals import Sample, Truth
 
 _Take = Callable[[int, Sample, EnergyBalance, Truth], None]
 """Takes one cycle of one axis: its place, the drive's report, the booked balance, and the true values."""
-
-
-class _Tap:
-    """Passes every cycle on in the place of a log."""
-
-    def __init__(self, take: _Take) -> None:
-        self._take = take
-
-    def append(
-        self,
-        sync_index: int,
-        samples: Sequence[Sample],
-        balances: Sequence[EnergyBalance],
-        timing: CycleTiming,
-        truths: Sequence[Truth] | None = None,
-        *_known: object,
-    ) -> None:
-        """Take one cycle."""
-        for axis, row in enumerate(zip(samples, balances, truths or (), strict=True)):
-            self._take(axis, *row)
-
-    def event(self, sync_index: int, kind: str, port: str, text: str) -> None:
-        """No-op: a fault ends the run."""
 
 
 def walk_over_can(scene: Scene, cycles: int, take: _Take) -> list[LedgerSummary]:
@@ -64,7 +42,13 @@ def walk_over_can(scene: Scene, cycles: int, take: _Take) -> list[LedgerSummary]
         if experiment.far_side is None:
             raise InputError(refused)
         drives = experiment.far_side.drives
-        cycle = Cycle(experiment.rig, build_axis_controllers(scene), _Tap(take), lambda: [d.truth() for d in drives])
+
+        def pass_on(_sync: int, samples: Any, balances: Any, _timing: object, truths: Any, *_known: object) -> None:
+            for axis, row in enumerate(zip(samples, balances, truths, strict=True)):
+                take(axis, *row)
+
+        log: Any = SimpleNamespace(append=pass_on, event=lambda *_fault: None)  # which ends the run
+        cycle = Cycle(experiment.rig, build_axis_controllers(scene), log, lambda: [d.truth() for d in drives])
         run(cycle, cycles)
     return [ledger.summary() for ledger in cycle.ledgers]
 
@@ -131,9 +115,24 @@ def accounts_over_can(
         raise InputError(f"{scene.source}: compare needs bus.interface: virtual and a `simulation`; add them")
     found = {}
     for number, name in enumerate(names):
-        report = None if progress is None else partial(_count, progress, number * cycles)
-        found[name] = _account(scene, name, cycles, under, report)
+        try:
+            experiment = build(under(scene, name), "free")
+        except ParameterError as error:
+            found[name] = {"status": "refused", "remark": str(error)}
+            continue
+        status, remark = "completed", ""
+        report = None if progress is None else partial(_report, progress, number * cycles)
+        with experiment:
+            try:
+                run(experiment.cycle, cycles, progress=report)
+            except CanHapticError as error:
+                status, remark = "stopped", str(error)
+            found[name] = {**experiment_account(experiment, status, 0.0), "remark": remark}
     return found
+
+
+def _report(progress: Progress, before: int, cycles: int) -> None:
+    progress(before + cycles)
 
 
 class Heading(TypedDict):
@@ -159,23 +158,3 @@ def heading_of(scene: Scene, cycles: int, path: str = "can") -> Heading:
         "cycles": cycles,
         "duration": cycles * scene.bus.sample_time,
     }
-
-
-def _count(progress: Progress, before: int, cycles: int) -> None:
-    progress(before + cycles)
-
-
-def _account(
-    scene: Scene, name: str, cycles: int, under: Callable[[Scene, str], Scene], progress: Progress | None
-) -> dict[str, Any]:
-    try:
-        experiment = build(under(scene, name), "free")
-    except ParameterError as error:
-        return {"status": "refused", "remark": str(error)}
-    status, remark = "completed", ""
-    with experiment:
-        try:
-            run(experiment.cycle, cycles, progress=progress)
-        except CanHapticError as error:
-            status, remark = "stopped", str(error)
-        return {**experiment_account(experiment, status, 0.0), "remark": remark}

@@ -19,7 +19,7 @@ from canhaptic.lab.loop.axis_loop import Array, LoopRun
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import AxisComparison, Comparison
 from canhaptic.view import picture_style as style
-from canhaptic.view.picture_style import GREEN, VERMILION
+from canhaptic.view.picture_style import GREEN, VERMILION, save_picture
 from canhaptic.view.series import decimate
 from canhaptic.view.si import si
 
@@ -55,7 +55,7 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
             f"{result['scene']}   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {way}   grey: continuous"
         )
         figure.suptitle(caption, x=0.01, ha="left", fontsize=9.5, color="#404040")
-        style.save_picture(figure, path)
+        save_picture(figure, path)
 
 
 def _drawn(axis: AxisComparison) -> dict[str, LoopRun]:
