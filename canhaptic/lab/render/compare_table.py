@@ -28,12 +28,8 @@ def comparison_report(result: _Account) -> RenderableType:
     """
     parts: list[RenderableType] = [_heading(result)]
     for title, part, rows in _parts(result):
-        parts += [
-            Text(f" {title}"),
-            _table(part, rows),
-            *([_ranking(part)] if rows is _ROWS and len(part["algorithms"]) > 1 else []),
-            *_remarks(part),
-        ]
+        ranked = [_ranking(part)] if rows is _ROWS and len(part["algorithms"]) > 1 else []
+        parts += [Text(f" {title}"), _table(part, rows), *ranked, *_remarks(part)]
     return Group(*parts)
 
 
@@ -50,10 +46,8 @@ def _parts(result: _Account) -> Iterator[tuple[str, _Account, tuple["_Row", ...]
 
 def _heading(result: _Account) -> Text:
     path = "over the CAN path" if result["path"] == "can" else f"without a bus, by {' and '.join(_engines(result))}"
-    text = Text(" ")
-    text.append(str(result["scene"]), style="bold")
-    text.append(f"   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {result['duration']:.4g} s, {path}")
-    return text
+    way = f"   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {result['duration']:.4g} s, {path}"
+    return Text.assemble(" ", (str(result["scene"]), "bold"), way)
 
 
 def _engines(result: _Account) -> list[str]:
@@ -137,24 +131,12 @@ def _remarks(axis: _Account) -> list[Text]:
     return lines
 
 
-def _length(value: float, unit: str) -> str:
-    return si(value, unit, 3) if unit == "m" else f"{1e3 * value:.3g} mrad"
-
-
-def _force(value: float, unit: str) -> str:
-    return si(value, effort_unit(unit), 3)
-
-
 def _joule(value: float, _unit: str) -> str:
     return si(value, "J", 3)
 
 
 def _share(value: float, _unit: str) -> str:
     return f"{100.0 * value:.3g} %"
-
-
-def _plain(value: float, _unit: str) -> str:
-    return f"{value:.3g}"
 
 
 def _asked_damping(account: _Account, _axis: _Account) -> float | None:
@@ -187,7 +169,13 @@ def row_of(name: str, figure: Figure) -> _Row:
 
 
 _BETTER: Final[dict[str, Callable[[float], float]]] = {"less": abs, "near one": _from_one}
-_SHOWN: Final = {"m": _length, "N": _force, "J": _joule, "1": _share, "": _plain}
+_SHOWN: Final[dict[str, Callable[[float, str], str]]] = {
+    "m": lambda value, unit: si(value, unit, 3) if unit == "m" else f"{1e3 * value:.3g} mrad",
+    "N": lambda value, unit: si(value, effort_unit(unit), 3),
+    "J": _joule,
+    "1": _share,
+    "": lambda value, _unit: f"{value:.3g}",
+}
 _ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
     _Row("passive, by the plant", lambda a, _: _verdict(a)),

@@ -17,11 +17,8 @@ def snippet(result: Row) -> str:
     if "network" in result:
         group = {"name": result["group"], "network": result["network"], "passivity": passivity}
         return str(yaml.safe_dump({"groups": [group]}, sort_keys=False))
-    wall = {
-        "type": "spring_damper_wall",
-        "stiffness": f"{result['stiffness']:g} {stiffness}",
-        "damping": f"{result['damping']:g} {damping}",
-    }
+    wall = {"type": "spring_damper_wall"}
+    wall |= {"stiffness": f"{result['stiffness']:g} {stiffness}", "damping": f"{result['damping']:g} {damping}"}
     return str(yaml.safe_dump({"environment": wall, "passivity": passivity}, sort_keys=False))
 
 
@@ -31,31 +28,21 @@ def design_report(result: Row) -> RenderableType:
     Args:
         result: Plain values, as `canhaptic design --json` prints them.
     """
-    heading = Text(" ")
-    heading.append(str(result["scene"]), style="bold")
-    heading.append(
-        f"   {result['walls']} walls simulated; target: within {100.0 * result['tolerance']:g} %, "
-        f"{100.0 * result['margin']:g} % reserve"
-    )
-    parts: list[RenderableType] = [
-        heading,
-        Text(),
-        Text(snippet(result)),
-        *_price(result),
-        _trade(result),
-        *_felt(result),
-    ]
-    return Group(*parts)
+    target = f"target: within {100.0 * result['tolerance']:g} %, {100.0 * result['margin']:g} % reserve"
+    heading = Text.assemble(" ", (str(result["scene"]), "bold"), f"   {result['walls']} walls simulated; {target}")
+    stiffness, damping = stiffness_unit(result["unit"]), damping_unit(result["unit"])
+    heads = f"stiffness [{stiffness}]", f"largest damping [{damping}]"
+    rows = [[f"{wall['stiffness']:g}", f"{wall['damping']:g}"] for wall in result["trade"]]
+    trade = Table("stiffness for damping", heads, rows, keys=0)
+    return Group(heading, Text(), Text(snippet(result)), *_price(result), trade, *_felt(result))
 
 
 def _price(result: Row) -> list[Text]:
     share, damped = result["stiffness_rendered"], result["damping_rendered"]
     lines = [f" rendered: stiffness {100.0 * share:.1f} %" + (f", damping {100.0 * damped:.1f} %" if damped else "")]
     lines.append(f" certificate in use: {str(result['certificate']).replace('_', ' ')}")
-    lines += [
-        f" certified {name}: up to {si(limit, stiffness_unit(result['unit']), 3)}"
-        for name, limit in result["certified"].items()
-    ]
+    unit = stiffness_unit(result["unit"])
+    lines += [f" certified {name}: up to {si(limit, unit, 3)}" for name, limit in result["certified"].items()]
     lines += [f" {text}" for text in result.get("guarantee", ()) if text]
     rest = si(max(0.0, -result["least_judged"]), "J", 3)
     covered = f", {rest} with what the device dissipates at least" if "device_damping" in result["loop"] else ""
@@ -87,15 +74,9 @@ def _felt(result: Row) -> list[RenderableType]:
     contact = "at no speed: a hand goes through it"
     if start is not None:
         contact = f"from an approach speed of {start:.2g} {motion}/s"
-    lines = [
-        f" drag before contact, at {speed}: {si(felt['drag'], effort, 2)}",
-        f" this wall is felt {contact}",
-    ]
-    uneven = [
-        f"{w['softer_not_held']} of {w['softer']} at {w['push']:.3g} {effort}"
-        for w in felt["walls"]
-        if w["softer_not_held"]
-    ]
+    lines = [f" drag before contact, at {speed}: {si(felt['drag'], effort, 2)}", f" this wall is felt {contact}"]
+    walls = [wall for wall in felt["walls"] if wall["softer_not_held"]]
+    uneven = [f"{wall['softer_not_held']} of {wall['softer']} at {wall['push']:.3g} {effort}" for wall in walls]
     if uneven:
         lines.append(f" softer walls that are not held within the tolerance: {', '.join(uneven)}")
     held = Text(" The wall above is for a hand that moves in it; for one that rests in a wall the limits are these:")
@@ -114,10 +95,3 @@ def _drags(rows: list[Row], motion: str) -> list[RenderableType]:
 
 def _short(value: float | None, digits: int = 3, none: str = "") -> str:
     return none if value is None else f"{value:.{digits}g}"
-
-
-def _trade(result: Row) -> Table:
-    stiffness, damping = stiffness_unit(result["unit"]), damping_unit(result["unit"])
-    heads = f"stiffness [{stiffness}]", f"largest damping [{damping}]"
-    rows = [[f"{wall['stiffness']:g}", f"{wall['damping']:g}"] for wall in result["trade"]]
-    return Table("stiffness for damping", heads, rows, keys=0)

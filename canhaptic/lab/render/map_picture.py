@@ -29,8 +29,6 @@ _LINES: Final[dict[str, Row]] = {
     "eigenvalues": {"linewidth": 1.2, "linestyle": "-."},
     "certificate": {"linewidth": 1.2, "linestyle": (0, (10, 3))},
 }
-_MANY: Final = 5
-"""Lines from which a legend is written smaller."""
 _WHITE, _BLACK = "#fffffe", "#000001"  # on coloured cells; no grey, which a dark page would turn over
 _MARKS: Final = "osv^<>DPX*hpd"
 
@@ -48,10 +46,8 @@ def draw_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: str 
         for row in range(rows):
             panels = [panel for column in columns if (panel := column[row] if row < len(column) else None) is not None]
             last = len(columns) - len(panels)  # a row with few panels is filled by its last one
-            axes = [
-                figure.add_subplot(grid[row, k : k + 1 + last * (k == len(panels) - 1)]) for k in range(len(panels))
-            ]
-            _draw_row(figure, axes, panels)
+            spans = (slice(k, k + 1 + last * (k == len(panels) - 1)) for k in range(len(panels)))
+            _draw_row(figure, [figure.add_subplot(grid[row, span]) for span in spans], panels)
         lines = textwrap.wrap(caption, _LETTERS * len(columns), break_long_words=False)
         figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=9.5, color="#404040")
         save_picture(figure, path)
@@ -83,23 +79,15 @@ def _draw_row(figure: "Figure", axes: "Sequence[Axes]", panels: Sequence[Panel])
     limits = common_limits(panels)
     for place, panel in zip(axes, panels, strict=True):
         place.set_title(panel.title, loc="left", fontweight="bold", fontsize=9.0)
-        place.set_xlabel(panel.x_label)
-        place.set_ylabel(panel.y_label)
-        place.set_xscale("log" if panel.x_log else "linear")
-        place.set_yscale("log" if panel.y_log else "linear")
-        _mark_values(place, panel)
+        place.set(xlabel=panel.x_label, ylabel=panel.y_label)
+        place.set(xscale="log" if panel.x_log else "linear", yscale="log" if panel.y_log else "linear")
+        if marks := panel.marks():  # the values themselves, where those are few
+            place.set_xticks(marks, [f"{float(f'{value:.3g}'):g}" for value in marks])
+            place.set_xticks([], minor=True)
         if isinstance(panel, Lines):
             _draw_lines(place, panel)
         else:
             _draw_cells(figure, place, panel, limits)
-
-
-def _mark_values(place: "Axes", panel: Panel) -> None:
-    """Put the marks of a logarithmic axis at the values themselves where those are few."""
-    places = panel.marks()
-    if places:
-        place.set_xticks(places, [f"{float(f'{value:.3g}'):g}" for value in places])
-        place.set_xticks([], minor=True)
 
 
 def _draw_lines(place: "Axes", panel: Lines) -> None:
@@ -108,16 +96,9 @@ def _draw_lines(place: "Axes", panel: Lines) -> None:
         mark = _MARKS[line.number % len(_MARKS)] if line.style in ("measured", "ours") else None
         place.plot(line.x, line.y, label=line.label, color=line.colour, marker=mark, **_LINES[line.style])
     if panel.note:
-        place.text(
-            0.0,
-            -0.17,
-            textwrap.fill(panel.note, _LETTERS - 20),
-            transform=place.transAxes,
-            fontsize=8.0,
-            color="#606060",
-            va="top",
-        )
-    size = 8.0 if len(panel.lines) <= _MANY else 6.5
+        note = textwrap.fill(panel.note, _LETTERS - 20)
+        place.text(0.0, -0.17, note, transform=place.transAxes, fontsize=8.0, color="#606060", va="top")
+    size = 8.0 if len(panel.lines) <= 5 else 6.5
     place.legend(frameon=True, framealpha=0.85, edgecolor="none", fontsize=size, loc="best")
 
 
@@ -128,8 +109,8 @@ def _draw_cells(figure: "Figure", place: "Axes", panel: Cells, limits: tuple[flo
     drawn: ScalarMappable
     colours = "magma_r" if panel.more_is_worse else "viridis"
     if panel.dots:
-        drawn = place.scatter(panel.x, panel.y, c=panel.values, norm=norm, cmap=colours, s=14.0, edgecolors="none",
-                                rasterized=True)  # fmt: skip
+        look: Row = {"norm": norm, "cmap": colours, "rasterized": True}
+        drawn = place.scatter(panel.x, panel.y, c=panel.values, s=14.0, edgecolors="none", **look)
     else:
         drawn = place.pcolormesh(*panel.edges(), panel.values, norm=norm, cmap=colours, rasterized=True)
         _draw_contour(place, panel)
