@@ -14,11 +14,10 @@ missed: the end of a piece is bracketed and found by a few safeguarded Newton st
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import inf, isfinite
-from typing import Any, Final, NamedTuple, Protocol, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.hold_account import Axis
 from canhaptic.kernels import Buffer, Matrix, Run, new
 from canhaptic.lab.batch.mode_arrays import evaluate
 from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, diverge, miss, take
@@ -305,13 +304,7 @@ class CycleState:
     lost_to_master: bool = False
 
 
-class AxisState(Protocol):
-    """State of the axis in every algorithm."""
-
-    axis: Axis
-
-
-AxisRun: TypeAlias = Run[Any, AxisState, Any]
+AxisRun: TypeAlias = Run[Any, Any, Any]
 """State on which the kernel of any algorithm of one axis works."""
 
 

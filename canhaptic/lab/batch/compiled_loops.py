@@ -119,8 +119,8 @@ class CompiledLoops:
     """
 
     def __init__(self, job: cases.LoopJob) -> None:
-        self._kernel, self._rows, self._modes, self._cycles, instead = job
-        kernel, rows, modes = job[:3]
+        kernel, rows, modes, self._cycles, instead = job
+        self._kernel, self._rows, self._modes = kernel, rows, modes
         self._settings, self._loops = records_of([row.settings for row in rows]), records_of([row.loop for row in rows])
         self._continuous = records_of(modes.settings)
         self._rest, self._place = records_of([kernel.state()]), records_of([closed_loop.CycleState()])
@@ -194,10 +194,9 @@ def _alike(kernel: Kernel, rows: Sequence[cases.SceneRow]) -> list[Numbers]:
     lengths: dict[int, tuple[int, ...]] = {}
     found: dict[tuple[int, ...], list[int]] = {}
     for i, row in enumerate(rows):
-        settings = row.settings
-        if id(settings) not in lengths:
-            lengths[id(settings)] = _lengths(kernel, settings)
-        found.setdefault(lengths[id(settings)], []).append(i)
+        if id(row.settings) not in lengths:
+            lengths[id(row.settings)] = _lengths(kernel, row.settings)
+        found.setdefault(lengths[id(row.settings)], []).append(i)
     return [np.array(some) for some in found.values()]
 
 
@@ -318,29 +317,8 @@ def keep_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, 
     write(row, 1 + 3 * motors, hold.account)
 
 
-def compare_nothing(
-    rows: Matrix, position: float, torque: float, continuous_position: float, continuous_torque: float
-) -> None:
-    """Replace `meter.compare`: no-op."""
-
-
-def miss_nothing(
-    environment: Environment, settings: MeterSettings, rows: Matrix, cycle: int, true_position: float, torque: float,
-    interaction: float,
-) -> None:  # fmt: skip
-    """Replace `meter.miss`: no frame is lost here."""
-
-
-def diverge_silently(rows: Matrix) -> None:
-    """Replace `meter.diverge`: end the rows."""
-
-
-_KEEPING: Final[dict[object, object]] = {
-    take: keep,
-    miss: miss_nothing,
-    compare: compare_nothing,
-    diverge: diverge_silently,
-}
+def nothing(*_unused: object) -> None:
+    """Replace `meter.compare`, `meter.miss` and `meter.diverge`: no-op."""
 
 
 def compiled_group_rows(case: GroupCase, cycles: int) -> Array:
@@ -363,8 +341,10 @@ def compiled_rows(case: LoopCase, cycles: int, reach: Reach) -> Array:
     """
     batch, kernel = replace(cases.many_loops(case, {}, {}), reach=reach), cast(Kernel, cases.kernel_of(case.algorithm))
     rows = [*cases.scene_rows(batch, kernel, 1)]
-    instead: dict[object, object] = {**_KEEPING, **loop_replacements(batch.plants)}
-    loops = CompiledLoops(cases.LoopJob(kernel, rows, cases.no_modes(1), cycles, instead))
+    instead: dict[object, object] = {take: keep, miss: nothing, compare: nothing, diverge: nothing}
+    loops = CompiledLoops(
+        cases.LoopJob(kernel, rows, cases.no_modes(1), cycles, instead | loop_replacements(batch.plants))
+    )
     loops.meters = np.full((1, cycles, 4 + len(EnergyBalance._fields)), np.nan)
     if batch.linear is None:
         stopped: dict[int, EventLimitError] = {}

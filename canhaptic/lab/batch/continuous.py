@@ -31,9 +31,6 @@ from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
 
-_TOLERANCE = 1e-10
-"""Relative, of DOP853."""
-
 
 def continuous_reference(
     environment: Environment,
@@ -64,7 +61,7 @@ def continuous_reference(
     simulation = AxisSimulation(SimulatedDriveParameters(counts_per_unit=1.0), plant, user, specs, 0)
     found, method = _in_closed_form(environment, simulation, step, len(times)), "closed form between events"
     if found is None:
-        run = continuous_run(environment, Model(plant, user, effects), times.tolist(), _TOLERANCE)
+        run = continuous_run(environment, Model(plant, user, effects), times.tolist(), 1e-10)
         found, method = (run.position, run.velocity), "DOP853 with event location, relative tolerance 1e-10"
     position, velocity = found
     torque = environment_torque(environment, position, velocity, step)

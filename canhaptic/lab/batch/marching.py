@@ -153,25 +153,19 @@ def _part(
     else:
         loops.run(range(count), cases.linear_plants(case.linear, listed=listed), never_stopped)
     sums, runs = _columns(loops.meters), _columns(loops.references)
-    return sums | _compared(sums, runs, modes)
+    compared = {
+        **{name: sums[name] for name in _COMPARED if name in sums},
+        "continuous_travel": runs["highest"] - runs["lowest"],
+        "continuous_rest": runs["last_highest"] - runs["last_lowest"],
+        "continuous": runs["variation"],
+    }
+    return sums | {name: np.where(modes.exist, values, np.nan) for name, values in compared.items()}
 
 
 def _columns(found: Any) -> dict[str, Array]:
     if isinstance(found, np.ndarray):
         return {name: np.array(found[name]) for name in found.dtype.names or ()}
     return {name: np.array([getattr(one, name) for one in found]) for name in type(found[0]).__slots__}
-
-
-def _compared(sums: Mapping[str, Array], runs: Mapping[str, Array], modes: cases.ContinuousModes) -> dict[str, Array]:
-    """Sums of the continuous runs and of the comparison with them; NaN where a scene has none."""
-    found = {
-        **{name: sums[name] for name in _COMPARED if name in sums},
-        "continuous_travel": runs["highest"] - runs["lowest"],
-        "continuous_rest": runs["last_highest"] - runs["last_lowest"],
-        "continuous": runs["variation"],
-    }
-    exist = modes.exist
-    return {name: np.where(exist, values, np.nan) for name, values in found.items()}
 
 
 def run_batch(

@@ -334,12 +334,14 @@ class EventModes:
         form, names, machine, accuracy = self._form, [*self._scene.names], self._machine, self._accuracy
         start, first = machine.state.copy(), machine.modes.index(machine.mode)
         ticks, targets = self._changes()
+        flat = mode_arrays.flat_tables(machine.modes, machine.targets, len(self._scene.works))
+        tables = flat._replace(works=flat.works[..., : 2 * len(names) * self._is_booked])
         counts = np.zeros(COUNTS, dtype=np.int64)
         counts[MODE], counts[MISSING] = first, NONE
         width = 2 * max(len(mode.exits) for mode in machine.modes) + len(names)
         extra = (names.index("travel"), names.index("effort")) if self._scene.efforts else (0, 0)
         plant = EventPlant(
-            self._tables(), machine.settings, form(start.copy()), form(start.copy()),
+            ModeTables(*map(form, tables)), machine.settings, form(start.copy()), form(start.copy()),
             (Books(form(np.zeros(len(self._scene.works))), form(np.zeros(2 * len(names) * self._is_booked))),),
             form(counts), (form(np.zeros(width)), form(np.zeros(width))),
             form(np.array([place for place, name in enumerate(names) if name.endswith("_sine")], dtype=np.int64)),
@@ -369,11 +371,6 @@ class EventModes:
         described = machine.described(int(plant.counts[MODE]), [float(value) for value in plant.state])
         used_up = plant.counts[EVENTS] < plant.counts[LIMIT]
         return EventLimitError(accuracy.max_events, described, where, plant.settings.max_products if used_up else 0)
-
-    def _tables(self) -> ModeTables:
-        tables = mode_arrays.flat_tables(self._machine.modes, self._machine.targets, len(self._scene.works))
-        size = len(self._scene.names) if self._is_booked else 0
-        return ModeTables(*map(self._form, tables._replace(works=tables.works[..., : 2 * size])))
 
     def _efforts(self) -> tuple[Any, Any]:
         """Return the efforts, and their bristles."""

@@ -8,7 +8,7 @@ scenes before one is run; a scene with events needs a run.
 """
 
 from collections.abc import Mapping
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -73,10 +73,6 @@ def decay_per_hold(loops: Loops, sample_time: Array | float, delay: int) -> Arra
     return radii
 
 
-_IN_IT: Final = ("viscous_friction", "tremor")
-"""Effects of a linear loop; tremor moves the hand and has no part in stability."""
-
-
 def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
     """Return the largest |eigenvalue| of one hold of each linear sampled loop, shape (n_scenes,): stable below 1.
 
@@ -104,7 +100,7 @@ def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
     if simulation.user is not None and not simulation.user.has_equations:
         raise ParameterError(f"{scene.source}: spectral radius: own code or a recording moves the hand; run the scenes")
     for effect in simulation.effects:
-        if effect.name not in _IN_IT:
+        if effect.name not in ("viscous_friction", "tremor"):  # which moves the hand: no part in stability
             raise ParameterError(f"{scene.source}: spectral radius: effect {effect.name} is not modelled; leave it out")
     count, user = check_values(scene, varied), simulation.user or UserParameters()
 
@@ -124,14 +120,9 @@ def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
     if "bus.rate" in varied:
         period = np.rint(1e9 / varied["bus.rate"]) * 1e-9
     delays = np.broadcast_to(varied.get("loop.delay", float(scene.bus.delay)), (count,))
-    return _by_delay(loops, period, delays)
-
-
-def _by_delay(loops: Loops, period: Any, delays: Array) -> Array:
-    count = len(delays)
-    found = np.empty(count)
+    columns, found = [np.broadcast_to(value, (count,)) for value in (*loops, period)], np.empty(count)
     for delay in np.unique(delays).tolist():
         rows = np.flatnonzero(delays == delay)
-        part = Loops(*(np.broadcast_to(value, (count,))[rows] for value in loops))
-        found[rows] = decay_per_hold(part, np.broadcast_to(period, (count,))[rows], int(delay))
+        *part, time = (column[rows] for column in columns)
+        found[rows] = decay_per_hold(Loops(*part), time, int(delay))
     return found

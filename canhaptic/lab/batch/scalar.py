@@ -16,7 +16,7 @@ from dataclasses import asdict, replace
 from functools import lru_cache
 from math import nan
 from types import SimpleNamespace
-from typing import Any, Final, cast
+from typing import Any
 
 import numpy as np
 
@@ -43,9 +43,6 @@ from canhaptic.lab.loop.axis_loop import EVERYWHERE, LoopCase, LoopRun, Reach, R
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.plant import Plant
-
-_OF_A_SUBSTEP: Final = 4
-"""Ratio of the cost of a substep, whose force is found by a secant, to a cycle's."""
 
 
 class ObjectPlant:
@@ -183,8 +180,9 @@ def render_by(
         except NotBatchableError as error:
             reason = str(error)
         else:
-            for _ in range(0 if progress is None else len(run.rows)):
-                cast(Callable[[], None], progress)()
+            for _ in run.rows:
+                if progress is not None:
+                    progress()
             return finished(run, cycles, reach)
     return replace(render(case, cycles, reach, progress), engine=f"python: {reason}")
 
@@ -193,11 +191,8 @@ def work_of(case: LoopCase, cycles: int) -> float:
     """Cost of a run, in cycles of a light plant."""
     if case.simulation is None:
         return 0.0
-    plant = PlantValues(case.simulation, case.sample_time_ns).scene()
-    if not plant.efforts:
-        return cycles
-    accuracy = case.simulation.accuracy
-    return float(cycles * _OF_A_SUBSTEP * (accuracy.substeps if accuracy else 1))
+    accuracy, plant = case.simulation.accuracy, PlantValues(case.simulation, case.sample_time_ns).scene()
+    return cycles * 4.0 * (accuracy.substeps if accuracy else 1) if plant.efforts else cycles  # a secant a substep
 
 
 def record_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, recorder: Recorder, hold: GroupHold) -> None:
@@ -222,24 +217,19 @@ def render_group(
         InputError: The motors of the group are not simulated, or move with others.
         ParameterError: The group cannot be built.
     """
-    case, reach, why_not = group_case(scene), Reach(-furthest, furthest), ""
+    case, reach = group_case(scene), Reach(-furthest, furthest)
     case = case._replace(rig=case.rig._replace(furthest=furthest))
+    recorder, reason = Recorder(len(case.rig.loops), progress), ""
     if engine == "numba" and case.is_compilable:
         from canhaptic.lab.batch.compiled_loops import compiled_group_rows
 
         return finished(LoopRun(compiled_group_rows(case, cycles), len(case.rig.loops), engine="numba"), cycles, reach)
-    if engine == "numba":
-        why_not = f": {case.why_not}"
-    recorder, reason = Recorder(len(case.rig.loops), progress), ""
     try:
         _run_group(case.with_objects(scene), cycles, GroupMeter(), recorder, {take_group: record_group})
     except ControlError as error:
         reason = str(error)
     run = recorder.run("stopped" if reason else "", reason)
-    return replace(finished(run, cycles, reach), engine=f"python{why_not}")
-
-
-_OF_A_POSITION: Final = ("travel", "stiffness_rendered.value", "stiffness_rendered.share", *CONTINUOUS)
+    return replace(finished(run, cycles, reach), engine=f"python: {case.why_not}" if engine == "numba" else "python")
 
 
 def group_meter(case: GroupCase, cycles: int, engine: ChosenEngine = "python") -> GroupMeter:
@@ -269,8 +259,8 @@ def _run_group(
     memory = with_quick_fields(case.kernel.memory(case.world, case.settings))
     run = _python_loop(case.kernel, (*case.motors.replaced.items(), *replaced.items()))
     world, settings = (with_quick_fields(part) for part in (case.world, case.settings))
-    motors = case.motors.made(True)
-    run(world, settings, case.kernel.state(), memory, case.rig, motors, case.room(), GroupMotion(), meter, rows, cycles)
+    begun = case.kernel.state(), memory, case.rig, case.motors.made(True), case.room(), GroupMotion()
+    run(world, settings, *begun, meter, rows, cycles)
 
 
 @lru_cache(maxsize=16)
@@ -282,7 +272,8 @@ def _python_loop(kernel: GroupKernel, replaced: tuple[tuple[object, object], ...
 def group_figures(meter: GroupMeter, metrics: Sequence[str] | None = None) -> dict[str, float]:
     """Figures from sums; NaN for those that need a position."""
     names, sums = list(METRICS if metrics is None else metrics), meter.figures
-    own = [name for name in names if name not in _OF_A_POSITION]
+    of_a_position = "travel", "stiffness_rendered.value", "stiffness_rendered.share", *CONTINUOUS
+    own = [name for name in names if name not in of_a_position]
     figures = metrics_of(own, {name: np.array([getattr(sums, name)]) for name in sums_of(own)})
     return {name: float(figures[name][0]) if name in figures else nan for name in names}
 

@@ -18,8 +18,6 @@ from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.scene.models import AxisSimulation
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 
-_TOLERANCE = 1e-11
-
 
 def why_no_equations(simulation: AxisSimulation) -> str:
     """Return the name of the plant's part that these equations omit; empty where they are complete."""
@@ -56,7 +54,7 @@ def integrate(simulation: AxisSimulation, held: Sequence[float], sample_time: fl
     rows, rates = [state[[0, 5]]], _rates(simulation)
     for number, command in enumerate(held[1:]):
         span = (number * sample_time, (number + 1) * sample_time)
-        found: Any = solve_ivp(rates, span, state, "DOP853", args=(command,), rtol=_TOLERANCE, atol=1e-14)
+        found: Any = solve_ivp(rates, span, state, "DOP853", args=(command,), rtol=1e-11, atol=1e-14)
         if not found.success:
             raise InputError(f"DOP853: {found.message}")
         state = found.y[:, -1]
@@ -80,13 +78,7 @@ def _rates(simulation: AxisSimulation) -> Any:
         force = grip.stiffness * (x - q) + grip.damping * (w - v)
         hand = user.stiffness * (place - x) + user.damping * (speed - w) + user.push
         driven = loop.gain * (command - v) + integral - plant.damping * v
-        return [
-            v,
-            (driven + force) / plant.mass,
-            w,
-            (hand - force) / grip.mass,
-            loop.integral_gain * (command - v),
-            force * v,
-        ]
+        forced = (driven + force) / plant.mass, (hand - force) / grip.mass
+        return [v, forced[0], w, forced[1], loop.integral_gain * (command - v), force * v]
 
     return rates
