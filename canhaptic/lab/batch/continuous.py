@@ -10,19 +10,14 @@ import numpy as np
 
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.lab import reference
 from canhaptic.lab.batch.cases import continuous_modes, many_loops, why_not_continuous
 from canhaptic.lab.batch.closed_loop import ReferenceState, begin_reference, follow_hold
 from canhaptic.lab.batch.marching import reference_memory_of
 from canhaptic.lab.batch.plants import is_linear
 from canhaptic.lab.judge.reference_model import Model
 from canhaptic.lab.loop.axis_loop import Array, LoopCase
-from canhaptic.lab.reference import (
-    ContinuousReference,
-    continuous_run,
-    environment_torque,
-    readings_per_hold,
-    surfaces,
-)
+from canhaptic.lab.reference import ContinuousReference
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.models import AxisSimulation
@@ -53,18 +48,18 @@ def continuous_reference(
     Raises:
         InputError: There are no equations for the environment or an effect, or a solver is needed and scipy is missing.
     """
-    surfaces(environment)
-    readings = readings_per_hold(sample_time_ns, cycles)
+    reference.surfaces(environment)
+    readings = reference.readings_per_hold(sample_time_ns, cycles)
     step = sample_time_ns * 1e-9 / readings
     times = np.arange((cycles - 1) * readings + 1, dtype=np.float64) * step
     specs = tuple(ComponentSpec(effect.type, effect) for effect in effects)  # type: ignore[arg-type]
     simulation = AxisSimulation(SimulatedDriveParameters(counts_per_unit=1.0), plant, user, specs, 0)
     found, method = _in_closed_form(environment, simulation, step, len(times)), "closed form between events"
     if found is None:
-        run = continuous_run(environment, Model(plant, user, effects), times.tolist(), 1e-10)
+        run = reference.continuous_run(environment, Model(plant, user, effects), times.tolist(), 1e-10)
         found, method = (run.position, run.velocity), "DOP853 with event location, relative tolerance 1e-10"
     position, velocity = found
-    torque = environment_torque(environment, position, velocity, step)
+    torque = reference.environment_torque(environment, position, velocity, step)
     ends = 0.5 * (torque[1:] + torque[:-1])
     mean = np.concatenate([[0.0], ends.reshape(-1, readings).mean(axis=1)]) if cycles > 1 else torque[:1]
     variation = float(np.abs(np.diff(torque, prepend=0.0)).sum())

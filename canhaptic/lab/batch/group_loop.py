@@ -31,24 +31,10 @@ import numpy as np
 
 from canhaptic.control.balance import RANKS, Branch
 from canhaptic.control.mechanisms.kinematics import Kinematics
-from canhaptic.control.multi_axis import GROUP_ALGORITHMS
+from canhaptic.control.multi_axis import GROUP_ALGORITHMS, group_motion
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
 from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel
-from canhaptic.control.multi_axis.group_motion import (
-    GroupModel,
-    GroupMotion,
-    MotionAhead,
-    MotionMemory,
-    MotionSettings,
-    RequestedEfforts,
-    begin_motion,
-    follow,
-    motion_memory,
-    motion_settings,
-    why_not_world,
-    world_of,
-    write_efforts,
-)
+from canhaptic.control.multi_axis.group_motion import GroupModel, MotionAhead, begin_motion, follow, write_efforts
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, new
 from canhaptic.kernels.records import record_of, records_of
@@ -66,11 +52,8 @@ from canhaptic.scene.parts import check_group, loop_as_known
 from canhaptic.sim.plant import splitting, stepper
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.assembly import PlantModel
-from canhaptic.sim.plant.mechanism.five_bar_linkage import (
-    FiveBarMotion,
-    advance_five_bar,
-    place_at,
-)
+from canhaptic.sim.plant.mechanism import five_bar_linkage as five_bar
+from canhaptic.sim.plant.mechanism.five_bar_linkage import advance_five_bar, place_at
 from canhaptic.sim.plant.mechanism.shared_mechanism import SharedMechanism
 from canhaptic.sim.plant.mechanism.xy_stage import XYMotion
 from canhaptic.sim.plant.plant import Plant
@@ -89,7 +72,7 @@ class GroupRig(NamedTuple):
     damping_per_time: Buffer  # b / T of every motor for certain [N/m or N*m/rad]
     furthest: float  # distance from the origin that counts as divergence [m or rad]
     explains: bool  # whether the shares of spring and damper are asked for
-    true: MotionSettings  # of a group that knows its true positions
+    true: group_motion.MotionSettings  # of a group that knows its true positions
 
 
 class LinearMotors(NamedTuple):
@@ -114,8 +97,8 @@ class GroupRoom(NamedTuple):
     moved: Buffer  # true motion in the hold that ended
     spring: Buffer  # asked for at the last SYNC [N or N*m]
     still: Buffer  # zeros
-    asked: MotionMemory  # of the group that is followed with its true positions
-    request: RequestedEfforts  # of its network
+    asked: group_motion.MotionMemory  # of the group that is followed with its true positions
+    request: group_motion.RequestedEfforts  # of its network
 
 
 @dataclass(slots=True)
@@ -148,7 +131,7 @@ def step(
 
 def run_group(
     world: GroupModel, settings: object, state: Any, memory: Any, rig: GroupRig, motors: Any, room: GroupRoom,
-    followed: GroupMotion, meter: GroupMeter, rows: Matrix, cycles: int,
+    followed: group_motion.GroupMotion, meter: GroupMeter, rows: Matrix, cycles: int,
 ) -> None:  # fmt: skip
     """Run a loop until its last SYNC or until it diverges; a number that is not finite counts as divergence.
 
@@ -253,7 +236,9 @@ def take_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, 
         figures.damping_most = max(figures.damping_most, rendered)
 
 
-def explain(world: GroupModel, rig: GroupRig, room: GroupRoom, followed: GroupMotion, meter: GroupMeter) -> None:
+def explain(
+    world: GroupModel, rig: GroupRig, room: GroupRoom, followed: group_motion.GroupMotion, meter: GroupMeter
+) -> None:
     """Follow the network with the true motion, and add any hold that began and ended in contact to the sums."""
     was_engaged, request = followed.engaged, room.request
     follow(world, rig.true, followed, room.asked, room.true, room.moved, 1)
@@ -478,8 +463,8 @@ def _plant_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> GroupPlant | str:
 
 def _of_mechanism(moving: Any, order: Sequence[int], of: MechanismScene) -> GroupPlant | str:
     """Model of a mechanism in the loop; `order` has the places of the group's motors among the mechanism's."""
-    if isinstance(moving, FiveBarMotion):
-        return _five_bar(moving, order.index(0), order.index(1))
+    if isinstance(moving, five_bar.FiveBarMotion):
+        return _of_five_bar(moving, order.index(0), order.index(1))
     if not isinstance(moving, XYMotion):
         return f"the mechanism {of.mechanism.name} is own code"
     if moving.is_linear:
@@ -510,7 +495,7 @@ def _with_events(
     return GroupPlant(made, replaced)
 
 
-def _five_bar(motion: FiveBarMotion, left: int, right: int) -> GroupPlant:
+def _of_five_bar(motion: five_bar.FiveBarMotion, left: int, right: int) -> GroupPlant:
     def made(listed: bool) -> FiveBarMotors:
         settings, state = [motion.settings], [replace(motion.state)]
         if listed:
@@ -580,8 +565,8 @@ class GroupCase(NamedTuple):
         """Return buffers of zeros."""
         axes = len(self.rig.loops)
         one = [list_of_zeros(axes) for _ in GroupRoom._fields]
-        request = RequestedEfforts(*(list_of_zeros(axes) for _ in range(4)))
-        return GroupRoom(*one)._replace(asked=motion_memory(self.world, self.rig.true), request=request)  # type: ignore[arg-type]
+        request = group_motion.RequestedEfforts(*(list_of_zeros(axes) for _ in range(4)))
+        return GroupRoom(*one)._replace(asked=group_motion.motion_memory(self.world, self.rig.true), request=request)  # type: ignore[arg-type]
 
 
 def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
@@ -600,19 +585,19 @@ def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
     axes = [scene.axis(name) for name in group.axes]
     loops = tuple(loop_as_known(axis) for axis in axes)
     environment, kinematics = (cast(Any, part.parameters) for part in (group.network, group.kinematics))
-    world = world_of(cast(NetworkEnvironment, environment), cast(Kinematics, kinematics), loops)
+    world = group_motion.world_of(cast(NetworkEnvironment, environment), cast(Kinematics, kinematics), loops)
     kernel: GroupKernel = load(GROUP_ALGORITHMS, group.passivity.name, "group algorithm").kernel
     settings = kernel.settings(world, group.passivity.parameters, loops)
     exact = tuple(loop.model_copy(update={"encoder_count": 0.0}) for loop in loops)
     rig = GroupRig(
         scene.bus.delay, [_loop_of(axis, scene.bus) for axis in axes],
         [(axis.loop.device_damping or 0.0) / scene.bus.sample_time for axis in axes], FURTHEST, explains,
-        motion_settings(world, exact),
+        group_motion.motion_settings(world, exact),
     )  # fmt: skip
     found = _plant_in_loop(scene, axes)
     if isinstance(found, str):
         return GroupCase(kernel, world, settings, rig, GroupPlant(lambda _listed: None, {}), found).with_objects(scene)
-    return GroupCase(kernel, world, settings, rig, found, why_not_world(world))
+    return GroupCase(kernel, world, settings, rig, found, group_motion.why_not_world(world))
 
 
 def _loop_of(axis: AxisScene, bus: BusParameters) -> LoopSettings:

@@ -15,20 +15,16 @@ from functools import partial
 from typing import Annotated
 
 from canhaptic.control.balance import add
+from canhaptic.control.passivity import passivity_observer
 from canhaptic.control.passivity.hold_account import Hold
-from canhaptic.control.passivity.passivity_observer import (
-    ObserverState,
-    PassivityObserverParameters,
-    controlling_damping,
-    observer_settings,
-)
+from canhaptic.control.passivity.passivity_observer import controlling_damping, observer_settings
 from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun, sampled_kernel
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.kernels import new
 from canhaptic.units import quantity
 
 
-class AdaptiveReferenceParameters(PassivityObserverParameters):
+class AdaptiveReferenceParameters(passivity_observer.PassivityObserverParameters):
     """Limits of the braking force, and the speed above which it acts."""
 
     least_speed: Annotated[float, quantity("m/s", "rad/s", ge=0.0, le=10.0)] = 0.002
@@ -36,7 +32,7 @@ class AdaptiveReferenceParameters(PassivityObserverParameters):
 
 
 @dataclass(slots=True)
-class _AdaptiveReferenceState(ObserverState):
+class _AdaptiveReferenceState(passivity_observer.ObserverState):
     """State kept from SYNC to SYNC."""
 
     coefficient: float = 0.0  # k of E_ref = k x^2 [J/m^2 or J/rad^2]

@@ -21,17 +21,11 @@ from typing import Annotated, Any
 from canhaptic.control.balance import add
 from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.environment import Environment
+from canhaptic.control.passivity import sampled_model
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import Hold
 from canhaptic.control.passivity.passivity_observer import ObserverState
-from canhaptic.control.passivity.sampled_model import (
-    Asked,
-    Reply,
-    SampledRun,
-    SampledSettings,
-    sampled_kernel,
-    sampled_settings,
-)
+from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.kernels import new
 from canhaptic.units import quantity
@@ -58,10 +52,10 @@ class _BoundedObserverState(ObserverState):
 
 def settings_of(
     environment: Environment, parameters: BoundedObserverParameters, loop: LoopProperties
-) -> SampledSettings[Any]:
+) -> sampled_model.SampledSettings[Any]:
     """Constants of a run; the limit applies to the force."""
     limit = inf if parameters.force_limit is None else parameters.force_limit
-    return sampled_settings(environment, parameters, loop, limit)
+    return sampled_model.sampled_settings(environment, parameters, loop, limit)
 
 
 def respond(run: SampledRun[BoundedObserverParameters, _BoundedObserverState], hold: Hold, asked: Asked) -> Reply:
@@ -75,7 +69,7 @@ def respond(run: SampledRun[BoundedObserverParameters, _BoundedObserverState], h
 
 
 def controlling_force(
-    settings: SampledSettings[BoundedObserverParameters],
+    settings: sampled_model.SampledSettings[BoundedObserverParameters],
     state: _BoundedObserverState,
     observed: float,
     hold: Hold,
@@ -106,4 +100,4 @@ class BoundedObserver(SteppedController):
     """Time-domain passivity control with bounded force around the sampled environment."""
 
     parameters_type = BoundedObserverParameters
-    kernel = sampled_kernel(respond, _BoundedObserverState, settings_of)
+    kernel = sampled_model.sampled_kernel(respond, _BoundedObserverState, settings_of)

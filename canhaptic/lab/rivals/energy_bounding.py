@@ -18,16 +18,10 @@ from math import inf, sqrt
 from canhaptic.control.balance import Certificate, RunningSum, add
 from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.environment import Environment
+from canhaptic.control.passivity import sampled_model
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.hold_account import Hold, hold_settings
-from canhaptic.control.passivity.sampled_model import (
-    Asked,
-    Reply,
-    SampledRun,
-    SampledSettings,
-    SampledState,
-    sampled_kernel,
-)
+from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun
 from canhaptic.control.passivity.stepped import SteppedController, towards_zero
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, new
@@ -48,7 +42,7 @@ class Device:
 
 
 @dataclass(slots=True)
-class _EnergyBoundingState(SampledState):
+class _EnergyBoundingState(sampled_model.SampledState):
     """State kept from SYNC to SYNC."""
 
     energy: RunningSum = field(default_factory=RunningSum)  # E_n [J]
@@ -58,7 +52,7 @@ class _EnergyBoundingState(SampledState):
 
 def settings_of(
     environment: Environment, parameters: EnergyBoundingParameters, loop: LoopProperties
-) -> SampledSettings[Device]:
+) -> sampled_model.SampledSettings[Device]:
     """Constants of a run.
 
     Raises:
@@ -73,7 +67,7 @@ def settings_of(
     timing = loop.timing
     promised = Certificate.NONE if timing.late else Certificate.DEVICE_DAMPING
     device = Device(loop.device_damping, timing.longest, loop.encoder_count, loop.torque_quantum)
-    return SampledSettings(device, inf, hold_settings(parameters, loop, promised))
+    return sampled_model.SampledSettings(device, inf, hold_settings(parameters, loop, promised))
 
 
 def respond(run: SampledRun[Device, _EnergyBoundingState], hold: Hold, asked: Asked) -> Reply:
@@ -118,4 +112,4 @@ class EnergyBounding(SteppedController):
     """The sampled environment, its torque bounded by certain device damping."""
 
     parameters_type = EnergyBoundingParameters
-    kernel = sampled_kernel(respond, _EnergyBoundingState, settings_of)
+    kernel = sampled_model.sampled_kernel(respond, _EnergyBoundingState, settings_of)

@@ -16,20 +16,16 @@ from functools import partial
 from typing import Annotated
 
 from canhaptic.control.balance import add
+from canhaptic.control.passivity import passivity_observer
 from canhaptic.control.passivity.hold_account import Hold
-from canhaptic.control.passivity.passivity_observer import (
-    ObserverState,
-    PassivityObserverParameters,
-    controlling_damping,
-    observer_settings,
-)
+from canhaptic.control.passivity.passivity_observer import controlling_damping, observer_settings
 from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun, sampled_kernel
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.kernels import new
 from canhaptic.units import quantity
 
 
-class ForceGradientParameters(PassivityObserverParameters):
+class ForceGradientParameters(passivity_observer.PassivityObserverParameters):
     """Limits of the passivity controller, and the force below which none is rendered."""
 
     least_force: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e3)] = 0.001
@@ -37,7 +33,7 @@ class ForceGradientParameters(PassivityObserverParameters):
 
 
 @dataclass(slots=True)
-class _ForceGradientState(ObserverState):
+class _ForceGradientState(passivity_observer.ObserverState):
     """State kept from SYNC to SYNC."""
 
     wanted: float = 0.0  # force of the model in the last command [N or N*m]

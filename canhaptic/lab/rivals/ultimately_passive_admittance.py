@@ -10,9 +10,6 @@ from typing import Annotated
 from canhaptic.control.admittance.unprotected_admittance import SampledHold, UnprotectedAdmittance
 from canhaptic.units import Parameters, quantity
 
-_STABLE = 0.5
-"""Largest C K T of a series slip against a spring, with a whole hold of delay to spare."""
-
 
 class UltimatelyPassiveAdmittanceParameters(Parameters):
     """Parameters of an admittance display: how fast the surplus is dissipated."""
@@ -33,5 +30,5 @@ class UltimatelyPassiveAdmittance(UnprotectedAdmittance):
         """Dissipate part of the surplus."""
         h_pas = hold.force * self._slip * hold.elapsed
         self._energy = max(0.0, max(0.0, self._energy + self._created) - h_pas)
-        most = _STABLE / (self._given.hand_stiffness * self._time)
+        most = 0.5 / (self._given.hand_stiffness * self._time)
         return hold.request, min(self._given.alpha * self._energy, most) * hold.force, h_pas

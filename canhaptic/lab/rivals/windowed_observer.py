@@ -15,19 +15,16 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated
 
+from canhaptic.control.passivity import passivity_observer
 from canhaptic.control.passivity.hold_account import Hold
-from canhaptic.control.passivity.passivity_observer import (
-    PassivityObserverParameters,
-    controlling_damping,
-    observer_settings,
-)
+from canhaptic.control.passivity.passivity_observer import controlling_damping, observer_settings
 from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun, SampledState, sampled_kernel
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.kernels import Buffer, new
 from canhaptic.units import quantity
 
 
-class WindowedObserverParameters(PassivityObserverParameters):
+class WindowedObserverParameters(passivity_observer.PassivityObserverParameters):
     """Limits of the passivity controller, and the time for which energy is remembered."""
 
     window: Annotated[int, quantity("count", ge=1, le=100_000)] = 30
@@ -40,6 +37,9 @@ class _WindowedObserverState(SampledState):
 
     energy: float = 0.0  # that is remembered [J]
     place: int = 0  # of the oldest hold in the window
+
+
+_settings_of = partial(observer_settings, "windowed_observer")
 
 
 def respond(run: SampledRun[WindowedObserverParameters, _WindowedObserverState], hold: Hold, asked: Asked) -> Reply:
@@ -65,9 +65,4 @@ class WindowedObserver(SteppedController):
     """Time-domain passivity control with a window around the sampled environment."""
 
     parameters_type = WindowedObserverParameters
-    kernel = sampled_kernel(
-        respond,
-        _WindowedObserverState,
-        partial(observer_settings, "windowed_observer"),
-        lambda settings: settings.given.window,
-    )
+    kernel = sampled_kernel(respond, _WindowedObserverState, _settings_of, lambda settings: settings.given.window)
