@@ -129,8 +129,7 @@ class CompiledLoops:
         self._kind = tuple_type(rows[0].environment)
         numbers = attrgetter(*self._kind._fields)
         self._table = np.array([numbers(row.environment) for row in rows], dtype=float).reshape(len(rows), -1)
-        without = {} if np.any(modes.exist) else {follow: follow_nothing}
-        self._instead = (*instead.items(), *without.items())
+        self._instead = (*instead.items(), *({} if np.any(modes.exist) else {follow: follow_nothing}).items())
         size = modes.starts.shape[1]
         self._state, self._moved, self._series = np.empty(size), np.empty(size), np.zeros((closed_loop.TERMS, size))
 

@@ -588,11 +588,10 @@ def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
     world = group_motion.world_of(cast(NetworkEnvironment, environment), cast(Kinematics, kinematics), loops)
     kernel: GroupKernel = load(GROUP_ALGORITHMS, group.passivity.name, "group algorithm").kernel
     settings = kernel.settings(world, group.passivity.parameters, loops)
-    exact = tuple(loop.model_copy(update={"encoder_count": 0.0}) for loop in loops)
     rig = GroupRig(
         scene.bus.delay, [_loop_of(axis, scene.bus) for axis in axes],
         [(axis.loop.device_damping or 0.0) / scene.bus.sample_time for axis in axes], FURTHEST, explains,
-        group_motion.motion_settings(world, exact),
+        group_motion.motion_settings(world, tuple(loop.model_copy(update={"encoder_count": 0.0}) for loop in loops)),
     )  # fmt: skip
     found = _plant_in_loop(scene, axes)
     if isinstance(found, str):

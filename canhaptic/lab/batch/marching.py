@@ -148,8 +148,7 @@ def _part(
 
         loops = CompiledLoops(job)
     if case.linear is None:
-        which = np.broadcast_to(case.numbers["plant"], (count,))
-        run_event_plants(loops, case.plants, which, stopped, listed=listed)
+        run_event_plants(loops, case.plants, np.broadcast_to(case.numbers["plant"], (count,)), stopped, listed=listed)
     else:
         loops.run(range(count), cases.linear_plants(case.linear, listed=listed), never_stopped)
     sums, runs = _columns(loops.meters), _columns(loops.references)

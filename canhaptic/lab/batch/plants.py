@@ -250,8 +250,7 @@ def residual_of_plant(plant: EventPlant, force: float) -> float:
         state[row] = plant.saved[row]
     counts[MODE], counts[EVENTS], plant.books[0].totals[0] = now.saved_mode, now.saved_events, now.saved_work
     state[plant.force_place], state[plant.travel_place] = force, 0.0
-    limit = now.limit if now.limit >= 0 else counts[EVENTS] + 1
-    left = run_on(plant, now.ticks, limit)
+    left = run_on(plant, now.ticks, now.limit if now.limit >= 0 else counts[EVENTS] + 1)
     if left and now.limit >= 0:
         now.is_stopped = True
         return 0.0
@@ -339,7 +338,6 @@ class EventModes:
         counts = np.zeros(COUNTS, dtype=np.int64)
         counts[MODE], counts[MISSING] = first, NONE
         width = 2 * max(len(mode.exits) for mode in machine.modes) + len(names)
-        extra = (names.index("travel"), names.index("effort")) if self._scene.efforts else (0, 0)
         plant = EventPlant(
             ModeTables(*map(form, tables)), machine.settings, form(start.copy()), form(start.copy()),
             (Books(form(np.zeros(len(self._scene.works))), form(np.zeros(2 * len(names) * self._is_booked))),),
@@ -347,7 +345,7 @@ class EventModes:
             form(np.array([place for place, name in enumerate(names) if name.endswith("_sine")], dtype=np.int64)),
             form(ticks), form(targets), [EventState()] if self._listed else records_of([EventState()]),
             form(start.copy()), *self._efforts(), TICKS // accuracy.substeps, names.index(self._scene.motor_torque),
-            *extra,
+            *((names.index("travel"), names.index("effort")) if self._scene.efforts else (0, 0)),
         )  # fmt: skip
         return EventPlants(plant, form(start), first)
 

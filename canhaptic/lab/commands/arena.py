@@ -10,8 +10,7 @@ from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.output import note_file, write_file, write_json, write_note
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.lab.commands.scene_progress import scene_progress
-from canhaptic.lab.render.arena_page import write_arena_page
-from canhaptic.lab.render.arena_picture import pictures_of
+from canhaptic.lab.render.arena_picture import pictures_of, write_arena_page
 from canhaptic.lab.studies.arena import ArenaPlan, ArenaStore, run_arena, scenes_named
 from canhaptic.lab.studies.runner import pool_of
 from canhaptic.view.picture_style import require_matplotlib

@@ -440,8 +440,7 @@ class Model:
                 self._add_contact(sides, 0.5 * gap.gap, shaft.stiffness, shaft.damping, name)
 
     def _add_contact(self, sides: Any, limit: float, stiffness: float, damping: float, name: str) -> None:
-        depth = self.add_state(f"{name}_depth")
-        self._elements.append(ReferenceContact(sides, limit, stiffness, damping, depth))
+        self._elements.append(ReferenceContact(sides, limit, stiffness, damping, self.add_state(f"{name}_depth")))
 
     def _add_hand(self, user: UserParameters | None) -> None:
         if isinstance(user, OwnHand):
@@ -525,8 +524,7 @@ class Model:
 
     def _other_forces(self, time: float, state: State, torque: float) -> float:
         """All forces on the motor but dry friction, in the modes of the last call of `ways`."""
-        rates = [0.0] * len(self.names)
-        return self._forces(time, state, torque, self._asked, rates, len(self._elements) - 1)[0]
+        return self._forces(time, state, torque, self._asked, [0.0] * len(self.names), len(self._elements) - 1)[0]
 
     def ways(self, modes: Modes) -> list[Transition]:
         """Every transition out of these modes; valid until the next call."""
@@ -584,8 +582,7 @@ def difference(one: Motion, other: Motion, mass: float, sample_time: float) -> M
     """
     with np.errstate(all="ignore"):
         kicks = np.diff(one.velocity - other.velocity, prepend=0.0) * (mass / sample_time)
-        kinetic = 0.5 * mass * (one.velocity**2 - other.velocity**2)
-        works = (one.motor - other.motor, one.user - other.user, kinetic)
+        works = (one.motor - other.motor, one.user - other.user, 0.5 * mass * (one.velocity**2 - other.velocity**2))
         largest = [_largest(one.position - other.position), _largest(kicks), max(_largest(work) for work in works)]
     return MotionError(*largest)
 

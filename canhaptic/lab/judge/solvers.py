@@ -14,7 +14,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Any, Final, Protocol, cast
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -98,16 +98,14 @@ def located_states(
     """
     period = sample_time_ns * 1e-9
     longest = min(0.25 * period, _LONGEST_STEP) if model.switches else math.inf
-    solve = partial(_solve_ivp(), method=method, rtol=rtol, atol=atol, max_step=longest)
-    state, modes, states = list(model.start), model.first, []
+    run, states = _Solved(model, method=method, rtol=rtol, atol=atol, max_step=longest), []
     for k, torque in enumerate(torques):
         if k % 16 == 0:
             _require_running(stop)
         begin, end = k * period, (k + 1) * period
-        cuts = [begin, *(t for t in sorted(model.breaks) if begin < t < end), end]
-        for start, finish in pairwise(cuts):
-            state, modes = _hold(model, solve, state, modes, torque, (start, finish))
-        states.append(list(state))
+        for start, finish in pairwise([begin, *(t for t in sorted(model.breaks) if begin < t < end), end]):
+            run.advance(torque, start, finish)
+        states.append(list(run.state))
     return states
 
 
@@ -127,8 +125,8 @@ def states_at(
         InputError: scipy is missing, the solver fails, or it was stopped.
     """
     longest = longest if model.switches else math.inf
-    solve = partial(_solve_ivp(), method="DOP853", rtol=rtol, atol=1e-3 * rtol, max_step=longest, dense_output=True)
-    state, modes, found = list(model.start), model.first, [list(model.start)]
+    run = _Solved(model, method="DOP853", rtol=rtol, atol=1e-3 * rtol, max_step=longest, dense_output=True)
+    found = [list(model.start)]
 
     def read(result: Any) -> None:
         _require_running(stop)
@@ -140,19 +138,42 @@ def states_at(
     cuts = [*np.arange(0.0, times[-1], 0.02), *(t for t in model.breaks if t < times[-1]), times[-1]]
     for start, finish in pairwise(sorted(cuts)):
         if finish > start:
-            state, modes = _hold(model, solve, state, modes, 0.0, (start, finish), read)
+            run.advance(0.0, start, finish, read)
     return found
 
 
-def _solve_ivp() -> Callable[..., Any]:
-    """Return the function of that name, or raise InputError where scipy is missing."""
-    try:
-        from scipy.integrate import solve_ivp
-    except ImportError as error:
-        raise InputError(
-            f"the reference of an accuracy study needs scipy; install it with: {install_hint('study')}"
-        ) from error
-    return cast(Callable[..., Any], solve_ivp)
+class _Solved:
+    """A model on its way by a solver of `scipy.integrate.solve_ivp`; raises InputError where scipy is missing."""
+
+    def __init__(self, model: SwitchedModel, **how: Any) -> None:
+        try:
+            from scipy.integrate import solve_ivp
+        except ImportError as error:
+            wanted = f"the reference of an accuracy study needs scipy; install it with: {install_hint('study')}"
+            raise InputError(wanted) from error
+        self._model, self._solve = model, partial(solve_ivp, **how)
+        self.state, self._modes = list(model.start), model.first
+
+    def advance(self, torque: Any, now: float, end: float, read: Callable[[Any], None] = lambda _result: None) -> None:
+        """Move to a time under one torque; `read` receives every solution on the way."""
+        model, state, modes = self._model, self.state, self._modes
+        for _ in range(_MOST_CHANGES):
+            state, modes = settled(model, now, state, torque, modes)
+            ways = model.ways(modes)
+            events = [_event(way) for way in ways] or None
+            result = self._solve(model.rates, (now, end), state, events=events, args=(torque, modes))
+            if result.status < 0:
+                failed = f"the reference failed at {now:g} s ({result.message})"
+                raise InputError(f"{failed}; shorten the study or the scene")
+            read(result)
+            state, now = result.y[:, -1].tolist(), float(result.t[-1])
+            if result.status == 0:
+                self.state, self._modes = state, modes
+                return
+            fired = next(way for way, times in zip(ways, result.t_events, strict=True) if len(times))
+            state, modes = through(fired, state, modes)
+        often = f"the reference changed its mode {_MOST_CHANGES} times in one hold at {now:g} s"
+        raise InputError(f"{often}; damp the contact")
 
 
 def _require_running(stop: _Stop) -> None:
@@ -161,41 +182,12 @@ def _require_running(stop: _Stop) -> None:
         raise InputError("stopped before the reference was computed; nothing can be compared without it")
 
 
-def _hold(
-    model: SwitchedModel,
-    solve: Callable[..., Any],
-    state: list[float],
-    modes: Modes,
-    torque: float,
-    span: tuple[float, float],
-    read: Callable[[Any], None] = lambda _result: None,
-) -> tuple[list[float], Modes]:
-    """State and modes after a time under one torque; `read` receives every solution on the way."""
-    now, end = span
-    for _ in range(_MOST_CHANGES):
-        state, modes = settled(model, now, state, torque, modes)
-        ways = model.ways(modes)
-        result = solve(
-            model.rates, (now, end), state, events=[_event(way) for way in ways] or None, args=(torque, modes)
-        )
-        if result.status < 0:
-            raise InputError(f"the reference failed at {now:g} s ({result.message}); shorten the study or the scene")
-        read(result)
-        state, now = result.y[:, -1].tolist(), float(result.t[-1])
-        if result.status == 0:
-            return state, modes
-        fired = next(way for way, times in zip(ways, result.t_events, strict=True) if len(times))
-        state, modes = through(fired, state, modes)
-    raise InputError(f"the reference changed its mode {_MOST_CHANGES} times in one hold at {now:g} s; damp the contact")
-
-
 def settled(
     model: SwitchedModel, time: float, state: list[float], torque: Any, modes: Modes
 ) -> tuple[list[float], Modes]:
     """Return state and modes after every transition whose value is below zero."""
     for _ in range(16):  # without time between them
-        ways = model.ways(modes)
-        broken = next((way for way in ways if way.value(time, state, torque) < -way.rounding), None)
+        broken = next((way for way in model.ways(modes) if way.value(time, state, torque) < -way.rounding), None)
         if broken is None:
             break
         state, modes = through(broken, state, modes)
@@ -263,8 +255,7 @@ def fixed_step_states(
 
 def _semi_implicit_euler(model: Model, now: float, state: Floats, torque: float, modes: Modes, step: float) -> Floats:
     """Return the state after a step of order 1: positions move with the new velocities."""
-    rates = model.rates(now, state, torque, modes)
-    after = [value + step * rate for value, rate in zip(state, rates, strict=True)]
+    after = [value + step * rate for value, rate in zip(state, model.rates(now, state, torque, modes), strict=True)]
     for index, terms in model.kinematics.items():
         after[index] = state[index] + step * sum(factor * after[velocity] for velocity, factor in terms)
     return after
@@ -316,8 +307,7 @@ class _ImplicitMidpoint:
                 moved = state.copy()
                 width = 1e-7 * max(1e-3, abs(float(state[column])))
                 moved[column] += width
-                changed = np.array(model.rates(time, moved.tolist(), torque, modes))
-                jacobian[:, column] = (changed - base)[:size] / width
+                jacobian[:, column] = (np.array(model.rates(time, moved.tolist(), torque, modes)) - base)[:size] / width
             self._solvers[key] = np.eye(size) - 0.5 * step * jacobian
         return self._solvers[key]
 

@@ -317,8 +317,7 @@ def at_rate(scene: Scene, rate: float) -> Scene:
     time, axes = bus.sample_time, []
     for axis in scene.axes:
         window = axis.loop.torque_window and min(axis.loop.torque_window, 0.5 * time)
-        loop = axis.loop.model_copy(update={"sample_time": time, "torque_window": window})
-        axes.append(replace(axis, loop=loop))
+        axes.append(replace(axis, loop=axis.loop.model_copy(update={"sample_time": time, "torque_window": window})))
     return replace(scene, bus=bus, axes=tuple(axes))
 
 
@@ -348,25 +347,16 @@ def plant_parts(axis: AxisScene) -> tuple[PlantParameters, UserParameters | None
 
 def loop_case(axis: AxisScene, scene: Scene) -> LoopCase:
     """Return an axis as a loop without a bus, with the quantisation, delay and torque limit of its scene."""
-    simulation, sample_time_ns = simulation_of(axis), scene.bus.sample_time_ns
-    rated, declared = axis.parameters.rated_torque, axis.loop.device_damping
-    damping = simulation.plant.damping + viscous_friction(simulation) if declared is None else declared
+    simulation, given, time, under = simulation_of(axis), axis.parameters, scene.bus.sample_time_ns, axis.passivity
+    quantum = None if given.rated_torque is None else given.rated_torque * 1e-3
+    friction = sum(float(getattr(effect.parameters, "kinetic", 0.0)) for effect in simulation.effects)
+    damping = axis.loop.device_damping
+    if damping is None:
+        damping = simulation.plant.damping + viscous_friction(simulation)
     return LoopCase(
-        environment=environment_of(axis),
-        algorithm=axis.passivity.name,
-        own=axis.passivity.own,
-        parameters=axis.passivity.parameters,
-        loop=axis.loop,
-        make_plant=lambda: build_plant(simulation, sample_time_ns),
-        simulation=simulation,
-        sample_time_ns=sample_time_ns,
-        delay=scene.bus.delay,
-        counts_per_unit=axis.parameters.counts_per_unit,
-        torque_quantum=None if rated is None else rated * 1e-3,
-        torque_limit=axis.parameters.torque_limit,
-        device_damping=damping,
-        device_friction=sum(float(getattr(effect.parameters, "kinetic", 0.0)) for effect in simulation.effects),
-    )
+        environment_of(axis), under.name, under.parameters, axis.loop, lambda: build_plant(simulation, time), time,
+        scene.bus.delay, given.counts_per_unit, quantum, given.torque_limit, damping, under.own, friction, simulation,
+    )  # fmt: skip
 
 
 def viscous_friction(simulation: AxisSimulation) -> float:

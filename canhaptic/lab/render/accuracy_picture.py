@@ -68,8 +68,9 @@ def draw_accuracy(result: Row, path: str | Path) -> None:
         loop = [row for row in result["loop"] if row["position_error"]] if felt else []
         effects = [row for row in (result["advice"] or {"effects": ()})["effects"] if row.get("position_error")]
         widths = [1.0, 1.0, *([1.05] if loop else []), *([0.6] if effects else [])]
-        size = 4.8 * sum(widths), max(6.4, 1.6 + 0.22 * len(loop))
-        figure = figure_type(figsize=size, dpi=110, layout="constrained")
+        figure = figure_type(
+            figsize=(4.8 * sum(widths), max(6.4, 1.6 + 0.22 * len(loop))), dpi=110, layout="constrained"
+        )
         panels = figure.subplots(1, len(widths), width_ratios=widths)
         price = next(price for price in _PRICES if any(row.get(price) for row in result["plant"]) or price == _WORK)
         _draw_ladder(panels[0], result, price, "position_error")

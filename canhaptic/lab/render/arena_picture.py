@@ -1,13 +1,21 @@
-"""The pictures of an arena: K-B plot, impedance, energy given out by each algorithm; `guarded` is thick and black."""
+"""The pictures of an arena: K-B plot, impedance, energy given out by each algorithm; `guarded` is thick and black.
+
+An arena as one page that any browser opens without a network: its pictures, and sortable tables.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from canhaptic.lab.figures.field_figures import FIELD_FIGURES
 from canhaptic.lab.studies import Row
+from canhaptic.lab.studies.arena import COLUMNS
+from canhaptic.view.html_page import picture, words, write_page
 from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, drawing, save_picture
+from canhaptic.view.table import Cell, Styled, Table, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,9 +48,9 @@ def _draw_borders(found: Found, path: Path) -> None:
         panels = figure.subplots(len(delays), len(_WORDS), sharex=True, sharey=True, squeeze=False)
         lines = _lines(found, "borders", lambda border: float(np.log(max(border["near"], 1.0))))
         for row, delay in zip(panels, delays, strict=True):
-            for panel, (key, words) in zip(row, _WORDS.items(), strict=True):
+            for panel, (key, said) in zip(row, _WORDS.items(), strict=True):
                 _draw_border(panel, found, delay, key, lines)
-                panel.set_title(f"{words}; {'one sample late' if delay else 'no delay'}", fontweight="bold")
+                panel.set_title(f"{said}; {'one sample late' if delay else 'no delay'}", fontweight="bold")
             row[0].set_ylabel("stiffest wall [N/m]")
         for panel in panels[-1]:
             panel.set_xlabel("damping of the wall [N*s/m]")
@@ -58,8 +66,7 @@ def _save_with_legend(figure: "Figure", panel: "Axes", path: Path) -> None:
 def _draw_border(panel: "Axes", found: Found, delay: int, key: str, lines: Mapping[str, Row]) -> None:
     for name, line in lines.items():
         own = [b for b in found["borders"] if b["algorithm"] == name and b["delay"] == delay]
-        values = [b[key] if b[key] > 0.0 else np.nan for b in own]
-        panel.plot([b["damping"] for b in own], values, **line)
+        panel.plot([b["damping"] for b in own], [b[key] if b[key] > 0.0 else np.nan for b in own], **line)
     for name, points in found["theory"][str(delay)].items():
         style, colour = _THEORY[name[0]]
         places = [p["damping"] for p in points], [p["stiffness"] for p in points]
@@ -133,8 +140,7 @@ def _draw_impedance(found: Found, path: Path) -> None:
 def _draw_ratio(panel: "Axes", found: Found, delay: int, key: str, lines: Mapping[str, Row]) -> None:
     for name, line in lines.items():
         own = [one for one in found["impedance"] if one["algorithm"] == name and one["delay"] == delay]
-        values = [np.nan if one[key] is None else one[key] for one in own]
-        panel.plot([one["frequency"] for one in own], values, **line)
+        panel.plot([one["frequency"] for one in own], [np.nan if one[key] is None else one[key] for one in own], **line)
     panel.axhline(1.0 if key == "size" else 0.0, color="#808080", linewidth=0.8)
     panel.set_xscale("log")
     if key == "size":
@@ -153,8 +159,9 @@ def _draw_given_out(found: Found, path: Path) -> None:
     with drawing() as figure_type:
         from matplotlib.colors import LogNorm
 
-        size = 5.0 + 0.75 * len(scenes), 2.4 + 0.34 * len(names)
-        figure = figure_type(figsize=size, dpi=_DPI, layout="constrained")
+        figure = figure_type(
+            figsize=(5.0 + 0.75 * len(scenes), 2.4 + 0.34 * len(names)), dpi=_DPI, layout="constrained"
+        )
         panel = figure.subplots()
         norm = LogNorm(_LEAST, max(1e-5, float(np.nanmax(most, initial=1e-5))))
         drawn = panel.imshow(np.where(most > _LEAST, most, np.nan), norm=norm, cmap="magma_r", aspect="auto")
@@ -184,3 +191,62 @@ def pictures_of(found: Found) -> Sequence[tuple[str, str, Callable[[Found, Path]
         whole.insert(0, ("arena_kb.png", "Stiffness over damping", _draw_borders))
         whole.append(("arena_impedance.png", "Impedance", _draw_impedance))
     return whole
+
+
+_CASE: Final = (
+    "scene", "rate", "delay", "algorithm", "status", "certificate", "energy_given_out", "energy_beyond_device",
+    "position_error", "force_variation", "stiffness_error", "rate_hardness", "limit_cycle", "drag",
+)  # fmt: skip
+
+
+def write_arena_page(found: Found, path: Path) -> None:
+    """Write an arena as one self-contained page.
+
+    Raises:
+        InputError: matplotlib is not installed, or the page cannot be written.
+    """
+    parts: list[str | Table] = [
+        words(_about(found), "In brackets: the rank, 1 is best."),
+        _standings(found),
+        *(picture(partial(draw, found), title) for _, title, draw in pictures_of(found)),
+        *([_plain(found["m_width"])] if "m_width" in found else ()),
+        _table("Every case", _CASE, [[case.get(key) for key in _CASE] for case in found["cases"]]),
+        _table(
+            "Definitions",
+            ("figure", "what it is", "unit", "source"),
+            [[name, one.what, one.unit, one.source] for name, one in FIELD_FIGURES.items()],
+        ),
+    ]
+    write_page(path, f"Arena: {len(found['algorithms'])} algorithms, {len(found['scenes'])} scenes", parts)
+
+
+def _about(found: Found) -> str:
+    rates = ", ".join(f"{rate:g} Hz" for rate in found["rates"])
+    delays = " and ".join("one sample late" if delay else "no delay" for delay in found["delays"])
+    return (
+        f"canhaptic {found['canhaptic']}, code {found['code'][:12]}. {len(found['cases'])} cases: {rates}; {delays}; "
+        f"up to {found['longest']:g} s each. The simulated plant judges the energy."
+    )
+
+
+def _standings(found: Found) -> Table:
+    times = found.get("time_of_step", {})
+    heads = ["algorithm", "cases", *(f"{c.what} [{c.unit}]" for c in COLUMNS.values()), "time of a step [us]"]
+    rows = [_standing(row, found["ranks"][row["algorithm"]], times) for row in found["standings"]]
+    return _table("Standings", heads, rows)
+
+
+def _standing(row: Mapping[str, Any], ranks: Mapping[str, int], times: Mapping[str, float]) -> list[Cell]:
+    name = row["algorithm"]
+    figures = (row[key] if None in (row[key], ranks.get(key)) else f"{row[key]:.4g} ({ranks[key]})" for key in COLUMNS)
+    cells = [name, row["cases"], *figures, times.get(name)]
+    return [Styled(shown(cell), "bold") for cell in cells] if name == "guarded" else cells
+
+
+def _plain(rows: Sequence[Mapping[str, Any]]) -> Table:
+    heads = list(rows[0]) if rows else []
+    return _table("M-width of the rig", heads, [[row[key] for key in heads] for row in rows])
+
+
+def _table(title: str, heads: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Table:
+    return Table(title, [head.replace("_", " ") for head in heads], rows, keys=1)

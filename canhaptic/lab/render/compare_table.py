@@ -115,8 +115,7 @@ def _ranking(part: _Account) -> Text:
         passive = _value(lambda of, _: _verdict(of), part, account)
         return account["status"] != "completed", passive != "yes", error if isinstance(error, float) else math.inf
 
-    ranked = sorted(part["algorithms"], key=worth)
-    words = [f"{place} {name}" for place, name in enumerate(ranked, 1)]
+    words = [f"{place} {name}" for place, name in enumerate(sorted(part["algorithms"], key=worth), 1)]
     return Text(f" ranking: {', '.join(words)} (passive before the others, then the smaller error of the position)")
 
 

@@ -82,8 +82,7 @@ def touch(
 
 def exchange(environment: Environment, settings: StoredModelSettings[Any], storage: Storage, hold: Hold) -> HoldAccount:
     """Dissipate the energy that the velocity within this hold's torque demands (eqs. 6, 7)."""
-    lost = dissipation(settings, hold)
-    account = approximate(environment, storage, hold.elapsed, lost, hold.h_i - hold.h_pas)
+    account = approximate(environment, storage, hold.elapsed, dissipation(settings, hold), hold.h_i - hold.h_pas)
     if storage.h_s == 0.0:
         empty(storage)
     return account

@@ -57,8 +57,7 @@ def respond(run: SampledRun[EnergyTankParameters, _EnergyTankState], hold: Hold,
     rendered = spring - (1.0 - share) * variable
     torque = rendered + asked.damper
     parts[place] = share * variable / torque if torque != 0.0 else 0.0
-    stored = rendered / spring if spring != 0.0 else 1.0
-    return new(Reply, (stored, rendered, asked.damper, 0.0, asked.damping))
+    return new(Reply, ((rendered / spring if spring != 0.0 else 1.0), rendered, asked.damper, 0.0, asked.damping))
 
 
 def part_applied(parts: Buffer, place: int, missed: int) -> float:

@@ -142,8 +142,7 @@ def solve_scale(
     """
     stiffness = stiffness_along(tables, line)
     if stiffness < 0.0:
-        tolerance = 1e-15 * (abs(energy) + abs(loss))
-        return search_scale(tables, functions, line, energy, loss, limit, tolerance)
+        return search_scale(tables, functions, line, energy, loss, limit, 1e-15 * (abs(energy) + abs(loss)))
     square = 0.0
     for s in line.step:
         square += s * s
@@ -566,8 +565,7 @@ def step(
     for j in range(len(commands.ports[place])):
         supplied -= commands.ports[place][j] * motion.moved
     h_i = h_i + supplied - uncertainty
-    power = commands.power[place] * (missed + 1)
-    branch, h_r, gen, deficit, leak = exchange(world, run, h_i - h_pas, damped, power)
+    branch, h_r, gen, deficit, leak = exchange(world, run, h_i - h_pas, damped, commands.power[place] * (missed + 1))
     surplus = state.h_dis + gen + deficit - h_pas
     paid = min(leak, surplus) if leak > 0.0 and surplus > 0.0 else 0.0
     state.h_dis = surplus - paid

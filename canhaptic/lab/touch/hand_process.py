@@ -71,8 +71,7 @@ class TouchJob:
         Raises:
             InputError: It is wrong, or cannot be touched.
         """
-        scene = scene_from_text(self.text, self.source, self.overrides, allow_code=self.allow_code)
-        return two_sides(scene, self.axis)
+        return two_sides(scene_from_text(self.text, self.source, self.overrides, allow_code=self.allow_code), self.axis)
 
 
 SharedNumbers = MutableSequence[float]
@@ -119,8 +118,7 @@ def work(pipe: Connection, shared: SharedNumbers) -> None:
         end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 22)
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
-            job: TouchJob = pipe.recv()
-            _HandRun(job, pipe, shared).run()
+            _HandRun(pipe.recv(), pipe, shared).run()
 
 
 def _follow_parent() -> None:
@@ -171,8 +169,7 @@ class _HandRun:
         self._is_display = touched.is_display
         if experiment.far_side is None:
             raise InputError("touch: the drives are not in this process, expected simulated ones")
-        drives = experiment.far_side.drives
-        self._servos = [[drives[axis].servo for axis in axes] for axes in self._axes]
+        self._servos = [[experiment.far_side.drives[axis].servo for axis in axes] for axes in self._axes]
         self._movers = [self._mover([servo.motor for servo in servos]) for servos in self._servos]
         self._least = [0.0] * len(touched.sides)
 

@@ -92,8 +92,7 @@ class TouchPage:
             self._status.text = _status(news.status, self._hand.touched.scene.bus.rate)
 
     def _take_pointer(self, _name: str, _old: object, new: dict[str, list[float]]) -> None:
-        place = (new["x"][0], new["y"][0])[: len(self._hand.touched.shown)]
-        self._hand.move(place, new["token"][0])
+        self._hand.move((new["x"][0], new["y"][0])[: len(self._hand.touched.shown)], new["token"][0])
 
     def _begin(self, changes: dict[str, str]) -> None:
         """Restart the run with the values of the controls."""
@@ -141,8 +140,7 @@ class _SideView:
         self.panels = self._panels(touched)
         self.panels[-1].add_layout(models.Span(location=0.0, dimension="width", line_color=GREY, line_dash="dashed"))
         title = models.Div(text=f"<b style='font-size:1.3em;color:{_COLOURS[number]}'>{html.escape(self._name)}</b>")
-        parts = (title, self._verdict, self.scene, *self.panels)
-        self.layout = column(*parts, sizing_mode="stretch_width")
+        self.layout = column(*(title, self._verdict, self.scene, *self.panels), sizing_mode="stretch_width")
 
     def _new_scene(self, touched: TouchScene, pointer: models.ColumnDataSource) -> figure:
         """Return the place where the handle is dragged."""
@@ -195,8 +193,7 @@ class _SideView:
 
     def _panel(self, title: str, unit: str, vectors: list[str]) -> figure:
         # A range of its own: a shared one stands still while any of its panels is scrolled out of sight.
-        time = models.DataRange1d(follow="end", follow_interval=3.0, range_padding=0.0)
-        panel = new_panel(title, unit, time, 150)
+        panel = new_panel(title, unit, models.DataRange1d(follow="end", follow_interval=3.0, range_padding=0.0), 150)
         shown = [name for vector in vectors for name in self._columns if name.split()[0] == vector]
         for name in shown:
             is_main, along = name.split()[0] == vectors[-1], not name.endswith(" y")
@@ -213,8 +210,7 @@ class _SideView:
         vector, *direction = name.split()
         if vector == "energy":
             return "into the display, at the sensor" if self._is_display else "taken in by the wall"
-        names = {"force": "of the hand" if self._is_display else "on the hand", "velocity": "handle"}
-        text = names.get(vector, vector)
+        text = {"force": "of the hand" if self._is_display else "on the hand", "velocity": "handle"}.get(vector, vector)
         return f"{text} {direction[0]}" if len(self._directions) > 1 else text
 
     def take(self, news: TouchNews, frame: int) -> None:

@@ -148,10 +148,9 @@ def on_two_buses(
 ) -> Scene:
     """Return a scene with a bus for each side, with long timeouts of drives and master."""
     bus = scene.bus.model_copy(update={"heartbeat_timeout": 10.0, "stop_cycles": max(2000, scene.bus.stop_cycles)})
-    log = scene.log.model_copy(update={"energy": None, "bus": None})
     return replace(
         scene, bus=bus, bus_name=sides[0].name, further_buses=(FurtherBus(name=sides[1].name),), axes=tuple(axes),
-        groups=groups, mechanisms=mechanisms, log=log,
+        groups=groups, mechanisms=mechanisms, log=scene.log.model_copy(update={"energy": None, "bus": None}),
     )  # fmt: skip
 
 
@@ -198,8 +197,7 @@ def display_plane(scene: Scene, name: str) -> TouchScene:
 
 
 def _side(passivity: ComponentSpec, axes: tuple[str, ...], group: str = "") -> Side:
-    allowance = float(getattr(passivity.parameters, "energy_allowance", 0.0))
-    return Side(passivity.name, axes, group, allowance)
+    return Side(passivity.name, axes, group, float(getattr(passivity.parameters, "energy_allowance", 0.0)))
 
 
 def _held_axis(axis: AxisScene, side: Side, port: str) -> AxisScene:
@@ -209,8 +207,7 @@ def _held_axis(axis: AxisScene, side: Side, port: str) -> AxisScene:
     """
     display = axis.parameters.admittance
     if display is not None:
-        force = display.force.model_copy(update={"frozen_after": None})
-        display = display.model_copy(update={"force": force})
+        display = display.model_copy(update={"force": display.force.model_copy(update={"frozen_after": None})})
     simulation = replace(simulation_of(axis), user=pointer_hand(*_hand_of(axis)))
     return replace(_named(axis, side, port, admittance=display), group=side.group, simulation=simulation)
 
@@ -373,8 +370,7 @@ def _plane(scene: Scene, name: str) -> TouchScene:
     shown = tuple(map(reach, hand.motions, hand.rest, start))
     solid = tuple((float(low), float(high)) for low, high in zip(box.lower, box.upper, strict=True))
     both = on_two_buses(scene, axes, sides, groups=(guarded,), mechanisms=mechanisms)
-    sliders = sliders_of(f"groups.{index}.network", box, _SLIDERS, "m")
-    return TouchScene(both, sides, "m", shown, start, solid, sliders)
+    return TouchScene(both, sides, "m", shown, start, solid, sliders_of(f"groups.{index}.network", box, _SLIDERS, "m"))
 
 
 def _walled(axis: AxisScene, box: Box, direction: int) -> AxisScene:
