@@ -109,7 +109,7 @@ def scene_rows(case: BatchCase, kernel: Kernel, count: int) -> Iterator[SceneRow
         if known is None or any(part is not last for part, last in zip(parts, before, strict=True)):
             known = parts[0], kernel.settings(*parts)
         before = parts
-        yield SceneRow(*known, loop)
+        yield SceneRow(known[0], known[1], loop)
 
 
 def _models(section: str, model: Any, numbers: Numbers, count: int) -> Iterator[Any]:

@@ -64,13 +64,11 @@ class BodyPlace(NamedTuple):
 
 
 class Element(Protocol):
-    """One source of force.
+    """One source of force."""
 
-    Attributes:
-        modes: Its modes, the first at the start.
-    """
-
-    modes: tuple[str, ...]
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """Its modes, the first at the start."""
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
         """Add its forces and the rates of its own states."""

@@ -6,7 +6,7 @@ One scene under several algorithms, each over its simulated drives: the account 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import SimpleNamespace
-from typing import Any, TypedDict
+from typing import Any
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.ledger import LedgerSummary
@@ -113,7 +113,7 @@ def accounts_over_can(
     """
     if not scene.simulated:
         raise InputError(f"{scene.source}: compare needs bus.interface: virtual and a `simulation`; add them")
-    found = {}
+    found: dict[str, dict[str, Any]] = {}
     for number, name in enumerate(names):
         try:
             experiment = build(under(scene, name), "free")
@@ -135,20 +135,8 @@ def _report(progress: Progress, before: int, cycles: int) -> None:
     progress(before + cycles)
 
 
-class Heading(TypedDict):
-    """Heading of a comparison."""
-
-    scene: str
-    config_hash: str
-    path: str  # "can", or "direct" without a bus
-    rate: float  # [Hz]
-    delay: int  # [holds]
-    cycles: int
-    duration: float  # [s]
-
-
-def heading_of(scene: Scene, cycles: int, path: str = "can") -> Heading:
-    """Heading of a comparison."""
+def heading_of(scene: Scene, cycles: int, path: str = "can") -> dict[str, Any]:
+    """Heading of a comparison; path "can", or "direct" without a bus; rate in Hz, delay in holds, duration in s."""
     return {
         "scene": scene.source,
         "config_hash": scene.config_hash(),
