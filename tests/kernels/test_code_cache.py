@@ -227,11 +227,11 @@ UNITS = """
 import sys
 import numpy as np
 from inner_kernel import inner
-from canhaptic.kernels import compiler, linking
+from canhaptic.kernels import compiler
 from canhaptic.kernels.compiler import compiled
 
 if sys.argv[1:] == ["unknown"]:
-    linking._KNOWN = ((0, 1), (0, 2))
+    compiler._KNOWN = ((0, 1), (0, 2))
 
 def other(values):
     for i in range(len(values)):
