@@ -179,11 +179,6 @@ def _with_data(flight: Flight, data: bytearray) -> Flight:
     return flight._replace(message=changed)
 
 
-def _lost(_effects: BusEffects, _random: Random, _flight: Flight) -> list[Flight]:
-    """Lose a frame."""
-    return []
-
-
 def _truncated(_effects: BusEffects, random: Random, flight: Flight) -> list[Flight] | None:
     """Cut bytes off the end of the data."""
     data = flight.message.data
@@ -199,11 +194,6 @@ def _corrupted(_effects: BusEffects, random: Random, flight: Flight) -> list[Fli
     return [_with_data(flight, data)]
 
 
-def _doubled(_effects: BusEffects, _random: Random, flight: Flight) -> list[Flight]:
-    """Duplicate a frame, one right behind the other."""
-    return [flight, _with_data(flight, bytearray(flight.message.data))]
-
-
 def _overtaken(effects: BusEffects, _random: Random, flight: Flight) -> list[Flight]:
     """Delay a frame while others overtake it."""
     return [Flight(flight.message, flight.due + round(effects.reorder_delay * _SECOND), keeps_order=False)]
@@ -217,8 +207,10 @@ def _delayed(effects: BusEffects, random: Random, flight: Flight) -> list[Flight
 
 _Change = Callable[[BusEffects, Random, Flight], list[Flight] | None]
 _CHANGES: Final[dict[str, _Change]] = {
-    "drop": _lost, "truncate": _truncated, "corrupt": _corrupted, "delay": _delayed, "jitter": _delayed,
-    "duplicate": _doubled, "reorder": _overtaken,
+    "drop": lambda _effects, _random, _flight: [],
+    "truncate": _truncated, "corrupt": _corrupted, "delay": _delayed, "jitter": _delayed,
+    "duplicate": lambda _effects, _random, flight: [flight, _with_data(flight, bytearray(flight.message.data))],
+    "reorder": _overtaken,
 }  # fmt: skip
 """Effect -> its action on a frame, None where there is nothing to change; in the order in which they act."""
 _Effect = Callable[[Flight], list[Flight]]

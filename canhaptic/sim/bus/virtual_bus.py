@@ -9,12 +9,17 @@ from _thread import allocate_lock
 from collections import deque
 from contextlib import suppress
 from queue import Empty
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import can
 from can.interfaces.virtual import VirtualBus, channels_lock
 
 from canhaptic.canopen.data_frame import DataFrame
+
+_COPIED: Final = (
+    *("timestamp", "arbitration_id", "is_extended_id", "is_remote_frame", "is_error_frame", "dlc", "is_fd"),
+    *("bitrate_switch", "error_state_indicator"),
+)
 
 
 class _Frame(can.Message):
@@ -95,18 +100,9 @@ class LeanVirtualBus(VirtualBus):
         for queue in connections:
             if queue is not own:
                 copy = _Frame()
-                copy.timestamp = msg.timestamp
-                copy.arbitration_id = msg.arbitration_id
-                copy.is_extended_id = msg.is_extended_id
-                copy.is_remote_frame = msg.is_remote_frame
-                copy.is_error_frame = msg.is_error_frame
-                copy.channel = self.channel_id
-                copy.dlc = msg.dlc
-                copy.data = bytearray(msg.data)
-                copy.is_fd = msg.is_fd
-                copy.is_rx = True
-                copy.bitrate_switch = msg.bitrate_switch
-                copy.error_state_indicator = msg.error_state_indicator
+                for name in _COPIED:
+                    setattr(copy, name, getattr(msg, name))
+                copy.channel, copy.data, copy.is_rx = self.channel_id, bytearray(msg.data), True
                 queue.put(copy)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:

@@ -135,12 +135,6 @@ class SimulatedDrive:
             self._build_routes()
         return self._routes.get(cob_id)
 
-    def run_timers(self, now: int) -> None:
-        """Run the timers due up to `now` [ns]."""
-        self.servo.now = now
-        self.timers.fire(now)
-        self.follow_up()
-
     def truth(self) -> Truth:
         """True position and energies of the motor, as of the last SYNC or change of torque."""
         motor = self.servo.motor
@@ -193,7 +187,7 @@ class SimulatedDrive:
         self._are_routes_stale = False
         routes = self._process_data.routes()
         for cob_id, slot in self._consumer.watched().items():
-            routes[cob_id] = partial(self._on_heartbeat, slot)
+            routes[cob_id] = partial(self._consumer.hear, slot)
         routes[objects.SDO_REQUEST_BASE + self.node_id] = self._on_sdo
         routes[objects.NMT_COB_ID] = self._on_nmt
         if self._sensor is not None:
@@ -210,10 +204,6 @@ class SimulatedDrive:
         answer = self._sdo.answer(bytes(content))
         if answer is not None:
             self._send(objects.SDO_RESPONSE_BASE + self.node_id, answer)
-
-    def _on_heartbeat(self, slot: int, content: Content) -> None:
-        if len(content) == 1:
-            self._consumer.hear(slot)
 
     def _on_sync_with_sensor(self, sensor: "SensorNode", handler: Handler | None, content: Content) -> None:
         if handler is not None:
@@ -351,7 +341,9 @@ class DriveGroup:
             if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
                 hearers = self._hearers.get(message.arbitration_id)
                 if hearers is None:
-                    hearers = self._find_hearers(message.arbitration_id)
+                    found = ((drive, drive.handler(message.arbitration_id)) for drive in self.drives)
+                    hearers = tuple((drive, handler) for drive, handler in found if handler is not None)
+                    self._hearers[message.arbitration_id] = hearers
                 for drive, handler in hearers:
                     servo = drive.servo
                     servo.now = now
@@ -361,12 +353,9 @@ class DriveGroup:
             message = None
         for drive in self.drives:
             if now >= drive.timers.earliest:
-                drive.run_timers(now)
-
-    def _find_hearers(self, cob_id: int) -> tuple[tuple[SimulatedDrive, Handler], ...]:
-        handlers = [(drive, drive.handler(cob_id)) for drive in self.drives]
-        hearers = self._hearers[cob_id] = tuple((drive, handler) for drive, handler in handlers if handler is not None)
-        return hearers
+                drive.servo.now = now
+                drive.timers.fire(now)
+                drive.follow_up()
 
     def next_due(self) -> int:
         """Return when the next timer of any drive is due [ns]."""

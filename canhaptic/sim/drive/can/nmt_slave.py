@@ -178,8 +178,10 @@ class HeartbeatConsumer:
         nodes = ((entry.number >> 16 & 0x7F, slot) for slot, (entry, _) in enumerate(self._slots) if _time(entry))
         return {objects.HEARTBEAT_BASE + node: slot for node, slot in nodes if node}
 
-    def hear(self, slot: int) -> None:
+    def hear(self, slot: int, content: bytes | bytearray) -> None:
         """Record a heartbeat of the node in a slot of 0x1016."""
+        if len(content) != 1:
+            return
         entry, timer = self._slots[slot]
         self._timers.start(timer, self._now() + _time(entry))
         if slot in self._lost:

@@ -96,14 +96,11 @@ class SdoServer:
         is_expedited, has_size = request[0] & 0x02, request[0] & 0x01
         if not is_expedited:
             return self._begin_segmented(int.from_bytes(request[4:8], "little") if has_size else None)
-        length = 4 - (request[0] >> 2 & 0x03) if has_size else self._expected_length()
+        entry = self._store.find(*self._place)
+        own = entry.size if entry is not None and 1 <= entry.size <= 4 else 4  # length where none is indicated
+        length = 4 - (request[0] >> 2 & 0x03) if has_size else own
         abort = self._store.write(*self._place, request[4 : 4 + length])
         return self._reply(0x60) if abort is None else self._abort(abort)
-
-    def _expected_length(self) -> int:
-        """Length of an expedited download that does not indicate it: the object's own."""
-        entry = self._store.find(*self._place)
-        return entry.size if entry is not None and 1 <= entry.size <= 4 else 4
 
     def _begin_segmented(self, announced: int | None) -> bytes:
         if (abort := self._store.may_write(*self._place)) is not None:

@@ -21,6 +21,8 @@ _BRAKING: Final = frozenset((DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REAC
 _STANDSTILL: Final = 2e-3  # [m/s or rad/s] at which a drive that brakes counts as still
 _LONGEST_BRAKING: Final = 500_000_000  # [ns] after which it ends without standstill
 _WRAP: Final = 1 << 32
+_SPEEDING: Final = (objects.PROFILE_ACCELERATION, objects.MAX_ACCELERATION)
+_SLOWING: Final = (objects.PROFILE_DECELERATION, objects.MAX_DECELERATION)
 
 
 class AdmittanceMotor(Motor, Protocol):
@@ -60,25 +62,14 @@ class AdmittanceServo(Servo):
         self._force, self._per_count, self._force_offset = force, display.force_per_count, display.force_offset_counts
         self._per_velocity_count = parameters.position_sign / (display.velocity_counts or parameters.counts_per_unit)
         self._per_position_count = parameters.position_sign / parameters.counts_per_unit
-        self._speeding: list[Any]
-        self._slowing: list[Any]
-        self._speeding, self._slowing = (
-            [entry for index in indices if (entry := store.find(index)) is not None]
-            for indices in (
-                (objects.PROFILE_ACCELERATION, objects.MAX_ACCELERATION),
-                (objects.PROFILE_DECELERATION, objects.MAX_DECELERATION),
-            )
-        )
-        self._hidden_ramp = display.ramp or inf
+        self._store, self._hidden_ramp = store, display.ramp or inf
         self._velocity_offset: Any = store.optional(objects.VELOCITY_OFFSET, DataType.INTEGER32)
         self._position_offset = store.optional(objects.POSITION_OFFSET, DataType.INTEGER32)
         self._offset = 0  # of the torque that acts [per mille of the rated torque]
         self._ramped = 0.0  # velocity demanded, at the begin of this hold [m/s or rad/s]
         self._braking_since = -1
         self._setpoint: int | None = None
-        self._has_taken = False
-        self._sampled_at = 0
-        self._period = 0.0
+        self._has_taken, self._sampled_at, self._period = False, 0, 0.0
         super().__init__(store, motor, parameters)
         for commanded in self._commands():
             commanded.changed = self.obey
@@ -149,8 +140,8 @@ class AdmittanceServo(Servo):
         wanted, before = target * self._per_velocity_count, self._ramped
         if wanted == before or not self._period:
             return wanted
-        ramps = self._speeding if abs(wanted) > abs(before) else self._slowing
-        counts = min((entry.value or inf for entry in ramps), default=inf)  # an object at 0 is no ramp
+        ramps = [self._store.find(index) for index in (_SPEEDING if abs(wanted) > abs(before) else _SLOWING)]
+        counts = min((entry.number or inf for entry in ramps if entry is not None), default=inf)  # 0 is no ramp
         most = min(counts * abs(self._per_velocity_count), self._hidden_ramp) * self._period
         if abs(wanted - before) <= most:
             return wanted

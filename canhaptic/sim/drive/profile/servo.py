@@ -20,7 +20,7 @@ from canhaptic.sim.drive.profile.state_machine import STATUSWORD as STATUSWORDS
 from canhaptic.sim.drive.profile.state_machine import DriveState, PowerCommand, StateMachine, command_of
 
 if TYPE_CHECKING:
-    from canhaptic.sim.drive.profile.braked_motor import BrakedMotor
+    from canhaptic.canopen.brake import Brake
     from canhaptic.sim.drive.profile.homing import Homing
 
 
@@ -41,7 +41,8 @@ class TorqueStage:
         self._parameters = parameters
         if parameters.rated_torque is not None and self._rated is not None:
             counts = _counts(parameters) if parameters.rated_torque_stated else 0
-            if counts > _largest(self._rated):
+            largest = Entry(0, 0, self._rated.data_type).high if self._rated.size else -1  # of its type
+            if counts > largest:
                 raise ParameterError(
                     f"rated_torque: 0x6076 of the dictionary cannot hold {counts}; correct its data type"
                 )
@@ -85,11 +86,6 @@ class TorqueStage:
         if target > self._high:
             return self._high
         return target if target >= self._low else self._low
-
-
-def _largest(entry: Entry) -> float:
-    """Return the largest value of the type of an object; limits for writing do not count."""
-    return Entry(entry.index, entry.subindex, entry.data_type).high if entry.size else -1
 
 
 def _counts(parameters: SimulatedDriveParameters) -> int:
@@ -194,12 +190,45 @@ _POWERED: Final = frozenset(
 )
 
 
-def _brake_of(motor: Motor, parameters: SimulatedDriveParameters) -> "BrakedMotor | None":
-    if parameters.brake is None:
-        return None
-    from canhaptic.sim.drive.profile.braked_motor import BrakedMotor
+class _BrakedMotor:
+    """Moves a motor whose brake is set at first: while it holds, the motor neither moves nor ages.
 
-    return BrakedMotor(motor, parameters.brake)
+    Args:
+        motor: The motor.
+        brake: Holding brake with its delays.
+    """
+
+    def __init__(self, motor: Motor, brake: "Brake") -> None:
+        self._motor = motor
+        self._release, self._set = round(brake.release_time * 1e9), round(brake.set_time * 1e9)
+        self._is_open = False
+        self._opens, self._holds = math.inf, math.inf  # times from which it is open, and holds again [ns]
+        self._seen = self._age = 0  # time of the last call, and that of the motor, which stands still meanwhile [ns]
+
+    def command(self, now: int, *, is_open: bool) -> None:
+        """Open or set the brake; it follows after its delay."""
+        if is_open and not self._is_open:
+            self._opens, self._holds = now + self._release, math.inf
+        elif self._is_open and not is_open:
+            self._holds = now + self._set
+        self._is_open = is_open
+
+    def holds(self, now: int) -> bool:
+        """Whether the brake holds."""
+        return not self._opens <= now < self._holds
+
+    def begin(self, now: int) -> None:
+        """Start the clock of the motor."""
+        self._motor.begin(now)
+        self._seen = self._age = now
+
+    def advance_to(self, now: int, torque: float) -> None:
+        """Move to `now` [ns] under a constant torque, for as long as the brake is open."""
+        free = min(now, self._holds) - max(self._seen, self._opens)
+        self._seen = now
+        if free > 0:
+            self._age += int(free)
+            self._motor.advance_to(self._age, torque)
 
 
 def _homing_of(store: ObjectStore, motor: Motor) -> "Homing | None":
@@ -229,8 +258,9 @@ class Servo:
     """
 
     def __init__(self, store: ObjectStore, motor: Motor, parameters: SimulatedDriveParameters) -> None:
-        self._brake = _brake_of(motor, parameters)
-        self._brake_output = None if parameters.brake is None else parameters.brake.output
+        brake = parameters.brake
+        self._brake = None if brake is None else _BrakedMotor(motor, brake)
+        self._brake_output = None if brake is None else brake.output
         self._outputs = store.find(objects.DIGITAL_OUTPUTS, 1)
         self.motor, self._mover = motor, self._brake or motor
         self.machine = StateMachine()
