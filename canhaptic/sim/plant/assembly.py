@@ -205,6 +205,40 @@ class PlantModel:
         extra = ("travel", "effort") if self.efforts else ()
         return (*self.states, *extra, "torque", "one")
 
+    def initial_state(self) -> Array:
+        """Return the state at the start, with torque 0."""
+        state = np.zeros(len(self.names))
+        state[: len(self.states)] = list(self.states.values())
+        state[-1] = 1.0
+        return state
+
+    def first_key(self) -> tuple[str, ...]:
+        """Return the initial mode of all parts."""
+        return tuple(part.modes[0] for part in self.parts)
+
+    def fastest_swing(self) -> tuple[float, str]:
+        """Return the phase [rad] of the fastest oscillation seen by a guard in one sample time, and its mode.
+
+        A damped oscillation counts for its time constant. The phase indicates the cost of a hold: three to five
+        products per radian while it lasts, and nothing while it is at rest. 0 where no guard sees an oscillation.
+        """
+        most, where, seen, found = 0.0, "", set(), [self.first_key()]
+        while found:
+            if (key := found.pop()) in seen:
+                continue
+            seen.add(key)
+            rows, parts = _equations(self, key), list(zip(self.parts, key, strict=True))
+            guards = [(i, guard) for i, (part, mode) in enumerate(parts) for guard in part.guards(rows, mode)]
+            found += [(*key[:i], guard.mode, *key[i + 1 :]) for i, guard in guards]
+            swings = [root for root in np.linalg.eigvals(rows.rates) if guards and root.imag > 0.0]
+            phase = max((r.imag / max(1.0 / self.sample_time, abs(r.real)) for r in swings), default=0.0)
+            if phase > most:
+                most, where = (
+                    float(phase),
+                    ", ".join(f"{part.name} {mode}" for part, mode in parts if len(part.modes) > 1),
+                )
+        return most, where
+
 
 class EffectParameters(Parameters):
     """Base of the effects: exact, and added after the hand, unless one says otherwise; see `Effect`."""
@@ -293,10 +327,6 @@ class Rows:
         for body, force in zip(self.scene.bodies, self.forces, strict=True):
             self.set_rate(body.velocity, force / body.mass)
             self.add_storage(body.mass, self.row(**{body.velocity: 1.0}))
-
-    def hold_still(self, body: int) -> None:
-        """Stop a body: no acceleration. Its velocity must have been reset to zero."""
-        self.set_rate(self.scene.bodies[body].velocity, np.zeros(self.size))
 
 
 _LOOSENING: Final = 1.0 + 1e-9
@@ -400,31 +430,6 @@ def _equations(scene: PlantModel, key: tuple[str, ...]) -> Rows:
     return rows
 
 
-def fastest_swing(scene: PlantModel) -> tuple[float, str]:
-    """Return the phase [rad] of the fastest oscillation seen by a guard in one sample time, and its mode.
-
-    A damped oscillation counts for its time constant. The phase indicates the cost of a hold: three to five products
-    per radian while it lasts, and nothing while it is at rest. 0 where no guard sees an oscillation.
-    """
-    most, where, seen, found = 0.0, "", set(), [first_key(scene)]
-    while found:
-        key = found.pop()
-        if key in seen:
-            continue
-        seen.add(key)
-        rows, is_guarded = _equations(scene, key), False
-        for i, (part, mode) in enumerate(zip(scene.parts, key, strict=True)):
-            for guard in part.guards(rows, mode):
-                is_guarded = True
-                found.append((*key[:i], guard.mode, *key[i + 1 :]))
-        swings = [root for root in np.linalg.eigvals(rows.rates) if is_guarded and root.imag > 0.0]
-        phase = max((r.imag / max(1.0 / scene.sample_time, abs(r.real)) for r in swings), default=0.0)
-        if phase > most:
-            named = (f"{part.name} {mode}" for part, mode in zip(scene.parts, key, strict=True) if len(part.modes) > 1)
-            most, where = float(phase), ", ".join(named)
-    return most, where
-
-
 def compile_mode(scene: PlantModel, key: tuple[str, ...]) -> Mode:
     """Return the mode in which part i is in `key[i]`."""
     rows = _equations(scene, key)
@@ -471,16 +476,3 @@ def _stacked(forms: Array, shift: Array) -> Array:
         blocks[:, kind, size + kind, -1] = 1.0  # times the component one: picks the total of this kind
     last = np.broadcast_to(shift, (levels, size, size))
     return np.concatenate([blocks.reshape(levels, -1, size), last], axis=1)
-
-
-def initial_state(scene: PlantModel) -> Array:
-    """Return the state at the start, with torque 0."""
-    state = np.zeros(len(scene.names))
-    state[: len(scene.states)] = list(scene.states.values())
-    state[-1] = 1.0
-    return state
-
-
-def first_key(scene: PlantModel) -> tuple[str, ...]:
-    """Return the initial mode of all parts."""
-    return tuple(part.modes[0] for part in scene.parts)

@@ -60,9 +60,9 @@ class StickSlip(Part):
             rows.add_power(self.name, friction, rows.velocity(self._body))
 
     def constrain(self, rows: Rows, mode: str) -> None:
-        """Hold the body while it is stuck."""
+        """Hold the body while it is stuck: no acceleration; its velocity was reset to zero."""
         if mode == "stuck":
-            rows.hold_still(self._body)
+            rows.set_rate(rows.scene.bodies[self._body].velocity, np.zeros(rows.size))
 
     def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
         """Guards: breakaway when stuck, sticking when the velocity reverses."""

@@ -24,8 +24,8 @@ import numpy as np
 
 from canhaptic.errors import EventLimitError
 from canhaptic.sim.plant import stepper
-from canhaptic.sim.plant.assembly import Exit, Mode, PlantModel, compile_mode, first_key, initial_state
-from canhaptic.sim.plant.propagator import TICKS, Array
+from canhaptic.sim.plant.assembly import Exit, Mode, PlantModel, compile_mode
+from canhaptic.sim.plant.propagator import TICKS, Array, SampleClock
 from canhaptic.sim.plant.stepper import NONE, ModeTables, StepperSettings
 
 HOLDS: Final = 64
@@ -107,14 +107,14 @@ class HybridAutomaton:
         self._books: list[Any] = list(stepper.two_buffers(len(names), len(booked)))
         self._counts = [0] * stepper.COUNTS
         self._values: Any = [None, None]
-        self._first = self._mode_of(first_key(scene))
+        self._first = self._mode_of(scene.first_key())
         self._whole = self._whole_of(self.first_mode)
         self._horizons: dict[int, tuple[GuardHorizon, Any]] = {}  # by mode, with its `_whole`
         self.reset()
 
     def reset(self) -> None:
         """Return to the initial state and mode, with no energy booked."""
-        self.state = initial_state(self.scene)
+        self.state = self.scene.initial_state()
         self._moved = self.state.copy()
         self.totals.fill(0.0)
         self._sums, self._carries = self.totals.tolist(), self.totals.tolist()
@@ -342,6 +342,26 @@ class HybridAutomaton:
         for table, entry in zip(self._tables, row, strict=True):
             table.append(entry)
         return self._index[key]
+
+
+class AutomatonClock(SampleClock):
+    """Base of what an automaton moves."""
+
+    _machine: HybridAutomaton
+
+    @property
+    def state(self) -> Array:
+        """A copy of the state of the automaton, in the order of its names."""
+        return self._machine.state.copy()
+
+    @property
+    def events(self) -> int:
+        """Number of mode changes (sticking, contact, ...) since the start."""
+        return self._machine.events
+
+    def whole_flow(self) -> Array:
+        """Return the flow of the first mode over one sample time, shape (n, n)."""
+        return matrix_of(self._machine.first_mode.flows[0]).copy()
 
 
 def _stored_by(storage: Array) -> Callable[[Array], float]:

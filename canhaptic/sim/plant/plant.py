@@ -16,21 +16,10 @@ import numpy as np
 from canhaptic.errors import EventLimitError, OwnCodeError, ParameterError
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.assembly import (
-    LEAST_MASS,
-    MOTOR,
-    Body,
-    LinearPart,
-    Mode,
-    PlantModel,
-    Rows,
-    collect,
-    fastest_swing,
-    initial_state,
-)
+from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, LinearPart, Mode, PlantModel, Rows, collect
 from canhaptic.sim.plant.effects import Effect
-from canhaptic.sim.plant.hybrid_automaton import HOLDS, HybridAutomaton, matrix_of
-from canhaptic.sim.plant.propagator import TICKS, Array, SampleClock
+from canhaptic.sim.plant.hybrid_automaton import HOLDS, AutomatonClock, HybridAutomaton
+from canhaptic.sim.plant.propagator import TICKS, Array
 from canhaptic.sim.plant.user import UserParameters
 from canhaptic.units import Parameters, quantity
 
@@ -89,7 +78,7 @@ class PlantParameters(Parameters):
             rows.forces[MOTOR] += rows.row(effort=1.0)
 
 
-class Plant(SampleClock):
+class Plant(AutomatonClock):
     """One simulated axis, moved by a torque that is constant from call to call.
 
     The plant is at rest until `begin(now)`; from then on its clock never stops.
@@ -194,11 +183,6 @@ class Plant(SampleClock):
         return self._machine.state.item(names.index("motor_torque")) if "motor_torque" in names else None
 
     @property
-    def state(self) -> Array:
-        """A copy of the state of its linear core, in the order of `scene.names`."""
-        return self._machine.state.copy()
-
-    @property
     def encoder_position(self) -> float:
         """Position that the encoder reports [m or rad]; the same however often it is read at one instant."""
         position = self.position
@@ -228,31 +212,22 @@ class Plant(SampleClock):
         return self._epoch is not None
 
     @property
-    def events(self) -> int:
-        """Number of mode changes (sticking, contact, ...) since the start."""
-        return self._machine.events
-
-    @property
     def products(self) -> int:
         """Number of core steps tried since the start, a machine-independent cost."""
         return self._machine.products
 
     def fastest_swing(self) -> tuple[float, str]:
-        """Return the phase [rad] of the fastest oscillation in one sample time, and its mode; see `assembly`."""
-        return fastest_swing(self.scene)
+        """Return the phase [rad] of the fastest oscillation in one sample time, and its mode; see `PlantModel`."""
+        return self.scene.fastest_swing()
 
     @property
     def first_mode(self) -> Mode:
         """Initial mode of the scene, as data."""
         return self._machine.first_mode
 
-    def whole_flow(self) -> Array:
-        """Return the flow of the first mode over one sample time, shape (n, n)."""
-        return matrix_of(self._machine.first_mode.flows[0]).copy()
-
     def initial_state(self) -> Array:
         """Return the state at the start, shape (n,)."""
-        return initial_state(self.scene)
+        return self.scene.initial_state()
 
     def begin(self, now: int) -> None:
         """Start the clock: `now` [ns] is the epoch, the state there is the initial one. Later calls change nothing."""

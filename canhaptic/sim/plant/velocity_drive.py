@@ -179,10 +179,10 @@ class _DrivenMass(PlantParameters):
 class _Loop(Part):
     """The loop as a part: following, limited on either side, or without power."""
 
-    modes = ("follows", "upper", "lower", "off")
+    name: str = _LOOP
+    modes: tuple[str, ...] = ("follows", "upper", "lower", "off")
 
     def __init__(self, loop: VelocityLoopParameters) -> None:
-        self.name = _LOOP
         self._loop = loop
         self.has_guards = loop.torque_limit is not None
 
@@ -211,15 +211,10 @@ class _Loop(Part):
         return (Guard((demand if mode == "upper" else -demand) - most, "follows"),)
 
 
-class _Integral(Part):
+class _Integral(_Loop):
     """The integral of the loop as a part: free, or at the limit of the torque."""
 
-    modes = ("free", "upper", "lower")
-
-    def __init__(self, loop: VelocityLoopParameters) -> None:
-        self.name = _INTEGRAL
-        self._loop = loop
-        self.has_guards = loop.torque_limit is not None
+    name, modes = _INTEGRAL, ("free", "upper", "lower")
 
     def assemble(self, rows: Rows, mode: str) -> None:
         """Add the rate of the integral."""
@@ -257,14 +252,10 @@ class _Sensor(Part):
         scene.works[_SENSOR] = "user"
         scene.parts.append(self)
 
-    def force(self, rows: Rows) -> Array:
-        """Return the row of the force on the mass."""
-        grip = self._grip
-        return rows.row(twist=-grip.stiffness) - grip.damping * (rows.velocity(MOTOR) - rows.velocity(MOTOR + 1))
-
     def assemble(self, rows: Rows, mode: str) -> None:
         """Add the integral of the force, its filter and its work."""
-        force = self.force(rows)
+        grip, rate = self._grip, rows.velocity(MOTOR) - rows.velocity(MOTOR + 1)
+        force = rows.row(twist=-grip.stiffness) - grip.damping * rate
         rows.set_rate("impulse", force)
         rows.add_power(_SENSOR, force, rows.velocity(MOTOR))
         if self._corner:

@@ -37,16 +37,7 @@ class LuGreFriction(EffectParameters, DryFriction):
     def add_to(self, scene: PlantModel) -> None:
         """Add the bristle as an effort."""
         scene.claim("friction model", self.type)
-        effort = Effort(
-            BRISTLE,
-            kinetic=self.kinetic,
-            static=self.static,
-            stribeck_velocity=self.stribeck_velocity,
-            bristle_stiffness=self.bristle_stiffness,
-            bristle_damping=self.bristle_damping,
-            viscous=self.viscous,
-        )
-        scene.efforts.append(EffortForce(effort, "dissipated"))
+        scene.efforts.append(EffortForce(Effort(BRISTLE, **self.model_dump(exclude={"type"})), "dissipated"))
 
     def fastest(self, mass: float, torque: float) -> float:
         """Return the natural frequency of a mass [kg or kg*m^2] on the stiffness of the bristles [rad/s]."""

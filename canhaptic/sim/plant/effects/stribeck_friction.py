@@ -27,8 +27,7 @@ class StribeckFriction(EffectParameters, DryFriction):
         """Add the modes of dry friction and the effort of the falling part."""
         scene.claim("friction model", self.type)
         self.add_stick_slip(scene, self.type)
-        levels = {"kinetic": self.kinetic, "static": self.static, "stribeck_velocity": self.stribeck_velocity}
-        scene.efforts.append(EffortForce(Effort(FALLING, **levels), "dissipated"))
+        scene.efforts.append(EffortForce(Effort(FALLING, **self.model_dump(exclude={"type"})), "dissipated"))
 
     def fastest(self, mass: float, torque: float) -> float:
         """Return the rate at which the falling friction accelerates a mass [kg or kg*m^2] [1/s]."""

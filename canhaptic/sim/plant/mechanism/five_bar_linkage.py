@@ -411,7 +411,7 @@ def solve(
     p_left, p_right = state.left_momentum, state.right_momentum
     v_left, v_right = solved(before.inertia, p_left, p_right)
     d_left, d_right = step * v_left, step * v_right
-    slope = residual_slope(settings, before, step)
+    slope, drag = residual_slope(settings, before, step), settings.damping / step
     last, enough = inf, _ENERGY_OPEN * stored(settings, state, before)
     nothing = new(Solved, (False, before, (0.0, 0.0), (0.0, 0.0)))
     for _ in range(_ITERATIONS):
@@ -426,8 +426,8 @@ def solve(
         momentum = momentum_after(state, before, after, change, step)
         gradient = discrete_gradient(settings, state, before, middle, after, momentum, change)
         hand = hand_torques(settings.hand, before.pose, middle.pose, after.pose, change, time, step)
-        r_left = (momentum[0] - p_left) / step - balance(settings, torques[0], gradient[0], change[0], hand[0], step)
-        r_right = (momentum[1] - p_right) / step - balance(settings, torques[1], gradient[1], change[1], hand[1], step)
+        r_left = (momentum[0] - p_left) / step - (torques[0] - gradient[0] - drag * change[0] + hand[0])
+        r_right = (momentum[1] - p_right) / step - (torques[1] - gradient[1] - drag * change[1] + hand[1])
         c_left, c_right = solved(slope, r_left, r_right)
         size = abs(c_left) + abs(c_right)
         if size <= _CONVERGED or (
@@ -439,13 +439,6 @@ def solve(
         last = size
         d_left, d_right = d_left - c_left, d_right - c_right
     return nothing
-
-
-def balance(
-    settings: FiveBarSettings, torque: float, gradient: float, change: float, hand: float, step: float
-) -> float:
-    """Total torque on one coordinate [N*m]."""
-    return torque - gradient - settings.damping / step * change + hand
 
 
 def momentum_after(state: FiveBarState, before: FiveBarPlace, after: FiveBarPlace, change: Pair, step: float) -> Pair:
@@ -494,19 +487,15 @@ def hand_torques(
     hand: HandForce, before: LinkagePose, middle: LinkagePose, after: LinkagePose, change: Pair, time: float,
     step: float,
 ) -> Pair:  # fmt: skip
-    """Torques of the hand at the motors over a substep [N*m]."""
+    """Torques of the hand at the motors over a substep [N*m].
+
+    The Jacobian in the middle is corrected so that it maps the displacement of the motors to the handle's.
+    """
     x, y = mean_pull(hand, before.handle, after.handle, time, step)
-    (xl, xr), (yl, yr) = secant_jacobian(before, middle, after, change)
+    (xl, xr), (yl, yr) = middle.jacobian
+    xl, xr = corrected(xl, xr, change, after.handle[0] - before.handle[0], _TINY)
+    yl, yr = corrected(yl, yr, change, after.handle[1] - before.handle[1], _TINY)
     return xl * x + yl * y, xr * x + yr * y
-
-
-def secant_jacobian(before: LinkagePose, middle: LinkagePose, after: LinkagePose, change: Pair) -> Rows:
-    """Return the Jacobian in the middle, corrected so that it maps the displacement of the motors to the handle's."""
-    x, y = middle.jacobian
-    return (
-        corrected(x[0], x[1], change, after.handle[0] - before.handle[0], _TINY),
-        corrected(y[0], y[1], change, after.handle[1] - before.handle[1], _TINY),
-    )
 
 
 def depth(settings: FiveBarSettings, span: float) -> float:

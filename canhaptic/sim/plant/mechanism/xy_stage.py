@@ -14,9 +14,9 @@ from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.accuracy_parameters import LEVELS
 from canhaptic.sim.plant.assembly import LEAST_MASS, Body, LinearPart, PlantModel, Rows
 from canhaptic.sim.plant.dry_friction import DryFriction
-from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton, matrix_of
+from canhaptic.sim.plant.hybrid_automaton import AutomatonClock, HybridAutomaton
 from canhaptic.sim.plant.mechanism.task_hand import Length, PointerTaskHand, TaskHand
-from canhaptic.sim.plant.propagator import TICKS, Array, SampleClock
+from canhaptic.sim.plant.propagator import TICKS
 from canhaptic.units import Parameters, quantity
 
 _NAMES: Final = ("x", "y")
@@ -51,7 +51,7 @@ class XYStage(Parameters):
         return XYMotion(self, hand, sample_time_ns)
 
 
-class XYMotion(SampleClock):
+class XYMotion(AutomatonClock):
     """The stage in motion.
 
     Args:
@@ -93,18 +93,9 @@ class XYMotion(SampleClock):
         state = self._machine.state
         return tuple(state.item(i) for i in self._velocities)
 
-    @property
-    def state(self) -> Array:
-        """A copy of its state, in the order of `state_names`."""
-        return self._machine.state.copy()
-
     def model(self) -> PlantModel:
         """Model of the stage."""
         return _scene(*self._parts)
-
-    def whole_flow(self) -> Array:
-        """Return the flow of the first mode over one sample time, shape (n, n)."""
-        return matrix_of(self._machine.first_mode.flows[0]).copy()
 
     @property
     def handle(self) -> tuple[float, float]:
@@ -115,11 +106,6 @@ class XYMotion(SampleClock):
     def move_hand(self, x: float, y: float) -> None:
         """Move a `PointerTaskHand` to a position [m] for the following holds; only between two holds."""
         self._machine.set_states({"x_hand_place": x, "y_hand_place": y})
-
-    @property
-    def events(self) -> int:
-        """Changes between sticking and sliding since the start."""
-        return self._machine.events
 
     def advance_to(self, now: int, torques: Sequence[float]) -> None:
         """Move to `now` [ns] under forces [N] that were constant since the last call.
