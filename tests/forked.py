@@ -6,6 +6,7 @@ replaces a killed one starts afresh, and so do those of tests that ask for the f
 """
 
 import inspect
+import json
 import os
 import signal
 import subprocess
@@ -13,8 +14,9 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
-from typing import Any, NoReturn
+from typing import IO, Any, NoReturn, cast
 
 from canhaptic.cli.main import main
 from canhaptic.logs import (
@@ -94,7 +96,8 @@ def fork_writer(process: WriterProcess, restart: bool) -> "subprocess.Popen[str]
     descriptor = process._descriptor
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     forked = Forked(partial(_write, descriptor), pass_fds=(descriptor,), start_new_session=True, **pipes)
-    process._give_job(forked, restart)
+    with suppress(BrokenPipeError), cast("IO[str]", forked.stdin) as pipe:  # it may have ended already
+        pipe.write(json.dumps({**process._job, "restart": restart}))
     return forked
 
 

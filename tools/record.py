@@ -20,9 +20,9 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CanHapticError
-from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.bus_reader import Frame, read_bus_log
 from canhaptic.logs.decoder import BusDecoder
+from canhaptic.logs.writer_process import BusLogWriter
 from canhaptic.scene.build import build, private_channel
 from canhaptic.scene.far_side import build_drive_group
 from canhaptic.scene.load import load_scene

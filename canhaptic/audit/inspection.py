@@ -3,7 +3,7 @@
 Comparison of two runs, quantity by quantity: the first row in which they differ, and by how much.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, NotRequired, TypedDict, cast
 
 import numpy as np
@@ -17,7 +17,6 @@ from canhaptic.control.balance import Branch, Certificate, certificates_of
 from canhaptic.control.ledger import LedgerSummary
 from canhaptic.control.verdict import PASSIVE_TOLERANCE, PortResult
 from canhaptic.errors import LogFormatError
-from canhaptic.logs.columns import Event
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.logs.hdf5 import Array
 from canhaptic.result import TruthResult, Verdicts, overall, with_groups
@@ -54,7 +53,7 @@ def compare(first: EnergyLog, second: EnergyLog) -> LogComparison:
         first: An open energy log.
         second: Another open energy log.
     """
-    groups = _groups(first), _groups(second)
+    groups = [{path: of for path, of in log.tables.items() if path != "timing"} for log in (first, second)]
     names = [{f"{group}/{name}" for group, columns in side.items() for name in columns} for side in groups]
     shared = min(first.rows, second.rows)
     differences: list[Difference] = []
@@ -84,11 +83,6 @@ def compare(first: EnergyLog, second: EnergyLog) -> LogComparison:
         "missing": missing,
         "differences": sorted(differences, key=lambda difference: difference["cycle"]),
     }
-
-
-def _groups(log: EnergyLog) -> dict[str, Quantities]:
-    ports = {f"ports/{name}": port for name, port in log.ports.items()}
-    return ports | {f"truth/{name}": truth for name, truth in log.truth.items()}
 
 
 def _unequal(left: Array, right: Array) -> NDArray[np.intp]:
@@ -162,7 +156,7 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
     edges = (rows.start, rows.stop - 1) if rows.start < rows.stop else ()
     begin, end = [float(log.deadlines(row, row + 1)[0] * log.sample_time) for row in edges] or (0.0, 0.0)
     truth = {name: _truth(log, name, rows) for name in log.truth}
-    ports = _ports(log, rows, truth)
+    ports = with_groups({name: _port(log, name, rows) for name in log.ports}, log.groups, truth)
     stretches = {n: _contacts(log, port, rows) for n, port in log.ports.items() if n not in log.group_of}
     for name, among in stretches.items():
         if (first := ports[name].get("first_active")) is not None:
@@ -184,14 +178,9 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
             "timing": _timing(log, rows),
             "link": _link(log, rows),
             "contacts": stretches,
-            "events": [_logged(event, log) for event in log.events],
+            "events": [{**event._asdict(), "time": log.time_of(event.sync_index)} for event in log.events],
         },
     )
-
-
-def _logged(event: Event, log: EnergyLog) -> LoggedEvent:
-    index, kind, port, text = event
-    return {"sync_index": index, "kind": kind, "port": port, "text": text, "time": log.time_of(index)}
 
 
 def _sum(values: Array) -> float:
@@ -227,28 +216,18 @@ def _port(log: EnergyLog, port_name: str, rows: slice) -> PortResult:
     def column(name: str) -> Array:
         return port.read(name, rows.start, rows.stop)
 
-    return {
+    record = PortRecord(log, port_name, rows.start)
+    record.take(log, rows.start, rows.stop)
+    account: PortResult = {
         "unit": port.unit("position"),
         **_summary(log, column, rows).as_json(log.sample_time),
-        **_record(log, port_name, rows),
+        **record.account(),
         "peak_torque": float(np.abs(column("torque_applied")).max(initial=0.0)),
         "limited_cycles": int((column("statusword") & StatusBit.INTERNAL_LIMIT != 0).sum()),
     }
-
-
-def _ports(log: EnergyLog, rows: slice, truth: Mapping[str, TruthResult]) -> dict[str, PortResult]:
-    """Account of each port; for an axis in a group, the energy that came in and went out by it."""
-    accounts = {name: _port(log, name, rows) for name in log.ports}
-    for group in log.groups:
-        accounts[group]["state_unit"] = log.ports[group].unit("state")
-    return with_groups(accounts, log.groups, truth)
-
-
-def _record(log: EnergyLog, name: str, rows: slice) -> PortResult:
-    """Figures of a port in addition to its ledger."""
-    record = PortRecord(log, name, rows.start)
-    record.take(log, rows.start, rows.stop)
-    return record.account()
+    if port_name in log.groups:
+        account["state_unit"] = port.unit("state")
+    return account
 
 
 def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> LedgerSummary:
@@ -367,24 +346,16 @@ def _link(log: EnergyLog, rows: slice) -> dict[str, float]:
     expected = sum(len(values) for values in fresh)
     received = int(sum(values.sum(dtype=np.int64) for values in fresh))
     dropped = int(log.timing.read("dropped_before", rows.start, rows.stop).sum(dtype=np.int64))
-    gaps = int((np.diff(log.timing["sync_index"][rows]) - 1).sum())
+    index, deadlines = log.timing.read("sync_index", rows.start, rows.stop), log.deadlines(rows.start, rows.stop)
+    sent, due = (int(values[-1]) - int(values[0]) if len(values) else 0 for values in (index, deadlines))
     return {
         "success_rate": received / expected if expected else 1.0,
         "missing": expected - received,
-        "cycles_without_row": gaps,
-        "skipped_syncs": _skipped(log, rows),
+        "cycles_without_row": sent - max(0, len(index) - 1),
+        "skipped_syncs": due - sent,
         "dropped_by_log": dropped,
         "lost_by_damage": log.rows_lost,
     }
-
-
-def _skipped(log: EnergyLog, rows: slice) -> int:
-    """Number of SYNCs skipped between the first row and the last."""
-    if rows.stop <= rows.start:
-        return 0
-    (first,), (last,) = log.deadlines(rows.start, rows.start + 1), log.deadlines(rows.stop - 1, rows.stop)
-    index = log.timing.read("sync_index", rows.start, rows.stop)
-    return int(last - first) - int(index[-1] - index[0])
 
 
 def _contacts(log: EnergyLog, port: Quantities, rows: slice) -> list[ContactStretch]:
@@ -405,7 +376,5 @@ def _contacts(log: EnergyLog, port: Quantities, rows: slice) -> list[ContactStre
     first, last = deadlines[edges[:, 0]], deadlines[edges[:, 1] - 1]
     start, duration = first * log.sample_time, (last - first + 1) * log.sample_time
     columns = (values.tolist() for values in (start, duration, depth, peak, energy))
-    return [
-        {"start": begin, "duration": length, "depth": deepest, "peak_torque": most, "energy": taken}
-        for begin, length, deepest, most, taken in zip(*columns, strict=True)
-    ]
+    named = [dict(zip(ContactStretch.__annotations__, row, strict=True)) for row in zip(*columns, strict=True)]
+    return cast("list[ContactStretch]", named)

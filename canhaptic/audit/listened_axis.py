@@ -67,7 +67,7 @@ class ListenedAxis:
 
     def __init__(self, drive: DeclaredDrive) -> None:
         self._drive = drive
-        self._sdo = SdoDecoder(lambda index, subindex: f"0x{index:04X}.{subindex}")
+        self._sdo = SdoDecoder()
         self._maps = PdoMaps(drive.node_id, read_dictionary(drive.eds, drive.node_id))
         self._tpdos = self._maps.tpdos()
         self._rated_counts = 0
@@ -81,10 +81,9 @@ class ListenedAxis:
 
     def take(self, frame: Frame) -> None:
         """Take any frame of the bus."""
-        if frame.can_id == od.SDO_REQUEST_BASE + self._drive.node_id:
-            self._sdo.request(frame.data)
-        elif frame.can_id == od.SDO_RESPONSE_BASE + self._drive.node_id:
-            _, access = self._sdo.response(frame.data)
+        if frame.can_id - self._drive.node_id in (od.SDO_REQUEST_BASE, od.SDO_RESPONSE_BASE):
+            is_request = frame.can_id - self._drive.node_id == od.SDO_REQUEST_BASE
+            _, access = self._sdo.sdo(frame.data, is_request=is_request)
             if access is not None and access[:2] == (od.RATED_TORQUE, 0):
                 self._rated_counts = int.from_bytes(access.value, "little")
             if access is not None and self._maps.learn(access):

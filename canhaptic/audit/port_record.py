@@ -19,7 +19,7 @@ from canhaptic.control.mass_felt import MassAsked, MassFelt
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, NOT_CHECKED, PortResult, claim_nothing
 from canhaptic.errors import InputError, LogFormatError
 from canhaptic.logs.columns import ACTIVE_LIMITS, DIGEST, FRICTION_DECLARED
-from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.energy_reader import EnergyLog, damage_told
 from canhaptic.logs.hdf5 import Array
 from canhaptic.meters import ActiveLimits, PortFigures, Promise
 from canhaptic.result import port_account
@@ -89,11 +89,9 @@ def impossible_values(log: EnergyLog) -> list[ImpossibleValue]:
     Raises:
         LogFormatError: A column cannot be read.
     """
-    groups = {f"ports/{name}": port for name, port in log.ports.items()}
-    groups |= {f"truth/{name}": truth for name, truth in log.truth.items()}
     found: list[ImpossibleValue] = []
-    for group, quantities in groups.items():
-        for name in quantities:
+    for group, quantities in log.tables.items():
+        for name in quantities if group != "timing" else ():
             rows, first, before = 0, -1, 0
             for start in range(0, log.rows, _BLOCK):
                 values = quantities.read(name, start, start + _BLOCK)
@@ -229,11 +227,6 @@ class PortRecord(PortFigures):
                 self.felt.take(*row[:3])
 
     @property
-    def least_interaction(self) -> float:
-        """Least sum of interaction so far [J]."""
-        return self._least
-
-    @property
     def longest_gap(self) -> int:
         """Largest number of sample times between two SYNCs."""
         return self._gap
@@ -296,7 +289,5 @@ def _declared(log: EnergyLog, name: str, build: Callable[[dict[str, float]], _Co
     """
     if name not in log.attributes:
         return None
-    try:
+    with damage_told(log.path, f"attribute {name} cannot be used", "; the file is damaged"):
         return build(log.decoded(name, dict[str, float]()))
-    except TypeError as error:
-        raise LogFormatError(f"{log.path}: attribute {name} cannot be used ({error}); the file is damaged") from error

@@ -124,6 +124,9 @@ class Rederived(Verdicts):
     checks: NotRequired[list[Outcome]]
 
 
+_COMPARED: Final = ("position", "torque_applied", "h_i", "h_pas", "h_m", "h_r", "h_s", "h_dis", "gen", "deficit")
+
+
 def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) -> Rederived:
     """Account of a run from its frames, and its first difference from the logged one.
 
@@ -136,7 +139,8 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
         InputError: The log holds no answered SYNC with all axes enabled.
     """
     derived = _Derivation(scene, dry_run=log is not None and log.dry_run)
-    judges = [] if log is None else [_Judge(log, name) for name in derived.units]
+    logged = {} if log is None else {name: _logged(log, name) for name in derived.units}
+    differences: dict[str, Departure] = {}
     asked = _asked(derived.programs, scene, log, bus_log)
     for periods, samples, shown in _samples_of(bus_log, scene):
         if log is not None and derived.cycles == log.rows:
@@ -144,19 +148,30 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
         for program, efforts in asked:
             program.ask(-next(efforts))
         rows = derived.take(periods, samples, shown)
-        for judge, (sample, balance) in zip(judges, rows, strict=False):
-            judge.compare(derived.cycles - 1, (sample.position, sample.torque_applied, *balance[1:]))
+        for (name, columns), (sample, balance) in zip(logged.items(), rows, strict=False):
+            found = (sample.position, sample.torque_applied, *balance[1:])
+            for quantity, was, now in zip(_COMPARED, next(columns), found, strict=False):
+                if was != now and name not in differences:
+                    differences[name] = Departure(
+                        port=name, cycle=derived.cycles - 1, quantity=quantity, logged=was, rederived=now
+                    )
     cycles = derived.cycles
     if not cycles:
         raise InputError(f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}")
     ports = derived.accounts(_holds(scene, log))
     result = cast("Rederived", {"cycles": cycles, **overall(ports), "ports": ports})
     if log is not None:
-        result["differences"] = [judge.difference for judge in judges if judge.difference is not None]
+        result["differences"] = list(differences.values())
         if cycles < log.rows:  # the frames end early: of the rows behind nothing was derived
             short = Departure(port="", cycle=cycles, quantity="cycles", logged=log.rows, rederived=cycles)
             result["differences"].append(short)
     return result
+
+
+def _logged(log: EnergyLog, port: str) -> Iterator[tuple[float, ...]]:
+    if port not in log.ports:
+        raise InputError(f"{log.path}: has no port {port!r}; it is the log of another scene")
+    return logged_rows(log, port, _COMPARED)
 
 
 def _holds(scene: Scene, log: EnergyLog | None) -> dict[str, str]:
@@ -239,28 +254,3 @@ class _Derivation:
         for account in ports.values() if self._dry_run else ():
             claim_nothing(account)
         return with_groups(ports, {group.name: group.axes for group in scene.groups})
-
-
-class _Judge:
-    """Compares the rederived values of one port with the logged ones."""
-
-    _NAMES: Final = ("position", "torque_applied", "h_i", "h_pas", "h_m", "h_r", "h_s", "h_dis", "gen", "deficit")
-
-    def __init__(self, log: EnergyLog, port: str) -> None:
-        self._port = port
-        if self._port not in log.ports:
-            raise InputError(f"{log.path}: has no port {self._port!r}; it is the log of another scene")
-        self._rows = logged_rows(log, port, self._NAMES)
-        self.difference: Departure | None = None
-
-    def compare(self, cycle: int, values: tuple[float, ...]) -> None:
-        """Take the next cycle."""
-        for name, logged, found in zip(self._NAMES, next(self._rows), values, strict=False):
-            if logged != found and self.difference is None:
-                self.difference = {
-                    "port": self._port,
-                    "cycle": cycle,
-                    "quantity": name,
-                    "logged": logged,
-                    "rederived": found,
-                }

@@ -17,7 +17,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export, require_library
 from canhaptic.logs.log_file import CONVERTIBLE
 from canhaptic.logs.repair import repair, require_readable
-from canhaptic.view.inspect_table import inspection_report
+from canhaptic.view.energy_table import inspection_report
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.run_picture import draw_energy
 

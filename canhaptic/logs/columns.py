@@ -1,7 +1,5 @@
 """Columns of an energy log: one list that defines the ring's record, the file and the reader."""
 
-import json
-from dataclasses import asdict, dataclass
 from typing import Final, NamedTuple
 
 from canhaptic.axis_units import Motion, damping_unit, effort_unit
@@ -95,11 +93,15 @@ class Event(NamedTuple):
 
 
 EVENT_TEXT_SIZES: Final = {"kind": 24, "port": 64, "text": 208}  # [bytes]
+EVENT_COLUMNS: Final = {
+    "events/sync_index": "<i8",
+    **{f"events/{name}": f"S{size}" for name, size in EVENT_TEXT_SIZES.items()},
+}
+"""Path of each column of the events, and its type."""
 EVENT_RING: Final = RingShape("=q" + "".join(f"{size}s" for size in EVENT_TEXT_SIZES.values()), 1024)
 
 
-@dataclass(frozen=True, slots=True)
-class LogSchema:
+class LogSchema(NamedTuple):
     """Columns of the log, and further data that the writer process needs to make the file."""
 
     ports: tuple[PortDescription, ...]
@@ -131,22 +133,7 @@ class LogSchema:
 
     def ring(self, capacity: int) -> RingShape:
         """Return the shape of the ring: every field takes 8 bytes, an integer or a float."""
-        return RingShape(self.record_format(), capacity)
-
-    def record_format(self) -> str:
-        """Return the struct format of one row in the ring."""
-        return "=" + "".join("d" if column.dtype == "f8" else "q" for column in self.columns())
-
-    def to_json(self) -> str:
-        """Return the schema as text for the writer process."""
-        return json.dumps(asdict(self))
-
-    @staticmethod
-    def from_json(text: str) -> "LogSchema":
-        """Return the schema that `to_json` wrote."""
-        fields = json.loads(text)
-        fields["ports"] = tuple(PortDescription(*port) for port in fields["ports"])
-        return LogSchema(**fields)
+        return RingShape("=" + "".join("d" if column.dtype == "f8" else "q" for column in self.columns()), capacity)
 
 
 def _port_columns(port: PortDescription, version: int) -> list[_LogColumn]:

@@ -4,7 +4,7 @@ The PDO maps are learnt from the bring-up in the log itself, so no configuration
 names of the drive's dictionary and positions and torques their units. It shares no code with the master's codecs, so
 that it can check them.
 
-The power state in a statusword (0x6041), decoded bit by bit in the words of IEC 61800-7-201, 6.3.
+The power state in a statusword (0x6041), decoded bit by bit by the table of IEC 61800-7-201, 6.3.
 
 Independent of the table of the master (`canhaptic.drive.profile.power_states`): the reader of a log must not share a
 mistake with the writer of its frames.
@@ -14,45 +14,49 @@ Text for SDO frames, and the objects that they carry; follows one transfer per n
 The PDO maps of a node, learnt from the SDO traffic that writes or reads them, and the text of its PDOs.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final, NamedTuple
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.code_texts import NMT_COMMAND_TEXTS, NMT_STATE_TEXTS, controlword_text, emcy_text, sdo_abort_text
-from canhaptic.canopen.objects import StatusBit
 
 ENABLED: Final = "OPERATION ENABLED"
-_UNKNOWN: Final = "UNKNOWN"
-_STEPS: Final = {
-    StatusBit(0): "",
-    StatusBit.READY_TO_SWITCH_ON: "READY TO SWITCH ON",
-    StatusBit.READY_TO_SWITCH_ON | StatusBit.SWITCHED_ON: "SWITCHED ON",
-    StatusBit.READY_TO_SWITCH_ON | StatusBit.SWITCHED_ON | StatusBit.OPERATION_ENABLED: ENABLED,
+_STATES: Final = {  # bits 7 to 0 of the statusword, as the standard prints them; the quick stop's bit 5 is inverted
+    "x0xx0000": "NOT READY TO SWITCH ON",
+    "x1xx0000": "SWITCH ON DISABLED",
+    "x01x0001": "READY TO SWITCH ON",
+    "x01x0011": "SWITCHED ON",
+    "x01x0111": ENABLED,
+    "x00x0111": "QUICK STOP ACTIVE",
+    "x0xx1111": "FAULT REACTION ACTIVE",
+    "x0xx1000": "FAULT",
 }
-_LADDER: Final = StatusBit.READY_TO_SWITCH_ON | StatusBit.SWITCHED_ON | StatusBit.OPERATION_ENABLED
 
 
+@cache
 def state_text(statusword: int) -> str:
     """Return the name of the state in the words of the standard; "UNKNOWN" where no state has these bits."""
-    bits = StatusBit(statusword & 0xFF)
-    step = _STEPS.get(bits & _LADDER)
-    if step is None:
-        return _UNKNOWN
-    if StatusBit.SWITCH_ON_DISABLED in bits:
-        return "SWITCH ON DISABLED" if not step and StatusBit.FAULT not in bits else _UNKNOWN
-    if StatusBit.FAULT in bits:
-        return {"": "FAULT", ENABLED: "FAULT REACTION ACTIVE"}.get(step, _UNKNOWN)
-    if not step:
-        return "NOT READY TO SWITCH ON"
-    if StatusBit.QUICK_STOP in bits:  # inverted in the standard: set where no quick stop is under way
-        return step
-    return "QUICK STOP ACTIVE" if step == ENABLED else _UNKNOWN
+    bits = f"{statusword & 0xFF:08b}"
+    fits = (name for pattern, name in _STATES.items() if all(a in ("x", b) for a, b in zip(pattern, bits, strict=True)))
+    return next(fits, "UNKNOWN")
 
 
 _ABORT: Final = 0x80
 _FRAME: Final = 8  # [bytes] of every SDO frame
+_OTHER_SDO: Final = {  # by direction and command specifier; further ones below
+    True: {
+        0: "write segment of {name}: {segment}",
+        2: "read {name}",
+        3: "read next segment of {name}",
+        5: "block upload: {raw}",
+        6: "block download: {raw}",
+    },
+    False: {0: "segment of {name}: {segment}", 1: "segment of {name} taken"},
+}
+_FURTHER_SDO: Final = {True: "unknown command 0x{command:02X}", False: "block transfer: {raw}"}
 
 
 class Access(NamedTuple):
@@ -64,109 +68,56 @@ class Access(NamedTuple):
 
 
 class SdoDecoder:
-    """The SDO traffic of one node.
+    """The SDO traffic of one node."""
 
-    Args:
-        name_of: Function that returns the text for (index, subindex).
-        value_of: Function that returns the text for the value of (index, subindex, bytes).
-    """
-
-    def __init__(
-        self, name_of: Callable[[int, int], str], value_of: Callable[[int, int, bytes], str] | None = None
-    ) -> None:
-        self._name_of = name_of
-        self._value_of = value_of or _plain_value
+    def __init__(self) -> None:
         self._object = (0, 0)
         self._written = b""
 
-    def request(self, data: bytes) -> str:
-        """Text for a frame from client to server (0x600 + node)."""
-        if len(data) != _FRAME:
-            return f"malformed: {len(data)} bytes instead of {_FRAME}"
-        if data[0] == _ABORT:
-            return self._abort("client", data)
-        specifier = data[0] >> 5
-        if specifier == 1:
-            return self._write(data)
-        if specifier == 2:
-            self._object = _object(data)
-        segment_texts = {
-            0: f"write segment of {self._name()}: {_segment(data)}",
-            2: f"read {self._name()}",
-            3: f"read next segment of {self._name()}",
-            5: f"block upload: {data.hex(' ')}",
-            6: f"block download: {data.hex(' ')}",
-        }
-        return segment_texts.get(specifier, f"unknown command 0x{data[0]:02X}")
+    def object_name(self, index: int, subindex: int) -> str:
+        """Return the text for an object: its number, `0x1018.1`."""
+        return f"0x{index:04X}" + (f".{subindex}" if subindex else "")
 
-    def response(self, data: bytes) -> tuple[str, Access | None]:
-        """Text for a frame from server to client (0x580 + node), and the object it confirms, if any."""
+    def value_text(self, _index: int, _subindex: int, value: bytes) -> str:
+        """Return the text for the value of an object."""
+        return f"0x{int.from_bytes(value, 'little'):0{2 * len(value)}X}"
+
+    def sdo(self, data: bytes, *, is_request: bool) -> tuple[str, Access | None]:
+        """Text for a frame, and the object that it confirms, if any.
+
+        Args:
+            data: Content of the frame.
+            is_request: Whether the client sent it (0x600 + node), not the server (0x580 + node).
+        """
         if len(data) != _FRAME:
             return f"malformed: {len(data)} bytes instead of {_FRAME}", None
-        if data[0] == _ABORT:
-            return self._abort("server", data), None
-        specifier = data[0] >> 5
-        if specifier == 3:
-            return self._confirm(data)
-        if specifier == 2:
-            return self._value(data)
-        segment_texts = {
-            0: f"segment of {self._name()}: {_segment(data)}",
-            1: f"segment of {self._name()} taken",
-        }
-        return segment_texts.get(specifier, f"block transfer: {data.hex(' ')}"), None
-
-    def _write(self, data: bytes) -> str:
-        self._object = _object(data)
-        if not data[0] & 0x02:
+        command, specifier, before = data[0], data[0] >> 5, self._object
+        if command == _ABORT or specifier in ((1, 2) if is_request else (2, 3)):
+            self._object = int.from_bytes(data[1:3], "little"), data[3]
+        name, number = self.object_name(*self._object), int.from_bytes(data[4:], "little")
+        if command == _ABORT:
             self._written = b""
+            side = "client" if is_request else "server"
+            return f"abort by {side} of {name}: 0x{number:08X} {sdo_abort_text(number)}", None
+        if specifier == (1 if is_request else 2):
+            return self._with_value(data, name, is_request=is_request)
+        if specifier == 3 and not is_request:
+            value, self._written = self._written if self._object == before else b"", b""
+            return f"written {name}", Access(*self._object, value) if value else None
+        text = _OTHER_SDO[is_request].get(specifier, _FURTHER_SDO[is_request])
+        segment = data[1 : 8 - (command >> 1 & 0x07)].hex(" ") + (", last" if command & 0x01 else "")
+        return text.format(name=name, segment=segment, raw=data.hex(" "), command=command), None
+
+    def _with_value(self, data: bytes, name: str, *, is_request: bool) -> tuple[str, Access | None]:
+        """Text of a transfer that begins: with its value if it is expedited (all four bytes without a size)."""
+        value = data[4 : 8 - (data[0] >> 2 & 0x03)] if data[0] & 0x02 else b""
+        if is_request:
+            self._written = value
+        if not value:
             size = f", {int.from_bytes(data[4:], 'little')} bytes" if data[0] & 0x01 else ""
-            return f"write {self._name()} in segments{size}"
-        self._written = _expedited(data)
-        return f"write {self._name()} = {self._value_of(*self._object, self._written)}"
-
-    def _confirm(self, data: bytes) -> tuple[str, Access | None]:
-        matches = _object(data) == self._object
-        self._object = _object(data)
-        access = Access(*self._object, self._written) if matches and self._written else None
-        self._written = b""
-        return f"written {self._name()}", access
-
-    def _value(self, data: bytes) -> tuple[str, Access | None]:
-        self._object = _object(data)
-        if not data[0] & 0x02:
-            size = f", {int.from_bytes(data[4:], 'little')} bytes" if data[0] & 0x01 else ""
-            return f"{self._name()} follows in segments{size}", None
-        value = _expedited(data)
-        return f"{self._name()} = {self._value_of(*self._object, value)}", Access(*self._object, value)
-
-    def _abort(self, side: str, data: bytes) -> str:
-        self._object = _object(data)
-        self._written = b""
-        code = int.from_bytes(data[4:8], "little")
-        return f"abort by {side} of {self._name()}: 0x{code:08X} {sdo_abort_text(code)}"
-
-    def _name(self) -> str:
-        return self._name_of(*self._object)
-
-
-def _object(data: bytes) -> tuple[int, int]:
-    return int.from_bytes(data[1:3], "little"), data[3]
-
-
-def _expedited(data: bytes) -> bytes:
-    """The value of an expedited transfer; all four bytes when its size is not indicated (0x22, 0x42)."""
-    return data[4 : 8 - (data[0] >> 2 & 0x03)]
-
-
-def _segment(data: bytes) -> str:
-    last = ", last" if data[0] & 0x01 else ""
-    return f"{data[1 : 8 - (data[0] >> 1 & 0x07)].hex(' ')}{last}"
-
-
-def _plain_value(index: int, subindex: int, value: bytes) -> str:
-    del index, subindex
-    return f"0x{int.from_bytes(value, 'little'):0{2 * len(value)}X}"
+            return (f"write {name} in segments{size}" if is_request else f"{name} follows in segments{size}"), None
+        text = f"{name} = {self.value_text(*self._object, value)}"
+        return (f"write {text}", None) if is_request else (text, Access(*self._object, value))
 
 
 _SIGNED: Final = frozenset(
@@ -194,6 +145,19 @@ class PdoField(NamedTuple):
     raw: int
 
 
+_PDOS: Final = {
+    first + number: f"{kind}{number + 1}"
+    for kind, first in (("RPDO", od.RPDO_COMMUNICATION), ("TPDO", od.TPDO_COMMUNICATION))
+    for number in range(od.PDO_COUNT)
+}
+"""Index of the communication parameters of a PDO -> its name."""
+_TO_MAPPING: Final = od.TPDO_MAPPING - od.TPDO_COMMUNICATION
+
+
+def _is_pdo(index: int) -> bool:
+    return index in _PDOS or index - _TO_MAPPING in _PDOS
+
+
 class PdoMaps:
     """Known PDOs of one node.
 
@@ -203,43 +167,34 @@ class PdoMaps:
     """
 
     def __init__(self, node_id: int, dictionary: Mapping[int, Any] | None) -> None:
-        self._node_id = node_id
+        bases = ((od.RPDO_BASE, od.RPDO_COMMUNICATION), (od.TPDO_BASE, od.TPDO_COMMUNICATION))
+        self._predefined = {first + n: base + node_id for each, first in bases for n, base in enumerate(each)}
         self._cob_ids: dict[int, int] = {}  # communication index -> COB-ID with its flags
         self._entries: dict[int, dict[int, int]] = {}  # mapping index -> subindex -> entry
-        for index in dictionary or {}:
-            if _is_communication(index) or _is_mapping(index):
-                self._take_defaults(index, (dictionary or {})[index])
-
-    def _take_defaults(self, index: int, record: Any) -> None:
-        for subindex, variable in getattr(record, "subindices", {}).items():
-            value = variable.value if getattr(variable, "value", None) is not None else variable.default
-            if isinstance(value, int):
-                self._set(index, subindex, value)
+        known = dictionary or {}
+        for index in filter(_is_pdo, known):
+            for subindex, variable in getattr(known[index], "subindices", {}).items():
+                value = variable.value if getattr(variable, "value", None) is not None else variable.default
+                if isinstance(value, int):
+                    self._set(index, subindex, value)
 
     def learn(self, access: Access) -> bool:
         """Take a confirmed SDO; return whether it configures a PDO."""
-        if not (_is_communication(access.object_index) or _is_mapping(access.object_index)):
-            return False
         self._set(access.object_index, access.subindex, int.from_bytes(access.value, "little"))
-        return True
+        return _is_pdo(access.object_index)
 
     def _set(self, index: int, subindex: int, value: int) -> None:
-        if _is_mapping(index):
+        if index - _TO_MAPPING in _PDOS:
             self._entries.setdefault(index, {})[subindex] = value
-        elif subindex == 1:
+        elif index in _PDOS and subindex == 1:
             self._cob_ids[index] = value
 
     def cob_ids(self) -> Iterator[tuple[int, str, int]]:
         """Yield (COB-ID, name such as `TPDO1`, mapping index) of every PDO that exists."""
-        named = set()
-        for index, cob_id in self._cob_ids.items():
-            named.add(index)
+        unnamed = {index: cob_id for index, cob_id in self._predefined.items() if index not in self._cob_ids}
+        for index, cob_id in (self._cob_ids | unnamed).items():
             if not cob_id & od.COB_ID_INVALID:
-                yield cob_id & 0x1FFFFFFF, _name(index), index + 0x200
-        for bases, first in ((od.RPDO_BASE, od.RPDO_COMMUNICATION), (od.TPDO_BASE, od.TPDO_COMMUNICATION)):
-            for number, base in enumerate(bases):
-                if first + number not in named:
-                    yield base + self._node_id, _name(first + number), first + number + 0x200
+                yield cob_id & 0x1FFFFFFF, _PDOS[index], index + _TO_MAPPING
 
     def tpdos(self) -> dict[int, int]:
         """Return COB-ID -> mapping index of every PDO that the node sends."""
@@ -267,20 +222,6 @@ class PdoMaps:
 def with_sign(index: int, raw: int, bits: int) -> int:
     """Value of an object of `length` bits: negative where its type has a sign and it is set."""
     return raw - (1 << bits) if index in _SIGNED and raw >> (bits - 1) else raw
-
-
-def _is_communication(index: int) -> bool:
-    return any(0 <= index - first < od.PDO_COUNT for first in (od.RPDO_COMMUNICATION, od.TPDO_COMMUNICATION))
-
-
-def _is_mapping(index: int) -> bool:
-    return any(0 <= index - first < od.PDO_COUNT for first in (od.RPDO_MAPPING, od.TPDO_MAPPING))
-
-
-def _name(communication_index: int) -> str:
-    if communication_index >= od.TPDO_COMMUNICATION:
-        return f"TPDO{communication_index - od.TPDO_COMMUNICATION + 1}"
-    return f"RPDO{communication_index - od.RPDO_COMMUNICATION + 1}"
 
 
 _TORQUES: Final = {
@@ -343,11 +284,15 @@ class BusDecoder:
         base, node_id = can_id & 0x780, can_id & 0x7F
         if can_id > 0x7FF or not node_id:
             return _Decoded("unknown", "", data.hex(" "))
-        if base in (od.EMCY_BASE, od.HEARTBEAT_BASE):
-            name = self._node(node_id).name
-            return _Decoded("EMCY", name, _emcy(data)) if base == od.EMCY_BASE else _heartbeat(name, data)
+        if base in _OF_NODES:
+            kind, text = _OF_NODES[base]
+            return _Decoded(kind, self._node(node_id).name, text(data))
         if base in (od.SDO_REQUEST_BASE, od.SDO_RESPONSE_BASE):
-            return self._sdo(self._node(node_id), data, is_request=base == od.SDO_REQUEST_BASE)
+            node = self._node(node_id)
+            words, access = node.sdo(data, is_request=base == od.SDO_REQUEST_BASE)
+            if access is not None and node.maps.learn(access):
+                self._collect_pdos()
+            return _Decoded("SDO", node.name, words)
         return self._pdo(can_id, node_id, data)
 
     def _node(self, node_id: int) -> "_Node":
@@ -369,14 +314,6 @@ class BusDecoder:
         command = NMT_COMMAND_TEXTS.get(data[0], f"unknown command 0x{data[0]:02X}")
         return _Decoded("NMT", self._node(data[1]).name if data[1] else "all", command)
 
-    def _sdo(self, node: "_Node", data: bytes, is_request: bool) -> _Decoded:
-        if is_request:
-            return _Decoded("SDO", node.name, node.sdo.request(data))
-        text, access = node.sdo.response(data)
-        if access is not None and node.maps.learn(access):
-            self._collect_pdos()
-        return _Decoded("SDO", node.name, text)
-
     def _pdo(self, can_id: int, node_id: int, data: bytes) -> _Decoded:
         if can_id not in self._pdos:
             self._node(node_id)
@@ -388,40 +325,37 @@ class BusDecoder:
         return _Decoded(name, node.name, text)
 
 
-class _Node:
+class _Node(SdoDecoder):
     """State of one node, learnt from the frames."""
 
     def __init__(self, description: NodeDescription) -> None:
+        super().__init__()
         self._description = description
         self.name = description.name or f"node {description.node_id}"
         self.maps = PdoMaps(description.node_id, description.dictionary)
-        self.sdo = SdoDecoder(self.object_name, self._value)
 
     def object_name(self, index: int, subindex: int) -> str:
         """Return `0x6040 Controlword`, with the words of the dictionary where there is one."""
-        number = f"0x{index:04X}" + (f".{subindex}" if subindex else "")
+        number = super().object_name(index, subindex)
         entry = (self._description.dictionary or {}).get(index)
         if entry is None:
             return f"{number} {_NAMES.get(index, '')}".rstrip()
         member = getattr(entry, "subindices", {}).get(subindex)
         return f"{number} {entry.name}" + (f" / {member.name}" if member is not None else "")
 
-    def _value(self, index: int, subindex: int, value: bytes) -> str:
-        raw, bits = int.from_bytes(value, "little"), 8 * len(value)
-        words = self._meaning(PdoField(index, subindex, bits, with_sign(index, raw, bits)))
-        plain = f"0x{raw:0{2 * len(value)}X}"
+    def value_text(self, index: int, subindex: int, value: bytes) -> str:
+        """Return the text for the value of an object, with what it means where that is known."""
+        plain, bits = super().value_text(index, subindex, value), 8 * len(value)
+        raw = with_sign(index, int.from_bytes(value, "little"), bits)
+        words = self._meaning(PdoField(index, subindex, bits, raw))
         return f"{plain} ({words})" if words else plain
 
     def field(self, field: PdoField) -> str:
         """One field of a PDO as text."""
-        name = (
-            _TORQUES.get(field.object_index)
-            or _NAMES.get(field.object_index)
-            or self.object_name(field.object_index, field.subindex)
-        )
-        if field.object_index in (od.STATUSWORD, od.CONTROLWORD):
-            return f"{name} 0x{field.raw:04X} {self._meaning(field)}"
-        words = self._meaning(field)
+        index, words = field.object_index, self._meaning(field)
+        name = _TORQUES.get(index) or _NAMES.get(index) or self.object_name(index, field.subindex)
+        if index in (od.STATUSWORD, od.CONTROLWORD):
+            return f"{name} 0x{field.raw:04X} {words}"
         return f"{name} {field.raw}" + (f" ({words})" if words else "")
 
     def _meaning(self, field: PdoField) -> str:
@@ -446,7 +380,10 @@ def _emcy(data: bytes) -> str:
     return f"0x{code:04X} {emcy_text(code)}, error register 0x{data[2]:02X}, vendor {data[3:].hex(' ') or '-'}{short}"
 
 
-def _heartbeat(name: str, data: bytes) -> _Decoded:
+def _heartbeat(data: bytes) -> str:
     if len(data) != 1:
-        return _Decoded("heartbeat", name, f"malformed: {len(data)} bytes instead of 1")
-    return _Decoded("heartbeat", name, NMT_STATE_TEXTS.get(data[0] & 0x7F, f"unknown state 0x{data[0]:02X}"))
+        return f"malformed: {len(data)} bytes instead of 1"
+    return NMT_STATE_TEXTS.get(data[0] & 0x7F, f"unknown state 0x{data[0]:02X}")
+
+
+_OF_NODES: Final = {od.EMCY_BASE: ("EMCY", _emcy), od.HEARTBEAT_BASE: ("heartbeat", _heartbeat)}

@@ -12,17 +12,17 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, NamedTuple, Self, TypeVar
 
 import numpy as np
 
-from canhaptic.errors import LogFormatError
+from canhaptic.errors import InputError, LogFormatError
 from canhaptic.logs.columns import (
     DIGEST,
     DRY_RUN,
-    EVENT_TEXT_SIZES,
+    EVENT_COLUMNS,
     FORMAT_NAME,
     FORMAT_VERSION,
     GROUP_AXES,
@@ -36,7 +36,27 @@ from canhaptic.logs.log_file import log_file
 _RUNNING: Final = "running"
 """Status of a log whose writer has not closed it: a kill can come between two columns of one chunk."""
 
+DAMAGE: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError, OverflowError)
+"""Exceptions of h5py and NumPy for damaged files."""
+_SAVES: Final = "; `inspect --repair` saves the rest"
 FoundColumns = Mapping[str, Dataset]
+
+
+@contextmanager
+def damage_told(path: str | Path, what: str, more: str = "") -> Iterator[None]:
+    """Raise a LogFormatError for any exception of h5py and NumPy for damaged files.
+
+    Args:
+        path: The log, or what of it is read.
+        what: What is damaged.
+        more: Words after the library's own.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except DAMAGE as error:
+        raise LogFormatError(f"{path}: {what} ({error}){more}") from error
 
 
 def checked_rows(path: Path, file: Hdf5File, ports: Sequence[str], status: str) -> int:
@@ -69,17 +89,13 @@ def found_columns(path: Path, file: Hdf5File, ports: Sequence[str]) -> tuple[Fou
     version = int(file.attributes.get("format_version", FORMAT_VERSION))
     described = tuple(PortDescription(name, "m") for name in ports)
     schema = LogSchema(described, 1, bool(file.names("truth")), 1, False, {}, version)
-    types = {column.path: column.dtype for column in schema.stored()}
-    of_events = {"sync_index": "i8", **{name: f"S{size}" for name, size in EVENT_TEXT_SIZES.items()}}
-    rows = {name: _column(path, file, name, dtype) for name, dtype in types.items()}
-    return rows, {f"events/{name}": _column(path, file, f"events/{name}", dtype) for name, dtype in of_events.items()}
+    rows = {column.path: _column(path, file, column.path, column.dtype) for column in schema.stored()}
+    return rows, {name: _column(path, file, name, dtype) for name, dtype in EVENT_COLUMNS.items()}
 
 
 def _column(path: Path, file: Hdf5File, name: str, dtype: str) -> Dataset:
-    try:
+    with damage_told(path, f"{name} is missing or cannot be read", "; the file is damaged"):
         dataset = file[name]
-    except (LookupError, OSError, RuntimeError, ValueError) as error:
-        raise LogFormatError(f"{path}: {name} is missing or cannot be read ({error}); the file is damaged") from error
     if len(dataset.shape) != 1 or dataset.dtype != np.dtype(dtype):
         raise LogFormatError(
             f"{path}: {name} holds {dataset.dtype} of shape {dataset.shape}, expected a column of {np.dtype(dtype)}; "
@@ -112,8 +128,6 @@ def usual_length(columns: FoundColumns) -> int:
 
 _Json = TypeVar("_Json", list[str], dict[str, float], dict[str, dict[str, Any]])
 
-DAMAGE: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError, OverflowError)
-"""Exceptions of h5py and NumPy for damaged files."""
 _LONGEST_NS: Final = 10_000_000_000
 _BLOCK: Final = 65_536  # rows held in memory at a time
 _OURS = ("format", "format_version", "sample_time_ns", "ports", "status", "rows_lost")
@@ -145,18 +159,14 @@ class Quantities(Mapping[str, Array]):
     def read(self, name: str, start: int = 0, stop: int | None = None) -> Array:
         """Return rows `start` to `stop` of one quantity without keeping them in memory."""
         path = f"{self._group}/{name}"
-        try:
+        with damage_told(path, "the data is damaged", _SAVES):
             return self._file[path].read(start, self._rows if stop is None else min(stop, self._rows))
-        except DAMAGE as error:
-            raise LogFormatError(f"{path}: the data is damaged ({error}); `inspect --repair` saves the rest") from error
 
     def unit(self, name: str) -> str:
         """Return the unit of a quantity; "1" for a pure number."""
         path = f"{self._group}/{name}"
-        try:
+        with damage_told(path, "the unit is damaged"):
             return str(_plain(self._file[path].attributes.get("unit", "1")))
-        except DAMAGE as error:
-            raise LogFormatError(f"{path}: the unit is damaged ({error})") from error
 
 
 class EnergyLog:
@@ -186,17 +196,15 @@ class EnergyLog:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        file, description = open_file(self.path)
+        self._file, description = open_file(self.path)
         try:
-            self._read(file, description)
-        except BaseException as error:
-            file.close()
-            if isinstance(error, DAMAGE) and not isinstance(error, LogFormatError):
-                raise LogFormatError(f"{path}: the file is damaged ({error})") from error
+            with damage_told(path, "the file is damaged"):
+                self._read(self._file, description)
+        except BaseException:
+            self.close()
             raise
 
     def _read(self, file: Hdf5File, description: "LogDescription") -> None:
-        self._file = file
         self.attributes = {n: _plain(value) for n, value in file.attributes.items() if n not in _OURS}
         self.format_version = int(file.attributes["format_version"])
         self.sample_time_ns = description.sample_time_ns
@@ -216,9 +224,7 @@ class EnergyLog:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -246,12 +252,8 @@ class EnergyLog:
         """
         if name not in self.attributes:
             return default
-        try:
+        with damage_told(self.path, f"attribute {name} cannot be read", "; the file is damaged"):
             value = json.loads(str(self.attributes[name]))
-        except (ValueError, RecursionError) as error:
-            raise LogFormatError(
-                f"{self.path}: attribute {name} cannot be read ({error}); the file is damaged"
-            ) from error
         if not isinstance(value, type(default)):
             seen = f"holds {type(value).__name__}, expected {type(default).__name__}"
             raise LogFormatError(f"{self.path}: attribute {name} {seen}; the file is damaged")
@@ -265,6 +267,15 @@ class EnergyLog:
         if unknown:
             raise LogFormatError(f"{self.path}: {', '.join(sorted(map(str, unknown)))}: a group without its columns")
         return groups
+
+    @property
+    def tables(self) -> dict[str, Quantities]:
+        """Every group of columns by its path: timing, ports/NAME and truth/NAME."""
+        return {
+            "timing": self.timing,
+            **{f"ports/{name}": port for name, port in self.ports.items()},
+            **{f"truth/{name}": truth for name, truth in self.truth.items()},
+        }
 
     @property
     def group_of(self) -> dict[str, str]:
@@ -284,7 +295,7 @@ class EnergyLog:
     @property
     def time(self) -> Array:
         """Time of each SYNC since the first [s], shape (n_rows,)."""
-        return np.asarray(self.deadlines() * (self.sample_time_ns * 1e-9))
+        return np.asarray(self.deadlines() * self.sample_time)
 
     def deadlines(self, start: int = 0, stop: int | None = None) -> Array:
         """Return the sample times from the first SYNC to each row's SYNC; for an older log, the index of the SYNC."""
@@ -314,25 +325,19 @@ class EnergyLog:
         columns = list(found_columns(self.path, self._file, list(self.ports))[0].values())
         found: list[int] = []
         for start in range(0, self.rows, _BLOCK):
-            try:
+            with damage_told(self.path, "the data is damaged", _SAVES):
                 *values, digests = (column.read(start, min(self.rows, start + _BLOCK)) for column in columns)
-            except DAMAGE as error:
-                text = f"{self.path}: the data is damaged ({error}); `inspect --repair` saves the rest"
-                raise LogFormatError(text) from error
             found += (start + np.flatnonzero(row_digests(values) != digests)).tolist()
         return found
 
     @property
     def events(self) -> list[Event]:
         """Every event recorded during the run, in order."""
-        try:
-            columns = [self._file[f"events/{name}"].read() for name in EVENT_TEXT_SIZES]
-            indices = self._file["events/sync_index"].read()
-        except DAMAGE as error:
-            raise LogFormatError(f"{self.path}: the events are damaged ({error})") from error
+        with damage_told(self.path, "the events are damaged"):
+            columns = [self._file[path].read() for path in EVENT_COLUMNS]
         return [
             Event(int(index), *(bytes(text).decode("utf-8", "replace") for text in texts))
-            for index, *texts in zip(indices, *columns, strict=False)  # a kill can come between two columns
+            for index, *texts in zip(*columns, strict=False)  # a kill can come between two columns
         ]
 
 
@@ -352,18 +357,14 @@ def open_file(path: str | Path) -> tuple[Hdf5File, LogDescription]:
         LogFormatError: Missing, empty, truncated, foreign or written by a newer version.
     """
     path = log_file(path)
-    try:
+    with damage_told(path, "not a readable HDF5 file", ", expected an energy log"):
         file = Hdf5File(path, "live")
-    except (OSError, RuntimeError) as error:  # h5py raises either for one kind of damage or another
-        raise LogFormatError(f"{path}: not a readable HDF5 file ({error}), expected an energy log") from error
     try:
-        return file, _description(path, file.attributes)
+        with damage_told(path, "the file is damaged"):
+            return file, _description(path, file.attributes)
     except LogFormatError:
         file.close()
         raise
-    except DAMAGE as error:
-        file.close()
-        raise LogFormatError(f"{path}: the file is damaged ({error})") from error
 
 
 def _description(path: Path, attributes: Mapping[str, Attribute]) -> LogDescription:

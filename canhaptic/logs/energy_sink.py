@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 
-from canhaptic.logs.columns import EVENT_TEXT_SIZES, FORMAT_NAME, FORMAT_VERSION, LogSchema
-from canhaptic.logs.growing_file import NO_SPACE, LogSink, cause_of, open_regular, require_same_file
-from canhaptic.logs.hdf5 import Attribute, Dataset, Hdf5File, mark_failed, row_digests
+from canhaptic.logs.columns import EVENT_COLUMNS, FORMAT_NAME, FORMAT_VERSION, LogSchema
+from canhaptic.logs.hdf5 import Attribute, Hdf5File, mark_failed, row_digests
+from canhaptic.logs.log_file import NO_SPACE, LogSink, cause_of, open_regular
 from canhaptic.logs.ring import SharedArea
 
 _PACKED_CHUNK: Final = 16_384  # rows
@@ -33,12 +33,10 @@ def _whole_lengths(file: Hdf5File) -> tuple[int, int]:
 
 def trim(file: Hdf5File) -> tuple[int, int]:
     """Cut all columns of a file to whole rows and events, and return how many (rows, events) are left."""
-    rows, events = _whole_lengths(file)
+    lengths = _whole_lengths(file)
     for path, dataset in file.datasets():
-        length = events if path.startswith(_EVENTS) else rows
-        if len(dataset) > length:
-            dataset.truncate(length)
-    return rows, events
+        dataset.truncate(lengths[path.startswith(_EVENTS)])
+    return lengths
 
 
 def unfinished(path: Path) -> Path:
@@ -61,20 +59,14 @@ def repack(
     """
     temporary = unfinished(target)
     with Hdf5File(source, "live") as old, Hdf5File(temporary, "x") as new:
-        for name, value in {**old.attributes, **attributes}.items():
-            new.set_attribute(name, value)
-        rows, events = _whole_lengths(old) if lengths is None else lengths
-        for path, dataset in old.datasets():
-            _copy_column(dataset, new, path, events if path.startswith(_EVENTS) else rows)
+        new.set_attributes({**old.attributes, **attributes})
+        lengths = _whole_lengths(old) if lengths is None else lengths
+        for path, column in old.datasets():
+            length = lengths[path.startswith(_EVENTS)]
+            copy = new.create(path, column.dtype, max(1, min(length, _PACKED_CHUNK)), column.attributes)
+            for start in range(0, length, _BLOCK):
+                copy.append(column.read(start, min(length, start + _BLOCK)))
     os.replace(temporary, target)
-
-
-def _copy_column(dataset: Dataset, new: Hdf5File, path: str, rows: int) -> None:
-    copy = new.create(path, dataset.dtype, max(1, min(rows, _PACKED_CHUNK)))
-    for name, value in dataset.attributes.items():
-        copy.set_attribute(name, value)
-    for start in range(0, rows, _BLOCK):
-        copy.append(dataset.read(start, min(rows, start + _BLOCK)))
 
 
 class EnergySink(LogSink):
@@ -87,15 +79,13 @@ class EnergySink(LogSink):
     """
 
     def __init__(self, path: Path, schema: LogSchema, area: SharedArea) -> None:
-        self._path = path
+        super().__init__(path)
         self._schema = schema
         self._rows, self._events = area.rings
         self._columns = schema.columns()
         kinds = ("<f8" if column.dtype == "f8" else "<i8" for column in self._columns)
         self._record = np.dtype([(f"f{number}", kind) for number, kind in enumerate(kinds)])
-        self._next_row = 0
-        self._next_event = 0
-        self._lost = 0
+        self._next_row = self._next_event = self._lost = 0
 
     def open(self, restart: bool) -> None:
         """Make the file; after a restart, continue the one left by a killed writer, from its first missing row."""
@@ -110,27 +100,28 @@ class EnergySink(LogSink):
         self._start()
 
     def _create_columns(self) -> None:
-        for name, value in self._schema.attributes.items():
-            self._file.set_attribute(name, value)
-        self._file.set_attribute("format", FORMAT_NAME)
-        self._file.set_attribute("format_version", FORMAT_VERSION)
-        self._file.set_attribute("sample_time_ns", self._schema.sample_time_ns)
-        self._file.set_attribute("ports", "\n".join(f"{port.name} {port.unit}" for port in self._schema.ports))
-        self._file.set_attribute("status", "running")
-        self._file.set_attribute("rows_lost", self._lost)
-        for column in self._schema.stored():
-            dataset = self._file.create(column.path, column.dtype, self._schema.chunk_rows)
-            dataset.set_attribute("unit", column.unit)
-            if column.meaning:
-                dataset.set_attribute("meaning", column.meaning)
-        self._file.create("events/sync_index", "i8", 1, compressed=False)
-        for name, size in EVENT_TEXT_SIZES.items():
-            self._file.create(f"events/{name}", f"S{size}", 1, compressed=False)
+        schema = self._schema
+        self._file.set_attributes(
+            {
+                **schema.attributes,
+                "format": FORMAT_NAME,
+                "format_version": FORMAT_VERSION,
+                "sample_time_ns": schema.sample_time_ns,
+                "ports": "\n".join(f"{port.name} {port.unit}" for port in schema.ports),
+                "status": "running",
+                "rows_lost": self._lost,
+            }
+        )
+        for column in schema.stored():
+            meaning = {"meaning": column.meaning} if column.meaning else {}
+            self._file.create(column.path, column.dtype, schema.chunk_rows, {"unit": column.unit, **meaning})
+        for path, dtype in EVENT_COLUMNS.items():
+            self._file.create(path, dtype, 1, {}, compressed=False)
 
     def _start(self) -> None:
         self._file.start_live()
         self._datasets = [self._file[column.path] for column in self._schema.stored()]
-        self._event_datasets = [self._file[f"events/{name}"] for name in ("sync_index", *EVENT_TEXT_SIZES)]
+        self._event_datasets = [self._file[path] for path in EVENT_COLUMNS]
         self._descriptor = open_regular(self._path, os.O_RDONLY)
         self._size = os.fstat(self._descriptor).st_size
 
@@ -147,10 +138,9 @@ class EnergySink(LogSink):
             if self._path.exists():
                 self._path.replace(self._path.with_name(self._path.name + ".damaged"))
             return False
-        rows, events = trim(self._file)
+        rows, self._next_event = trim(self._file)
         self._lost = int(self._file.attributes["rows_lost"])
         self._next_row = self._lost + rows
-        self._next_event = events
         os.replace(temporary, self._path)
         self._start()
         return True
@@ -173,9 +163,8 @@ class EnergySink(LogSink):
         self._rows.release(self._next_row)
 
     def _write_events(self, count: int) -> None:
-        record = np.dtype([("sync_index", "<i8"), *((name, f"S{size}") for name, size in EVENT_TEXT_SIZES.items())])
-        block = np.frombuffer(self._events.read(self._next_event, count), record)
-        for name, dataset in zip(record.names or (), self._event_datasets, strict=True):
+        block = np.frombuffer(self._events.read(self._next_event, count), np.dtype(list(EVENT_COLUMNS.items())))
+        for name, dataset in zip(EVENT_COLUMNS, self._event_datasets, strict=True):
             for position in range(count):  # one chunk each
                 dataset.append(block[name][position : position + 1])
         self._flush()
@@ -187,10 +176,6 @@ class EnergySink(LogSink):
         self._size = os.fstat(self._descriptor).st_size
         if self._schema.synchronise:
             os.fsync(self._descriptor)
-
-    def check(self) -> None:
-        """Return while the file is unchanged since it was written; raise LogWriteError otherwise."""
-        require_same_file(self._path, self._descriptor, self._size)
 
     def finish(self, status: str) -> None:
         """Close the file and pack it."""

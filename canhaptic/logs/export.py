@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
@@ -52,12 +52,11 @@ def require_library(path: Path) -> None:
 
 def _columns(log: EnergyLog) -> Iterator[tuple[str, str, Quantities, str]]:
     """Yield (title, unit, group, name) of every quantity, the timing first."""
-    for name in log.timing:
-        yield name, log.timing.unit(name), log.timing, name
-    for prefix, groups in (("", log.ports), ("true.", log.truth)):
-        for port, quantities in groups.items():
-            for name in quantities:
-                yield f"{prefix}{port}.{name}", quantities.unit(name), quantities, name
+    for path, quantities in log.tables.items():
+        kind, _, port = path.partition("/")
+        prefix = {"timing": "", "ports": f"{port}.", "truth": f"true.{port}."}[kind]
+        for name in quantities:
+            yield f"{prefix}{name}", quantities.unit(name), quantities, name
 
 
 def _write_csv(log: EnergyLog, path: Path) -> None:
@@ -104,23 +103,18 @@ def _write_mcap(log: EnergyLog, path: Path) -> None:
     Topics: /PORT, /true/PORT (the simulated plant), /timing, /events. Time: of the SYNC since the first, from 0.
     """
     writer_module: Any = importlib.import_module("mcap.writer")
-    groups = {"/timing": log.timing}
-    groups |= {f"/{name}": port for name, port in log.ports.items()}
-    groups |= {f"/true/{name}": truth for name, truth in log.truth.items()}
+    tables = {f"/{path.removeprefix('ports/').replace('truth/', 'true/')}": of for path, of in log.tables.items()}
     with path.open("wb") as file:
         writer = writer_module.Writer(file)
         writer.start(library="canhaptic")
         writer.add_metadata("canhaptic", {name: str(value) for name, value in log.attributes.items()})
-        channels = {topic: _mcap_channel(writer, topic, quantities) for topic, quantities in groups.items()}
+        channels = {topic: _mcap_channel(writer, topic, _described(of)) for topic, of in tables.items()}
         for start in range(0, log.rows, _MESSAGES):
             stop = min(start + _MESSAGES, log.rows)
             times = log.deadlines(start, stop) * log.sample_time_ns
-            blocks = {
-                topic: [quantities.read(name, start, stop).tolist() for name in quantities]
-                for topic, quantities in groups.items()
-            }
+            blocks = {topic: [of.read(name, start, stop).tolist() for name in of] for topic, of in tables.items()}
             for row, time in enumerate(times.tolist()):
-                for topic, quantities in groups.items():
+                for topic, quantities in tables.items():
                     values = {name: column[row] for name, column in zip(quantities, blocks[topic], strict=True)}
                     _add_message(writer, channels[topic], int(time), values)
         _write_events(writer, log)
@@ -130,36 +124,25 @@ def _write_mcap(log: EnergyLog, path: Path) -> None:
 _MESSAGES: Final = 4096  # SYNCs held in memory at a time
 
 
-class _McapWriter(Protocol):
-    """The part of `mcap.writer.Writer` that is used."""
-
-    def register_schema(self, name: str, encoding: str, data: bytes) -> int: ...
-
-    def register_channel(self, topic: str, message_encoding: str, schema_id: int) -> int: ...
-
-    def add_message(self, channel_id: int, log_time: int, data: bytes, publish_time: int) -> None: ...
+def _described(quantities: Quantities) -> dict[str, dict[str, str]]:
+    return {name: {"type": "number", "description": f"[{quantities.unit(name)}]"} for name in quantities}
 
 
-def _mcap_channel(writer: _McapWriter, topic: str, quantities: Quantities) -> int:
-    properties = {name: {"type": "number", "description": f"[{quantities.unit(name)}]"} for name in quantities}
-    return _channel(writer, topic, properties)
-
-
-def _channel(writer: _McapWriter, topic: str, properties: Mapping[str, Mapping[str, str]]) -> int:
+def _mcap_channel(writer: Any, topic: str, properties: Mapping[str, Mapping[str, str]]) -> int:
     schema = json.dumps({"type": "object", "properties": properties}).encode()
     schema_id = writer.register_schema(f"canhaptic{topic.replace('/', '.')}", "jsonschema", schema)
-    return writer.register_channel(topic, "json", schema_id)
+    return int(writer.register_channel(topic, "json", schema_id))
 
 
-def _write_events(writer: _McapWriter, log: EnergyLog) -> None:
+def _write_events(writer: Any, log: EnergyLog) -> None:
     text = {"type": "string"}
-    channel = _channel(writer, "/events", {"kind": text, "port": text, "text": text})
+    channel = _mcap_channel(writer, "/events", {"kind": text, "port": text, "text": text})
     for event in log.events:
         time = max(0, round(log.time_of(event.sync_index) * 1e9))
         _add_message(writer, channel, time, {"kind": event.kind, "port": event.port, "text": event.text})
 
 
-def _add_message(writer: _McapWriter, channel: int, time: int, values: Mapping[str, float | str]) -> None:
+def _add_message(writer: Any, channel: int, time: int, values: Mapping[str, float | str]) -> None:
     """Add one message; numbers that JSON lacks (inf, nan) are left out."""
     finite = {name: value for name, value in values.items() if not isinstance(value, float) or math.isfinite(value)}
     writer.add_message(channel, time, json.dumps(finite, separators=(",", ":")).encode(), time)

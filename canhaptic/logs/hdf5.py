@@ -1,11 +1,10 @@
 """Typed interface to the part of h5py that the logs use: the only module that touches the untyped library."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import RLock
-from types import TracebackType
-from typing import Any, Final
+from typing import Any, Final, Self
 from zlib import crc32
 
 import h5py
@@ -74,10 +73,6 @@ class Dataset:
         with _bounded_memory():
             return dict(self._dataset.attrs)
 
-    def set_attribute(self, name: str, value: Attribute) -> None:
-        """Set one attribute."""
-        self._dataset.attrs[name] = value
-
     def read(self, start: int = 0, stop: int | None = None) -> Array:
         """Return elements `start` to `stop` (all by default)."""
         with _bounded_memory(2 * len(range(*slice(start, stop).indices(len(self)))) * self.dtype.itemsize):
@@ -116,12 +111,10 @@ class Hdf5File:
                 path, "x", libver=(oldest, "v110"), locking=False, rdcc_nbytes=0, userblock_size=block
             )
 
-    def __enter__(self) -> "Hdf5File":
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -134,16 +127,26 @@ class Hdf5File:
         with _bounded_memory():
             return {name: _text(value) if isinstance(value, str) else value for name, value in self._file.attrs.items()}
 
-    def set_attribute(self, name: str, value: Attribute) -> None:
-        """Set one attribute of the root."""
-        self._file.attrs[name] = value
+    def set_attributes(self, attributes: Mapping[str, Attribute]) -> None:
+        """Set attributes of the root."""
+        self._file.attrs.update(attributes)
 
-    def create(self, path: str, dtype: str | np.dtype[np.generic], chunk: int, compressed: bool = True) -> Dataset:
+    def create(
+        self,
+        path: str,
+        dtype: str | np.dtype[np.generic],
+        chunk: int,
+        attributes: Mapping[str, Attribute],
+        *,
+        compressed: bool = True,
+    ) -> Dataset:
         """Return a new empty column that can grow."""
         options: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
         if not compressed:  # which has a checksum
             options = {"fletcher32": True}
-        return Dataset(self._file.create_dataset(path, (0,), maxshape=(None,), dtype=dtype, chunks=(chunk,), **options))
+        column = self._file.create_dataset(path, (0,), maxshape=(None,), dtype=dtype, chunks=(chunk,), **options)
+        column.attrs.update(attributes)
+        return Dataset(column)
 
     def __getitem__(self, path: str) -> Dataset:
         self._require_own(path)
@@ -171,8 +174,8 @@ class Hdf5File:
         with _bounded_memory():
             return list(self._file[group]) if isinstance(self._file.get(group), h5py.Group) else []
 
-    def datasets(self) -> Iterator[tuple[str, Dataset]]:
-        """Yield path and column of every dataset in the file."""
+    def datasets(self) -> list[tuple[str, Dataset]]:
+        """Return path and column of every dataset in the file."""
         found: list[tuple[str, Dataset]] = []
 
         def visit(path: str | bytes, item: h5py.Dataset | h5py.Group) -> None:  # h5py leaves a damaged name as bytes
@@ -181,7 +184,7 @@ class Hdf5File:
 
         with _bounded_memory():
             self._file.visititems(visit)
-        yield from found
+        return found
 
     def read_tables(self) -> None:
         """Read the metadata: the root's attributes, and name, type, attributes and chunks of every column.
@@ -199,8 +202,7 @@ class Hdf5File:
         for name in self._file:
             self._require_own(name)
             self._file.copy(name, other._file)  # noqa: SLF001 - the same class
-        for name, value in self.attributes.items():
-            other.set_attribute(name, value)
+        other.set_attributes(self.attributes)
 
     def start_live(self) -> None:
         """Let other processes read while this one writes; no more columns or attributes can be added.

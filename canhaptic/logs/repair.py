@@ -19,7 +19,15 @@ from typing import Final, TypeVar
 
 from canhaptic.errors import InputError, LogFormatError
 from canhaptic.host.output_file import require_writable_place
-from canhaptic.logs.energy_reader import DAMAGE, EnergyLog, FoundColumns, found_columns, open_file, usual_length
+from canhaptic.logs.energy_reader import (
+    DAMAGE,
+    EnergyLog,
+    FoundColumns,
+    damage_told,
+    found_columns,
+    open_file,
+    usual_length,
+)
 from canhaptic.logs.energy_sink import repack, unfinished
 from canhaptic.logs.hdf5 import Hdf5File
 from canhaptic.logs.log_file import log_file
@@ -146,7 +154,7 @@ def _read_all(source: Path) -> None:
     with suppress(*DAMAGE), Hdf5File(source, "live") as file:
         file.read_tables()
     with suppress(*DAMAGE), EnergyLog.open(source) as log:  # by the same ways as who reads it later
-        for quantities in (log.timing, *log.ports.values(), *log.truth.values()):
+        for quantities in log.tables.values():
             for name, start in product(quantities, range(0, log.rows, _BLOCK)):
                 with suppress(*DAMAGE):
                     quantities.unit(name), quantities.read(name, start, start + _BLOCK)
@@ -154,30 +162,21 @@ def _read_all(source: Path) -> None:
 
 
 def _repair(source: Path, target: Path) -> tuple[int, int]:
+    lost = "too damaged to be saved"
     file, description = open_file(source)
-    try:
-        with file:
-            rows, events = found_columns(source, file, description.ports)
-            expected = usual_length(rows)
-            readable, notes = _readable(rows), _readable(events)
-    except LogFormatError:
-        raise
-    except DAMAGE as error:
-        raise LogFormatError(f"{source}: too damaged to be saved ({error})") from error
+    with damage_told(source, lost), file:
+        rows, events = found_columns(source, file, description.ports)
+        expected = usual_length(rows)
+        readable, notes = _readable(rows), _readable(events)
     note = "" if description.status == "complete" else f" (was: {description.status})"
-    try:
-        repack(source, target, {"status": f"repaired{note}"}, (readable, notes))
-    except OSError as error:
-        if error.errno is None:  # of the library that reads, not of the system that writes
-            raise _lost(source, error) from error
-        raise InputError(f"{target}: the repaired copy cannot be written ({error}); name another file") from error
-    except DAMAGE as error:
-        raise _lost(source, error) from error
+    with damage_told(source, lost):
+        try:
+            repack(source, target, {"status": f"repaired{note}"}, (readable, notes))
+        except OSError as error:
+            if error.errno is None:  # of the library that reads, not of the system that writes
+                raise
+            raise InputError(f"{target}: the repaired copy cannot be written ({error}); name another file") from error
     return readable, max(0, expected - readable)
-
-
-def _lost(source: Path, error: Exception) -> LogFormatError:
-    return LogFormatError(f"{source}: too damaged to be saved ({error})")
 
 
 def _readable(columns: FoundColumns) -> int:

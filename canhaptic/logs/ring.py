@@ -82,8 +82,6 @@ class SharedArea:
 
     def close(self) -> None:
         """Unmap the memory."""
-        for ring in self.rings:
-            ring.detach()
         self._cells.release()
         self._map.close()
 
@@ -115,7 +113,7 @@ class Ring:
         self._next = self._cells[self._head_cell] = number + 1
         return True
 
-    def recorder(self, bus: int, when_full: Callable[[Record], None]) -> Recorder:
+    def recorder(self, bus: int, when_full: Callable[[Record], object]) -> Recorder:
         """Function that writes one frame of a bus: `push` inlined, as this runs for every frame of every cycle.
 
         Args:
@@ -161,10 +159,6 @@ class Ring:
     def release(self, tail: int) -> None:
         """Free all records before number `tail` for the producer."""
         self._cells[self._tail_cell] = tail
-
-    def detach(self) -> None:
-        """Release the memory so that it can be unmapped."""
-        self._cells = memoryview(b"")
 
 
 def size_of(shapes: Iterable[RingShape]) -> int:

@@ -10,85 +10,76 @@ import json
 import os
 import sys
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.errors import CanHapticError, LogWriteError
 from canhaptic.host.output_file import why_not_written
-from canhaptic.logs.growing_file import LogSink, cause_of
+from canhaptic.logs.log_file import LogSink, cause_of
 from canhaptic.logs.ring import RingShape, SharedArea
 
 
-class LogLock:
-    """The lock of one log.
-
-    Args:
-        path: The log.
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold the lock of one log.
 
     Raises:
         LogWriteError: Another run holds it.
         OSError: The folder cannot be written.
     """
+    import fcntl  # POSIX alone, as the writer is
 
-    def __init__(self, path: Path) -> None:
-        import fcntl  # POSIX alone, as the writer is
-
-        self._path = path.with_name(f".{path.name}.lock")
-        while True:
-            self._descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
-            try:
-                fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                os.close(self._descriptor)
-                raise LogWriteError(
-                    f"{path}: another run writes this log; name another file, or wait until that run has ended"
-                ) from error
-            except OSError:  # a file system without locks
-                return
-            if self._is_current():
-                return
-            os.close(self._descriptor)
-
-    def _is_current(self) -> bool:
-        """Whether the file locked is still the one of that name: its last owner may have deleted it meanwhile."""
+    place, is_current = path.with_name(f".{path.name}.lock"), False
+    while not is_current:
+        descriptor = os.open(place, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
         try:
-            return os.path.samestat(os.fstat(self._descriptor), os.stat(self._path, follow_symlinks=False))
-        except FileNotFoundError:
-            return False
-
-    def release(self) -> None:
-        """Delete the lock's file and release it."""
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            is_current = os.path.samestat(os.fstat(descriptor), os.stat(place, follow_symlinks=False))
+        except BlockingIOError as error:
+            os.close(descriptor)
+            raise LogWriteError(
+                f"{path}: another run writes this log; name another file, or wait until that run has ended"
+            ) from error
+        except FileNotFoundError:  # its last owner has deleted it meanwhile
+            pass
+        except OSError:  # a file system without locks
+            is_current = True
+        if not is_current:
+            os.close(descriptor)
+    try:
+        yield
+    finally:
         with suppress(OSError):  # a disk that has become read-only, for one
-            self._path.unlink(missing_ok=True)
-        os.close(self._descriptor)
+            place.unlink(missing_ok=True)
+        os.close(descriptor)
 
 
 FAILED: Final = 74
 """Exit status when the file cannot be written (EX_IOERR of sysexits.h); starting again would not help."""
 _NICENESS: Final = 10
 _PAUSE: Final = 0.01  # [s] between two looks at the ring
+_TROUBLE: Final = (CanHapticError, OSError, ValueError, RuntimeError)  # h5py raises the last three for one full disk
 _INTERRUPTED: Final = "interrupted: the controlling process ended without closing the log"
 
 
 def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, LogSink]:
     """Shared area and sink of a job; imports only what it needs."""
     area = SharedArea(descriptor, [RingShape(*shape) for shape in job["shapes"]])
+    path = Path(job["path"])
     if job["kind"] == "energy":
-        from canhaptic.logs.columns import LogSchema
+        from canhaptic.logs.columns import LogSchema, PortDescription
         from canhaptic.logs.energy_sink import EnergySink
 
-        return area, EnergySink(Path(job["path"]), LogSchema.from_json(job["schema"]), area)
+        ports, *rest = job["schema"]
+        return area, EnergySink(path, LogSchema(tuple(PortDescription(*port) for port in ports), *rest), area)
+    from canhaptic.logs.bus_sink import BusSink, FaultSink
+
     if job["last_ns"]:
-        from canhaptic.logs.fault_sink import FaultSink
-
-        return area, FaultSink(Path(job["path"]), job["channels"], area, job["last_ns"])
-    from canhaptic.logs.bus_sink import BusSink
-
+        return area, FaultSink(path, job["channels"], area, job["last_ns"])
     target = Path(job["convert_to"]) if job["convert_to"] else None
-    return area, BusSink(
-        Path(job["path"]), job["channels"], area, file_size=job["file_size"], files=job["files"], convert_to=target
-    )
+    return area, BusSink(path, job["channels"], area, file_size=job["file_size"], files=job["files"], convert_to=target)
 
 
 def _serve(area: SharedArea, sink: LogSink, parent: int) -> None:
@@ -126,7 +117,8 @@ def _become_ordinary(patient: bool) -> None:
         os.nice(_NICENESS)
 
 
-def _open(job: dict[str, Any], sink: LogSink) -> LogLock:
+@contextmanager
+def _opened(job: dict[str, Any], sink: LogSink) -> Iterator[None]:
     """Lock and open the log.
 
     Raises:
@@ -136,14 +128,15 @@ def _open(job: dict[str, Any], sink: LogSink) -> LogLock:
     for place in (path, Path(job.get("convert_to") or path)):
         if reason := why_not_written(place):
             raise LogWriteError(reason)
-    try:
-        lock = LogLock(path)
-        sink.open(job["restart"])
-    except LogWriteError:
-        raise
-    except OSError as error:
-        raise LogWriteError(f"{path}: {error}; choose a folder that exists and may be written") from error
-    return lock
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(_locked(path))
+            sink.open(job["restart"])
+        except LogWriteError:
+            raise
+        except OSError as error:
+            raise LogWriteError(f"{path}: {error}; choose a folder that exists and may be written") from error
+        yield
 
 
 def main() -> None:
@@ -152,20 +145,20 @@ def main() -> None:
     sys.path += job["folders"]  # behind the installation: an isolated interpreter has neither of this process's
     _become_ordinary(patient=job["pace"] == "real")
     area, sink = make_sink(job, int(sys.argv[1]))
-    lock: LogLock | None = None
     try:
-        lock = _open(job, sink)
-        sys.stdout.write("ready\n")
-        sys.stdout.flush()
-        _serve(area, sink, job["parent"])
-        lock.release()
-    except (CanHapticError, OSError, ValueError, RuntimeError) as error:  # h5py raises the last three for one full disk
-        cause = cause_of(error)
-        area.set_text("failure", str(error) if isinstance(error, CanHapticError) else f"{job['path']}: {cause}")
-        if lock is not None:
-            with suppress(OSError):
-                sink.fail(cause)
-            lock.release()
+        with _opened(job, sink):
+            try:
+                sys.stdout.write("ready\n")
+                sys.stdout.flush()
+                _serve(area, sink, job["parent"])
+            except _TROUBLE as error:
+                with suppress(OSError):
+                    sink.fail(cause_of(error))
+                raise
+    except _TROUBLE as error:
+        area.set_text(
+            "failure", str(error) if isinstance(error, CanHapticError) else f"{job['path']}: {cause_of(error)}"
+        )
         os._exit(FAILED)  # the library would try to write again while closing, and can hang on a full disk
 
 

@@ -1,4 +1,7 @@
-"""The control side of a writer process: starts it, waits until it is ready, and replaces it when it is killed."""
+"""The control side of the logs: one record per frame or SYNC into a ring, and the process that writes it to a file.
+
+The writer process is started, awaited, and replaced when it is killed.
+"""
 
 import json
 import os
@@ -7,15 +10,25 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Any, Final, Literal, cast
 
-from canhaptic.errors import LogStoppedError, LogWriteError
-from canhaptic.logs.ring import Record, Ring, RingShape, SharedArea, allocate, size_of
+from canhaptic.control.balance import EnergyBalance
+from canhaptic.errors import LogStoppedError, LogWriteError, ParameterError
+from canhaptic.logs.bus_sink import FRAME_RING
+from canhaptic.logs.columns import EVENT_RING, EVENT_TEXT_SIZES, Attribute, LogSchema, PortDescription
+from canhaptic.logs.log_file import CONVERTIBLE
+from canhaptic.logs.ring import Record, Recorder, Ring, RingShape, SharedArea, allocate, size_of
 from canhaptic.logs.writer import FAILED
+from canhaptic.signals import CycleTiming, Measured, Sample, Truth
 
+_MOST_BUSES: Final = 256  # one byte in each record
+_RING_ROWS: Final = 16_384  # 16 s at 1 kHz, longer than a disk stalls
+_FLUSH_TIME_NS: Final = 200_000_000  # a chunk holds this much of the run, at real pace
+_FREE_CHUNK: Final = 4096  # rows; without a wall clock only throughput counts
 _RESTARTS: Final = 5  # a writer that is killed more often than this has a reason
 _PATIENCE: Final = 30.0  # [s] that opening a file may take
 _LAST_WAIT: Final = 1.0  # [s] for the end of a process that was killed
@@ -32,7 +45,7 @@ _WAIT: Final = 0.001  # [s] between two looks at a full ring, at free pace
 
 
 def isolated_program(
-    module: str, arguments: Iterable[object], descriptors: Sequence[int], **options: object
+    module: str, arguments: Iterable[object], descriptors: Sequence[int], **options: Any
 ) -> "subprocess.Popen[str]":
     """Start `main` of a module in an interpreter that knows neither the working folder nor PYTHONPATH.
 
@@ -45,14 +58,13 @@ def isolated_program(
         options: Further arguments of `Popen`.
     """
     words = [sys.executable, "-I", "-c", _PROGRAM.format(module), str(_PACKAGES), *map(str, arguments)]
-    given: dict[str, Any] = options
     return subprocess.Popen(
         words,
         stdin=subprocess.PIPE,
         pass_fds=descriptors,
         start_new_session=True,  # Ctrl-C in the terminal is for the controller, which then ends in order
         text=True,
-        **given,
+        **options,
     )
 
 
@@ -69,6 +81,7 @@ class WriterProcess:
             dropped and counted at any pace.
 
     Attributes:
+        rings: The rings, in the order of `shapes`.
         dropped: Records lost so far because the ring was full.
         failure: Reason why the log stopped before it was closed; empty while there is none.
         restarts: Writers that were killed and replaced.
@@ -80,23 +93,28 @@ class WriterProcess:
     def __init__(
         self, job: dict[str, Any], shapes: Iterable[RingShape], on_failure: Callable[[str], None] | None = None
     ) -> None:
-        _require_posix(job["path"])
+        if os.name != "posix":
+            raise LogWriteError(
+                f"{job['path']}: logs are written by a process that shares memory with the cycle, which needs Linux or "
+                "macOS; run without logs, or use Linux (WSL on Windows)"
+            )
         shapes = tuple(shapes)
         self._job = {**job, "shapes": shapes, "parent": os.getpid(), "folders": _trusted_folders()}
         self._free, self._on_failure = job["pace"] == "free", on_failure
         self.dropped, self.failure, self.restarts = 0, "", 0
         self._is_closed = False
-        self._descriptor = _allocate(size_of(shapes), job["path"])
+        try:
+            self._descriptor = allocate(size_of(shapes))
+        except OSError as error:
+            raise LogWriteError(f"{job['path']}: {error}") from error
         self._area = SharedArea(self._descriptor, shapes)
+        self.rings = self._area.rings
         self._process = self._spawn(restart=False)
-        self._await_ready()
+        if reason := self._awaited():
+            self._let_go()
+            raise LogWriteError(f"cannot write the log: {reason}")
         self._supervisor = threading.Thread(target=self._supervise, name="log supervisor", daemon=True)
         self._supervisor.start()
-
-    @property
-    def rings(self) -> list[Ring]:
-        """The rings, in the order of `shapes`."""
-        return self._area.rings
 
     @property
     def pid(self) -> int:
@@ -109,20 +127,15 @@ class WriterProcess:
         Raises:
             LogStoppedError: The writer has failed, the ring is full, and there is no `on_failure` to call.
         """
-        if self._free and self._push_patiently(ring, record):
-            return True
+        pause = threading.Event()
+        while self._free and not self.failure:
+            if ring.push(record):
+                return True
+            pause.wait(_WAIT)
+        if self._free and self._on_failure is None:
+            raise LogStoppedError(self.failure)
         self.dropped += 1
         return False
-
-    def _push_patiently(self, ring: Ring, record: Record) -> bool:
-        pause = threading.Event()
-        while not ring.push(record):
-            if self.failure:
-                if self._on_failure is None:
-                    raise LogStoppedError(self.failure)
-                return False
-            pause.wait(_WAIT)
-        return True
 
     def close(self, status: str = "complete") -> None:
         """Let the writer finish everything that is in the rings, and wait for it. A second call does nothing.
@@ -156,38 +169,23 @@ class WriterProcess:
             stdout=subprocess.DEVNULL if restart else subprocess.PIPE,
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # it multiplies nothing, and a thread a core takes long
         )
-        self._give_job(process, restart)
+        with suppress(BrokenPipeError), cast("IO[str]", process.stdin) as pipe:  # else its status says why it has ended
+            pipe.write(json.dumps({**self._job, "restart": restart}))
         return process
 
-    def _give_job(self, process: "subprocess.Popen[str]", restart: bool) -> None:
-        if process.stdin is not None:
-            with suppress(BrokenPipeError):  # it has ended already: its status says why
-                process.stdin.write(json.dumps({**self._job, "restart": restart}))
-            with suppress(BrokenPipeError):  # buffered output is written now
-                process.stdin.close()
-
-    def _await_ready(self) -> None:
-        output = self._process.stdout
-        if output is None:
-            return
-        reason = self._wait_for_answer(output)
-        output.close()
-        if reason:
-            self._let_go()
-            raise LogWriteError(f"cannot write the log: {reason}")
-
-    def _wait_for_answer(self, output: IO[str]) -> str:
-        """Reason why the writer did not become ready; empty when it is."""
-        if not select.select([output], [], [], _PATIENCE)[0]:
-            self._process.kill()
-            with suppress(subprocess.TimeoutExpired):  # a process that waits for a dead mount cannot end
-                self._process.wait(_LAST_WAIT)
-            return (
-                f"{self._job['path']}: the file could not be opened within {_PATIENCE:g} s; look for a mount that does "
-                "not answer, or name a file on a local disk"
-            )
-        if output.readline():
-            return ""
+    def _awaited(self) -> str:
+        """Wait until the writer is ready; return why it did not become so, empty where it did."""
+        with cast("IO[str]", self._process.stdout) as output:
+            if not select.select([output], [], [], _PATIENCE)[0]:
+                self._process.kill()
+                with suppress(subprocess.TimeoutExpired):  # a process that waits for a dead mount cannot end
+                    self._process.wait(_LAST_WAIT)
+                return (
+                    f"{self._job['path']}: the file could not be opened within {_PATIENCE:g} s; look for a mount that "
+                    "does not answer, or name a file on a local disk"
+                )
+            if output.readline():
+                return ""
         code = self._process.wait()
         return self._area.text("failure") or f"the writer process ended with status {code} before it was ready"
 
@@ -218,21 +216,182 @@ def _trusted_folders() -> list[str]:
     return [folder for folder in sys.path if os.path.isabs(folder) and Path(folder).resolve() != working]
 
 
-def _require_posix(path: str | Path) -> None:
-    if os.name != "posix":
-        raise LogWriteError(
-            f"{path}: logs are written by a process that shares memory with the cycle, which needs Linux or macOS; "
-            "run without logs, or use Linux (WSL on Windows)"
-        )
-
-
-def _allocate(size: int, path: str | Path) -> int:
-    try:
-        return allocate(size)
-    except OSError as error:
-        raise LogWriteError(f"{path}: {error}") from error
-
-
 def _ending(code: int) -> str:
     how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
     return f"the writer process was {how}"
+
+
+class BusLogWriter(WriterProcess):
+    """Writes frames as candump text. Call it as a recorder: `recorder(timestamp_ns, can_id, data, is_rx)`.
+
+    The same frames give the same bytes. At real pace a full ring drops frames and counts them; at free pace it waits.
+
+    Args:
+        path: The file; an existing one is replaced. With the suffix .blf, .trc or .asc the run is recorded as candump
+            text next to it (PATH.log), which survives a kill, and converted on closing.
+        channel: Name of the bus in every line; one for each bus where there are several.
+        pace: "real" or "free".
+        file_size: Bytes after which the file is renamed to NAME.00001.log, ...; 0 for one file without limit.
+        files: Number of files kept in all when `file_size` is given.
+        last: If above 0, nothing is written during a good run; after a bad end, the frames of this final period are
+            written [s].
+        on_failure: Called once, from another thread, with the reason when the log can no longer be written; frames are
+            then dropped and counted at any pace.
+
+    Raises:
+        LogWriteError: The file cannot be created.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        channel: str | Sequence[str],
+        *,
+        pace: Literal["real", "free"] = "real",
+        file_size: int = 0,
+        files: int = 10,
+        last: float = 0.0,
+        on_failure: Callable[[str], None] | None = None,
+    ) -> None:
+        self.path = Path(path).absolute()
+        convert = self.path.suffix.lower() in CONVERTIBLE
+        channels = [channel] if isinstance(channel, str) else list(channel)
+        for name in channels:
+            if not name or any(letter.isspace() for letter in name):
+                raise ParameterError(f"channel {name!r}: expected a name without spaces, since every line repeats it")
+        if not 0 < len(channels) <= _MOST_BUSES or len(set(channels)) < len(channels):
+            raise ParameterError(f"channels {channels}: expected 1 to {_MOST_BUSES} names, all different")
+        if convert and (file_size or last):
+            raise ParameterError(f"{path}: only candump text (.log) can be a series of files or the last seconds")
+        job = {
+            "kind": "bus",
+            "pace": pace,
+            "path": f"{self.path}.log" if convert else str(self.path),
+            "channels": channels,
+            "file_size": file_size,
+            "files": files,
+            "convert_to": str(self.path) if convert else "",
+            "last_ns": round(last * 1e9),
+        }
+        super().__init__(job, [FRAME_RING], on_failure)
+        [self._frames] = self.rings
+        self._channels = len(channels)
+        self._record = self.on(0)
+
+    def __call__(self, timestamp_ns: int, can_id: int, data: bytes | bytearray, is_rx: bool) -> None:
+        """Take one frame of classic CAN (at most 8 bytes of data).
+
+        Raises:
+            LogStoppedError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
+        """
+        self._record(timestamp_ns, can_id, data, is_rx)
+
+    def on(self, bus: int) -> Recorder:
+        """Recorder of one bus, by its index among the channels; the log itself records the first bus.
+
+        Raises:
+            ParameterError: There is no such bus.
+        """
+        if not 0 <= bus < self._channels:
+            raise ParameterError(f"bus {bus}: the log has {self._channels}, counted from 0")
+        return self._frames.recorder(bus, partial(self.insist, self._frames))
+
+
+class EnergyLogWriter(WriterProcess):
+    """Writes one energy log (HDF5).
+
+    At real pace `append` never waits: when the ring is full the cycle is counted as dropped and the next row says so.
+    At free pace (lock-step) it waits for the writer, and nothing is lost.
+
+    Args:
+        path: The file; an existing one is replaced.
+        ports: The axes, in the order of samples and balances.
+        attributes: Attributes of the run: configuration text and hash, versions, clock base, bit rate, ...
+        sample_time_ns: Sample time [ns].
+        with_truth: Whether a simulation supplies true values.
+        pace: "real" or "free".
+        ring_rows: Capacity of the ring.
+        on_failure: Called once, from another thread, with the reason when the log can no longer be written; cycles are
+            then dropped and counted at any pace.
+
+    Raises:
+        LogWriteError: The file cannot be created.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        ports: Sequence[PortDescription],
+        attributes: Mapping[str, Attribute],
+        *,
+        sample_time_ns: int,
+        with_truth: bool = False,
+        pace: Literal["real", "free"] = "real",
+        ring_rows: int = _RING_ROWS,
+        on_failure: Callable[[str], None] | None = None,
+    ) -> None:
+        self._further = tuple(range(1, len(ports)))  # behind the first
+        self._nothing = (Measured(0.0, 0.0, 0.0, 1, 0, 0),) * len(ports)
+        self.path = Path(path).absolute()
+        chunk = _FREE_CHUNK if pace == "free" else max(16, min(_FREE_CHUNK, _FLUSH_TIME_NS // sample_time_ns))
+        schema = LogSchema(
+            tuple(ports), sample_time_ns, with_truth, min(chunk, ring_rows // 2), pace == "real", dict(attributes)
+        )
+        job = {"kind": "energy", "path": str(self.path), "pace": pace, "schema": schema}
+        super().__init__(job, [schema.ring(ring_rows), EVENT_RING], on_failure)
+        self._rows, self._events = self.rings
+        self._push = self._rows.push
+        self._unreported = 0
+
+    def append(
+        self,
+        sync_index: int,
+        samples: Sequence[Sample],
+        balances: Sequence[EnergyBalance],
+        timing: CycleTiming,
+        truths: Sequence[Truth] | None = None,
+        deadline: int | None = None,
+        measured: Sequence[Measured] = (),
+    ) -> None:
+        """Take one cycle.
+
+        Args:
+            sync_index: Index k of the SYNC.
+            samples: Samples, one per port.
+            balances: Balances, one per port.
+            timing: Timing of this cycle.
+            truths: True values, one per port when the log was made with truth.
+            deadline: Sample times since the first SYNC; None: none was skipped.
+            measured: Figures, one per port; none where only the balances are known.
+
+        Raises:
+            LogStoppedError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
+        """
+        due = sync_index if deadline is None else deadline
+        known = measured or self._nothing
+        row: list[float] = [self._unreported, sync_index, *timing, due, *samples[0], *balances[0], *known[0]]
+        for port in self._further:
+            row += (*samples[port], *balances[port], *known[port])
+        if truths is not None:
+            for position, energy in truths:
+                row += (position, *energy)
+        if self._push(row) or self.insist(self._rows, row):
+            self._unreported = 0
+        else:
+            self._unreported += 1
+
+    def event(self, sync_index: int, kind: str, port: str, text: str) -> None:
+        """Record an event: a fault, an EMCY, a lost frame, a stop. Long texts are cut.
+
+        Args:
+            sync_index: Index k of the SYNC.
+            kind: Kind of the event, one word.
+            port: Name of the axis; empty for the whole rig.
+            text: Description of the event.
+        """
+        texts = zip((kind, port, text), EVENT_TEXT_SIZES.values(), strict=True)
+        self._events.push((sync_index, *(_cut(words, size) for words, size in texts)))
+
+
+def _cut(text: str, size: int) -> bytes:
+    return text.encode()[:size].decode("utf-8", "ignore").encode()

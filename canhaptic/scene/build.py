@@ -46,8 +46,7 @@ from canhaptic.scene.parts import (
 from canhaptic.signals import SimulatedPeer, Truth
 
 if TYPE_CHECKING:
-    from canhaptic.logs.bus_log import BusLogWriter
-    from canhaptic.logs.energy_log import EnergyLogWriter
+    from canhaptic.logs.writer_process import BusLogWriter, EnergyLogWriter
     from canhaptic.scene.code_process import CodeProcess
     from canhaptic.sim.bus.faulty_bus import FaultyBus
     from canhaptic.sim.drive.can.drive_node import DriveGroup, Drives

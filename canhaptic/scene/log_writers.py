@@ -8,14 +8,14 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
-from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.columns import ACTIVE_LIMITS, DRY_RUN, FRICTION_DECLARED, GROUP_AXES, Attribute, PortDescription
+from canhaptic.logs.writer_process import BusLogWriter
 from canhaptic.meters import active_limits, promise_of
 from canhaptic.scene.models import AxisScene, Scene, task_unit
 from canhaptic.scene.parts import build_axis_meters, friction_declared
 
 if TYPE_CHECKING:
-    from canhaptic.logs.energy_log import EnergyLogWriter
+    from canhaptic.logs.writer_process import EnergyLogWriter
 
 _PRIVATE_NAME: Final = "vcan0"  # of a private virtual channel: the same in every run, so that logs can be compared
 
@@ -28,7 +28,7 @@ def open_energy_log(
     Raises:
         LogWriteError: The file cannot be made.
     """
-    from canhaptic.logs.energy_log import EnergyLogWriter
+    from canhaptic.logs.writer_process import EnergyLogWriter
 
     ports = [
         PortDescription(given.name, given.unit, None, given.admittance is not None)

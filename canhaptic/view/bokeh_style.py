@@ -72,24 +72,19 @@ def si_ticks(unit: str) -> CustomJSTickFormatter:
     return CustomJSTickFormatter(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_TICKS)
 
 
-def _si_hover(unit: str) -> CustomJSHover:
-    """Return the formatter of a value under the pointer: five digits and SI prefix."""
-    return CustomJSHover(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_VALUE)
-
-
-def add_hover(panel: figure, main: str, values: Mapping[str, tuple[str, str]]) -> None:
-    """Show time and values under the pointer.
+def add_hover(panel: figure, unit: str, columns: Mapping[str, str]) -> None:
+    """Show time and values under the pointer, which follows the line of the first: five digits and SI prefix.
 
     Args:
         panel: Panel to extend.
-        main: Name of the line that the pointer follows.
-        values: Label -> (column, unit).
+        unit: SI unit of the values.
+        columns: Label -> column.
     """
+    main = next(iter(columns.values()))
     renderers = [renderer for renderer in panel.renderers if renderer.name == main]
-    tooltips = [("time", "@time{0.0000} s")] + [
-        (label, f"@{{{name}}}{{custom}}") for label, (name, _) in values.items()
-    ]
-    formatters = {f"@{{{name}}}": _si_hover(unit) for name, unit in values.values()}
+    tooltips = [("time", "@time{0.0000} s"), *((label, f"@{{{name}}}{{custom}}") for label, name in columns.items())]
+    value = CustomJSHover(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_VALUE)
+    formatters = {f"@{{{name}}}": value for name in columns.values()}
     tool = HoverTool(renderers=renderers, mode="vline", tooltips=tooltips, formatters=formatters, line_policy="nearest")
     panel.add_tools(tool)
 

@@ -1,9 +1,13 @@
-"""Every figure of the account of a run as a table, from the same dictionary that `run --json` prints."""
+"""Every figure of the account of a run as a table, from the same dictionary that `run --json` prints.
+
+What `canhaptic inspect` prints: header, energy table, contacts, events, checks, comparison.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Final
 
 from rich.console import Group, RenderableType
+from rich.text import Text
 
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE, Verdict
@@ -21,6 +25,10 @@ _VERDICTS: Final[dict[Verdict, Styled]] = {
 }
 _ROUNDING: Final = 1e-9
 """Part of the largest damping below which the least is none."""
+_Shown = str | Callable[[Result], str | Styled]
+_CONTACTS_SHOWN: Final = 8
+_EVENTS_SHOWN: Final = 20
+_NAME_WIDTH: Final = 24  # of a quantity; longer ones go on in the next line
 
 
 def energy_report(result: Result) -> RenderableType:
@@ -40,43 +48,38 @@ def energy_table(result: Result) -> Table:
     ports = [result["ports"][name] for name in names]
     rows: list[list[Cell]] = [[label, *(_cell(cell, port) for port in ports)] for label, cell in _PORT_ROWS]
     rows = [row for row in rows if any(cell != _NOTHING for cell in row[1:])]
-    rows += [
-        [_BRANCHES.get(branch, f"cycles {branch}"), *(_count_text(port, "branches", branch) for port in ports)]
-        for branch in _counted(ports, "branches")
-    ]
-    rows += [
-        [label, *(_cell(_plain(of_group), port) for port in ports)]
-        for of_group, label in _OF_GROUPS.items()
-        if any(port.get(of_group) for port in ports)
-    ]
-    rows += [
-        [f"cycles limited by: {limit}", *(_count_text(port, "limits", limit) for port in ports)]
-        for limit in _counted(ports, "limits")
-    ]
+    rows += _count_rows(ports, "branches", lambda name: _BRANCHES.get(name, f"cycles {name}"))
+    for key, label in _OF_GROUPS.items():
+        if any(port.get(key) for port in ports):
+            rows.append([label, *(_cell(key, port) for port in ports)])
+    rows += _count_rows(ports, "limits", "cycles limited by: {}".format)
     truth = result.get("truth") or {}
     if any(name in truth for name in names):
         rows.append([])
         rows += [
-            [label, *(_cell(true, truth[name]) if name in truth else "-" for name in names)]
-            for label, true in _TRUTH_ROWS
+            [label, *(_cell(key, truth[name]) if name in truth else "-" for name in names)]
+            for label, key in _TRUTH_ROWS.items()
         ]
     return Table("", ["energy account", *(in_lines(name, _HEAD_WIDTH) for name in names)], rows, keys=1)
 
 
-def _cell(cell: Callable[[Result], str | Styled], port: Result) -> str | Styled:
+def _cell(cell: _Shown, port: Result) -> str | Styled:
     try:
-        return cell(port)
+        if not isinstance(cell, str):
+            return cell(port)
+        first, _, rest = cell.partition(".")
+        return energy(port[first][rest] if rest else port[first])
     except (KeyError, TypeError):  # an axis in a group, another version, or a quantity that this run did not have
         return _NOTHING
 
 
-def _counted(ports: Sequence[Result], key: str) -> list[str]:
-    """Return the names of the events at any port."""
-    return list(dict.fromkeys(name for port in ports for name, count in port.get(key, {}).items() if count))
-
-
-def _count_text(port: Result, key: str, name: str) -> str:
-    return f"{port[key].get(name, 0)}   " if port.get(key) else _NOTHING
+def _count_rows(ports: Sequence[Result], key: str, label: Callable[[str], str]) -> list[list[Cell]]:
+    """Return a row for each event counted at any port."""
+    names = dict.fromkeys(name for port in ports for name, count in port.get(key, {}).items() if count)
+    return [
+        [label(name), *(f"{port[key].get(name, 0)}   " if port.get(key) else _NOTHING for port in ports)]
+        for name in names
+    ]
 
 
 def energy(value: float) -> str:
@@ -89,19 +92,6 @@ def _margin(port: Result) -> Styled:
     margin, at = port["margin"]["value"], port["margin"]["time"]
     place = f" at {at:.4g} s   " if margin < 0.0 else ", never negative"
     return Styled(f"{si(margin, 'J')}{place}", "green" if margin >= -PASSIVE_TOLERANCE else "red")
-
-
-def _uncommanded(port: Result) -> str:
-    count = port.get("uncommanded_cycles", 0)
-    return f"{count}   " if count else _NOTHING
-
-
-def _share(name: str) -> Callable[[Result], str]:
-    def share(port: Result) -> str:
-        part = port["rendered"][name]
-        return _NOTHING if part is None else f"{100.0 * part:.3g} %   "
-
-    return share
 
 
 def _silent(port: Result) -> str | Styled:
@@ -132,24 +122,13 @@ def _damping(port: Result) -> str:
     return f"{most} {unit}" if least == most else f"{least}..{most} {unit}"
 
 
-def _surplus(which: str) -> Callable[[Result], str]:
-    return lambda port: energy(port["surplus"][which])
-
-
 def _friction(port: Result) -> str | Styled:
     """Return by how much an axis was faster than declared friction and hand permit."""
     excess = port["friction_excess"]
     return Styled(f"{excess:.3g} {effort_unit(port['unit'])}   ", "bold red") if excess else "none   "
 
 
-def _plain(name: str) -> Callable[[Result], str]:
-    return lambda port: energy(port[name])
-
-
-_OF_GROUPS: Final[dict[str, str]] = {
-    "supplied": "input from moving surfaces",
-    "unsure": "uncertainty, taken off `in`",
-}
+_OF_GROUPS: Final = {"supplied": "input from moving surfaces", "unsure": "uncertainty, taken off `in`"}
 """Rows that only a group may have, shown where they are not zero."""
 _BRANCHES: Final = {
     "free": "cycles out of contact", "start": "cycles that began a contact", "exit": "cycles that ended a contact",
@@ -158,37 +137,167 @@ _BRANCHES: Final = {
     "held": "cycles without a new position",
 }  # fmt: skip
 """Rows of the counted branches."""
-_PORT_ROWS: Final[tuple[tuple[str, Callable[[Result], str | Styled]], ...]] = (
-    ("in", _plain("in")),
-    ("out", _plain("out")),
-    ("dissipated", _plain("dissipated")),
-    ("stored at the end", _plain("stored")),
-    ("energy created by sampling, not yet removed", _surplus("end")),
-    ("  at its peak", _surplus("max")),
-    ("recovered by the damper", _plain("recovered")),
-    ("stored energy not returned", _plain("leaked")),
-    ("energy returned beyond what was stored", _plain("deficit")),
-    ("lowest net energy (in - out), at the motor", _plain("least_interaction")),
+_PORT_ROWS: Final[tuple[tuple[str, _Shown], ...]] = (
+    ("in", "in"),
+    ("out", "out"),
+    ("dissipated", "dissipated"),
+    ("stored at the end", "stored"),
+    ("energy created by sampling, not yet removed", "surplus.end"),
+    ("  at its peak", "surplus.max"),
+    ("recovered by the damper", "recovered"),
+    ("stored energy not returned", "leaked"),
+    ("energy returned beyond what was stored", "deficit"),
+    ("lowest net energy (in - out), at the motor", "least_interaction"),
     ("  first below zero at", lambda port: f"{first_active(port)}   "),
     ("passive at the motor", lambda port: _VERDICTS[port["passive"]]),
-    ("lowest net energy (in - out), at the handle", _plain("least_at_handle")),
+    ("lowest net energy (in - out), at the handle", "least_at_handle"),
     ("passive at the handle", lambda port: _VERDICTS[port["passive_at_handle"]]),
     ("smallest margin", _margin),
     ("damping rendered", _damping),
-    ("damping rendered, of requested", _share("damping")),
-    ("stiffness rendered, of requested", _share("stiffness")),
+    ("damping rendered, of requested", lambda port: f"{100.0 * port['rendered']['damping']:.3g} %   "),
+    ("stiffness rendered, of requested", lambda port: f"{100.0 * port['rendered']['stiffness']:.3g} %   "),
     ("mass felt", lambda port: f"{mass_text(port)}   "),
     ("cycles of contact without torque", _silent),
     ("uncertainty of the account", _resolution),
     ("longest time between torque updates", lambda port: f"{counted(port['longest_hold'], 'cycle')}   "),
-    ("cycles not as commanded", _uncommanded),
+    ("cycles not as commanded", lambda port: f"{port['uncommanded_cycles'] or '-'}   "),
     ("beyond declared friction and hand", _friction),
     ("passivity guaranteed for", _certificates),
     ("hold of a torque", lambda port: f"{port['hold']}   "),
 )
-_TRUTH_ROWS: Final[tuple[tuple[str, Callable[[Result], str | Styled]], ...]] = (
-    ("net energy, from the plant", _plain("interaction")),
-    ("lowest net energy, from the plant", _plain("least_interaction")),
-    ("lowest at the handle, from the plant", _plain("least_at_handle")),
-    ("largest error of the account", _plain("believed_error")),
-)
+"""Label, and the path of an energy in the account or a function that shows what the account has."""
+_TRUTH_ROWS: Final = {
+    "net energy, from the plant": "interaction",
+    "lowest net energy, from the plant": "least_interaction",
+    "lowest at the handle, from the plant": "least_at_handle",
+    "largest error of the account": "believed_error",
+}
+
+
+def inspection_report(result: Result) -> RenderableType:
+    """Return everything that `inspect` found, for a terminal."""
+    parts: list[RenderableType] = [_header(result)] if "file" in result else []
+    parts.append(energy_report(result))
+    parts += [_finding_line(finding) for finding in result.get("findings", ())]
+    parts += inspection_tables(result)
+    parts += [_recomputed_line(port) for port in result.get("recomputed", ())]
+    if "rederived" in result:
+        parts.append(_rederived_line(result["rederived"]))
+    for other in result.get("others", ()):
+        parts += [Text(), _header(other), energy_report(other)]
+    if "comparison" in result:
+        parts.append(_comparison(result["comparison"]))
+    return Group(*parts)
+
+
+def inspection_tables(result: Result) -> list[Table]:
+    """Return contacts, events and check, as far as there are any."""
+    tables = []
+    for name, contacts in result.get("contacts", {}).items():
+        port = result["ports"][name]
+        tables.append(_contacts_table(name, contacts, port["unit"], port.get("state_unit", port["unit"])))
+    tables += [_events_table(result.get("events", [])), _checks_table(result.get("checks", []))]
+    return [table for table in tables if table.rows]
+
+
+def _header(result: Result) -> Text:
+    return Text(f" {result['file']}   {si(result['rate'], 'Hz', 3)}   {result['from']:.6g} s to {result['to']:.6g} s")
+
+
+def _contacts_table(name: str, contacts: Sequence[Result], unit: str, depth_unit: str) -> Table:
+    hardest = sorted(contacts, key=lambda contact: -contact["peak_torque"])[:_CONTACTS_SHOWN]
+    shown = f", the {_CONTACTS_SHOWN} hardest" if len(contacts) > _CONTACTS_SHOWN else ""
+    rows: list[list[Cell]] = [
+        [
+            f"{contact['start']:.4f} s", si(contact["duration"], "s"), si(contact["depth"], depth_unit),
+            si(contact["peak_torque"], effort_unit(unit)), energy(contact["energy"]),
+        ]
+        for contact in sorted(hardest, key=lambda contact: contact["start"])
+    ]  # fmt: skip
+    title = f" {name}: {counted(len(contacts), 'contact')}{shown}"
+    return Table(title, ("start", "duration", "depth", "peak", "energy taken in"), rows, keys=0)
+
+
+def _events_table(events: Sequence[Result]) -> Table:
+    more = f", the first {_EVENTS_SHOWN}" if len(events) > _EVENTS_SHOWN else ""
+    rows: list[list[Cell]] = [
+        [
+            f"{event['time']:.4f} s", event["sync_index"], event["kind"].replace("unrestored", "not restored"),
+            event["port"], event["text"],
+        ]
+        for event in events[:_EVENTS_SHOWN]
+    ]  # fmt: skip
+    title = f" {counted(len(events), 'event')}{more}"
+    return Table(title, ("time", "cycle", "kind", "port", "what"), rows)
+
+
+def _checks_table(checks: Sequence[Result]) -> Table:
+    rows: list[list[Cell]] = [
+        [
+            check["check"], check["name"], _checked(check),
+            Styled("holds", "green") if check["holds"] else Styled("FAILS", "bold red"),
+        ]
+        for check in checks
+    ]  # fmt: skip
+    return Table(" checks", ("check", "value of", "is", ""), rows)
+
+
+def _checked(check: Result) -> str:
+    if check["value"] == "no contact":
+        return "no contact, so nothing was tested"
+    since = f", first below zero at {check['first_active']:.4g} s" if "first_active" in check else ""
+    return f"{check['value']}{since}" if isinstance(check["value"], str) else f"{check['value']:.9g}"
+
+
+def _finding_line(finding: Result) -> Text:
+    rows = f"{finding['rows']} row{'s are' if finding['rows'] != 1 else ' is'}"
+    words = f" {finding['dataset']}: {rows} {finding['what']}, first in cycle {finding['cycle']}"
+    return Text(words, style="bold red")
+
+
+def _recomputed_line(recomputed: Result) -> Text:
+    mismatch, words = recomputed["mismatch"], f" {recomputed['port']}: recomputed"
+    if mismatch is not None:
+        words += f" {mismatch['quantity']} of cycle {mismatch['cycle']} is {mismatch['recomputed']!r}"
+        return Text(f"{words}, logged was {mismatch['logged']!r}", style="bold red")
+    if not recomputed["unchecked_rows"]:
+        return Text(f"{words}, every output equal bit for bit", style="green")
+    behind = "a SYNC was skipped, and only the bus log has the length of its hold: add --bus-log"
+    if recomputed["missing_rows"]:
+        behind = f"{recomputed['missing_rows']} rows are missing"
+    words = f" {recomputed['port']}: the first {counted(recomputed['rows'], 'cycle')} recomputed, equal bit for bit"
+    return Text(f"{words}; after them {behind}", style="bold red")
+
+
+def _rederived_line(rederived: Result) -> Text:
+    if not rederived["differences"]:
+        words = (
+            f" from the frames alone: {counted(rederived['cycles'], 'cycle')}, samples and account bit for bit equal"
+        )
+        return Text(words, style="green")
+    lines = (
+        f" {found['port']}: from the frames, {found['quantity']} of cycle {found['cycle']} is {found['rederived']!r}, "
+        f"logged was {found['logged']!r}"
+        for found in rederived["differences"]
+    )
+    return Text("\n".join(lines), style="bold red")
+
+
+def _comparison(comparison: Result) -> RenderableType:
+    first, second = comparison["rows"]
+    if comparison["identical"]:
+        return Text(f" identical: {counted(first, 'cycle')}, every quantity equal bit for bit", style="green")
+    parts: list[RenderableType] = [Text(f" different: {first} and {counted(second, 'cycle')}", style="bold red")]
+    if comparison["missing"]:
+        parts.append(Text(f" only in one of them: {', '.join(comparison['missing'])}"))
+    rows: list[list[Cell]] = [
+        [
+            in_lines(found["name"], _NAME_WIDTH), found["cycle"], f"{found['first']:.9g}", f"{found['second']:.9g}",
+            f"{found['largest']:.3g}" + ("" if found["unit"] == "1" else f" {found['unit']}"),
+        ]
+        for found in comparison["differences"]
+    ]  # fmt: skip
+    if rows:
+        title = f" {len(rows)} quantit{'y differs' if len(rows) == 1 else 'ies differ'}"
+        parts.append(Table(title, ("quantity", "cycle", "first log", "second log", "largest difference"), rows, keys=1))
+    return Group(*parts)

@@ -14,10 +14,9 @@ from canhaptic.audit.port_record import rows_to_draw
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
 from canhaptic.signals import CycleTiming
-from canhaptic.view.energy_table import energy_table
+from canhaptic.view.energy_table import energy_table, inspection_tables
 from canhaptic.view.html_page import picture, verdict_bar, words, write_page
-from canhaptic.view.inspect_table import inspection_tables
-from canhaptic.view.picture_style import BLUE, GREEN, PURPLE, VERMILION, axis_scale, drawing, save_picture
+from canhaptic.view.picture_style import BLUE, GREEN, PURPLE, VERMILION, drawing, save_picture, scale_of
 from canhaptic.view.run_lines import first_active
 from canhaptic.view.run_picture import draw_energy
 from canhaptic.view.series import FAULTS, decimate, losses
@@ -25,11 +24,10 @@ from canhaptic.view.si import counted, si
 from canhaptic.view.table import Table
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from canhaptic.audit.inspection import Inspection
 
 _BUCKETS: Final = 1000
+_COLOURS: Final = (BLUE, GREEN, VERMILION, PURPLE)
 _SPAN: Final = 0.25  # [s] shown on either side of a moment
 _MOST_FAULTS: Final = 3
 _FIRST_BELOW: Final = "first below zero at"
@@ -95,16 +93,18 @@ def _moments(result: "Inspection") -> Iterator[tuple[str, float]]:
     """Yield title and time [s] of the moments that are drawn again, larger."""
     if result["to"] - result["from"] <= 2.0 * _SPAN:
         return
+
+    def within(time: float) -> float:
+        return min(max(time, result["from"]), result["to"])
+
     for name, port in result["ports"].items():
         if "first_active" in port:
-            time = min(max(port["first_active"], result["from"]), result["to"])
-            yield f"{name}: {_FIRST_BELOW} {first_active(port).strip()}", time
+            yield f"{name}: {_FIRST_BELOW} {first_active(port).strip()}", within(port["first_active"])
         if "margin" in port:
-            time = min(max(port["margin"]["time"], result["from"]), result["to"])
+            time = within(port["margin"]["time"])
             yield f"{name}: around the smallest margin, {si(port['margin']['value'], 'J')} at {time:.4g} s", time
     for event in [event for event in result["events"] if event["kind"] in FAULTS][:_MOST_FAULTS]:
-        time = min(max(event["time"], result["from"]), result["to"])
-        yield f"around {event['kind']} {event['text']} at {event['time']:.4g} s", time
+        yield f"around {event['kind']} {event['text']} at {event['time']:.4g} s", within(event["time"])
 
 
 def _further(log: EnergyLog, rows: slice) -> tuple[_Panels, list[str]]:
@@ -116,14 +116,11 @@ def _further(log: EnergyLog, rows: slice) -> tuple[_Panels, list[str]]:
         shown = decimate(values, _BUCKETS)
         return time[shown], values[shown].astype(np.float64)
 
-    panels: _Panels = {
-        f"{name}: damping rendered": (
-            port.unit("damping_rendered"),
-            {"damping": thinned(port.read("damping_rendered", *span))},
-        )
-        for name, port in log.ports.items()
-        if name not in log.group_of
-    }
+    panels: _Panels = {}
+    for name, port in log.ports.items():
+        if name not in log.group_of:
+            lines = {"damping": thinned(port.read("damping_rendered", *span))}
+            panels[f"{name}: damping rendered"] = port.unit("damping_rendered"), lines
     timing = {name.replace("_", " "): thinned(log.timing.read(name, *span)) for name in CycleTiming._fields}
     panels["timing"] = "s", {name: (at, values * _S_PER_NS) for name, (at, values) in timing.items()}
     panels["lost"] = "", {name: thinned(np.cumsum(of)) for name, of in losses(log, *span).items() if of.any()}
@@ -137,18 +134,12 @@ def _draw_further(panels: _Panels, path: Path) -> None:
         places = figure.subplots(len(panels), sharex=True, squeeze=False)[:, 0]
         for place, (title, (unit, lines)) in zip(places, panels.items(), strict=True):
             largest = max(float(np.abs(line).max()) for _, line in lines.values())
-            scale, prefix = axis_scale(largest) if unit else (1.0, "")
+            scale, prefix = scale_of(largest) if unit else (1.0, "")
             stair = "default" if title == "timing" else "steps-post"
-            for (name, (time, line)), colour in zip(
-                lines.items(), cycle((BLUE, GREEN, VERMILION, PURPLE)), strict=False
-            ):
+            for (name, (time, line)), colour in zip(lines.items(), cycle(_COLOURS)):
                 place.plot(time, line / scale, color=colour, linewidth=1.0, drawstyle=stair, label=name)
-            _finish(place, title, f"[{prefix}{unit}]" if unit else "")
+            place.set_title(title, fontweight="bold")
+            place.set_ylabel(f"[{prefix}{unit}]" if unit else "")
+            place.legend(loc="best", fontsize=8.0)
         places[-1].set_xlabel("time [s]")
         save_picture(figure, path)
-
-
-def _finish(place: "Axes", title: str, unit: str) -> None:
-    place.set_title(title, fontweight="bold")
-    place.set_ylabel(unit)
-    place.legend(loc="best", fontsize=8.0)

@@ -113,6 +113,6 @@ def _write_powers_plainly(figure: "Figure") -> None:
             axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.0, 0.4)))
 
 
-def axis_scale(largest: float) -> tuple[float, str]:
+def scale_of(largest: float) -> tuple[float, str]:
     """Return the scale and SI prefix of an axis, so that its largest value lies between 1 and 1000."""
     return next(((scale, prefix) for scale, prefix in _PREFIXES if largest >= scale), _PREFIXES[0])

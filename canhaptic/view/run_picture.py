@@ -19,18 +19,8 @@ from canhaptic.audit.port_record import contacts, rows_between, rows_to_draw
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
-from canhaptic.view.picture_style import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    OVERLAID,
-    VERMILION,
-    axis_scale,
-    drawing,
-    save_picture,
-)
-from canhaptic.view.series import TaskPlane, decimate, faults_of, notches_of, task_plane
+from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, OVERLAID, VERMILION, drawing, save_picture, scale_of
+from canhaptic.view.series import TaskPlane, decimate, decimate_together, faults_of, notches_of, task_plane
 from canhaptic.view.si import counted, si
 
 if TYPE_CHECKING:
@@ -42,6 +32,16 @@ _BUCKETS: Final = 2000  # about 4000 points a line, more than the picture has co
 _MAX_CONTACTS_SHADED: Final = 400  # more stripes than this are only grey
 _MAX_FAULTS_NAMED: Final = 4
 _ROUNDING: Final = 1e-6  # part of the energy that flowed, below which a surplus is no line to look at
+_COLUMNS: Final = {
+    "position": "position", "velocity": "torque_command", "torque": "torque_applied",
+    "energy": "h_i", "surplus": "h_dis",
+}  # fmt: skip
+"""Panel over time -> the column that gives its unit, and of a mover its values."""
+_LOOKS: Final[dict[str, dict[str, Any]]] = {
+    "position": {"linewidth": 1.3},
+    "velocity": {"linewidth": 1.2, "stair": "steps-post"},
+    "torque": {"linewidth": 0.9, "stair": "steps-pre"},
+}
 _LEGEND: Final[Any] = {
     "loc": "lower right",
     "bbox_to_anchor": (1.0, 0.985),
@@ -89,21 +89,11 @@ class PortPicture:
 
     def draw(self, panels: "Mapping[str, Axes]") -> None:
         """Draw into axes, by the names that `draws` returned."""
-        parts = {
-            "position": self._draw_position,
-            "velocity": self._draw_velocity,
-            "torque": self._draw_torque,
-            "energy": self._draw_energy,
-            "surplus": self._draw_surplus,
-        }
         for name, axes in panels.items():
-            if name == "path" and self.plane is not None:
+            if name in _COLUMNS:
+                self._draw_over_time(axes, name)
+            elif name == "path" and self.plane is not None:
                 self._draw_path(axes, self.plane)
-            if name in _NOT_OVER_TIME:
-                continue
-            self._mark(axes, "in contact" if name == "position" else "")
-            parts[name](axes)
-            axes.margins(x=0.0)
         if "motion" in panels:
             self._draw_motion(panels, self.scales)
         if len(self._log.ports) > 1 or self._axes:
@@ -111,15 +101,8 @@ class PortPicture:
 
     def draw_over(self, panels: "Mapping[str, Axes]", scales: Mapping[str, float], name: str, colour: str) -> None:
         """Draw the same quantities over the panels of another run, whose scales they take."""
-        lines = {
-            "position": self._of_movers("position"),
-            "velocity": self._of_movers("torque_command"),
-            "torque": self._of_movers("torque_applied"),
-            "energy": [np.cumsum(self._column("h_i")), np.cumsum(self._column("h_r"))],
-            "surplus": [self._column("h_dis")],
-        }
         for panel, scale in scales.items():
-            for number, line in enumerate(lines[panel]):
+            for number, (line, _) in enumerate(self._lines(panel)):
                 label = name if number == 0 else None
                 self._line(panels[panel], line, scale, color=colour, linewidth=0.7, linestyle=(0, (3, 2)), label=label)
             panels[panel].legend(**_LEGEND)
@@ -133,18 +116,56 @@ class PortPicture:
         """Return a quantity of the axis, or of each axis of the group."""
         return [port.read(name, self._rows.start, self._rows.stop) for port in self._movers]
 
+    def _lines(self, panel: str) -> list[tuple[Array, dict[str, Any]]]:
+        """Return values and look of the lines of a panel over time that runs have in common."""
+        if panel == "energy":
+            return [(np.cumsum(self._column(name)), {}) for name in ("h_i", "h_r")]
+        if panel == "surplus":
+            return [(self._column("h_dis"), {"color": ORANGE, "linewidth": 1.3, "label": "surplus to dissipate"})]
+        alone = {"velocity": "commanded", "torque": "on the hand" if self._is_display else "applied"}.get(panel, panel)
+        movers = zip(self._of_movers(_COLUMNS[panel]), self._axes or (alone,), cycle(_OF_AXES))
+        return [(values, {"color": colour, "label": label, **_LOOKS[panel]}) for values, label, colour in movers]
+
+    def _own_lines(self, panel: str) -> list[tuple[Array, dict[str, Any]]]:
+        """Return those of one run alone: the deficit, and torques commanded, wide and pale behind the others."""
+        look: dict[str, Any] = {"color": VERMILION, "linewidth": 1.0, "linestyle": "--", "label": "deficit, summed"}
+        if panel == "surplus":
+            return [(np.cumsum(self._column("deficit")), look)]
+        if panel != "torque" or self._is_display:
+            return []
+        look = (
+            {"linewidth": 2.4, "alpha": 0.3} if self._axes else {"linewidth": 2.2, "alpha": 0.8, "label": "commanded"}
+        )
+        commands = zip(self._of_movers("torque_command"), cycle(_OF_AXES if self._axes else (ORANGE,)))
+        return [(values, {"color": colour, "stair": "steps-post", **look}) for values, colour in commands]
+
     def _line(self, axes: "Axes", values: Array, scale: float, stair: str = "default", **style: Any) -> None:
         """Draw a line; as a stair only where every row is drawn, for nothing is known between rows far apart."""
         shown = decimate(values, _BUCKETS)
         drawn = stair if len(shown) == len(values) else "default"
         axes.plot(self._time[shown], values[shown] / scale, drawstyle=drawn, **style)
 
-    def _draw_position(self, axes: "Axes") -> None:
-        positions = self._of_movers("position")
+    def _draw_over_time(self, axes: "Axes", panel: str) -> None:
+        self._mark(axes, "in contact" if panel == "position" else "")
+        common, own = self._lines(panel), self._own_lines(panel)
+        lines = [*own, *common] if panel == "torque" else [*common, *own]
+        largest = max(abs(float(limit(line, initial=0.0))) for line, _ in lines for limit in (np.nanmin, np.nanmax))
+        self.scales[panel], prefix = scale_of(largest)
+        scale, unit = self.scales[panel], self._movers[0].unit(_COLUMNS[panel])
+        if panel == "energy":
+            self._draw_energy(axes, scale, *(values for values, _ in common))
+        else:
+            for values, look in lines:
+                self._line(axes, values, scale, **look)
+        if panel == "position":
+            self._draw_wall(axes, scale)
+        title = "force" if panel == "torque" and unit == "N" else panel
+        _finish(axes, title + " commanded" * (panel == "velocity" and bool(self._axes)), f"{prefix}{unit}")
+        axes.margins(x=0.0)
+
+    def _draw_wall(self, axes: "Axes", scale: float) -> None:
+        """Draw where the environment acts: the notches of detents, or the inside of a wall."""
         wall = self._log.attributes.get(f"{self._name}.wall_position")
-        scale, prefix = self._prefix("position", *positions)
-        for position, label, colour in zip(positions, self._axes or ("position",), cycle(_OF_AXES)):
-            self._line(axes, position, scale, color=colour, linewidth=1.3, label=label)
         low, high = (scale * end for end in axes.get_ylim())
         notches = notches_of(self._log, self._name, low, high)
         for place in notches:
@@ -156,20 +177,10 @@ class PortPicture:
             inside = low if self._log.attributes.get(f"{self._name}.wall_side", "below") == "below" else high
             axes.axhspan(inside, wall / scale, color=GREY, alpha=0.10, linewidth=0)
             axes.set_ylim(low, high)
-        _finish(axes, "position", f"{prefix}{self._movers[0].unit('position')}")
-
-    def _draw_velocity(self, axes: "Axes") -> None:
-        """Draw the velocities that an admittance display commands."""
-        commands = self._of_movers("torque_command")
-        scale, prefix = self._prefix("velocity", *commands)
-        for command, name, colour in zip(commands, self._axes or ("commanded",), cycle(_OF_AXES)):
-            self._line(axes, command, scale, color=colour, linewidth=1.2, stair="steps-post", label=name)
-        title = "velocity commanded" if self._axes else "velocity"
-        _finish(axes, title, f"{prefix}{self._movers[0].unit('torque_command')}")
 
     def _draw_path(self, axes: "Axes", plane: TaskPlane) -> None:
         """Draw the path of the handle against the surface, material shaded, both axes to the same scale."""
-        scale, prefix = axis_scale(float(np.nanmax(np.abs(plane.path))))
+        scale, prefix = scale_of(float(np.nanmax(np.abs(plane.path))))
         _draw_material(axes, plane, scale)
         axes.plot(*(plane.path / scale).T, color=BLUE, linewidth=1.0, label="path")
         axes.set_aspect("equal")
@@ -184,7 +195,7 @@ class PortPicture:
         places, efforts = self._of_movers("position"), self._of_movers("torque_applied")
         labels = self._axes or ("applied",)
         for place, effort, label, own in zip(places, efforts, labels, cycle(_OF_AXES)):
-            shown = np.unique(np.concatenate([decimate(place, _BUCKETS), decimate(effort, _BUCKETS)]))
+            shown = decimate_together((place, effort), _BUCKETS)
             across, along = place[shown] / scales["position"], effort[shown] / scales["torque"]
             axes.plot(across, along, color=colour or own, linewidth=0.9, label=other or label)
         if not other:
@@ -193,37 +204,9 @@ class PortPicture:
             axes.set_title(f"{torque.get_title(loc='left')} over position", fontweight="bold")
         axes.legend(**_LEGEND)
 
-    def _draw_torque(self, axes: "Axes") -> None:
-        if self._axes:
-            self._draw_torques_of_axes(axes)
-            return
-        command, applied = self._column("torque_command"), self._column("torque_applied")
-        unit = self._port.unit("torque_applied")
-        scale, prefix = self._prefix("torque", applied, *(() if self._is_display else (command,)))
-        if not self._is_display:
-            wide: Any = {"linewidth": 2.2, "alpha": 0.8, "stair": "steps-post"}
-            self._line(axes, command, scale, color=ORANGE, label="commanded", **wide)
-        label = "on the hand" if self._is_display else "applied"
-        self._line(axes, applied, scale, color=BLUE, linewidth=0.9, stair="steps-pre", label=label)
-        _finish(axes, "torque" if unit == "N*m" else "force", f"{prefix}{unit}")
-
-    def _draw_torques_of_axes(self, axes: "Axes") -> None:
-        """Draw the torque that each axis of a group applied; the command is wide and pale behind it."""
-        applied = self._of_movers("torque_applied")
-        commands = [] if self._is_display else self._of_movers("torque_command")
-        unit = self._movers[0].unit("torque_applied")
-        scale, prefix = self._prefix("torque", *commands, *applied)
-        for command, colour in zip(commands, cycle(_OF_AXES)):
-            self._line(axes, command, scale, color=colour, linewidth=2.4, alpha=0.3, stair="steps-post")
-        for held, name, colour in zip(applied, self._axes, cycle(_OF_AXES)):
-            self._line(axes, held, scale, color=colour, linewidth=0.9, stair="steps-pre", label=name)
-        _finish(axes, "torque" if unit == "N*m" else "force", f"{prefix}{unit}")
-
-    def _draw_energy(self, axes: "Axes") -> None:
-        taken_in, dissipated = np.cumsum(self._column("h_i")), np.cumsum(self._column("h_r"))
+    def _draw_energy(self, axes: "Axes", scale: float, taken_in: Array, dissipated: Array) -> None:
         margin = taken_in - dissipated
-        scale, prefix = self._prefix("energy", taken_in, dissipated)
-        shown = np.unique(np.concatenate([decimate(values, _BUCKETS) for values in (taken_in, dissipated, margin)]))
+        shown = decimate_together((taken_in, dissipated, margin), _BUCKETS)
         time, upper, lower = self._time[shown], taken_in[shown] / scale, dissipated[shown] / scale
         axes.fill_between(time, lower, upper, upper >= lower, color=GREEN, alpha=0.22, linewidth=0, label="margin")
         if (upper < lower).any():
@@ -237,21 +220,6 @@ class PortPicture:
         if below.any():
             first = float(self._time[int(below.argmax())])
             axes.axvline(first, color=VERMILION, linewidth=1.0, linestyle=":", label=f"below zero from {first:.4g} s")
-        _finish(axes, "energy", f"{prefix}J")
-
-    def _draw_surplus(self, axes: "Axes") -> None:
-        surplus, deficit = self._column("h_dis"), np.cumsum(self._column("deficit"))
-        scale, prefix = self._prefix("surplus", surplus, deficit)
-        self._line(axes, surplus, scale, color=ORANGE, linewidth=1.3, label="surplus to dissipate")
-        self._line(axes, deficit, scale, color=VERMILION, linewidth=1.0, linestyle="--", label="deficit, summed")
-        _finish(axes, "surplus", f"{prefix}J")
-
-    def _prefix(self, panel: str, *lines: Array) -> tuple[float, str]:
-        """Return the scale and SI prefix of a panel that shows all of these lines, and keep the scale."""
-        largest = max(abs(float(limit(line, initial=0.0))) for line in lines for limit in (np.nanmin, np.nanmax))
-        scale, prefix = axis_scale(largest)
-        self.scales[panel] = scale
-        return scale, prefix
 
     def _mark(self, axes: "Axes", label: str) -> None:
         """Shades the contacts, with a label in the legend unless it is empty, and marks faults."""
@@ -283,7 +251,6 @@ def _finish(axes: "Axes", title: str, unit: str) -> None:
     axes.legend(**_LEGEND)
 
 
-_NOT_OVER_TIME: Final = ("path", "motion")
 _HEIGHTS: Final = {
     "path": 5.0, "position": 3.0, "velocity": 2.0, "torque": 3.0, "energy": 4.0, "surplus": 2.0, "motion": 4.0
 }  # fmt: skip
@@ -313,8 +280,7 @@ def draw_energy(
     Raises:
         InputError: The log holds no cycle there, matplotlib is not installed, or the file cannot be written.
     """
-    with drawing():
-        save_picture(energy_figure(log, start, stop, others), path)
+    save_picture(energy_figure(log, start, stop, others), path)
 
 
 def energy_figure(
@@ -350,7 +316,7 @@ def energy_figure(
 
 
 def _last_over_time(names: Iterable[str]) -> str:
-    return [name for name in names if name not in _NOT_OVER_TIME][-1]
+    return [name for name in names if name in _COLUMNS][-1]
 
 
 def _layout(
@@ -370,7 +336,7 @@ def _layout(
     for number, (name, names) in enumerate(wanted.items()):
         columns[name] = {}
         for row in names:
-            over_time = row not in _NOT_OVER_TIME
+            over_time = row in _COLUMNS
             band, column = divmod(number, across)
             place = grid[band * len(rows) + rows.index(row), column]
             axes = figure.add_subplot(place, sharex=first if over_time else None)

@@ -1,22 +1,24 @@
 """The page of `canhaptic scope`: the panels of a finished run's page, for the last seconds, as data arrive."""
 
 import html
-from collections.abc import Mapping
-from typing import Final
+from collections.abc import Iterable, Mapping
+from functools import partial
+from itertools import cycle
+from typing import Any, Final
 
-import numpy as np
 from bokeh.document import Document
 from bokeh.layouts import column
-from bokeh.models import ColumnDataSource, DataRange1d, Div, Range
+from bokeh.models import BoxAnnotation, ColumnDataSource, DataRange1d, Div, HoverTool, Range, Span
 from bokeh.plotting import figure
 
 from canhaptic.logs.decoder import state_text
 from canhaptic.logs.hdf5 import Array
 from canhaptic.result import with_groups
+from canhaptic.view.bokeh_style import add_hover, finished, new_panel
 from canhaptic.view.html_page import verdict_bar
 from canhaptic.view.live_log import LiveLog, News
-from canhaptic.view.port_panels import OPTIONAL, PortPanels, fault_columns, is_empty, link_panel, timing_panel
-from canhaptic.view.series import FAULTS, decimate
+from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION
+from canhaptic.view.series import FAULTS, PortFacts, decimate_together
 from canhaptic.view.si import counted, si
 
 _POINTS: Final = 6000  # kept per line
@@ -25,6 +27,128 @@ _LINES: Final = (
     "position", "command", "applied", "taken_in", "dissipated", "margin", "upper", "surplus", "deficit", "damping",
 )  # fmt: skip
 _EVENTS_SHOWN: Final = 4
+
+
+_Glyph = tuple[str, dict[str, Any]]
+"""Kind of a glyph of Bokeh, and its arguments."""
+_OPTIONAL: Final[dict[str, tuple[str, ...]]] = {
+    "energy": ("taken_in", "dissipated"),
+    "surplus": ("surplus", "deficit"),
+    "damping": ("damping",),
+}
+"""Panel -> its columns; where all of them are zero, the panel is left out."""
+
+
+def _panel(
+    time: Range,
+    source: ColumnDataSource,
+    title: str,
+    unit: str,
+    height: int,
+    glyphs: Iterable[_Glyph],
+    under_pointer: Mapping[str, str],
+) -> figure:
+    """Return a panel over time.
+
+    Args:
+        time: Time range shared by all panels.
+        source: Column time, and those of the glyphs.
+        title: Title.
+        unit: SI unit of the values.
+        height: Height [pixels].
+        glyphs: Lines and areas.
+        under_pointer: Label -> column, of the values shown under the pointer.
+    """
+    panel = new_panel(title, unit, time, height)
+    for kind, style in glyphs:
+        getattr(panel, kind)(x="time", source=source, **style)
+    add_hover(panel, unit, under_pointer)
+    return finished(panel)
+
+
+def _line(column: str, label: str, colour: str, width: float = 1.5, **style: Any) -> _Glyph:
+    return "line", {
+        "y": column, "name": column, "legend_label": label, "color": colour, "line_width": width, **style
+    }  # fmt: skip
+
+
+def _timing_panel(time: Range, source: ColumnDataSource, period: float) -> figure:
+    """Return the panel of durations within the cycle, with the period drawn across [s]."""
+    labels = {name.replace("_", " "): name for name in source.data if name != "time"}
+    colours = (BLUE, GREEN, VERMILION, PURPLE)
+    lines = [_line(name, label, colour, 1.0) for (label, name), colour in zip(labels.items(), colours, strict=True)]
+    panel = _panel(time, source, "timing", "s", 150, lines, labels)
+    panel.add_layout(Span(location=period, dimension="width", line_color=GREY, line_dash="dashed"))
+    return panel
+
+
+def _link_panel(time: Range, source: ColumnDataSource) -> figure:
+    """Return the panel of cumulative losses; every change is a row of `source`, so that its steps are exact."""
+    names = [name for name in source.data if name != "time"]
+    steps = [
+        ("step", {**_line(name, name, colour, 1.0)[1], "mode": "after"})
+        for name, colour in zip(names, cycle((BLUE, VERMILION, GREEN, ORANGE, PURPLE, GREY)))
+    ]
+    panel = _panel(time, source, "lost", "", 130, steps, {name: name for name in names})
+    panel.y_range = DataRange1d(start=-0.05, min_interval=1.0)
+    return panel
+
+
+def _port_panels(facts: PortFacts, time: Range, source: ColumnDataSource) -> dict[str, figure]:
+    """Return the panels of one port, top to bottom, in the colours of the picture of a finished run.
+
+    A group has no position, an axis of a group no energy, and only an admittance display a velocity. Decimated data are
+    plain lines: between two distant rows a stair would show a value for as long as none is known.
+    """
+    units, panel, name, panels = facts.units, partial(_panel, time, source), facts.name, dict[str, figure]()
+    if not facts.is_group:
+        lines = [_line("position", "position", BLUE)]
+        panels["position"] = panel(f"{name}: position", units["position"], 190, lines, {"position": "position"})
+        if facts.wall is not None:
+            _add_wall(panels["position"], facts.wall, facts.wall_side)
+        if facts.notches:
+            look: dict[str, Any] = {"line_color": GREY, "line_dash": "dashed", "line_alpha": 0.6}
+            panels["position"].hspan(y=facts.notches, legend_label="notch", name="notches", **look)
+            panels["position"].y_range = DataRange1d(renderers=panels["position"].select({"name": "position"}))
+    label, effort = "on the hand" if facts.is_display else "applied", units["applied"]
+    lines, labels = [_line("applied", label, BLUE, 1.2)], {label: "applied"}
+    if facts.is_display:
+        velocity = [_line("command", "commanded", ORANGE)]
+        panels["velocity"] = panel(f"{name}: velocity", units["command"], 190, velocity, {"commanded": "command"})
+    else:
+        lines.insert(0, _line("command", "commanded", ORANGE, 2.5, alpha=0.8))
+        labels["commanded"] = "command"
+    panels["torque"] = panel(f"{name}: {'torque' if effort == 'N*m' else 'force'}", effort, 190, lines, labels)
+    if not facts.is_member:
+        lines = [_line("surplus", "surplus to dissipate", ORANGE)]
+        lines.append(_line("deficit", "deficit, summed", VERMILION, 1.0, line_dash=[6, 3]))
+        damping = [_line("damping", "damping rendered", GREEN, 1.2)]
+        panels |= {
+            "energy": panel(f"{name}: energy", "J", 240, _ENERGY, _ENERGY_LABELS),
+            "surplus": panel(f"{name}: surplus", "J", 150, lines, {"surplus": "surplus", "deficit": "deficit"}),
+            "damping": panel(f"{name}: damping", units["damping"], 130, damping, {"damping": "damping"}),
+        }
+    return panels
+
+
+def _margin(name: str, label: str, base: str, colour: str, alpha: float) -> _Glyph:
+    look = {"fill_color": colour, "fill_alpha": alpha, "legend_label": label, "name": name}
+    return "varea", {"y1": base, "y2": "upper", **look}
+
+
+_ENERGY: Final = (
+    _margin("margin", "margin", "dissipated", GREEN, 0.22),
+    _margin("negative margin", "margin below 0", "taken_in", VERMILION, 0.5),
+    _line("taken_in", "in", BLUE),
+    _line("dissipated", "dissipated", VERMILION, line_dash=[6, 3]),
+)
+_ENERGY_LABELS: Final = {"in": "taken_in", "dissipated": "dissipated", "margin": "margin"}
+
+
+def _add_wall(panel: figure, wall: float, side: str) -> None:
+    panel.hspan(y=[wall], line_color=GREY, line_dash="dashed", legend_label="wall", name="wall")
+    edge = {"top" if side == "below" else "bottom": wall}
+    panel.add_layout(BoxAnnotation(**edge, fill_color=GREY, fill_alpha=0.10, line_alpha=0.0, level="underlay"))
 
 
 class ScopePage:
@@ -81,8 +205,8 @@ class ScopePage:
         self._timing = ColumnDataSource({name: [] for name in ("time", *news.timing)})
         self._lost = ColumnDataSource({name: [] for name in ("time", *news.lost)})
         self._common = {
-            "timing": timing_panel(self._time, self._timing, news.sample_time),
-            "lost": link_panel(self._time, self._lost),
+            "timing": _timing_panel(self._time, self._timing, news.sample_time),
+            "lost": _link_panel(self._time, self._lost),
         }
         for panel in self._common.values():
             panel.visible = False
@@ -101,19 +225,28 @@ class _LivePort:
         self._in_contact: list[tuple[float, float]] = []
         self._name = name
         self._is_shaded = not news.facts[name].is_member
-        self.panels = PortPanels(news.facts[name], time, self._source, self._contacts, self._faults).panels
+        self.panels = _port_panels(news.facts[name], time, self._source)
         for title, panel in self.panels.items():
-            panel.visible = title not in OPTIONAL
+            panel.visible = title not in _OPTIONAL
+            strip = panel.vstrip(
+                x0="start", x1="end", source=self._contacts, fill_color=GREY, fill_alpha=0.07, line_alpha=0
+            )
+            strip.level, strip.name = "underlay", "contacts"
+            mark = panel.vspan(x="at", source=self._faults, line_color=VERMILION, line_width=1.5, line_dash="dotted")
+            panel.add_tools(HoverTool(renderers=[mark], tooltips=[("", "@text"), ("at", "@at{0.0000} s")]))
 
     def take(self, news: News, keep: Array) -> None:
         """Take the new rows that `keep` says, their contacts, and all faults."""
         time, rows = news.time[keep], news.ports[self._name]
         columns = {key: rows[key][keep] for key in _LINES}
         faults = [e for e in news.events if e.event.kind in FAULTS and e.event.port in {"", self._name}]
-        self._faults.data = fault_columns(faults)
+        self._faults.data = {
+            "at": [fault.time for fault in faults],
+            "text": [f"{fault.event.kind}: {fault.event.text}" for fault in faults],
+        }
         _stream(self._source, time, columns)
         for title, panel in self.panels.items():
-            panel.visible = panel.visible or not is_empty(title, columns)
+            panel.visible = panel.visible or any(columns[name].any() for name in _OPTIONAL[title])
         if not self._is_shaded:
             return
         for start, end in news.contacts[self._name]:
@@ -128,7 +261,7 @@ class _LivePort:
 
 
 def _stream(source: ColumnDataSource, time: Array, columns: Mapping[str, Array]) -> None:
-    shown = np.unique(np.concatenate([decimate(values, _BUCKETS) for values in columns.values()]))
+    shown = decimate_together(columns.values(), _BUCKETS)
     source.stream({"time": time[shown]} | {name: values[shown] for name, values in columns.items()}, rollover=_POINTS)
 
 

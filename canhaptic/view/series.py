@@ -11,7 +11,7 @@ a network without a surface have no such picture.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -51,6 +51,11 @@ def decimate(values: NDArray[np.generic], buckets: int) -> NDArray[np.intp]:
         rest = values[whole:]
         indices.append(whole + np.array([rest.argmin(), rest.argmax()]))
     return np.unique(np.concatenate(indices))
+
+
+def decimate_together(columns: Iterable[NDArray[np.generic]], buckets: int) -> NDArray[np.intp]:
+    """Return the indices of the rows to draw of several columns at once: all that `decimate` returns for any."""
+    return np.unique(np.concatenate([decimate(values, buckets) for values in columns]))
 
 
 FAULTS: Final = frozenset({"fault", "emcy", "stop", "limit"})
@@ -193,7 +198,7 @@ def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
         return None
     axes = log.groups[name]
     motors = np.array([log.ports[axis].read("position", rows.start, rows.stop) for axis in axes])
-    shown = np.unique(np.concatenate([decimate(motor, _BUCKETS) for motor in motors]))
+    shown = decimate_together(motors, _BUCKETS)
     path = np.array([_place(kinematics, position) for position in motors[:, shown].T.tolist()])
     if not np.isfinite(path).all(axis=1).any():
         return None

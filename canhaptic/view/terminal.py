@@ -9,7 +9,8 @@ import os
 import select
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from io import UnsupportedOperation
 from itertools import chain
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -130,6 +131,7 @@ class RunProgress:
 
 def _write_if_free(text: str) -> None:
     """Write to standard error unless that would wait (a terminal stopped with Ctrl-S)."""
-    descriptor = sys.stderr.fileno()
-    if select.select([], [descriptor], [], 0.0)[1]:
-        os.write(descriptor, text.encode())
+    with suppress(UnsupportedOperation):  # standard error is a text in memory
+        descriptor = sys.stderr.fileno()
+        if select.select([], [descriptor], [], 0.0)[1]:
+            os.write(descriptor, text.encode())

@@ -172,7 +172,7 @@ def test_a_log_of_a_release_without_digests_is_inspected_as_before(whole: Path) 
 def test_a_changed_byte_of_an_event_is_an_error_before_the_log_is_packed_too(tmp_path: Path) -> None:
     path = tmp_path / "live.h5"
     with Hdf5File(path, "x live") as file:
-        file.create("events/text", "S8", 1, compressed=False).append(np.array([b"a fault"], "S8"))
+        file.create("events/text", "S8", 1, {}, compressed=False).append(np.array([b"a fault"], "S8"))
     content = bytearray(path.read_bytes())
     content[content.index(b"a fault")] ^= 1
     path.write_bytes(content)
@@ -221,7 +221,7 @@ def test_a_crash_of_the_library_is_one_error_and_leaves_nothing(
     whole: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], crash: Callable[..., Any]
 ) -> None:
     folder = Path(tempfile.mkdtemp(dir=whole.parent))
-    monkeypatch.setattr("canhaptic.logs.energy_sink._copy_column", crash)
+    monkeypatch.setattr("canhaptic.logs.energy_sink.Hdf5File.create", crash)
     assert main(["inspect", str(whole), "--repair", str(folder / "repaired.h5")]) == 2
     assert re.fullmatch(
         rf"canhaptic: error: {whole}: too damaged: the HDF5 library crashes on it \(exit status SIG\w+\)\n",

@@ -12,8 +12,8 @@ from canhaptic.control.multi_axis.group_controller import GroupedControllers
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.logs.columns import PortDescription
-from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.writer_process import EnergyLogWriter
 from canhaptic.signals import CycleTiming, Sample
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.logs.columns import PortDescription
-from canhaptic.logs.energy_log import EnergyLogWriter
+from canhaptic.logs.writer_process import EnergyLogWriter
 from canhaptic.signals import CycleTiming, PlantEnergy, Sample, Truth
 
 PORTS = (PortDescription("handle", "m"), PortDescription("knob", "rad"))

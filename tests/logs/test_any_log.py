@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from canhaptic.audit.rederive import rederive
 from canhaptic.cycle import run
 from canhaptic.errors import InputError, LogFormatError
-from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.decoder import BusDecoder
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.writer_process import BusLogWriter
 from canhaptic.replay import replay_bus_log
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene

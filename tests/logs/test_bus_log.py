@@ -7,11 +7,11 @@ import can
 import pytest
 
 from canhaptic.errors import LogFormatError, LogWriteError, ParameterError
-from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.bus_sink import _BLOCK, FRAME_RING, BusSink, _aside_files
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.ring import SharedArea, allocate, size_of
+from canhaptic.logs.writer_process import BusLogWriter
 
 FRAMES = [
     (0, 0x000, b"\x80\x00", False),

@@ -11,9 +11,9 @@ import pytest
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.errors import LogFormatError, LogWriteError
-from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.ring import RingShape, SharedArea, allocate, size_of
+from canhaptic.logs.writer_process import EnergyLogWriter
 from tests.logs.log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing, truth
 from tests.logs.patience import wait_for
 

@@ -7,9 +7,9 @@ import pytest
 
 from canhaptic.errors import InputError
 from canhaptic.logs import export as module
-from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export
+from canhaptic.logs.writer_process import EnergyLogWriter
 from tests.logs.log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing
 
 ROWS = 700

@@ -18,9 +18,9 @@ import pytest
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.errors import LogStoppedError, LogWriteError
 from canhaptic.logs.bus_reader import read_bus_log
-from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.repair import require_readable
+from canhaptic.logs.writer_process import EnergyLogWriter
 from tests.logs.log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing, truth
 from tests.logs.patience import wait_for
 

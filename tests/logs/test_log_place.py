@@ -14,10 +14,9 @@ from canhaptic.cli.main import main
 from canhaptic.errors import InputError, LogWriteError
 from canhaptic.host.output_file import replacing
 from canhaptic.logs import writer_process
-from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.bus_reader import read_bus_log
-from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.writer_process import BusLogWriter, EnergyLogWriter
 from tests.logs.log_rows import PORTS, SAMPLE_TIME_NS, append
 from tests.logs.patience import wait_for
 

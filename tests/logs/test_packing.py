@@ -17,10 +17,9 @@ def torn(tmp_path: Path) -> Path:
     """A file whose columns are not of one length."""
     path = tmp_path / "torn.h5"
     with Hdf5File(path, "w") as file:
-        file.set_attribute("status", "running")
+        file.set_attributes({"status": "running"})
         for name, length in LENGTHS.items():
-            dataset = file.create(name, "i8", 4)
-            dataset.set_attribute("unit", "1")
+            dataset = file.create(name, "i8", 4, {"unit": "1"})
             dataset.append(np.arange(length))
     return path
 

@@ -8,9 +8,8 @@ import pytest
 
 from canhaptic.errors import LogWriteError
 from canhaptic.logs import writer_process
-from canhaptic.logs.bus_log import BusLogWriter
 from canhaptic.logs.columns import PortDescription
-from canhaptic.logs.energy_log import EnergyLogWriter
+from canhaptic.logs.writer_process import BusLogWriter, EnergyLogWriter
 
 pytestmark = [
     pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system pins no process"),

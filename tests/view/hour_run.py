@@ -64,19 +64,17 @@ def write_hour(path: Path, rows: int = HOUR) -> None:
             "rows_lost": 0,
             "handle.wall_position": -0.02,
         }
-        for name, value in {**attributes, **more, "config_hash": "0" * 64}.items():
-            file.set_attribute(name, value)
+        file.set_attributes({**attributes, **more, "config_hash": "0" * 64})
         for column in schema.columns():
             if column.path:
-                dataset = file.create(column.path, column.dtype, _PACKED_CHUNK)
-                dataset.set_attribute("unit", column.unit)
+                dataset = file.create(column.path, column.dtype, _PACKED_CHUNK, {"unit": column.unit})
                 dataset.append(columns.get(column.path, np.zeros(rows)).astype(column.dtype))
         paths = [column.path for column in schema.stored()][:-1]
-        digest = file.create(DIGEST, "u4", _PACKED_CHUNK)
+        digest = file.create(DIGEST, "u4", _PACKED_CHUNK, {})
         for start in range(0, rows, _PACKED_CHUNK):
             stop = min(rows, start + _PACKED_CHUNK)
             digest.append(row_digests([file[name].read(start, stop) for name in paths]))
-        file.create("events/sync_index", "i8", 1).append(np.array([rows // 4]))
+        file.create("events/sync_index", "i8", 1, {}).append(np.array([rows // 4]))
         for name, size in EVENT_TEXT_SIZES.items():
             text = {"kind": b"emcy", "port": b"handle", "text": b"0x8130 heartbeat lost"}[name]
-            file.create(f"events/{name}", f"S{size}", 1).append(np.array([text], f"S{size}"))
+            file.create(f"events/{name}", f"S{size}", 1, {}).append(np.array([text], f"S{size}"))

@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 
 from canhaptic.control.balance import AT_REST, Branch
 from canhaptic.logs.columns import PortDescription
-from canhaptic.logs.energy_log import EnergyLogWriter
+from canhaptic.logs.writer_process import EnergyLogWriter
 from canhaptic.signals import CycleTiming, Sample
 
 

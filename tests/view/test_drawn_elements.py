@@ -10,8 +10,8 @@ import pytest
 from canhaptic.audit.inspection import inspect
 from canhaptic.control.balance import AT_REST, Branch
 from canhaptic.cycle import run
-from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.writer_process import EnergyLogWriter
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.signals import CycleTiming, Sample

@@ -7,8 +7,7 @@ from rich.console import Console
 
 from canhaptic.audit.inspection import LoggedEvent
 from canhaptic.control.verdict import add_verdicts
-from canhaptic.view.energy_table import energy_report
-from canhaptic.view.inspect_table import _events_table
+from canhaptic.view.energy_table import _events_table, energy_report
 from canhaptic.view.run_lines import brief_report, make_console
 from canhaptic.view.si import si
 

@@ -13,8 +13,8 @@ from canhaptic.control.balance import AT_REST
 from canhaptic.cycle import run
 from canhaptic.errors import InputError
 from canhaptic.logs.columns import PortDescription
-from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.writer_process import EnergyLogWriter
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.signals import Sample

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from canhaptic.cli.main import main
-from canhaptic.logs.energy_log import EnergyLogWriter
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.writer_process import EnergyLogWriter
 from canhaptic.view import live_log
 from canhaptic.view.live_log import LiveLog
 from tests.forked import command

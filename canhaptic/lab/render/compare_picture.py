@@ -115,7 +115,7 @@ def _scale(*lines: Array) -> _Scale:
     low = min(float(line.min(initial=0.0)) for line in lines)
     high = max(float(line.max(initial=0.0)) for line in lines)
     room = 0.35 * max(high - low, 1e-12)
-    scale, prefix = style.axis_scale(max(abs(low), abs(high)))
+    scale, prefix = style.scale_of(max(abs(low), abs(high)))
     return scale, prefix, (low - room, high + room)
 
 
