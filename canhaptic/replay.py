@@ -20,9 +20,8 @@ Runs the real master and controllers of a scene against a recording, and compare
 
 import struct
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, closing
-from itertools import islice
 from pathlib import Path
 from typing import Final, Literal, NamedTuple, TypedDict
 
@@ -143,8 +142,8 @@ class Recording:
         LogFormatError: The log cannot be read, or holds no frame of the master.
     """
 
-    def __init__(self, path: str | Path, roles: Roles, channels: Channels) -> None:
-        self.path = Path(path)
+    def __init__(self, path: str | Path, scene: Scene) -> None:
+        self.path, roles, channels = Path(path), roles_of(scene), Channels(scene)
         self.heartbeat = roles.heartbeat
         self.skipped = Counter[SkippedKind]()
         self.frames = [frame for frame in read_bus_log(path, self.skipped) if frame.can_id != roles.heartbeat]
@@ -192,7 +191,8 @@ class Recording:
             ramp_cycles: Cycles in which the master ramps the torque to zero.
         """
         syncs = commands = 0
-        for address, frame in self._since_first_sync():
+        first = len(self.frames) if self.first_sync < 0 else self.first_sync
+        for address, frame in zip(self._addresses[first:], self.frames[first:], strict=True):
             if address == _SYNC:
                 syncs += 1
             elif address == self._roles.rpdo:
@@ -200,10 +200,6 @@ class Recording:
                     return max(0, syncs - ramp_cycles - 1) if syncs == commands else None
                 commands += 1
         return None
-
-    def _since_first_sync(self) -> Iterator[tuple[Address, Frame]]:
-        if self.first_sync >= 0:
-            yield from islice(zip(self._addresses, self.frames, strict=True), self.first_sync, None)
 
 
 def _first_sync(addresses: Sequence[Address], frames: Sequence[Frame], roles: Roles) -> int:
@@ -230,15 +226,6 @@ class ReplayOverError(BaseException):
     """
 
 
-class _Departure(NamedTuple):
-    """The first frame in which the master departs from the recording."""
-
-    place: int  # index of the recorded frame
-    bus: int  # that the frame was sent on
-    can_id: int  # of the frame sent instead
-    data: bytes
-
-
 class RecordedSide:
     """Plays the frames of other nodes (a `SimulatedPeer`), and compares the master's frames except heartbeats.
 
@@ -255,7 +242,8 @@ class RecordedSide:
         compared: Frames of the master found equal so far.
         played: Frames of the drives sent so far.
         reached: Recorded time of the master's last frame [ns], which includes its computation.
-        departure: First difference; None while there is none.
+        departure: First difference: index of the recorded frame; bus, COB-ID and data of the one sent instead. None
+            while there is none.
     """
 
     def __init__(self, buses: Sequence[can.BusABC], recording: Recording, first: int) -> None:
@@ -268,10 +256,8 @@ class RecordedSide:
         self._end = recording.restoring if first else len(recording.frames)  # one that joins restores nothing
         self._next = first
         self._is_over = False
-        self.compared = 0
-        self.played = 0
-        self.reached = 0
-        self.departure: _Departure | None = None
+        self.compared = self.played = self.reached = 0
+        self.departure: tuple[int, int, int, bytes] | None = None
 
     def _collect(self) -> None:
         for bus, sent in zip(self._buses, self._sent, strict=True):
@@ -293,15 +279,9 @@ class RecordedSide:
         while self.next_due() <= now:
             self._play()
 
-    def next_due(self) -> int:
-        """Return when the next frame of the drives is due [ns]; never while the master must send first."""
-        if self._next == self._end or self._is_master[self._next]:
-            return NEVER
-        return self._frames[self._next].timestamp_ns
-
-    def next_command(self) -> int:
-        """Time of the master's next frame, if no frame of the drives comes earlier [ns]."""
-        if self._next == self._end or not self._is_master[self._next]:
+    def next_due(self, *, of_master: bool = False) -> int:
+        """Return when the next frame of the drives or of the master is due [ns]; never while the other must send."""
+        if self._next == self._end or self._is_master[self._next] != of_master:
             return NEVER
         return self._frames[self._next].timestamp_ns
 
@@ -314,14 +294,7 @@ class RecordedSide:
         frame, bus = self._frames[self._next], self._buses[self._places[self._next]]
         self._next += 1
         self.played += 1
-        bus.send(
-            can.Message(
-                timestamp=frame.timestamp_ns * 1e-9,
-                arbitration_id=frame.can_id,
-                is_extended_id=frame.can_id > 0x7FF,
-                data=frame.data,
-            )
-        )
+        bus.send(frame.message())
 
     def _compare(self) -> None:
         """Compare one frame: with the next one of its bus in the recording, or of another bus if there is none."""
@@ -333,7 +306,7 @@ class RecordedSide:
         bus = place if self._sent[place] else next(n for n, sent in enumerate(self._sent) if sent)
         message = self._sent[bus].popleft()
         if bus != place or message.arbitration_id != frame.can_id or message.data != frame.data:
-            self.departure = _Departure(self._next, bus, message.arbitration_id, bytes(message.data))
+            self.departure = self._next, bus, message.arbitration_id, bytes(message.data)
             raise self._over()
         self.reached = frame.timestamp_ns
         self._next += 1
@@ -377,7 +350,7 @@ class RecordedClock:
             self._move(side.reached)
             if (message := bus.recv(0.0)) is not None:
                 return message
-            due, command = side.next_due(), side.next_command()
+            due, command = side.next_due(), side.next_due(of_master=True)
             if due == NEVER:
                 self._move(command if command != NEVER else deadline)
                 return None
@@ -427,11 +400,6 @@ _CYCLES_BACK: Final = 2
 _LONGEST_SILENCE: Final = 1.5  # sample times within a recording without gaps
 
 
-class _FramePlace(TypedDict):
-    number: int  # line of a text, or frame of a binary log
-    time: float  # since the beginning of the log [s]
-
-
 class FrameWords(TypedDict):
     """A frame, decoded."""
 
@@ -443,15 +411,19 @@ class FrameWords(TypedDict):
     text: str
 
 
-class FrameBefore(_FramePlace, FrameWords):
+class FrameBefore(FrameWords):
     """A frame among the last equal ones."""
 
+    number: int  # line of a text, or frame of a binary log
+    time: float  # since the beginning of the log [s]
     direction: str
 
 
-class FirstDifference(_FramePlace):
+class FirstDifference(TypedDict):
     """The first frame in which master and recording differ."""
 
+    number: int
+    time: float
     recorded: FrameWords
     sent: FrameWords | None  # None: the master sent nothing any more
     gap: float | None  # silence of a recording that lacks frames [s]
@@ -460,27 +432,27 @@ class FirstDifference(_FramePlace):
 
 def describe(recording: Recording, side: RecordedSide, scene: Scene) -> FirstDifference | None:
     """Return the first difference; None when the master sent all that was recorded."""
-    departure = side.departure
-    index = side.unsent if departure is None else departure.place
+    index = side.unsent if side.departure is None else side.departure[0]
     if index < 0:
         return None
-    frames = recording.frames
+    frames, start = recording.frames, recording.frames[0].timestamp_ns
     nodes = describe_nodes(scene)
     decoders = [BusDecoder([node for node in nodes if node.bus == place]) for place in range(len(scene.buses))]
     before: list[FrameBefore] = []
     for number, (frame, bus) in enumerate(zip(frames[:index], recording.buses, strict=False)):
         words = _words(frame, decoders[bus])  # of all of them: the maps are learnt from the start
         if number >= index - _SHOWN_BEFORE:
-            direction = "T" if recording.is_master[number] else "R"
-            before.append({**_place(recording, frame), "direction": direction, **words})
+            direction, time = "T" if recording.is_master[number] else "R", (frame.timestamp_ns - start) * 1e-9
+            before.append({"number": frame.number, "time": time, "direction": direction, **words})
     recorded, bus = frames[index], recording.buses[index]
     sent = None
-    if departure is not None:
-        channel = recorded.channel if departure.bus == bus else scene.buses[departure.bus].name
-        other = recorded._replace(can_id=departure.can_id, data=departure.data, channel=channel)
-        sent = _words(other, decoders[departure.bus])
+    if side.departure is not None:
+        _, other, can_id, data = side.departure
+        channel = recorded.channel if other == bus else scene.buses[other].name
+        sent = _words(recorded._replace(can_id=can_id, data=data, channel=channel), decoders[other])
     return {
-        **_place(recording, recorded),
+        "number": recorded.number,
+        "time": (recorded.timestamp_ns - start) * 1e-9,
         "recorded": _words(recorded, decoders[bus]),
         "sent": sent,
         "gap": _gap(recording, index, scene.bus.sample_time),
@@ -505,10 +477,6 @@ def _gap(recording: Recording, index: int, sample_time: float) -> float | None:
     return silence if silence > _LONGEST_SILENCE * sample_time else None
 
 
-def _place(recording: Recording, frame: Frame) -> _FramePlace:
-    return {"number": frame.number, "time": (frame.timestamp_ns - recording.frames[0].timestamp_ns) * 1e-9}
-
-
 def _words(frame: Frame, decoder: BusDecoder) -> FrameWords:
     kind, node, text = decoder.decode(frame.can_id, frame.data)
     data = frame.data.hex().upper()
@@ -516,14 +484,6 @@ def _words(frame: Frame, decoder: BusDecoder) -> FrameWords:
 
 
 _BUS: Final[dict[str, object]] = {"interface": "virtual", "channel": None, "options": {}}
-
-
-class ReplayedFrames(TypedDict):
-    """Counts of frames."""
-
-    recorded: int
-    played: int
-    compared: int
 
 
 class ReplayResult(TypedDict):
@@ -534,7 +494,7 @@ class ReplayResult(TypedDict):
     start: Literal["boot", "sync"]
     skipped: dict[SkippedKind, int]  # frames left out
     reads_left_out: list[str]  # `axis: object` that the start reads or writes today and the recorded master did not
-    frames: ReplayedFrames
+    frames: dict[Literal["recorded", "played", "compared"], int]
     cycles: int
     duration: float
     elapsed: float
@@ -578,35 +538,29 @@ class OpenReplay:
         self, bus_log: str | Path, scene: Scene, *, realtime: bool = False, from_sync: bool = False,
         dry_run: bool = False,
     ) -> None:  # fmt: skip
-        recording = Recording(bus_log, roles_of(scene), Channels(scene))
-        joins = from_sync or not recording.has_boot
-        if joins and recording.first_sync < 0:
+        self._scene, self._recording = scene, Recording(bus_log, scene)
+        self._joins = from_sync or not self._recording.has_boot
+        if self._joins and self._recording.first_sync < 0:
             raise InputError(
                 f"{bus_log}: the log has no bring-up and no SYNC that every axis of {scene.source} "
                 "answered in OPERATION ENABLED; replay needs one of them"
             )
         with ExitStack() as stack:
-            self._build(recording, scene, joins, realtime, dry_run, stack)
+            self._build(stack, realtime, dry_run)
             self._stack = stack.pop_all()
 
-    def _build(
-        self, recording: Recording, scene: Scene, joins: bool, realtime: bool, dry_run: bool, stack: ExitStack
-    ) -> None:
-        self._recording = recording
-        self._scene = scene
-        self._joins = joins
-        first = recording.first_sync if joins else 0
-        self._start = recording.frames[first].timestamp_ns
+    def _build(self, stack: ExitStack, realtime: bool, dry_run: bool) -> None:
+        scene, first = self._scene, self._recording.first_sync if self._joins else 0
+        self._start = self._recording.frames[first].timestamp_ns
         far_buses: list[can.BusABC] = []
         near_buses: list[can.BusABC] = []
         for _ in scene.buses:
             channel = private_channel()
             for buses in (far_buses, near_buses):
-                buses.append(open_bus(scene.bus.model_copy(update=_BUS), channel))
-                stack.callback(buses[-1].shutdown)
+                buses.append(stack.enter_context(open_bus(scene.bus.model_copy(update=_BUS), channel)))
         self._left_out: list[str] = []
         self._wall = WallClock()
-        self._side = RecordedSide(far_buses, recording, first)
+        self._side = RecordedSide(far_buses, self._recording, first)
         clock = RecordedClock(self._side, self._start, self._wall if realtime else None)
         rig = self._rig([Link(bus, clock) for bus in near_buses], dry_run)
         groups, known = build_axis_groups(scene), build_axis_meters(scene)

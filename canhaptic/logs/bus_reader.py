@@ -61,6 +61,17 @@ class Frame(NamedTuple):
     number: int = 0  # of its line in a text, of the frame in a binary log; from 1 on
     channel: str = ""  # the bus as the log calls it
 
+    def message(self, channel: int | None = None) -> can.Message:
+        """Return the frame as python-can has it, on a bus of that number."""
+        return can.Message(
+            timestamp=self.timestamp_ns * 1e-9,
+            arbitration_id=self.can_id,
+            is_extended_id=self.can_id > 0x7FF,
+            data=self.data,
+            is_rx=self.is_rx,
+            channel=channel,
+        )
+
 
 def read_bus_log(path: str | Path, skipped: Counter[SkippedKind] | None = None) -> Iterator[Frame]:
     """Yield the data frames of a bus log in the order of the file.
@@ -179,13 +190,4 @@ def convert(source: Path, target: Path) -> None:
     channels: dict[str, int] = {}
     with can.Logger(target) as writer:
         for frame in read_bus_log(source):
-            writer.on_message_received(
-                can.Message(
-                    timestamp=frame.timestamp_ns * 1e-9,
-                    arbitration_id=frame.can_id,
-                    is_extended_id=frame.can_id > 0x7FF,
-                    data=frame.data,
-                    is_rx=frame.is_rx,
-                    channel=channels.setdefault(frame.channel, len(channels)),
-                )
-            )
+            writer.on_message_received(frame.message(channels.setdefault(frame.channel, len(channels))))

@@ -21,10 +21,9 @@ from typing import Final
 from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.replay import Recording, roles_of
+from canhaptic.replay import Recording
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.recorded_names import Channels
 from tools.bench.demo import CONFIG, IN_CONTACT
 from tools.bench.peers import SYNC
 from tools.bench.report import Row, publish
@@ -138,7 +137,7 @@ def _syncs(path: Path) -> int:
     """Returns how many SYNCs are in the log, from the one on that found the drive enabled."""
     try:
         scene = load_scene(CONFIG)
-        recording = Recording(path, roles_of(scene), Channels(scene))
+        recording = Recording(path, scene)
     except ValueError:  # a last line that was cut
         return 0
     return sum(frame.can_id == SYNC for frame in recording.frames[recording.first_sync :])
