@@ -185,24 +185,20 @@ def heading(result: Result) -> Text:
 
 def line(name: str, content: Mapping[str, object] | str) -> Padding:
     """Return one part of the result in words: nested mappings are quantiles of durations [s]."""
+    rows = [str(content)]
+    if isinstance(content, Mapping):
+        nested = {key: value for key, value in content.items() if isinstance(value, Mapping)}
+        flat = {key: value for key, value in content.items() if key not in nested and (value or key in _SHOWN_AT_ZERO)}
+        words = [_words(key, value) for key, value in sorted(flat.items(), key=lambda item: item[0] != "success_rate")]
+        rows = [", ".join(words)] if words else []
+        for key, values in nested.items():
+            quantiles = "   ".join(f"{quantile} {_value(key, value):>9}" for quantile, value in values.items())
+            rows.append(f"{key.replace('_', ' '):<17}  {quantiles}")
     table = TerminalTable.grid(padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True, style="bold", width=7)
-    if not isinstance(content, Mapping):
-        table.add_column()
-        table.add_row(name, str(content))
-        return Padding(table, (0, 1))
-    nested = {key: value for key, value in content.items() if isinstance(value, Mapping)}
-    shown = {key: value for key, value in content.items() if key not in nested and (value or key in _SHOWN_AT_ZERO)}
-    words = [_words(key, value) for key, value in sorted(shown.items(), key=lambda item: item[0] != "success_rate")]
     table.add_column()
-    label = name
-    if words:
-        table.add_row(label, ", ".join(words))
-        label = ""
-    for key, values in nested.items():
-        quantiles = "   ".join(f"{quantile} {_value(key, value):>9}" for quantile, value in values.items())
-        table.add_row(label, f"{key.replace('_', ' '):<17}  {quantiles}")
-        label = ""
+    for number, row in enumerate(rows):
+        table.add_row("" if number else name, row)
     return Padding(table, (0, 1))
 
 

@@ -108,15 +108,9 @@ class RunProgress:
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-            columns = (
-                TextColumn("  running"),
-                BarColumn(),
-                TextColumn("{task.percentage:3.0f} %"),
-                TimeRemainingColumn(),
-            )
-            self._bar = Progress(
-                *columns, console=Console(stderr=_NOTEBOOK not in sys.modules), auto_refresh=False, transient=True
-            )
+            parts = TextColumn("  running"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn()
+            console = Console(stderr=_NOTEBOOK not in sys.modules)
+            self._bar = Progress(*parts, console=console, auto_refresh=False, transient=True)
             self._bar.start()
             self._bar.add_task("run", total=self._cycles)
         self._bar.update(self._bar.task_ids[0], completed=cycles, refresh=True)
