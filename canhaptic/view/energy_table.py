@@ -271,9 +271,8 @@ def _recomputed_line(recomputed: Result) -> Text:
 
 def _rederived_line(rederived: Result) -> Text:
     if not rederived["differences"]:
-        words = (
-            f" from the frames alone: {counted(rederived['cycles'], 'cycle')}, samples and account bit for bit equal"
-        )
+        cycles = counted(rederived["cycles"], "cycle")
+        words = f" from the frames alone: {cycles}, samples and account equal bit for bit"
         return Text(words, style="green")
     lines = (
         f" {found['port']}: from the frames, {found['quantity']} of cycle {found['cycle']} is {found['rederived']!r}, "
