@@ -1,4 +1,4 @@
-"""The field's own figures of an algorithm on one axis: one definition each, with its source (`FIELD_FIGURES`).
+"""The field's own figures of an algorithm on one axis: one definition each; `figures` lists them.
 
 Comparisons with the continuous environment (errors, force variation, limit cycle, rendered stiffness) are defined in
 `figures.py`, the time of a step in `axis_loop.py`; here are further figures of the literature on haptic rendering.
@@ -13,59 +13,6 @@ import numpy as np
 from canhaptic.control.environments.environment import Environment
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
 
-
-class FieldFigure(NamedTuple):
-    """A figure with the source of its definition and idea."""
-
-    what: str
-    unit: str
-    function: str  # "module.name" below `canhaptic.lab`
-    source: str
-
-
-_COLGATE_BROWN: Final = 'Colgate and Brown, "Factors affecting the Z-width of a haptic display", ICRA 1994'
-FIELD_FIGURES: Final[dict[str, FieldFigure]] = {
-    "K-B plot (Z-width)": FieldFigure(
-        "stiffest wall that is passive, and the stiffest of these rendered near, over the damping asked for", "N/m",
-        "figures.field_figures.stiffest_walls", _COLGATE_BROWN,
-    ),
-    "M-width": FieldFigure(
-        "least and largest virtual mass that is stable", "kg", "figures.field_figures.m_width",
-        'Colonnese and Okamura, "M-width: stability, noise characterization, and accuracy of rendering virtual mass", '
-        "IJRR 34, 2015, doi:10.1177/0278364914559294",
-    ),
-    "rate-hardness": FieldFigure(
-        "largest rate of the force after the first contact over the speed at it", "N/m",
-        "figures.field_figures.rate_hardness",
-        'Lawrence et al., "Rate-hardness: a new performance metric for haptic interfaces", IEEE TRA 16, 2000',
-    ),
-    "impedance spectrum": FieldFigure(
-        "force over velocity at a frequency, and the requested one", "N*s/m",
-        "figures.field_figures.rendered_impedance",
-        'Lawrence, "Stability and transparency in bilateral teleoperation", IEEE TRA 9, 1993 (cited in what was read)',
-    ),
-    "limit cycle": FieldFigure(
-        "motion to and fro where the continuous axis rests", "m", "figures.figures.CONTINUOUS", "own definition",
-    ),
-    "true energy given out": FieldFigure(
-        "most energy that the port gave out beyond what came in, by the plant", "J",
-        "figures.field_figures.energy_given_out",
-        "Hannaford and Ryu 2002, doi:10.1109/70.988969",
-    ),
-    "force variation": FieldFigure(
-        "total variation of the force over that of the continuous environment", "1", "figures.figures.CONTINUOUS",
-        "own definition",
-    ),
-    "drag in free motion": FieldFigure(
-        "mean size of the force held out of contact", "N", "figures.field_figures.drag", _COLGATE_BROWN,
-    ),
-    "time of a step": FieldFigure(
-        "processor time of one step in Python, interleaved with the others", "us",
-        "loop.axis_loop.microseconds_per_step",
-        "own definition",
-    ),
-}  # fmt: skip
-"""Name -> definition."""
 NEAR: Final = 0.05
 """Largest relative error of a stiffness that counts as rendered accurately."""
 

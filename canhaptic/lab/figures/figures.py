@@ -3,10 +3,10 @@
 The sums come from `meter`, taken during a run, or from recorded rows.
 Energies [J] are the plant's unless named as accounted (`believed_...`).
 
-The figures of an admittance display in a sweep, by name; a name of impedance displays means the same here.
+One table for impedance displays, one for admittance displays, and the definitions of the arena's.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from math import nan
 from typing import Any, Final, Literal, NamedTuple
@@ -35,10 +35,11 @@ class Figure(NamedTuple):
 
     meaning: str
     unit: str  # "" a number, "1" a share; "m", "N", "N/m", "N*s/m" of a linear axis
-    sums: tuple[str, ...]  # that it is made of, see `meter.Meter`
+    sums: tuple[str, ...] = ()  # that it is made of, see `meter.Meter`
     label: str = ""  # its row in the table of `compare`; "": none
     better: Literal["", "less", "near one", "not negative"] = ""
     source: str = "own definition"
+    of: Callable[["_Display"], float] = lambda _: nan  # the figure, of an admittance display
 
 
 _PAPER: Final = "the paper, eqs. 3 and 4"
@@ -234,72 +235,91 @@ def _at_rest(metric: str, sums: Mapping[str, Array]) -> Array:
     return np.where(known, sums["last_force"] / (state if metric.endswith("value") else asked), np.nan)
 
 
-DISPLAY_METRICS: Final[dict[str, str]] = {
-    "diverged": "1 where the run ended early: diverged, or what stops the rig, else 0",
-    "cycles": "SYNCs that the figures are of",
-    "interaction": "true energy through the sensors at the end [J]",
-    "least_interaction": "lowest true energy through the sensors after any hold [J]",
-    "believed_error": "largest |accounted - true| energy after any hold [J]",
-    "energy_resolution": "uncertainty of the energy that came in [J]",
-    "surplus_end": "energy created by sampling and not yet removed, at the end [J]",
-    "mass_felt": "mass that fits true force and velocity best [kg or kg*m^2]",
-    "mass_felt.share": "that over the mass asked",
-    "damping_felt": "damping that fits true force and velocity best [N*s/m or N*m*s/rad]",
-    "guard_acts": "share of the holds with a command that a certificate cut",
-    "uncertified": "share of the holds without a certificate",
-    "speed_peak": "largest true |velocity| at a SYNC [m/s or rad/s]",
-    "force_peak": "largest true |force| at a SYNC [N or N*m]",
-    "travel": "largest less least true position, of the axis that moves most [m or rad]",
-    "certificate": "weakest of any hold, by its number in the log: 0 exact, 4 none, 5 velocity loop, 6 hand force",
-}
-"""Name -> meaning."""
+class _Display(NamedTuple):
+    """A run of an admittance display, with what several of its figures need."""
+
+    run: AdmittanceRun
+    motion: Array  # true positions, velocities and forces
+    felt: tuple[float, float]  # mass and damping, see `felt`
+    asked: float  # mass that is to be rendered [kg or kg*m^2]; 0: none
+    shares: tuple[float, float, int]  # see `AdmittanceRun.shares`
 
 
-def display_figures(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) -> dict[str, float]:
+DISPLAY_METRICS: Final[dict[str, Figure]] = {
+    "diverged": Figure("1 where the run ended early: diverged, or what stops the rig, else 0", "",
+                       of=lambda d: bool(d.run.ended)),
+    "cycles": Figure("SYNCs that the figures are of", "", of=lambda d: len(d.run.rows)),
+    "interaction": Figure("true energy through the sensors at the end", "J",
+                          of=lambda d: d.run.interaction[-1] if len(d.motion) else 0.0),
+    "least_interaction": Figure("lowest true energy through the sensors after any hold", "J", source=_PAPER,
+                                of=lambda d: d.run.least_interaction),
+    "believed_error": Figure("largest |accounted - true| energy after any hold", "J",
+                             of=lambda d: d.run.believed_error),
+    "energy_resolution": Figure("uncertainty of the energy that came in", "J", of=lambda d: d.run.resolution),
+    "surplus_end": Figure("energy created by sampling and not yet removed, at the end", "J", source=_PAPER,
+                          of=lambda d: d.run.booked.h_dis[-1] if len(d.motion) else 0.0),
+    "mass_felt": Figure("mass that fits true force and velocity best", "kg", of=lambda d: d.felt[0]),
+    "mass_felt.share": Figure("that over the mass asked", "1", of=lambda d: d.felt[0] / d.asked if d.asked else nan),
+    "damping_felt": Figure("damping that fits true force and velocity best", "N*s/m", of=lambda d: d.felt[1]),
+    "guard_acts": Figure("holds with a command that a certificate cut", "1", of=lambda d: d.shares[0]),
+    "uncertified": Figure("holds without a certificate", "1", of=lambda d: d.shares[1]),
+    "speed_peak": Figure("largest true |velocity| at a SYNC", "m/s", of=lambda d: _most(np.abs(d.motion[:, :, 1]))),
+    "force_peak": Figure("largest true |force| at a SYNC", "N", of=lambda d: _most(np.abs(d.motion[:, :, 2]))),
+    "travel": Figure("largest less least true position, of the axis that moves most", "m",
+                     of=lambda d: _most(np.ptp(d.motion[:, :, 0], axis=0) if len(d.motion) else d.motion)),
+    "certificate": Figure("weakest of any hold: 0 exact, 4 none, 5 velocity loop, 6 hand force", "",
+                          of=lambda d: d.shares[2]),
+}  # fmt: skip
+"""The figures of an admittance display in a sweep; a name of impedance displays means the same here."""
+
+_COLGATE_BROWN: Final = 'Colgate and Brown, "Factors affecting the Z-width of a haptic display", ICRA 1994'
+FIELD_FIGURES: Final[dict[str, Figure]] = {
+    "K-B plot (Z-width)": Figure(
+        "stiffest wall that is passive, and the stiffest of these rendered near, over the damping asked for", "N/m",
+        source=_COLGATE_BROWN,
+    ),
+    "M-width": Figure("least and largest virtual mass that is stable", "kg", source='Colonnese and Okamura, "M-width: '
+                      'stability, noise characterization, and accuracy of rendering virtual mass", IJRR 34, 2015, '
+                      "doi:10.1177/0278364914559294"),
+    "rate-hardness": Figure("largest rate of the force after the first contact over the speed at it", "N/m",
+                            source='Lawrence et al., "Rate-hardness: a new performance metric for haptic interfaces", '
+                            "IEEE TRA 16, 2000"),
+    "impedance spectrum": Figure("force over velocity at a frequency, and the requested one", "N*s/m",
+                                 source='Lawrence, "Stability and transparency in bilateral teleoperation", IEEE TRA '
+                                 "9, 1993 (cited in what was read)"),
+    "limit cycle": Figure("motion to and fro where the continuous axis rests", "m"),
+    "true energy given out": Figure("most energy that the port gave out beyond what came in, by the plant", "J",
+                                    source="Hannaford and Ryu 2002, doi:10.1109/70.988969"),
+    "force variation": Figure("total variation of the force over that of the continuous environment", "1"),
+    "drag in free motion": Figure("mean size of the force held out of contact", "N", source=_COLGATE_BROWN),
+    "time of a step": Figure("processor time of one step in Python, interleaved with the others", "us"),
+}  # fmt: skip
+"""Definitions of the arena's figures; their functions are in `field_figures`."""
+
+
+def _most(values: Array) -> float:
+    return float(values.max()) if values.size else nan
+
+
+def display_figures(scene: Scene, cycles: int, metrics: Sequence[str] = tuple(DISPLAY_METRICS)) -> dict[str, float]:
     """Return the figures of one display, or of one group of them; NaN for those that only impedance displays have.
 
     Args:
         scene: Simulated scene of that axis or group alone.
         cycles: SYNCs.
-        metrics: Names; None for all of `DISPLAY_METRICS`.
+        metrics: Names.
 
     Raises:
         InputError: An axis is not simulated.
         ParameterError: The controller cannot be built.
     """
-    run = run_display(scene, cycles)
-    found = figures_of(run, scene)
-    return {name: found.get(name, nan) for name in (DISPLAY_METRICS if metrics is None else metrics)}
+    found = figures_of(run_display(scene, cycles), scene)
+    return {name: found.get(name, nan) for name in metrics}
 
 
 def figures_of(run: AdmittanceRun, scene: Scene) -> dict[str, float]:
-    """Return every figure of a run of a scene."""
-    mass, damping = felt(run, scene)
-    motion, asked = run.motion, _mass_asked(scene)
-    cut, uncertified, certificate = run.shares()
-    moved = len(motion) > 0
-    return {
-        "diverged": float(bool(run.ended)),
-        "cycles": float(len(run.rows)),
-        "interaction": float(run.interaction[-1]) if moved else 0.0,
-        "least_interaction": run.least_interaction,
-        "believed_error": run.believed_error,
-        "energy_resolution": run.resolution,
-        "surplus_end": float(run.booked.h_dis[-1]) if moved else 0.0,
-        "mass_felt": mass,
-        "mass_felt.share": mass / asked if asked else nan,
-        "damping_felt": damping,
-        "guard_acts": cut,
-        "uncertified": uncertified,
-        "speed_peak": float(np.abs(motion[:, :, 1]).max()) if moved else nan,
-        "force_peak": float(np.abs(motion[:, :, 2]).max()) if moved else nan,
-        "travel": float(np.ptp(motion[:, :, 0], axis=0).max()) if moved else nan,
-        "certificate": float(certificate),
-    }
-
-
-def _mass_asked(scene: Scene) -> float | None:
-    """Mass that a scene of one part is to render [kg or kg*m^2]; None where it has none."""
+    """Return every figure of a run of a scene of one part."""
     part = scene.groups[0].network if scene.groups else scene.axes[0].environment
-    asked = getattr(part.parameters, "inertia", getattr(part.parameters, "mass", None))
-    return None if asked is None else float(asked)
+    asked = getattr(part.parameters, "inertia", getattr(part.parameters, "mass", None)) or 0.0
+    display = _Display(run, run.motion, felt(run, scene), float(asked), run.shares())
+    return {name: float(figure.of(display)) for name, figure in DISPLAY_METRICS.items()}
