@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from canhaptic.lab.figures.field_figures import FIELD_FIGURES
+from canhaptic.lab.figures.figures import FIELD_FIGURES
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.arena import COLUMNS
 from canhaptic.view.html_page import picture, words, write_page
@@ -214,7 +214,7 @@ def write_arena_page(found: Found, path: Path) -> None:
         _table(
             "Definitions",
             ("figure", "what it is", "unit", "source"),
-            [[name, one.what, one.unit, one.source] for name, one in FIELD_FIGURES.items()],
+            [[name, one.meaning, one.unit, one.source] for name, one in FIELD_FIGURES.items()],
         ),
     ]
     write_page(path, f"Arena: {len(found['algorithms'])} algorithms, {len(found['scenes'])} scenes", parts)

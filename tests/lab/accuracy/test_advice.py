@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.lab.studies.accuracy.accuracy_choice import fitted_order
 from canhaptic.lab.studies.accuracy.accuracy_table import (
     advice,
     cheapest,
@@ -15,6 +14,7 @@ from canhaptic.lab.studies.accuracy.accuracy_table import (
     pareto,
     rank_agreement,
 )
+from canhaptic.lab.studies.accuracy.plant_solvers import fitted_order
 from canhaptic.lab.studies.accuracy.study import interleaved
 from tests.executed_bytecodes import executed_bytecodes
 

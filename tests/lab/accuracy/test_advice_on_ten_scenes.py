@@ -12,9 +12,9 @@ import yaml
 from canhaptic.lab.judge.reference_model import difference
 from canhaptic.lab.judge.solvers import located
 from canhaptic.lab.reference import textbook_model
-from canhaptic.lab.studies.accuracy.accuracy_choice import LEAST_ORDER, fitted_order, holds_of
-from canhaptic.lab.studies.accuracy.accuracy_table import advice_lines
+from canhaptic.lab.studies.accuracy.accuracy_table import LEAST_ORDER, advice_lines
 from canhaptic.lab.studies.accuracy.loop_sensitivity import continuous_loop
+from canhaptic.lab.studies.accuracy.plant_solvers import fitted_order, holds_of
 from canhaptic.lab.studies.accuracy.study import AccuracyStudy
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene

@@ -9,7 +9,7 @@ from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.judge.reference_model import Model, difference
 from canhaptic.lab.judge.solvers import METHODS, fixed_step, located, reference
 from canhaptic.lab.reference import textbook_model
-from canhaptic.lab.studies.accuracy.accuracy_choice import fitted_order
+from canhaptic.lab.studies.accuracy.plant_solvers import fitted_order
 from canhaptic.scene.far_side import build_plant
 from canhaptic.sim.plant.direct_rig import observed
 from canhaptic.sim.plant.effects import EFFECTS as ALL_EFFECTS

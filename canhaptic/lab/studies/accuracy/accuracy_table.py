@@ -5,20 +5,20 @@ From the ladder to advice: the Pareto front, the cheapest setting within a toler
 All choices depend on errors and evaluations, which are equal in every run; times only sort the effects.
 """
 
-import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR, LEAST_ORDER
 from canhaptic.lab.studies.accuracy.admittance_accuracy import display_accuracy_table, display_heading
-from canhaptic.lab.studies.accuracy.plant_solvers import OURS
+from canhaptic.lab.studies.accuracy.plant_solvers import FLOOR, OURS
+from canhaptic.sim.plant.propagator import Array
 from canhaptic.view.si import si
 from canhaptic.view.table import Cell, Styled, Table
 
@@ -35,7 +35,8 @@ EFFECT_HEADS: Final = (
 _WIDTH, _LABEL = 78, 15  # columns of a line, and of its label
 _DOT, _KEPT = "\u00b7", "\u00a0"  # the last: a space at which no line ends
 _GAP, _BETWEEN = "\t", f" {_DOT} "
-_TIME_OF: Final = ("evaluations", "time")  # whether it was measured
+LEAST_ORDER: Final = 0.5
+"""Part of the declared order: where the errors of a scene fall by less, no setting of it is advised or chosen."""
 _NEARER: Final = 0.8
 """Part of the scene's own error below which a change is worth naming."""
 _SHOWN: Final = 4
@@ -48,12 +49,10 @@ def accuracy_report(result: Row, *, tables: bool = False) -> RenderableType:
     """Return the answer, the heading and, if requested, the tables, for a terminal; of displays always the table."""
     if is_of_display(result):
         return Group(*(Text(f" {line}") for line in display_heading(result)), display_accuracy_table(result))
-    lines = [*advice_lines(result), "", *price_lines(result), ""]
-    if not tables:
-        said = [*lines, *heading(result)[:2], *result["remarks"], "every row: --tables"]
-        return Group(*(Text(f" {part}") for line in said for part in wrapped(line)))
-    shown = [Text(f" {part}") for line in (*lines, *heading(result)) for part in wrapped(line)]
-    return Group(*shown, *accuracy_tables(result))
+    said = [*advice_lines(result), "", *price_lines(result), ""]
+    said += heading(result) if tables else [*heading(result)[:2], *result["remarks"], "every row: --tables"]
+    shown = [Text(f" {part}") for line in said for part in wrapped(line)]
+    return Group(*shown, *(accuracy_tables(result) if tables else ()))
 
 
 def is_of_display(result: Row) -> bool:
@@ -74,70 +73,66 @@ def wrapped(line: str) -> list[str]:
 
 def price_lines(result: Row) -> list[str]:
     """Return the time and error of each relevant setting, one line each, the scene's own first."""
-    unit, floor = result["unit"], _floor(result)
-    lines = [*_plant_prices(result, unit, floor), *_method_prices(result, unit, floor), *_effect_prices(result)]
-    loop = _loop_prices(result)
-    said = [f"{label}{_GAP}{_BETWEEN.join(entries)}" for label, entries in lines if entries]
-    said = [f"plant: {_TIME_OF[bool(result['workload'])]} a period, and largest error of the position", *said]
+    plant = {**_plant_prices(result), "other methods": _method_prices(result), "left out": _effect_prices(result)}
+    measured, loop = "time" if result["workload"] else "evaluations", _loop_prices(result)
+    said = [f"plant: {measured} a period, and largest error of the position", *_price_lines(plant)]
     if loop:
         said.append("loop: time of the control thread in a cycle, and distance from the continuous axis")
-    return [*said, *(f"{label}{_GAP}{_BETWEEN.join(entries)}" for label, entries in loop)]
+    return [*said, *_price_lines(loop)]
 
 
-def _plant_prices(result: Row, unit: str, floor: float) -> list[tuple[str, list[str]]]:
+def _price_lines(prices: Mapping[str, Sequence[str]]) -> list[str]:
+    return [f"{label}{_GAP}{_BETWEEN.join(entries)}" for label, entries in prices.items() if entries]
+
+
+def _plant_prices(result: Row) -> dict[str, list[str]]:
     """Return our settings: event bits at the substeps that the scene has, and substeps at its event bits."""
-    now = result["now"]["accuracy"]
-    ours = {(row["accuracy"]["event_bits"], row["accuracy"]["substeps"]): row
+    own = tuple(result["now"]["accuracy"][key] for key in ("event_bits", "substeps"))
+    ours = {(row["accuracy"]["event_bits"], row["accuracy"]["substeps"]): _price(row, result)
             for row in result["plant"] if row["method"] == OURS}  # fmt: skip
-    own = (now["event_bits"], now["substeps"])
     if own not in ours:
-        return []
+        return {}
     if len(ours) == 1:
-        return [("settings", [f"now exact: {_price(ours[own], unit, floor)}"])]
-    lines = []
+        return {"settings": [f"now exact: {ours[own]}"]}
+    lines: dict[str, list[str]] = {}
     for name, place in (("event bits", 0), ("substeps", 1)):
         others = sorted({key for key in ours if key[1 - place] == own[1 - place] and key != own}, reverse=not place)
-        entries = [f"now {own[place]}: {_price(ours[own], unit, floor)}"]
-        entries += [f"{key[place]}: {_price(ours[key], unit, floor)}" for key in others]
-        lines.append((name, entries if others else []))
+        entries = [f"now {own[place]}: {ours[own]}", *(f"{key[place]}: {ours[key]}" for key in others)]
+        lines[name] = entries if others else []
     return lines
 
 
-def _method_prices(result: Row, unit: str, floor: float) -> list[tuple[str, list[str]]]:
+def _method_prices(result: Row) -> list[str]:
     """Return of each other method the cheapest setting within the tolerance, else the most exact one."""
     entries = []
     for method in dict.fromkeys(row["method"] for row in result["plant"] if row["method"] != OURS):
-        rows = [row for row in result["plant"] if row["method"] == method and row["status"] == "ok"]
-        good = cheapest(rows, result["tolerance"]) or min(
-            rows, key=lambda row: float(row["position_error"]), default=None
-        )
-        entries.append(f"{method}, {good['setting']}: {_price(good, unit, floor)}" if good else f"{method}: unstable")
-    return [("other methods", entries)]
+        rows = [row for row in result["plant"] if row["method"] == method]
+        good = cheapest(rows, result["tolerance"]) or _most_exact(rows)
+        entries.append(f"{method}, {good['setting']}: {_price(good, result)}" if good else f"{method}: unstable")
+    return entries
 
 
-def _effect_prices(result: Row) -> list[tuple[str, list[str]]]:
+def _effect_prices(result: Row) -> list[str]:
     """Return the error and the saving of leaving each effect out."""
     entries = []
     for row in (result["advice"] or {"effects": ()})["effects"]:
         if row.get("position_error") is not None:
-            saved = row["us_saved_per_period"]
-            price = (
-                f"{row['evaluations_saved_per_period']:.3g} evaluations" if saved is None else _time(max(saved, 0.0))
-            )
+            saved, spent = row["us_saved_per_period"], row["evaluations_saved_per_period"]
+            price = f"{spent:.3g} evaluations" if saved is None else _time(max(saved, 0.0))
             entries.append(f"{row['effect']}: errs by {length(row['position_error'], result['unit'])}, saves {price}")
-    return [("left out", entries)]
+    return entries
 
 
-def _loop_prices(result: Row) -> list[tuple[str, list[str]]]:
+def _loop_prices(result: Row) -> dict[str, list[str]]:
     """Return the loop's settings; none where it renders nothing, and nothing was compared."""
     base = base_loop(result)
     if base is None or not base["largest_torque"]:
-        return []
-    now, lines = result["now"], []
-    for group in dict.fromkeys(row["group"] for row in result["loop"] if not row["is_scene"]):
-        rows = [row for row in result["loop"] if row["group"] == group]
-        lines.append((group, [f"now {now.get(group, 'as it is')}: {_loop_price(base, result, group)}"]))
-        lines[-1][1].extend(f"{row['setting']}: {_loop_price(row, result, group)}" for row in rows)
+        return {}
+    lines: dict[str, list[str]] = {}
+    for row in (row for row in result["loop"] if not row["is_scene"]):
+        group = row["group"]
+        now = f"now {result['now'].get(group, 'as it is')}: {_loop_price(base, result, group)}"
+        lines.setdefault(group, [now]).append(f"{row['setting']}: {_loop_price(row, result, group)}")
     return lines
 
 
@@ -146,13 +141,13 @@ def base_loop(result: Row) -> Row | None:
     return next((row for row in result["loop"] if row["is_scene"] and row["status"] == "ok"), None)
 
 
-def _price(row: Row, unit: str, floor: float) -> str:
+def _price(row: Row, result: Row) -> str:
     """Return time, or evaluations where nothing was timed, and error."""
     if row["status"] != "ok":
         return str(row["status"]).partition(":")[0]
     spent = row.get("us_per_period")
     cost = f"{row['evaluations_per_period']:.3g} evaluations" if spent is None else _time(spent)
-    return f"{cost}, {length(max(row['position_error'], floor), unit)}"
+    return f"{cost}, {length(max(row['position_error'], _floor(result)), result['unit'])}"
 
 
 def _loop_price(row: Row, result: Row, group: str) -> str:
@@ -232,24 +227,18 @@ def advice_lines(result: Row) -> list[str]:
     lines.append(_loop_advice(result))
     for other in advice["cheaper_elsewhere"][:1]:
         lines.append(f"fewer evaluations, but not available to a scene: {other['method']}, {other['setting']}")
-    return [line for line in (*lines, *_effect_advice(result)) if line]
-
-
-def _effect_advice(result: Row) -> list[str]:
-    """Return the effects that did nothing, and the effects that cannot be left out."""
-    effects, lines = result["advice"]["effects"], []
-    idle = [effect["effect"] for effect in effects if effect.get("position_error") == 0.0]
-    if idle:
+    if idle := [effect["effect"] for effect in advice["effects"] if effect.get("position_error") == 0.0]:
         lines.append(f"changed nothing in this time: {', '.join(idle)}")
-    return [*lines, *(f"{effect['effect']}: {effect['remark']}" for effect in effects if effect["remark"])]
+    lines += [f"{effect['effect']}: {effect['remark']}" for effect in advice["effects"] if effect["remark"]]
+    return [line for line in lines if line]
 
 
 def _loop_advice(result: Row) -> str:
     """Return the changes that fit the bus and bring the rendered axis nearer to the continuous one, best first."""
-    base = base_loop(result)
+    base, best, unit = base_loop(result), result["advice"]["most_exact"], result["unit"]
     if base is None:
         return ""
-    floor, unit = _loop_floor(result), result["unit"]
+    floor = max(_floor(result), 2.0 * best["position_error"] if best else 0.0)  # the plant's own error
     if base["largest_torque"] == 0.0 or base["position_error"] <= floor:
         time = si(result["holds"] / result["rate"], "s", 3)
         return f"loop: the hand does not reach the wall within {time}; try a longer --duration"
@@ -264,27 +253,26 @@ def _loop_advice(result: Row) -> str:
         finer = [r for r in result["loop"] if r["group"] == row["group"] and (r["fineness"] or 0.0) > row["fineness"]]
         return bool(row["fineness"] > 1.0 and all(is_nearer(other) for other in finer if other["status"] == "ok"))
 
-    nearer = [row for row in result["loop"] if row["bus_fits"] and is_nearer(row) and lasts(row)]
-    if not nearer:
-        what = (
-            result.get("judged", "")
-            or "no single change that fits the bus brings it clearly nearer to the continuous axis"
-        )
-        return f"loop: {what}"
-    words = []
-    for row in sorted(nearer, key=lambda row: float(row["position_error"]))[:_SHOWN]:
+    nearer, judged = [], result.get("judged", "")
+    for row in sorted((row for row in result["loop"] if row["bus_fits"] and is_nearer(row) and lasts(row)), key=_error):
         given = max(0.0, row["energy_given_out"])
         out = f", gives out {si(given, 'J', 2)}" if given > PASSIVE_TOLERANCE else ""
         load = f"bus {100.0 * row['bus_load']:.0f} %"
-        words.append(f"{row['group']} {row['setting']} ({length(row['position_error'], unit)}, {load}{out})")
-    judged = f"{result['judged']}: " if result.get("judged", "") else ""
-    return f"loop: {judged}{length(base['position_error'], unit)} from the continuous axis; nearer: {'; '.join(words)}"
+        nearer.append(f"{row['group']} {row['setting']} ({length(row['position_error'], unit)}, {load}{out})")
+    if not nearer:
+        none = "no single change that fits the bus brings it clearly nearer to the continuous axis"
+        return f"loop: {judged or none}"
+    said = f"{judged}: " if judged else ""
+    distance = length(base["position_error"], unit)
+    return f"loop: {said}{distance} from the continuous axis; nearer: {'; '.join(nearer[:_SHOWN])}"
 
 
-def _loop_floor(result: Row) -> float:
-    """Return the error of the position that is the plant's own on the side of the loop [m or rad]."""
-    best = result["advice"]["most_exact"] if result["advice"] else None
-    return max(_floor(result), 2.0 * best["position_error"] if best else 0.0)
+def _error(row: Row) -> float:
+    return float(row["position_error"])
+
+
+def _most_exact(rows: Sequence[Row]) -> Row | None:
+    return min((row for row in rows if row["status"] == "ok"), key=_error, default=None)
 
 
 def length(value: float, unit: str) -> str:
@@ -295,26 +283,25 @@ def length(value: float, unit: str) -> str:
 def accuracy_tables(result: Row, *, wide: bool = False) -> list[Table]:
     """Return every table; `wide` adds times per simulated second and their spread to the plant's."""
     unit, floor, plant = result["unit"], _floor(result), result["plant"]
-    more: Sequence[str] = _WIDE_HEADS if wide else ()
     rows = [[*_plant_cells(row, unit, floor), *(_wall(row) if wide else ())] for row in plant]
-    title = " plant: largest error at any SYNC; bold and *: Pareto front of evaluations, the same on every machine"
-    found = [_table(title, (*PLANT_HEADS, *more), rows, [row["pareto"] for row in plant])]
     orders = [[row["method"], _plain(row["declared"]), _fixed(row["fitted"], 2)] for row in result["orders"]]
-    found.append(_table(" order of the error in the step", ("method", "declared", "fitted"), orders))
     effects = [_effect_cells(row, unit) for row in (result["advice"] or {"effects": ()})["effects"]]
-    found.append(_table(" effects: what leaving one out does", EFFECT_HEADS, effects))
     felt = any(row["largest_torque"] for row in result["loop"])
     loop = [_loop_cells(row, unit) for row in result["loop"]] if felt else []
-    title = " loop: largest difference from the continuous axis, one thing changed; !: the cycle does not fit"
-    found.append(_table(title, LOOP_HEADS, loop, [row["is_scene"] for row in result["loop"]]))
+    found = [
+        _table(" plant: largest error at any SYNC; bold and *: Pareto front of evaluations, the same on every machine",
+               (*PLANT_HEADS, *(_WIDE_HEADS if wide else ())), rows, [row["pareto"] for row in plant]),
+        _table(" order of the error in the step", ("method", "declared", "fitted"), orders),
+        _table(" effects: what leaving one out does", EFFECT_HEADS, effects),
+        _table(" loop: largest difference from the continuous axis, one thing changed; !: the cycle does not fit",
+               LOOP_HEADS, loop, [row["is_scene"] for row in result["loop"]]),
+    ]  # fmt: skip
     return [table for table in found if table.rows]
 
 
 def _table(title: str, heads: Sequence[str], rows: Sequence[list[str]], marked: Sequence[bool] = ()) -> Table:
-    styles = [*("bold" if mark else "" for mark in marked), *[""] * (len(rows) - len(marked))]
-    cells: list[list[Cell]] = [
-        [*(Styled(c, style) for c in row[:2]), *row[2:]] for row, style in zip(rows, styles, strict=True)
-    ]
+    styles = [*("bold" if mark else "" for mark in marked), *[""] * len(rows)]
+    cells: list[list[Cell]] = [[*(Styled(c, style) for c in row[:2]), *row[2:]] for row, style in zip(rows, styles)]  # noqa: B905 - styles may be more
     return Table(title, heads, cells, keys=2)
 
 
@@ -434,15 +421,12 @@ def advice(rows: Sequence[Row], effects: Sequence[Row], tolerance: float, orders
     ours = [row for row in rows if row["method"] == OURS]
     doubt = next((_doubt(row) for row in orders if row["method"] == OURS), "")
     lasting = [row for row in ours if meets(row, tolerance) and _lasts(row, ours, tolerance)]
-    chosen = None if doubt else cheapest(lasting, tolerance)
+    chosen, best = None if doubt else cheapest(lasting, tolerance), _most_exact(ours)
     cheaper = [
-        {"method": row["method"], "setting": row["setting"], "evaluations": row["evaluations"]}
+        {key: row[key] for key in ("method", "setting", "evaluations")}
         for row in rows
         if row["method"] != OURS and meets(row, tolerance) and chosen and row["evaluations"] < chosen["evaluations"]
     ]
-    best = min(
-        (row for row in ours if row["status"] == "ok"), key=lambda row: float(row["position_error"]), default=None
-    )
     return {
         "tolerance": tolerance,
         "chosen": chosen and dict(chosen),
@@ -491,27 +475,13 @@ def error_per_microsecond(error: float, saved: float | None) -> float | None:
 
 
 def rank_agreement(one: Sequence[float], other: Sequence[float]) -> float | None:
-    """Return Spearman's rank correlation; None for fewer than three pairs."""
-    count = len(one)
-    if count < 3:
+    """Return Spearman's rank correlation; None for fewer than three pairs, or where one of them is constant."""
+    if len(one) < 3 or len(set(one)) == 1 or len(set(other)) == 1:
         return None
-    a, b = _ranks(one), _ranks(other)
-    mean = 0.5 * (count - 1)
-    top = sum((x - mean) * (y - mean) for x, y in zip(a, b, strict=True))
-    size = math.sqrt(sum((x - mean) ** 2 for x in a) * sum((y - mean) ** 2 for y in b))
-    return top / size if size else None
+    return float(np.corrcoef(_ranks(one), _ranks(other))[0, 1])
 
 
-def _ranks(values: Sequence[float]) -> list[float]:
+def _ranks(values: Sequence[float]) -> Array:
     """Return the rank of each value; equal values share the mean of theirs."""
-    order = sorted(range(len(values)), key=values.__getitem__)
-    ranks = [0.0] * len(values)
-    start = 0
-    while start < len(order):
-        end = start
-        while end + 1 < len(order) and values[order[end + 1]] == values[order[start]]:
-            end += 1
-        for place in range(start, end + 1):
-            ranks[order[place]] = 0.5 * (start + end)
-        start = end + 1
-    return ranks
+    _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return (np.cumsum(counts) - 0.5 * counts)[place]

@@ -10,24 +10,24 @@ far it is from one with twice its sample time says how sure it is.
 A study of the accuracy of an admittance display as tables, on a terminal and as Markdown.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import Final
+from typing import Final, cast
 
 import numpy as np
 
 from canhaptic.axis_units import mass_unit
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.drive.clock import WallClock
-from canhaptic.drive.profile.admittance_parameters import ForceParameters
+from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
 from canhaptic.errors import CanHapticError, InputError, ParameterError
 from canhaptic.lab.figures.figures import figures_of
 from canhaptic.lab.loop.admittance_equations import integrate, why_no_equations
 from canhaptic.lab.loop.admittance_loop import AdmittanceRun, run_display
 from canhaptic.lab.loop.axis_loop import Array, at_rate, display_group_under, display_under, parts_of
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.accuracy.accuracy_choice import holds_of
 from canhaptic.lab.studies.accuracy.loop_sensitivity import Variant
+from canhaptic.lab.studies.accuracy.plant_solvers import Stop, holds_of
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation, SimulatedForceSensor
@@ -82,8 +82,6 @@ _FASTEST: Final = 20e3
 _STIFFER: Final = 1000.0
 _PLAIN: Final = "unprotected"
 
-Stop = Callable[[], bool]
-
 
 def study_display(
     scene: Scene,
@@ -112,36 +110,29 @@ def study_display(
     ideal = run_display(_ideal(alone, steps), holds * steps)
     nearly = run_display(_ideal(alone, steps // 2), holds * steps // 2)
     rows: list[Row] = []
-    found: Row = {
+    every = list(_variants(alone))
+    for number, variant in enumerate(every):
+        progress((1 + number) / (1 + len(every)))
+        if stop():
+            break
+        own = round(steps * variant.sample_time_ns / alone.bus.sample_time_ns)
+        rows.append(_row(variant, ideal, own, holds * steps))
+    is_whole = len(rows) == len(every)
+    return {
         "scene": scene.source,
         "axis": name,
         "unit": alone.axes[0].parameters.unit,
         "rate": 1.0 / scene.bus.sample_time,
         "holds": holds,
-        "reference": _reference(ideal, nearly),
-        "plant": [],
+        "reference": {
+            "ended": ideal.reason or ideal.ended,
+            "travel": float(np.ptp(_positions(ideal), axis=0).max()),
+            "energy": float(ideal.interaction[-1]),
+            "apart": _apart(nearly, ideal, 2)[0],
+        },
+        "plant": [_plant_row(alone, axis, holds) for axis in alone.axes] if is_whole else [],
         "loop": rows,
-        "status": "completed",
-    }
-    every = list(_variants(alone))
-    for number, variant in enumerate(every):
-        progress((1 + number) / (1 + len(every)))
-        if stop():
-            found["status"] = "stopped"
-            return found
-        own = round(steps * variant.sample_time_ns / alone.bus.sample_time_ns)
-        rows.append(_row(variant, ideal, own, holds * steps))
-    found["plant"] = [_plant_row(alone, axis, holds) for axis in alone.axes]
-    return found
-
-
-def _reference(ideal: AdmittanceRun, nearly: AdmittanceRun) -> Row:
-    """Return the ideal display's figures, and how far it is from the one with half as many holds."""
-    return {
-        "ended": ideal.reason or ideal.ended,
-        "travel": float(np.ptp(_positions(ideal), axis=0).max()),
-        "energy": float(ideal.interaction[-1]),
-        "apart": _apart(nearly, ideal, 2)[0],
+        "status": "completed" if is_whole else "stopped",
     }
 
 
@@ -167,15 +158,13 @@ def _apart(run: AdmittanceRun, ideal: AdmittanceRun, steps: int) -> tuple[float,
 
 def _row(variant: Variant, ideal: AdmittanceRun, steps: int, whole: int) -> Row:
     """Return the row of a variant; `steps` are the holds of the ideal display in one of its own, of `whole`."""
-    row: Row = {"changed": variant.group, "to": variant.setting}
-    clock = WallClock()
+    row, clock = Row(changed=variant.group, to=variant.setting), WallClock()
     begin = clock.now()
     try:
         run = run_display(variant.scene, whole // steps)
     except CanHapticError as error:
         return row | {"status": f"refused: {str(error).splitlines()[0]}"}
-    spent = clock.now() - begin
-    figures = figures_of(run, variant.scene)
+    spent, figures = clock.now() - begin, figures_of(run, variant.scene)
     position, energy = _apart(run, ideal, steps)
     return row | {
         "status": run.reason or run.ended or "ok",
@@ -191,15 +180,13 @@ def _row(variant: Variant, ideal: AdmittanceRun, steps: int, whole: int) -> Row:
 
 def _plant_row(scene: Scene, axis: AxisScene, holds: int) -> Row:
     """Return how far the plant is from a solver under the commands of the scene's own controller."""
-    simulation = simulation_of(axis)
-    row: Row = {"axis": axis.parameters.name}
+    simulation, name = simulation_of(axis), axis.parameters.name
     if reason := why_no_equations(simulation):
-        row["status"] = f"not compared: no equations for {reason}"
-        return row
+        return {"axis": name, "status": f"not compared: no equations for {reason}"}
     run, place = run_display(scene, holds), scene.axes.index(axis)
-    held = run.torque[:, place].tolist()
-    exact = integrate(simulation, held, scene.bus.sample_time)
-    row["status"], row["position_error"] = "ok", float(np.abs(_positions(run)[:, place] - exact[:, 0]).max())
+    exact = integrate(simulation, run.torque[:, place].tolist(), scene.bus.sample_time)
+    row: Row = {"axis": name, "status": "ok"}
+    row["position_error"] = float(np.abs(_positions(run)[:, place] - exact[:, 0]).max())
     if run.axes == 1:
         row["energy_error"] = float(np.abs(run.interaction - exact[:, 1]).max())
     return row
@@ -242,61 +229,58 @@ def _under(scene: Scene, name: str) -> Scene:
 
 def _sensed(scene: Scene, **values: float | str) -> Scene:
     """Return a scene with other properties of the simulated sensor; its sampling is declared too."""
+    known = {key: value for key, value in values.items() if key == "sampling"}
 
     def changed(axis: AxisScene) -> AxisScene:
-        display, simulation = axis.parameters.admittance, simulation_of(axis)
-        if display is None or simulation.admittance is None:
-            return axis
-        sensor = simulation.admittance.sensor.model_copy(update=values)
-        known = {"sampling": values["sampling"]} if "sampling" in values else {}
-        force = display.force.model_copy(update=known)
-        return _with(axis, force=force, admittance=simulation.admittance.model_copy(update={"sensor": sensor}))
+        return _with(axis, known, sensor=_simulated(axis).sensor.model_copy(update=values))
 
-    return replace(scene, axes=tuple(changed(axis) for axis in scene.axes))
+    return replace(scene, axes=tuple(map(changed, scene.axes)))
+
+
+def _simulated(axis: AxisScene) -> AdmittanceSimulation:
+    simulated = simulation_of(axis).admittance
+    if axis.parameters.admittance is None or simulated is None:
+        raise InputError(f"{axis.parameters.name}: is not an admittance display, expected one")
+    return simulated
 
 
 def _with(
-    axis: AxisScene, *, force: ForceParameters | None, admittance: AdmittanceSimulation | None, counts: float = 1.0,
-    delay: int | None = None,
-) -> AxisScene:  # fmt: skip
-    given, simulation = axis.parameters, simulation_of(axis)
-    display = given.admittance and given.admittance.model_copy(update={"force": force})
-    update = {"admittance": display, "counts_per_unit": counts * given.counts_per_unit}
-    drive = simulation.drive
-    if drive.display is not None and force is not None:
+    axis: AxisScene, known: Mapping[str, object], counts: float = 1.0, delay: int | None = None, **simulated: object
+) -> AxisScene:
+    """Return a display with other values declared of its sensor, a finer encoder, a delay, and another simulation."""
+    given, simulation, drive = axis.parameters, simulation_of(axis), simulation_of(axis).drive
+    admittance = _simulated(axis).model_copy(update=simulated)
+    display = cast(AdmittanceParameters, given.admittance)
+    force = display.force.model_copy(update=known)
+    if drive.display is not None:
         scales = {"force_per_count": force.per_count, "force_offset_counts": force.offset_counts}
         drive = drive.model_copy(update={"display": drive.display.model_copy(update=scales)})
-    loop = axis.loop if delay is None else axis.loop.model_copy(update={"delay": delay})
+    display = display.model_copy(update={"force": force})
+    update = {"admittance": display, "counts_per_unit": counts * given.counts_per_unit}
     return replace(
-        axis, parameters=given.model_copy(update=update), loop=loop,
+        axis, parameters=given.model_copy(update=update),
         simulation=replace(simulation, admittance=admittance, drive=drive),
+        loop=axis.loop if delay is None else axis.loop.model_copy(update={"delay": delay}),
     )  # fmt: skip
 
 
 def _finer(scene: Scene, factor: float) -> Scene:
-    def changed(axis: AxisScene) -> AxisScene:
-        display = axis.parameters.admittance
-        force = None if display is None else display.force
-        return _with(axis, force=force, admittance=simulation_of(axis).admittance, counts=factor)
-
-    return replace(scene, axes=tuple(changed(axis) for axis in scene.axes))
+    return replace(scene, axes=tuple(_with(axis, {}, factor) for axis in scene.axes))
 
 
 def _ideal(scene: Scene, steps: int) -> Scene:
     """Return the ideal display of a scene, with so many holds in one sample time."""
 
     def changed(axis: AxisScene) -> AxisScene:
-        display, simulated = axis.parameters.admittance, simulation_of(axis).admittance
-        if display is None or simulated is None:
-            raise InputError(f"{axis.parameters.name}: is not an admittance display, expected one")
-        loop = simulated.loop.model_copy(
-            update={"gain": _STIFFER * simulated.loop.gain, "integral_gain": 0.0, "torque_limit": None}
-        )
-        ideal = simulated.model_copy(update={"loop": loop, "sensor": SimulatedForceSensor(sampling="mean")})
-        known = {"sampling": "mean", "latency": 0, "filter": 0.0, "frozen_after": None, "offset_counts": 0.0}
-        force = display.force.model_copy(update={**known, "range": 1e6, "per_count": 1e-6 * display.force.range})
-        return _with(axis, force=force, admittance=ideal, counts=1e3, delay=0)
+        loop, display = _simulated(axis).loop, cast(AdmittanceParameters, axis.parameters.admittance)
+        ideal = {"gain": _STIFFER * loop.gain, "integral_gain": 0.0, "torque_limit": None}
+        known = {
+            "sampling": "mean", "latency": 0, "filter": 0.0, "frozen_after": None, "offset_counts": 0.0, "range": 1e6,
+            "per_count": 1e-6 * display.force.range,
+        }  # fmt: skip
+        sensor = SimulatedForceSensor(sampling="mean")
+        return _with(axis, known, 1e3, delay=0, loop=loop.model_copy(update=ideal), sensor=sensor)
 
     finer = at_rate(_under(scene, _PLAIN), steps / scene.bus.sample_time)
     bus = finer.bus.model_copy(update={"rpdo": "event"})  # a command acts at once
-    return replace(finer, bus=bus, axes=tuple(changed(axis) for axis in finer.axes))
+    return replace(finer, bus=bus, axes=tuple(map(changed, finer.axes)))

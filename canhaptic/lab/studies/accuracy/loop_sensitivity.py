@@ -22,16 +22,8 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.errors import ParameterError
 from canhaptic.lab.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, ChosenEngine, Engine, chosen_engine
 from canhaptic.lab.batch.scalar import render_by, render_group, work_of
-from canhaptic.lab.loop.axis_loop import (
-    LoopCase,
-    LoopRun,
-    Reach,
-    able_under,
-    at_rate,
-    environment_of,
-    group_under,
-    loop_case,
-)
+from canhaptic.lab.judge.reference_model import MotionError
+from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.reference import ContinuousGroup, continuous_run, textbook_model
 from canhaptic.lab.studies import Row
 from canhaptic.scene.method import simulation_of
@@ -69,7 +61,7 @@ def continuous_loop(
             was stopped.
     """
     times = [k * step_ns * 1e-9 for k in range(steps + 1)]
-    run = continuous_run(environment_of(axis), textbook_model(simulation_of(axis)), times, _TOLERANCE, stop)
+    run = continuous_run(axis_loop.environment_of(axis), textbook_model(simulation_of(axis)), times, _TOLERANCE, stop)
     return ContinuousLoop(step_ns, run.position, run.impulse, run.interaction)
 
 
@@ -114,16 +106,18 @@ class Variant:
         return self.scene.bus.sample_time_ns
 
     @property
-    def case(self) -> LoopCase:
+    def case(self) -> axis_loop.LoopCase:
         """The loop of the one axis."""
         (axis,) = self.scene.axes
-        return replace(loop_case(axis, self.scene), counts_per_unit=abs(axis.parameters.counts_per_unit) or None)
+        return replace(
+            axis_loop.loop_case(axis, self.scene), counts_per_unit=abs(axis.parameters.counts_per_unit) or None
+        )
 
     def controller(self) -> Any:
         """Return the algorithm, at rest."""
         return build_group(self.scene, self.scene.groups[0]) if self.scene.groups else self.case.controller()
 
-    def render(self, cycles: int, motion: Array, tick: Callable[[], None], engine: ChosenEngine) -> LoopRun:
+    def render(self, cycles: int, motion: Array, tick: Callable[[], None], engine: ChosenEngine) -> axis_loop.LoopRun:
         """Return the result of the loop.
 
         Args:
@@ -133,7 +127,7 @@ class Variant:
             engine: Engine of the loop.
         """
         if not self.scene.groups:
-            return render_by(engine, self.case, cycles, Reach.around(motion), tick)
+            return render_by(engine, self.case, cycles, axis_loop.Reach.around(motion), tick)
         furthest = _TRAVELS * float(np.abs(motion).max()) + float(np.ptp(motion, axis=0).max())
         return render_group(engine, self.scene, cycles, furthest, tick)
 
@@ -148,13 +142,11 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class LoopRow:
-    """Result of one variant; errors are the largest over the run, infinite where it ended early."""
+    """Result of one variant."""
 
     variant: Variant
-    run: LoopRun
-    position_error: float
-    force_error: float
-    energy_error: float
+    run: axis_loop.LoopRun
+    errors: MotionError  # the largest over the run, infinite where it ended early
     seconds: float  # wall time of the run, plant and recording included
 
 
@@ -167,8 +159,9 @@ def variants(alone: Scene, whole: Scene) -> list[Variant]:
     """
     base = finely_solved(alone)
     found = [Variant("as it is", _algorithm_of(base), base, is_scene=True)]
-    found += [Variant("sample rate", hertz(rate), finely_solved(at_rate(alone, rate), factor), fineness=factor)
-              for factor, rate in _rates(base)]  # fmt: skip
+    for factor, rate in _rates(base):
+        faster = finely_solved(axis_loop.at_rate(alone, rate), factor)
+        found.append(Variant("sample rate", hertz(rate), faster, fineness=factor))
     return [*found, *_delays(base, whole), *_algorithms(base), *_filters(base), *_torques(base), *_encoders(base),
             *_without_encoder_effects(base)]  # fmt: skip
 
@@ -179,7 +172,7 @@ def settings_now(scene: Scene) -> dict[str, str]:
     if scene.groups:
         return found
     (axis,) = scene.axes
-    case, unit, parameters = loop_case(axis, scene), axis.parameters.unit, axis.passivity.parameters
+    case, unit, parameters = axis_loop.loop_case(axis, scene), axis.parameters.unit, axis.passivity.parameters
     if "velocity" in type(parameters).model_fields:
         found["velocity"] = getattr(parameters, "velocity", "last")
     if case.torque_quantum is not None:
@@ -225,31 +218,24 @@ def _delays(base: Scene, whole: Scene) -> Iterator[Variant]:
     own = {a.parameters.name: _changed(a, {"delay": bus.delay, "torque_window": None}, {}) for a in base.axes}
     timed = with_timing(replace(whole, bus=bus, axes=tuple(own.get(a.parameters.name, a) for a in whole.axes)))
     axes = tuple(axis for axis in timed.axes if axis.parameters.name in own)
-    if all(
-        (axis.loop.torque_window or 0.0) < bus.sample_time for axis in axes
-    ):  # the torque comes before the next SYNC
+    if all((axis.loop.torque_window or 0.0) < bus.sample_time for axis in axes):  # it comes before the next SYNC
         yield Variant("RPDO", other, replace(base, bus=bus, axes=axes))
 
 
 def _algorithms(base: Scene) -> Iterator[Variant]:
-    for name in GROUP_ALGORITHMS if base.groups else _unpublished():
-        if name == _algorithm_of(base):
+    for name in GROUP_ALGORITHMS if base.groups else ALGORITHMS:
+        if name == _algorithm_of(base) or (name in LITERATURE and not base.groups):  # only to compare with papers
             continue
         try:
             if base.groups:
-                changed, remark = replace(base, groups=(group_under(base.groups[0], name),)), ""
+                changed, remark = replace(base, groups=(axis_loop.group_under(base.groups[0], name),)), ""
                 build_group(changed, changed.groups[0])
             else:
-                able = able_under(base.axes[0], name, base)
+                able = axis_loop.able_under(base.axes[0], name, base)
                 changed, remark = replace(base, axes=(able.axis,)), able.remark
         except ParameterError:
             continue
         yield Variant("algorithm", name, changed, remark=remark)
-
-
-def _unpublished() -> list[str]:
-    """Return the algorithms of one axis that are not there for comparisons with papers."""
-    return [name for name in ALGORITHMS if name not in LITERATURE]
 
 
 def _filters(base: Scene) -> Iterator[Variant]:
@@ -265,23 +251,22 @@ def _torques(base: Scene) -> Iterator[Variant]:
     if any(axis.parameters.rated_torque is None for axis in base.axes):
         return
     unit, quantum = effort_unit(base.axes[0].parameters.unit), base.axes[0].loop.torque_quantum or 0.0
-    for factor in (0.1, 10.0, None):
-        changed = replace(base, axes=tuple(_with_torque_step(axis, factor or 0.0) for axis in base.axes))
-        setting = f"{quantum * factor:g} {unit}" if factor else "ideal"
-        yield Variant("torque step", setting, changed, fineness=1.0 / factor if factor else math.inf)
-
-
-def _with_torque_step(axis: AxisScene, times: float) -> AxisScene:
-    known = {"torque_quantum": (axis.loop.torque_quantum or 0.0) * times}
-    return _changed(axis, known, {"rated_torque": (axis.parameters.rated_torque or 0.0) * times or None})
+    for times in (0.1, 10.0, 0.0):
+        axes = tuple(
+            _changed(a, {"torque_quantum": (a.loop.torque_quantum or 0.0) * times},
+                     {"rated_torque": (a.parameters.rated_torque or 0.0) * times or None})
+            for a in base.axes
+        )  # fmt: skip
+        setting = f"{quantum * times:g} {unit}" if times else "ideal"
+        yield Variant("torque step", setting, replace(base, axes=axes), fineness=1.0 / times if times else math.inf)
 
 
 def _encoders(base: Scene) -> Iterator[Variant]:
     given = base.axes[0].parameters
-    for factor in (0.01, 0.1, 10.0, None):
-        changed = replace(base, axes=tuple(_with_counts(axis, factor or 0.0) for axis in base.axes))
-        setting = f"{1.0 / (abs(given.counts_per_unit) * factor):.3g} {given.unit}" if factor else "ideal"
-        yield Variant("encoder count", setting, changed, fineness=factor or math.inf)
+    for times in (0.01, 0.1, 10.0, 0.0):
+        changed = replace(base, axes=tuple(_with_counts(axis, times) for axis in base.axes))
+        setting = f"{1.0 / (abs(given.counts_per_unit) * times):.3g} {given.unit}" if times else "ideal"
+        yield Variant("encoder count", setting, changed, fineness=times or math.inf)
 
 
 def _with_counts(axis: AxisScene, times: float) -> AxisScene:
@@ -326,25 +311,23 @@ def loop_row(
         tick: Called once a cycle; may raise to abort.
         engine: Engine of the axis's loop.
     """
-    period = variant.sample_time_ns
-    clock = WallClock()
+    period, clock = variant.sample_time_ns, WallClock()
     begin = clock.now()
     run = variant.render(duration_ns // period + 1, exact.position, tick, engine)
     seconds = (clock.now() - begin) * 1e-9
     if run.ended:
-        return LoopRow(variant, run, math.inf, math.inf, math.inf, seconds)
+        return LoopRow(variant, run, MotionError(math.inf, math.inf, math.inf), seconds)
     stride = period // exact.step_ns
     shown = min(len(run.position), (len(exact.position) - 1) // stride + 1)
     rows = slice(0, (shown - 1) * stride + 1, stride)
     impulse = exact.impulse[rows]
     mean = np.diff(impulse, axis=0, prepend=np.zeros_like(impulse[:1])) / (period * 1e-9)
-    position, force = run.true_position[:shown] - exact.position[rows], run.torque[:shown] - mean
-    energy = run.interaction[:shown] - exact.interaction[rows]
-    return LoopRow(variant, run, _most(position), _most(force), _most(energy), seconds)
-
-
-def _most(values: Array) -> float:
-    return float(np.abs(values).max(initial=0.0))
+    apart = (
+        run.true_position[:shown] - exact.position[rows],
+        run.torque[:shown] - mean,
+        run.interaction[:shown] - exact.interaction[rows],
+    )
+    return LoopRow(variant, run, MotionError(*(float(np.abs(of).max(initial=0.0)) for of in apart)), seconds)
 
 
 def engines_of(variants: Sequence[Variant], duration_ns: int, engine: Engine) -> list[ChosenEngine]:

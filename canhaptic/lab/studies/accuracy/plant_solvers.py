@@ -14,8 +14,8 @@ mechanism is compared with its equations of motion by DOP853.
 
 import importlib.util
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
 
@@ -24,20 +24,11 @@ import numpy as np
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch.group_loop import Motors
 from canhaptic.lab.batch.scalar import render_group
+from canhaptic.lab.judge import solvers
 from canhaptic.lab.judge.reference_group import ReferenceGroup
 from canhaptic.lab.judge.reference_model import MotionError, difference
-from canhaptic.lab.judge.solvers import (
-    METHODS,
-    fixed_step,
-    fixed_step_states,
-    located,
-    located_states,
-    reference,
-    runge_kutta_4,
-)
 from canhaptic.lab.reference import group_model, textbook_model
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR, fitted_order, ladder
 from canhaptic.lab.studies.accuracy.loop_sensitivity import finely_solved
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.method import declared_order, simulation_of, torque_history
@@ -47,12 +38,25 @@ from canhaptic.sim.plant.direct_rig import Motion, observed
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array
 
+Stop = Callable[[], bool]
 OURS: Final = "canhaptic"
 LSODA: Final = "LSODA, located"
+FLOOR: Final = 2e-13
+"""Fraction of the travel below which errors count as equal: they come from the reference, or rounding."""
+FURTHEST: Final = 1.0
+"""Error of the position, in travels of the reference, from which a method counts as unstable."""
+_CEILING: Final = 3e-2
+"""Part of the travel above which errors do not yet show an order."""
+_BITS: Final = (4, 8, 12, 16, 20, 24)
+_FEW_BITS: Final = (8, 16, 24)
+"""Where substeps are to be chosen too."""
+_OUR_SUBSTEPS: Final = (1, 2, 4, 8, 16, 32)
 _SUBSTEPS: Final = (1, 2, 4, 8, 16)
+_RUNGE_KUTTA: Final = (1, 2, 4, 8)
 _TOLERANCES: Final = (1e-3, 1e-5, 1e-7, 1e-9)
 _ABSOLUTE: Final = 1e-3
 """Absolute tolerance over relative."""
+_REFERENCE: Final = 1e-12
 _MOST_WORK: Final = 130_000
 """Most evaluations of a fixed-step method in one run: finer rungs are left out."""
 _WORK: Final = {"semi-implicit Euler": 1, "implicit midpoint": 8, "RK4": 4}
@@ -67,7 +71,7 @@ class Candidate:
         method: Name of the method.
         setting: Setting that distinguishes it from others of the same method.
         size: Relative step size, for fitting the order; None where there is no step.
-        order: Declared order; None for exact and adaptive methods.
+        order: Order that it has on this plant; None for exact and adaptive methods.
         accuracy: Accuracy as in a scene; None where no scene can express it.
         observe: Function that runs it and returns motion, evaluations and events.
         spend: Function that runs it for timing only.
@@ -87,28 +91,28 @@ class Candidate:
         return f"{self.method}, {self.setting}"
 
 
-def candidates(
-    simulation: AxisSimulation,
-    torques: Sequence[float],
-    sample_time_ns: int,
-    settings: Sequence[AccuracyParameters],
-) -> list[Candidate]:
-    """Return the whole ladder of one plant.
+def _textbook(
+    make: Callable[[], Any], solve: Callable[[Any], Motion], method: str, setting: str, substeps: int | None = None,
+    order: int | None = None,
+) -> Candidate:  # fmt: skip
+    """Return a textbook method on the equations of a plant, which are made anew for every run."""
 
-    Args:
-        simulation: Plant, user and effects.
-        torques: Torque of each hold [N or N*m].
-        sample_time_ns: Duration of a hold [ns].
-        settings: Settings of our plant.
-    """
-    found = [ours(simulation, accuracy, torques, sample_time_ns) for accuracy in settings]
-    for method, (order, _) in METHODS.items():
-        for substeps in _SUBSTEPS:
-            if substeps * _WORK[method] * len(torques) <= _MOST_WORK:
-                found.append(_fixed(simulation, method, order, substeps, torques, sample_time_ns))
-    if importlib.util.find_spec("scipy"):
-        found += [_adaptive(simulation, tolerance, torques, sample_time_ns) for tolerance in _TOLERANCES]
-    return found
+    def run() -> tuple[Motion, int, int]:
+        model = make()
+        motion = solve(model)
+        return motion, model.evaluations, 0
+
+    return Candidate(method, setting, substeps and 1.0 / substeps, order, None, run, run)
+
+
+def ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[AccuracyParameters]:
+    """Return every setting that makes a difference for this plant, coarse to fine."""
+    plant = build_plant(simulation, sample_time_ns)
+    bits: Sequence[int] = (24,)
+    if any(part.has_guards for part in plant.scene.parts):
+        bits = _BITS if plant.is_exact else _FEW_BITS
+    most, substeps = simulation.accuracy.max_events, (1,) if plant.is_exact else _OUR_SUBSTEPS
+    return [AccuracyParameters(event_bits=b, substeps=s, max_events=most) for s in substeps for b in bits]
 
 
 def own_ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[AccuracyParameters]:
@@ -120,9 +124,8 @@ def own_ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[Accuracy
 def own_setting(simulation: AxisSimulation, sample_time_ns: int) -> AccuracyParameters:
     """Return the accuracy of a scene, with the defaults where it makes no difference for this plant."""
     found, now = ladder(simulation, sample_time_ns), simulation.accuracy
-    bits = now.event_bits if len({of.event_bits for of in found}) > 1 else found[0].event_bits
-    substeps = now.substeps if len({of.substeps for of in found}) > 1 else found[0].substeps
-    return now.model_copy(update={"event_bits": bits, "substeps": substeps})
+    useless = (key for key in ("event_bits", "substeps") if len({getattr(of, key) for of in found}) == 1)
+    return now.model_copy(update={key: getattr(found[0], key) for key in useless})
 
 
 def ours(
@@ -136,15 +139,8 @@ def ours(
         plant = build_plant(solved, sample_time_ns)
         return observed(plant, torques), plant.products, plant.events
 
-    return Candidate(
-        OURS,
-        _setting_of(accuracy, kept),
-        1.0 / accuracy.substeps,
-        None,
-        accuracy,
-        observe,
-        lambda: stepped(kept, torques),
-    )
+    size, order, setting = 1.0 / accuracy.substeps, declared_order(simulation), _setting_of(accuracy, kept)
+    return Candidate(OURS, setting, size, order, accuracy, observe, partial(stepped, kept, torques))
 
 
 def _setting_of(accuracy: AccuracyParameters, plant: Plant) -> str:
@@ -172,31 +168,83 @@ def stepped(plant: Plant, torques: Sequence[float]) -> None:
         move(now, torque)
 
 
-def _fixed(
-    simulation: AxisSimulation, method: str, order: int, substeps: int, torques: Sequence[float], sample_time_ns: int
-) -> Candidate:
-    def run() -> tuple[Motion, int, int]:
-        model = textbook_model(simulation)
-        motion = fixed_step(model, torques, sample_time_ns, METHODS[method][1](), substeps)
-        return motion, model.evaluations, 0
+class Plants:
+    """Plants under recorded torques: their reference, the ladder, and the results so far.
 
-    return Candidate(method, counted(substeps, "step"), 1.0 / substeps, order, None, run, run)
+    Attributes:
+        torques: Torque of each hold [N or N*m]; of a mechanism one for each motor.
+        evaluations: Evaluations of the reference.
+        travel: Travel of the reference [m or rad].
+        energy: Largest of the works and the kinetic energy of the reference [J].
+        candidates: Settings to measure.
+        rows: Results so far, one per setting of the ladder.
+        effects: Results so far, one per effect of the scene.
+        without: Plants without an effect, and as they are, by name.
+    """
+
+    torques: Any
+    evaluations: int
+    travel: float
+    energy: float
+    candidates: list[Candidate]
+
+    def __init__(self) -> None:
+        self.rows: list[Row] = []
+        self.effects: list[Row] = []
+        self.without: dict[str, Candidate] = {}
+
+    def measure(self) -> Iterator[str]:
+        """Run every setting once for its errors and evaluations; yield the name of each before it is run."""
+        for candidate in self.candidates:
+            yield candidate.name
+            self.rows.append(_row_of(candidate, self._judged, self.travel, len(self.torques)))
+
+    def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
+        """Run the plant without each effect at the chosen accuracy; yield the name of each before it is run.
+
+        Args:
+            accuracy: Accuracy at which the effects are timed.
+        """
+        return iter(())
+
+    def orders(self) -> list[Row]:
+        """Return the declared order of every method with a step, and the order fitted to this scene."""
+        found, most = [], max(of.accuracy.event_bits for of in self.candidates if of.accuracy is not None)
+        for method in dict.fromkeys(candidate.method for candidate in self.candidates):
+            own = [
+                (candidate, row["position_error"])
+                for candidate, row in zip(self.candidates, self.rows, strict=False)
+                if candidate.method == method and candidate.size is not None and row["status"] == "ok"
+                and (candidate.accuracy is None or candidate.accuracy.event_bits == most)
+            ]  # fmt: skip
+            sizes, errors = [of.size for of, _ in own if of.size], [error for _, error in own]
+            if len(set(sizes)) > 1:
+                fitted = fitted_order(sizes, errors, self.travel)
+                found.append({"method": method, "declared": own[0][0].order, "fitted": fitted})
+        return found
+
+    def _judged(self, motion: Motion) -> MotionError:
+        """Return the largest differences from the reference at the end of any hold."""
+        raise NotImplementedError
 
 
-def _adaptive(simulation: AxisSimulation, tolerance: float, torques: Sequence[float], sample_time_ns: int) -> Candidate:
-    def run() -> tuple[Motion, int, int]:
-        model = textbook_model(simulation)
-        motion = located(model, torques, sample_time_ns, "LSODA", tolerance, tolerance * _ABSOLUTE)
-        return motion, model.evaluations, 0
+def fitted_order(sizes: Sequence[float], errors: Sequence[float], travel: float) -> float | None:
+    """Return the slope of log error over log size between the coarsest and the finest significant error.
 
-    return Candidate(LSODA, f"tolerance {tolerance:.0e}", None, None, None, run, run)
+    Args:
+        sizes: Sizes of the steps, relative.
+        errors: Errors of the position [m or rad].
+        travel: Travel of the reference [m or rad].
+    """
+    pairs = zip(sizes, errors, strict=True)
+    points = [(size, error) for size, error in pairs if FLOOR * travel < error < _CEILING * travel]
+    if len({size for size, _ in points}) < 2:
+        return None
+    x, y = np.log(points).T
+    return float(np.polyfit(x, y, 1)[0])
 
 
-FURTHEST: Final = 1.0
-"""Error of the position, in travels of the reference, from which a method counts as unstable."""
-
-
-class PlantSide:
+class PlantSide(Plants):
     """One axis under recorded torques.
 
     Args:
@@ -206,56 +254,47 @@ class PlantSide:
         stop: Polled regularly; true aborts.
         torques: Torque of each hold [N or N*m]; None: from the scene's own controller.
         settings: Settings to try; None: every one that makes a difference for this plant.
-
-    Attributes:
-        torques: Torque of each hold [N or N*m].
-        exact: Motion of the reference.
-        travel: Travel of the reference [m or rad].
-        energy: Largest of the works and the kinetic energy of the reference [J].
-        rows: Results so far, one per setting of the ladder.
-        effects: Results so far, one per effect of the scene.
     """
 
     def __init__(
-        self,
-        axis: AxisScene,
-        scene: Scene,
-        holds: int,
-        stop: Callable[[], bool],
-        *,
-        torques: Sequence[float] | None = None,
+        self, axis: AxisScene, scene: Scene, holds: int, stop: Stop, *, torques: Sequence[float] | None = None,
         settings: Sequence[AccuracyParameters] | None = None,
-    ) -> None:
-        self._simulation: AxisSimulation = simulation_of(axis)
-        self._period = scene.bus.sample_time_ns
+    ) -> None:  # fmt: skip
+        super().__init__()
+        self._simulation, self._period = simulation_of(axis), scene.bus.sample_time_ns
         self.torques = torque_history(axis, scene, holds) if torques is None else torques
         model = textbook_model(self._simulation)
-        self.exact: Motion = reference(model, self.torques, self._period, stop)
+        self.exact: Motion = solvers.reference(model, self.torques, self._period, stop)
         self.evaluations = model.evaluations
         self.travel = max(float(np.ptp(self.exact.position)), 1e-9)
         kinetic = 0.5 * self._simulation.plant.mass * self.exact.velocity**2
         self.energy = max(float(np.abs(work).max()) for work in (self.exact.motor, self.exact.user, kinetic))
         settings = settings or own_ladder(self._simulation, self._period)
-        self.candidates: list[Candidate] = candidates(self._simulation, self.torques, self._period, settings)
-        self.without: dict[str, Candidate] = {}
-        self.rows: list[Row] = []
-        self.effects: list[Row] = []
+        self.candidates = [ours(self._simulation, of, self.torques, self._period) for of in settings]
+        for method, (order, _) in solvers.METHODS.items():
+            work, own = _WORK[method] * len(self.torques), 1 if model.switches else order
+            self.candidates += [self._fixed(method, n, own) for n in _SUBSTEPS if n * work <= _MOST_WORK]
+        if importlib.util.find_spec("scipy"):
+            self.candidates += [self._adaptive(tolerance) for tolerance in _TOLERANCES]
 
-    def measure(self) -> Iterator[str]:
-        """Run every setting once for its errors and evaluations; yield the name of each before it is run."""
-        for candidate in self.candidates:
-            yield candidate.name
-            self.rows.append(_row_of(candidate, self._judged, self.travel, len(self.torques)))
+    def _fixed(self, method: str, substeps: int, order: int | None) -> Candidate:
+        def solve(model: Any) -> Motion:
+            return solvers.fixed_step(model, self.torques, self._period, solvers.METHODS[method][1](), substeps)
+
+        make = partial(textbook_model, self._simulation)
+        return _textbook(make, solve, method, counted(substeps, "step"), substeps, order)
+
+    def _adaptive(self, tolerance: float) -> Candidate:
+        def solve(model: Any) -> Motion:
+            return solvers.located(model, self.torques, self._period, "LSODA", tolerance, tolerance * _ABSOLUTE)
+
+        return _textbook(partial(textbook_model, self._simulation), solve, LSODA, f"tolerance {tolerance:.0e}")
 
     def _judged(self, motion: Motion) -> MotionError:
         return difference(motion, self.exact, self._simulation.plant.mass, self._period * 1e-9)
 
     def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
-        """Run the plant without each effect at the chosen accuracy; yield the name of each before it is run.
-
-        Args:
-            accuracy: Accuracy at which the effects are timed.
-        """
+        """See `Plants`."""
         names = list(dict.fromkeys(effect.name for effect in self._simulation.effects))
         if not names:
             return
@@ -300,29 +339,17 @@ class PlantSide:
             return without, f"{name} with {other}" if other else name, ""
         return self._simulation, name, problem
 
-    def orders(self) -> list[Row]:
-        """Return the declared order of every method with a step, and the order fitted to this scene."""
-        return orders_of(self.candidates, self.rows, self.travel, self.declared)
-
-    def declared(self, method: str) -> int | None:
-        """Return the order that a method has on this scene: the effects' order for ours, 1 where modes switch."""
-        if method == OURS:
-            return declared_order(self._simulation)
-        own = next(candidate.order for candidate in self.candidates if candidate.method == method)
-        switching = textbook_model(self._simulation).switches
-        return own if own is None or not switching else 1
-
 
 def _row_of(candidate: Candidate, judged: Callable[[Motion], MotionError], travel: float, holds: int) -> Row:
     """Return the row of a setting, run once; errors are None where it is unstable."""
     try:
         motion, evaluations, events = candidate.observe()
     except InputError as error:
-        return {**named(candidate), "status": f"failed: {error}", "evaluations": None}
+        return {**_named(candidate), "status": f"failed: {error}", "evaluations": None}
     found = judged(motion)
     stable = found.is_finite and found.position <= FURTHEST * travel
     return {
-        **named(candidate),
+        **_named(candidate),
         "status": "ok" if stable else "unstable",
         **(_errors_of(found) if stable else dict.fromkeys(_errors_of(found))),
         "evaluations": evaluations,
@@ -331,57 +358,29 @@ def _row_of(candidate: Candidate, judged: Callable[[Motion], MotionError], trave
     }
 
 
-def orders_of(
-    tried: Sequence[Candidate], rows: Sequence[Row], travel: float, declared: Callable[[str], int | None]
-) -> list[Row]:
-    """Return the order of every method with a step.
-
-    Args:
-        tried: Every setting.
-        rows: Results for these settings so far.
-        travel: Travel of the reference [m or rad].
-        declared: Method -> its order on this scene; None for exact.
-    """
-    found = []
-    for method in dict.fromkeys(candidate.method for candidate in tried):
-        own = [
-            (candidate.size, row["position_error"])
-            for candidate, row in zip(tried, rows, strict=False)
-            if candidate.method == method and candidate.size is not None and row["status"] == "ok"
-            and (candidate.accuracy is None or candidate.accuracy.event_bits == _most_bits(tried))
-        ]  # fmt: skip
-        sizes, errors = [size for size, _ in own if size], [error for _, error in own]
-        if len(set(sizes)) > 1:
-            fitted = fitted_order(sizes, errors, travel)
-            found.append({"method": method, "declared": declared(method), "fitted": fitted})
-    return found
-
-
-def _most_bits(found: Sequence[Candidate]) -> int:
-    return max(candidate.accuracy.event_bits for candidate in found if candidate.accuracy is not None)
-
-
-def named(candidate: Candidate) -> Row:
+def _named(candidate: Candidate) -> Row:
     """Return the name of a setting."""
-    accuracy = candidate.accuracy
-    return {
-        "method": candidate.method,
-        "setting": candidate.setting,
-        "accuracy": accuracy and {"event_bits": accuracy.event_bits, "substeps": accuracy.substeps},
-    }
+    accuracy = candidate.accuracy and candidate.accuracy.model_dump(include={"event_bits", "substeps"})
+    return {"method": candidate.method, "setting": candidate.setting, "accuracy": accuracy}
 
 
 def _errors_of(found: MotionError) -> Row:
     """Return the columns of the errors."""
-    return {"position_error": found.position, "force_error": found.force, "energy_error": found.energy}
+    return {f"{name}_error": value for name, value in found._asdict().items()}
 
 
-_GROUP_SUBSTEPS: Final = (1, 2, 4, 8, 16, 32)
-_REFERENCE: Final = 1e-12
-_RUNGE_KUTTA: Final = (1, 2, 4, 8)
+HOLDS: Final = 1000
+"""Holds that settings are compared over; a scene that lasts shorter is compared over all of it."""
 
 
-def group_side(scene: Scene, holds: int, stop: Callable[[], bool]) -> "Plants":
+def holds_of(scene: Scene, duration: float | None = None) -> int:
+    """Return the number of holds over which a scene is compared."""
+    whole = duration or scene.run.duration
+    holds = HOLDS if whole is None else round(whole / scene.bus.sample_time)
+    return max(2, holds if duration is not None else min(HOLDS, holds))
+
+
+def group_side(scene: Scene, holds: int, stop: Stop) -> Plants:
     """Return the plant side of the one group of a scene; arguments as for `PlantSide`.
 
     Raises:
@@ -390,41 +389,31 @@ def group_side(scene: Scene, holds: int, stop: Callable[[], bool]) -> "Plants":
     run = render_group("python", finely_solved(scene), holds + 1)
     if run.ended:
         raise InputError(f"{scene.source}: the loop {run.ended} before its end ({run.reason}); nothing can be compared")
-    torques = run.torque[1:]
-    return _Mechanism(scene, torques, stop) if scene.mechanisms else _OwnPlants(scene, torques, stop)
+    return (_Mechanism if scene.mechanisms else _OwnPlants)(scene, run.torque[1:], stop)
 
 
-class _OwnPlants:
-    """Separate plants of the axes of a group; see `PlantSide`."""
+class _OwnPlants(Plants):
+    """Separate plants of the axes of a group."""
 
-    def __init__(self, scene: Scene, torques: Array, stop: Callable[[], bool]) -> None:
+    def __init__(self, scene: Scene, torques: Array, stop: Stop) -> None:
+        super().__init__()
         axes = [scene.axis(name) for name in scene.groups[0].axes]
-        period = scene.bus.sample_time_ns
-        ladders = [ladder(simulation_of(axis), period) for axis in axes]
+        ladders = [ladder(simulation_of(axis), scene.bus.sample_time_ns) for axis in axes]
         lead = max(range(len(axes)), key=lambda place: len(ladders[place]))  # names the settings
-        self._names = [axis.parameters.name for axis in axes]
+        self._names, self.torques = [axis.parameters.name for axis in axes], torques
         self._sides = [
-            PlantSide(
-                axis,
-                scene,
-                len(torques),
-                stop,
-                torques=column.tolist(),
-                settings=ladders[lead],
-            )
+            PlantSide(axis, scene, len(torques), stop, torques=column.tolist(), settings=ladders[lead])
             for axis, column in zip(axes, torques.T, strict=True)
         ]
         rungs = [{_rung(candidate): candidate for candidate in side.candidates} for side in self._sides]
-        self.candidates = [
-            replace(candidate, spend=partial(_spend, [of[rung] for of in rungs]))
-            for rung, candidate in rungs[lead].items()
-            if all(rung in of for of in rungs)
-        ]
+        self.candidates = []
+        for rung, candidate in rungs[lead].items():
+            every = [of[rung] for of in rungs if rung in of]
+            if len(every) == len(rungs):
+                order = min((of.order for of in every if of.order is not None), default=None)
+                self.candidates.append(replace(candidate, order=order, spend=partial(_spend, every)))
         self.travel, self.energy = (max(getattr(side, name) for side in self._sides) for name in ("travel", "energy"))
         self.evaluations = sum(side.evaluations for side in self._sides)
-        self.rows: list[Row] = []
-        self.effects: list[Row] = []
-        self.without: dict[str, Candidate] = {}
 
     def measure(self) -> Iterator[str]:
         """Run every rung once on every plant; yield the name of each before it is run."""
@@ -443,15 +432,6 @@ class _OwnPlants:
                 yield f"{axis}: {name}"
             self.effects += [{**row, "effect": f"{axis}: {row['effect']}"} for row in side.effects]
             self.without |= {f"{axis}: {name}".rstrip(): of for name, of in side.without.items()}
-
-    def orders(self) -> list[Row]:
-        """Return the order of every method with a step, by the worst plant."""
-
-        def declared(method: str) -> int | None:
-            found = [side.declared(method) for side in self._sides]
-            return min((order for order in found if order is not None), default=None)
-
-        return orders_of(self.candidates, self.rows, self.travel, declared)
 
 
 def _rung(candidate: Candidate) -> tuple[str, object]:
@@ -474,59 +454,32 @@ def _worst(rows: Sequence[Row]) -> Row:
     return {**rows[0], **errors, **prices}
 
 
-@dataclass(slots=True)
-class _Mechanism:
+class _Mechanism(Plants):
     """A mechanism that the motors of the group move together; its motions have a column for each motor."""
 
-    scene: Scene
-    torques: Array
-    stop: Callable[[], bool]
-    candidates: list[Candidate] = field(default_factory=list)
-    rows: list[Row] = field(default_factory=list)
-    effects: list[Row] = field(default_factory=list)
-    without: dict[str, Candidate] = field(default_factory=dict)
-    evaluations: int = 0
-    travel: float = 0.0
-    energy: float = 0.0
-    _switches: bool = False
-    _exact: Any = None  # Motion
-    _inertia: Any = None  # in every pose of it, shape (holds, axes, axes)
-
-    def __post_init__(self) -> None:
-        model = group_model(self.scene)
-        self._switches = model.switches
+    def __init__(self, scene: Scene, torques: Array, stop: Stop) -> None:
+        super().__init__()
+        self._scene, self.torques, self._stop = scene, torques, stop
+        self._period = scene.bus.sample_time_ns
+        model, order = group_model(scene), getattr(scene.mechanisms[0].mechanism.parameters, "order", None)
         self._exact = exact = self._solved(model, "DOP853", _REFERENCE)
-        self._inertia = np.array([model.inertia(row) for row in exact.position])
+        self._inertia = np.array([model.inertia(row) for row in exact.position])  # shape (holds, axes, axes)
         self.evaluations, self.travel = model.evaluations, max(float(np.ptp(exact.position, axis=0).max()), 1e-9)
         works = (exact.motor, exact.user, self._kinetic(exact))
         self.energy = max(float(np.abs(work).max()) for work in works)
-        settings = _GROUP_SUBSTEPS if self._order else (1,)
-        self.candidates = [self._ours(n) for n in settings]
-        self.candidates += [self._runge_kutta(n) for n in _RUNGE_KUTTA] + [self._adaptive(t) for t in _TOLERANCES]
-
-    @property
-    def _order(self) -> int | None:
-        order: int | None = getattr(self.scene.mechanisms[0].mechanism.parameters, "order", None)
-        return order
-
-    def measure(self) -> Iterator[str]:
-        """Run every rung once; yield the name of each before it is run."""
-        for candidate in self.candidates:
-            yield candidate.name
-            self.rows.append(_row_of(candidate, self._judged, self.travel, len(self.torques)))
-
-    def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
-        """Yield nothing: a mechanism has no effects."""
-        return iter(())
-
-    def orders(self) -> list[Row]:
-        """Return the order of every method with a step, declared and as fitted to this very scene."""
-        declared: Mapping[str, int | None] = {OURS: self._order, "RK4": 1 if self._switches else 4}
-        return orders_of(self.candidates, self.rows, self.travel, lambda method: declared.get(method))
+        make = partial(group_model, scene)
+        self.candidates = [self._ours(n, order) for n in (_OUR_SUBSTEPS if order else (1,))]
+        self.candidates += [
+            _textbook(make, partial(self._runge_kutta, n), "RK4", counted(n, "step"), n, 1 if model.switches else 4)
+            for n in _RUNGE_KUTTA
+        ]
+        self.candidates += [
+            _textbook(make, partial(self._solved, method="LSODA", rtol=t), LSODA, f"tolerance {t:.0e}")
+            for t in _TOLERANCES
+        ]
 
     def _judged(self, motion: Motion) -> MotionError:
-        """Return the largest differences from the reference at the end of any hold."""
-        exact, period = self._exact, self.scene.bus.sample_time
+        exact, period = self._exact, self._scene.bus.sample_time
         with np.errstate(all="ignore"):
             apart = np.einsum("kij,kj->ki", self._inertia, motion.velocity - exact.velocity)
             kicks = np.diff(apart, axis=0, prepend=np.zeros((1, apart.shape[1]))) / period
@@ -538,16 +491,15 @@ class _Mechanism:
     def _kinetic(self, motion: Motion) -> Array:
         return np.asarray(0.5 * np.einsum("ki,kij,kj->k", motion.velocity, self._inertia, motion.velocity))
 
-    def _ours(self, substeps: int) -> Candidate:
-        mechanisms = tuple(replace(of, substeps=substeps) for of in self.scene.mechanisms)
-        scene = replace(self.scene, mechanisms=mechanisms)
+    def _ours(self, substeps: int, order: int | None) -> Candidate:
+        mechanisms = tuple(replace(of, substeps=substeps) for of in self._scene.mechanisms)
+        scene = replace(self._scene, mechanisms=mechanisms)
         axes = [scene.axis(name) for name in scene.groups[0].axes]
-        accuracy = AccuracyParameters(substeps=substeps)
 
         def run(look: Callable[[Motors], object]) -> tuple[list[Any], int]:
-            motors, period, found = Motors(scene, axes), scene.bus.sample_time_ns, []
+            motors, found = Motors(scene, axes), []
             for k, torques in enumerate(self.torques.tolist()):
-                motors.advance_to((k + 1) * period, tuple(torques))
+                motors.advance_to((k + 1) * self._period, tuple(torques))
                 found.append(look(motors))
             return found, motors.evaluations() or len(found)
 
@@ -555,35 +507,19 @@ class _Mechanism:
             table, evaluations = run(lambda m: (m.positions(), m.velocities(), *m.works()))
             return Motion(*(np.array(column) for column in zip(*table, strict=True))), evaluations, 0
 
-        setting = "exact" if self._order is None else counted(substeps, "substep")
-        return Candidate(
-            OURS, setting, 1.0 / substeps, None, accuracy, observe, lambda: run(lambda _motors: None)
-        )  # fmt: skip
+        setting, accuracy = counted(substeps, "substep") if order else "exact", AccuracyParameters(substeps=substeps)
+        return Candidate(OURS, setting, 1.0 / substeps, order, accuracy, observe, lambda: run(lambda _motors: None))
 
-    def _adaptive(self, tolerance: float) -> Candidate:
-        def run() -> tuple[Any, int, int]:
-            model = group_model(self.scene)
-            return self._solved(model, "LSODA", tolerance), model.evaluations, 0
-
-        return Candidate(LSODA, f"tolerance {tolerance:.0e}", None, None, None, run, run)
-
-    def _runge_kutta(self, substeps: int) -> Candidate:
-        def run() -> tuple[Any, int, int]:
-            model, period = group_model(self.scene), self.scene.bus.sample_time_ns
-            states = fixed_step_states(model, self.torques.tolist(), period, runge_kutta_4, substeps)
-            return _motion_of(model, states), model.evaluations, 0
-
-        return Candidate("RK4", counted(substeps, "step"), 1.0 / substeps, 4, None, run, run)
+    def _runge_kutta(self, substeps: int, model: ReferenceGroup) -> Motion:
+        torques, step = self.torques.tolist(), solvers.runge_kutta_4
+        return _motion_of(model, solvers.fixed_step_states(model, torques, self._period, step, substeps))
 
     def _solved(self, model: ReferenceGroup, method: str, rtol: float) -> Motion:
         """Return the motion by one of scipy's solvers, hold by hold; errors as for `located_states`."""
-        period = self.scene.bus.sample_time_ns
-        states = located_states(model, self.torques.tolist(), period, method, rtol, 1e-3 * rtol, self.stop)
-        return _motion_of(model, states)
-
-
-Plants = PlantSide | _OwnPlants | _Mechanism
-"""The plant side of a study."""
+        torques = self.torques.tolist()
+        return _motion_of(
+            model, solvers.located_states(model, torques, self._period, method, rtol, _ABSOLUTE * rtol, self._stop)
+        )  # fmt: skip
 
 
 def _motion_of(model: ReferenceGroup, states: Sequence[Any]) -> Motion:

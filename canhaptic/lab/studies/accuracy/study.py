@@ -15,11 +15,11 @@ A fixed workload runs with them, so that a table from one machine can be read on
 Subject of an accuracy study: one axis outside groups, or one group.
 """
 
+import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final, NamedTuple
@@ -28,7 +28,6 @@ import numpy as np
 
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.cycle import Cycle, run
-from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
@@ -37,33 +36,14 @@ from canhaptic.lab.batch.engine import Engine
 from canhaptic.lab.loop.axis_loop import able_under, microseconds_per_step, parts_of
 from canhaptic.lab.reference import ContinuousGroup, continuous_group
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.accuracy.accuracy_choice import FLOOR, HOLDS, holds_of, require_own_axis
+from canhaptic.lab.studies.accuracy import loop_sensitivity, plant_solvers
+from canhaptic.lab.studies.accuracy.accuracy_choice import require_own_axis
 from canhaptic.lab.studies.accuracy.accuracy_table import (
     advice,
     error_per_microsecond,
     length,
     pareto,
     rank_agreement,
-)
-from canhaptic.lab.studies.accuracy.loop_sensitivity import (
-    FINEST,
-    ContinuousLoop,
-    LoopRow,
-    bus_figures,
-    continuous_loop,
-    engines_of,
-    loop_row,
-    settings_now,
-    variants,
-)
-from canhaptic.lab.studies.accuracy.plant_solvers import (
-    LSODA,
-    Plants,
-    PlantSide,
-    group_side,
-    ours,
-    own_ladder,
-    own_setting,
 )
 from canhaptic.scene.build import build, open_bus, private_channel
 from canhaptic.scene.far_side import build_drive_group, build_plant
@@ -96,14 +76,20 @@ def exchange_time(scene: Scene) -> float | None:
         far_side = _TimedFarSide(build_drive_group(scene, ends[0]))
         link = Link(ends[1], VirtualClock([far_side]))
         rig = Rig(link, [build_servo_drive(axis, link, scene.bus) for axis in scene.axes], scene.bus)
-        readings: list[int] = []
+        cycle = Cycle(rig, [_Idle() for _ in scene.axes])
+        return _fastest_block(cycle, _CYCLES, lambda: far_side.clock.now() - far_side.spent)
 
-        def read(cycles: int) -> None:
-            if cycles % _BLOCK == 0:
-                readings.append(far_side.clock.now() - far_side.spent)
 
-        run(Cycle(rig, [_Idle() for _ in scene.axes]), _CYCLES, progress=read)
-    return min(after - before for before, after in pairwise(readings)) / _BLOCK / _NS_PER_US
+def _fastest_block(cycle: Cycle, cycles: int, clock: Callable[[], int]) -> float:
+    """Return the time of a cycle in the fastest block of a run [us]."""
+    readings: list[int] = []
+
+    def read(done: int) -> None:
+        if done % _BLOCK == 0:
+            readings.append(clock())
+
+    run(cycle, cycles, progress=read)
+    return min(after - before for before, after in itertools.pairwise(readings)) / _BLOCK / _NS_PER_US
 
 
 def log_time(scene: Scene) -> float | None:
@@ -113,20 +99,13 @@ def log_time(scene: Scene) -> float | None:
     """
     if not scene.simulated or scene.bus_effects is not None:
         return None
-    clock, least = WallClock(), [math.inf, math.inf]
+    least = [math.inf, math.inf]
     with TemporaryDirectory() as folder:
         for turn in range(2 * _TURNS):
             log = Path(folder) / f"{turn}.h5" if turn % 2 else None
             with build(replace(scene, auto_accuracy=None), energy_log=log) as experiment:
-                readings: list[int] = []
-
-                def read(cycles: int, readings: list[int] = readings) -> None:
-                    if cycles % _BLOCK == 0:
-                        readings.append(clock.now())
-
-                run(experiment.cycle, _CYCLES // 2, progress=read)
-            each = min(after - before for before, after in pairwise(readings))
-            least[turn % 2] = min(least[turn % 2], each / _BLOCK / _NS_PER_US)
+                block = _fastest_block(experiment.cycle, _CYCLES // 2, WallClock().now)
+            least[turn % 2] = min(least[turn % 2], block)
     return max(0.0, least[1] - least[0])
 
 
@@ -227,9 +206,6 @@ def workload() -> None:
         state = product(state)
 
 
-Stop = Callable[[], bool]
-
-
 @dataclass(frozen=True, slots=True)
 class StudiedPart:
     """An axis outside groups, or a group, as the subject of a study.
@@ -244,58 +220,44 @@ class StudiedPart:
     scene: Scene
     whole: Scene
 
-    @property
-    def is_group(self) -> bool:
-        """Whether several axes render together."""
-        return bool(self.scene.groups)
-
-    @property
-    def parameters(self) -> Sequence[AxisParameters]:
-        """Parameters of the axes."""
-        names = self.scene.groups[0].axes if self.is_group else (self.name,)
-        return tuple(self.scene.axis(name).parameters for name in names)
-
-    def plants(self, holds: int, stop: Stop) -> Plants:
+    def plants(self, holds: int, stop: plant_solvers.Stop) -> plant_solvers.Plants:
         """Return the plant side; see `PlantSide`."""
-        if self.is_group:
-            return group_side(self.scene, holds, stop)
-        return PlantSide(self.scene.axes[0], self.whole, holds, stop)
+        if self.scene.groups:
+            return plant_solvers.group_side(self.scene, holds, stop)
+        return plant_solvers.PlantSide(self.scene.axes[0], self.whole, holds, stop)
 
-    def remarks(self) -> list[str]:
-        """Return the methods that could not run, with reasons."""
-        moved = (of.mechanism.name for of in self.scene.mechanisms)
-        return [f"Euler and midpoint methods: not run on a {name}" for name in moved]
-
-    def continuous(self, step_ns: int, steps: int, stop: Stop) -> ContinuousLoop | ContinuousGroup:
+    def continuous(
+        self, step_ns: int, steps: int, stop: plant_solvers.Stop
+    ) -> loop_sensitivity.ContinuousLoop | ContinuousGroup:
         """Return the motion and force without sampling."""
-        if self.is_group:
+        if self.scene.groups:
             return continuous_group(self.scene, step_ns, steps, stop)
-        return continuous_loop(self.scene.axes[0], step_ns, steps, stop)
+        return loop_sensitivity.continuous_loop(self.scene.axes[0], step_ns, steps, stop)
 
     def first_rows(self, holds: int) -> Iterator[str]:
         """Yield the cost of each plant setting of an axis and its difference from the finest one, in words."""
-        if self.is_group:
+        if self.scene.groups:
             return
         (axis,), period = self.scene.axes, self.scene.bus.sample_time_ns
         simulation, clock = simulation_of(axis), WallClock()
         torques = torque_history(axis, self.whole, holds, simulation.accuracy)
-        settings = own_ladder(simulation, period)
-        finest, unit = settings[-1], axis.parameters.unit
-        best = observed(build_plant(replace(simulation, accuracy=finest), period), torques).position
-        for accuracy in dict.fromkeys((own_setting(simulation, period), *settings)):
-            rung = ours(simulation, accuracy, torques, period)
+        settings = plant_solvers.own_ladder(simulation, period)
+        best = observed(build_plant(replace(simulation, accuracy=settings[-1]), period), torques).position
+        for accuracy in dict.fromkeys((plant_solvers.own_setting(simulation, period), *settings)):
+            rung = plant_solvers.ours(simulation, accuracy, torques, period)
             begin = clock.now()
             rung.spend()
             spent = (clock.now() - begin) / holds / _NS_PER_US
-            apart = float(np.abs(rung.observe()[0].position - best).max())
-            yield f"{rung.setting}: {spent:.3g} us a period, {length(apart, unit)} from the finest setting"
+            apart = length(float(np.abs(rung.observe()[0].position - best).max()), axis.parameters.unit)
+            yield f"{rung.setting}: {spent:.3g} us a period, {apart} from the finest setting"
 
     def now(self) -> Row:
         """Return the scene's own values of the settings that variants change, by group, and its accuracy."""
-        (axis, *_), period = self.scene.axes, self.scene.bus.sample_time_ns
-        accuracy = AccuracyParameters() if self.is_group else own_setting(simulation_of(axis), period)
-        as_plain = {"event_bits": accuracy.event_bits, "substeps": accuracy.substeps}
-        return {"accuracy": as_plain, **settings_now(self.scene)}
+        accuracy = AccuracyParameters()
+        if not self.scene.groups:
+            accuracy = plant_solvers.own_setting(simulation_of(self.scene.axes[0]), self.scene.bus.sample_time_ns)
+        as_plain = accuracy.model_dump(include={"event_bits", "substeps"})
+        return {"accuracy": as_plain, **loop_sensitivity.settings_now(self.scene)}
 
 
 def chosen_part(scene: Scene, name: str | None) -> StudiedPart:
@@ -336,9 +298,9 @@ def length_of(scene: Scene, name: str | None, duration: float | None = None) -> 
     Where its algorithm gives no torque, the unprotected controller is used instead.
     """
     part = chosen_part(scene, name)
-    if part.is_group:
-        return Length(scene, holds_of(scene, duration))
-    most = holds_of(scene, duration) if duration is not None else _LONGEST
+    if part.scene.groups:
+        return Length(scene, plant_solvers.holds_of(scene, duration))
+    most = plant_solvers.holds_of(scene, duration) if duration is not None else _LONGEST
     if duration is None and scene.run.duration is not None:
         most = min(_LONGEST, round(scene.run.duration / scene.bus.sample_time))
     (own,), remark = part.scene.axes, ""
@@ -351,9 +313,8 @@ def length_of(scene: Scene, name: str | None, duration: float | None = None) -> 
             scene, remark = plain, f"this loop gives no torque; judged with {_JUDGED_WITH}"
     if duration is not None:
         return Length(scene, most, remark)
-    if len(begins) > 1:
-        return Length(scene, min(most, begins[1] + _AFTER), remark)
-    return Length(scene, min(most, (begins[0] if begins else 0) + HOLDS), remark)
+    last = begins[1] + _AFTER if len(begins) > 1 else (begins[0] if begins else 0) + plant_solvers.HOLDS
+    return Length(scene, min(most, last), remark)
 
 
 def _contacts(axis: AxisScene, scene: Scene, holds: int) -> list[int]:
@@ -382,7 +343,7 @@ def study_accuracy(
     *,
     duration: float | None = None,
     progress: Callable[[int], None] | None = None,
-    stop: Stop = lambda: False,
+    stop: plant_solvers.Stop = lambda: False,
     **options: Any,
 ) -> Row:
     """Return the study of an axis, a group or an admittance display of a scene, as plain values.
@@ -410,10 +371,7 @@ def study_accuracy(
     ).run()  # fmt: skip
 
 
-class _StoppedError(InputError):
-    """The study was asked to stop."""
-
-
+@dataclass
 class AccuracyStudy:
     """Runs an accuracy study and stores its results.
 
@@ -432,107 +390,94 @@ class AccuracyStudy:
         say: Called with each of the first rows, which need no reference, as soon as it is ready.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        axis: str | None = None,
-        *,
-        tolerance: float | None = None,
-        duration: float | None = None,
-        budget: float = DEFAULT_BUDGET,
-        engine: Engine = "auto",
-        progress: Callable[[int], None] | None = None,
-        stop: Callable[[], bool] | None = None,
-        judged: str = "",
-        say: Callable[[str], None] | None = None,
-    ) -> None:
-        self.scene, self.part = scene, chosen_part(scene, axis)
-        counts = max(abs(given.counts_per_unit) for given in self.part.parameters)
-        self.tolerance = tolerance or scene.accuracy_tolerance or _TENTH / counts
-        self.holds = holds_of(scene, duration)
-        self._judged, self._say = judged, say
-        self._budget, self._engine, self._progress, self._stop = budget, engine, progress, stop or (lambda: False)
+    scene: Scene
+    axis: str | None = None
+    _: KW_ONLY
+    tolerance: float | None = None
+    duration: float | None = None
+    budget: float = DEFAULT_BUDGET
+    engine: Engine = "auto"
+    progress: Callable[[int], None] | None = None
+    stop: plant_solvers.Stop = lambda: False
+    judged: str = ""
+    say: Callable[[str], None] | None = None
+
+    def __post_init__(self) -> None:
+        self.part, self.holds = chosen_part(self.scene, self.axis), plant_solvers.holds_of(self.scene, self.duration)
+        counts = max(abs(axis.parameters.counts_per_unit) for axis in self.part.scene.axes)
+        self._tolerance = self.tolerance or self.scene.accuracy_tolerance or _TENTH / counts
         self._done = 0
-        self._plant: Plants | None = None
-        self._loops: list[LoopRow] = []
+        self._plant: plant_solvers.Plants | None = None
+        self._loops: list[loop_sensitivity.LoopRow] = []
         self._loop_rows: list[Row] = []
         self._times: dict[str, WallTime] = {}
-        self._remarks: list[str] = []
-        self._status = "not begun"
+        self._status = "stopped"
         self._log_us: float | None = None
 
     def run(self) -> Row:
         """Return the result; `status` is "completed", or "stopped" with all results so far."""
-        self._status = "stopped"
         try:
             self._measure()
             self._status = "completed"
         except InputError:
-            if not self._stop():
+            if not self.stop():
                 raise
         return self.result()
 
     def _measure(self) -> None:
-        if self._say is not None:
+        if self.say is not None:
             for row in self.part.first_rows(self.holds):
                 self._check()
-                self._say(row)
+                self.say(row)
         self._plant = plant = self.part.plants(self.holds, self._counted_stop("references"))
-        self._remarks = self.part.remarks()
-        self._each(plant.measure(), len(plant.candidates), "ladder")
-        self._each(plant.measure_effects(self._accuracy(plant)))
+        for number, _name in enumerate(plant.measure()):
+            self._check()
+            self._advance("ladder", min(1.0, number / len(plant.candidates)))  # every plant of a group runs each
+        found = advice(plant.rows, [], self._tolerance)
+        chosen = found["chosen"] or found["most_exact"] or {"accuracy": {}}  # the advised one, else the most exact
+        for _name in plant.measure_effects(AccuracyParameters(**chosen["accuracy"])):
+            self._check()
         period = self.scene.bus.sample_time_ns
-        exact = self.part.continuous(period // FINEST, self.holds * FINEST, self._counted_stop("loops"))
-        every = variants(self.part.scene, self.scene)
-        engines = engines_of(every, self.holds * period, self._engine)
+        exact = self.part.continuous(
+            period // loop_sensitivity.FINEST, self.holds * loop_sensitivity.FINEST, self._counted_stop("loops")
+        )
+        every = loop_sensitivity.variants(self.part.scene, self.scene)
+        engines = loop_sensitivity.engines_of(every, self.holds * period, self.engine)
         for number, (variant, engine) in enumerate(zip(every, engines, strict=True)):
-            self._loops.append(loop_row(variant, exact, self.holds * period, self._check, engine))
+            self._loops.append(loop_sensitivity.loop_row(variant, exact, self.holds * period, self._check, engine))
             self._loop_rows.append(self._loop_row(self._loops[-1]))
             self._advance("loops", (number + 1) / len(every))
-        if self._budget > 0.0:
+        if self.budget > 0.0:
             self._time(plant)
 
-    def _each(self, steps: Iterator[str], count: int = 0, part: str = "") -> None:
-        for number, _name in enumerate(steps):
-            self._check()
-            if part:
-                self._advance(part, min(1.0, number / count))  # every plant of a group runs each of them
-
-    def _counted_stop(self, part: str) -> Stop:
+    def _counted_stop(self, part: str) -> plant_solvers.Stop:
         """Return `stop` that advances the bar by ever smaller steps: a reference reports no progress."""
-        asked = 0
+        asked = itertools.count(1)
 
         def stop() -> bool:
-            nonlocal asked
-            asked += 1
-            self._advance(part, _BEFORE * asked / (asked + self.holds))
-            return self._stop()
+            times = next(asked)
+            self._advance(part, _BEFORE * times / (times + self.holds))
+            return self.stop()
 
         return stop
 
     def _check(self) -> None:
-        if self._stop():
-            raise _StoppedError("stopped")
+        if self.stop():
+            raise InputError("stopped")
 
     def _advance(self, part: str, share: float) -> None:
         names = list(_SHARES)
         before = sum(_SHARES[name] for name in names[: names.index(part)])
         self._done = max(self._done, min(UNITS, round(before + _SHARES[part] * share)))
-        if self._progress is not None:
-            self._progress(self._done)
+        if self.progress is not None:
+            self.progress(self._done)
 
-    def _accuracy(self, plant: Plants) -> AccuracyParameters:
-        """Return the accuracy that effects are priced at: the advised one, else the most exact."""
-        found = advice(plant.rows, [], self.tolerance)
-        row = found["chosen"] or found["most_exact"]
-        return AccuracyParameters(**row["accuracy"]) if row else AccuracyParameters()
-
-    def _time(self, plant: Plants) -> None:
+    def _time(self, plant: plant_solvers.Plants) -> None:
         stable = [c for c, row in zip(plant.candidates, plant.rows, strict=True) if row["status"] == "ok"]
         jobs: dict[str, Callable[[], object]] = {_WORKLOAD: workload}
         jobs |= {f"without {name}": candidate.spend for name, candidate in plant.without.items()}
         jobs |= {candidate.name: candidate.spend for candidate in stable}
-        self._times = interleaved(jobs, self._budget, self._stop, lambda share: self._advance("times", 0.9 * share))
+        self._times = interleaved(jobs, self.budget, self.stop, lambda share: self._advance("times", 0.9 * share))
         self._check()
         cases = {str(i): (row.variant, row.run) for i, row in enumerate(self._loops) if len(row.run.position) > 1}
         each = microseconds_per_step(cases, _REPEATS)
@@ -545,69 +490,62 @@ class AccuracyStudy:
             row["thread_share"] = None if thread is None else thread * 1e-6 * row["rate"]
         self._advance("times", 1.0)
 
-    def _loop_row(self, row: LoopRow) -> Row:
-        variant, stable = row.variant, not row.run.ended
+    def _loop_row(self, row: loop_sensitivity.LoopRow) -> Row:
+        variant, run, stable = row.variant, row.run, not row.run.ended
         return {
             "group": variant.group,
             "setting": variant.setting,
             "is_scene": variant.is_scene,
-            "remark": variant.remark or row.run.reason,
-            "engine": row.run.engine,
+            "remark": variant.remark or run.reason,
+            "engine": run.engine,
             "fineness": None if variant.fineness is None else min(variant.fineness, _IDEAL),
-            "largest_torque": float(np.abs(row.run.torque).max(initial=0.0)),
-            "status": "ok" if stable else "unstable" if row.run.ended == "diverged" else row.run.ended,
-            "position_error": row.position_error if stable else None,
-            "force_error": row.force_error if stable else None,
-            "energy_error": row.energy_error if stable else None,
-            "energy_uncertainty": row.run.believed_error,
-            "energy_given_out": -row.run.least_interaction,
+            "largest_torque": float(np.abs(run.torque).max(initial=0.0)),
+            "status": "ok" if stable else "unstable" if run.ended == "diverged" else run.ended,
+            **{f"{name}_error": value if stable else None for name, value in row.errors._asdict().items()},
+            "energy_uncertainty": run.believed_error,
+            "energy_given_out": -run.least_interaction,
             "wall_per_second": row.seconds / (self.holds * self.scene.bus.sample_time),
             "rate": variant.scene.bus.rate,
-            **bus_figures(variant, self.scene),
+            **loop_sensitivity.bus_figures(variant, self.scene),
         }
 
     def result(self) -> Row:
         """Return all results so far, as plain values."""
-        bus = self.scene.bus
-        found: Row = {
+        bus, plant, is_group = self.scene.bus, self._plant, bool(self.part.scene.groups)
+        moved = (of.mechanism.name for of in self.part.scene.mechanisms)
+        work = self._times.get(_WORKLOAD)
+        rows, orders = ([], []) if plant is None else (self._plant_rows(plant), plant.orders())
+        return {
             "scene": self.scene.source,
             "config_hash": self.scene.config_hash(),
             "axis": self.part.name,
-            "is_group": self.part.is_group,
-            "unit": self.part.parameters[0].unit,
+            "is_group": is_group,
+            "unit": self.part.scene.axes[0].parameters.unit,
             "status": self._status,
             "rate": 1.0 / bus.sample_time,
             "holds": self.holds,
             "duration": self.holds * bus.sample_time,
-            "tolerance": self.tolerance,
+            "tolerance": self._tolerance,
             "now": self.part.now(),
-            "judged": self._judged,
-            "workload": self._workload(),
+            "judged": self.judged,
+            "workload": work and {"what": WORKLOAD, "seconds": work.least, "spread": work.spread},
             "log_us": self._log_us,
-            "remarks": self._remarks,
-        }
-        plant = self._plant
-        if plant is None:
-            return {**found, "reference": None, "plant": [], "orders": [], "loop": [], "advice": None}
-        rows, orders = self._plant_rows(plant), plant.orders()
-        return {
-            **found,
-            "reference": self._reference(plant, rows),
+            "remarks": [f"Euler and midpoint methods: not run on a {name}" for name in moved if plant],
+            "reference": plant and self._reference(plant, rows),
             "plant": rows,
             "orders": orders,
             "loop": self._loop_rows,
             "advice": None
-            if self._status == "stopped"
-            else advice(rows, self._effect_rows(plant), self.tolerance, orders),
+            if plant is None or self._status == "stopped"
+            else advice(rows, self._effect_rows(plant), self._tolerance, orders),
         }
 
-    def _workload(self) -> Row | None:
-        time = self._times.get(_WORKLOAD)
-        return time and {"what": WORKLOAD, "seconds": time.least, "spread": time.spread}
-
-    def _reference(self, plant: Plants, rows: list[Row]) -> Row:
-        witness = next((row for row in rows if row["method"] == LSODA and row["setting"] == "tolerance 1e-09"), None)
+    def _reference(self, plant: plant_solvers.Plants, rows: list[Row]) -> Row:
+        witness = next(
+            (row for row in rows if row["method"] == plant_solvers.LSODA and row["setting"] == "tolerance 1e-09"), None
+        )
         timed = [row for row in rows if row.get("us_per_period") is not None]
+        prices = ([row[key] for row in timed] for key in ("evaluations", "us_per_period"))
         return {
             "method": "DOP853, events located, relative tolerance 1e-12",
             "evaluations": plant.evaluations,
@@ -615,15 +553,13 @@ class AccuracyStudy:
             "energy": plant.energy,
             "witness": witness
             and {"method": "LSODA, events located, tolerance 1e-9", "apart": witness["position_error"]},
-            "rank_agreement": rank_agreement(
-                [row["evaluations"] for row in timed], [row["us_per_period"] for row in timed]
-            ),
+            "rank_agreement": rank_agreement(*prices),
         }
 
-    def _plant_rows(self, plant: Plants) -> list[Row]:
+    def _plant_rows(self, plant: plant_solvers.Plants) -> list[Row]:
         rows = [{**row, **self._wall(f"{row['method']}, {row['setting']}")} for row in plant.rows]
         for price, key in (("evaluations", "pareto"), ("us_per_period", "pareto_in_time")):
-            for row, mark in zip(rows, pareto(rows, price, FLOOR * plant.travel), strict=True):
+            for row, mark in zip(rows, pareto(rows, price, plant_solvers.FLOOR * plant.travel), strict=True):
                 row[key] = mark
         return rows
 
@@ -640,13 +576,12 @@ class AccuracyStudy:
             "ratio": time.least / fixed.least if fixed else None,
         }
 
-    def _effect_rows(self, plant: Plants) -> list[Row]:
+    def _effect_rows(self, plant: plant_solvers.Plants) -> list[Row]:
         """Return the effects with their times; "AXIS: EFFECT" of a group is compared with that axis as it is."""
         rows = []
         for row in plant.effects:
             whole, _, _ = row["effect"].rpartition(" ")
-            base = self._wall(f"without {whole}")["us_per_period"]
-            mine = self._wall(f"without {row['effect']}")["us_per_period"]
+            base, mine = (self._wall(f"without {name}")["us_per_period"] for name in (whole, row["effect"]))
             saved = None if base is None or mine is None else base - mine
             error = row.get("position_error")
             worth = None if error is None else error_per_microsecond(error, saved)
