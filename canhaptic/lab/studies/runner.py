@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures import wait as wait_for_jobs
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from multiprocessing.connection import wait
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -100,7 +100,7 @@ class Pool:
 
     def renew(self) -> Executor:
         """Replace the processes by new ones and return the pool."""
-        self.executor.shutdown(wait=True, cancel_futures=True)
+        self.close()
         self.executor = self._made()
         return self.executor
 
@@ -119,11 +119,8 @@ def pool_of(workers: int) -> Iterator[Pool | None]:
     if workers == 1:
         yield None
         return
-    pool = Pool(workers)
-    try:
+    with closing(Pool(workers)) as pool:
         yield pool
-    finally:
-        pool.close()
 
 
 def begin_worker() -> None:
@@ -162,13 +159,11 @@ def dask_executor(address: str) -> Iterator[tuple[Executor, int]]:
             f"--dask {address}: no scheduler answers there within {_CONNECT:g} s ({error}); "
             "start one with dask scheduler"
         ) from error
-    try:
+    with closing(client):
         threads = sum(client.nthreads().values())
         if not threads:
             raise InputError(f"--dask {address}: the cluster has no worker; start some with dask worker {address}")
         yield client.get_executor(pure=False), threads
-    finally:
-        client.close()
 
 
 def run_jobs(

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canhaptic.errors import InputError
-from canhaptic.lab.studies.sweep.vary import CONTROLLER, make_points, parse_vary, scene_seed
+from canhaptic.lab.studies.sweep.vary import CONTROLLER, make_points, parse_vary, scene_seeds
 
 
 def test_a_range_has_its_ends_exactly_and_equal_steps():
@@ -94,10 +94,10 @@ def test_every_controller_judges_the_same_points_of_a_hypercube():
 
 
 def test_seeds_differ_from_scene_to_scene_and_follow_from_the_index_alone():
-    seeds = [scene_seed(7, index) for index in range(2000)]
+    seeds = scene_seeds(7, np.arange(2000)).tolist()
     assert len(set(seeds)) > 1995
     assert all(0 <= seed <= 1_000_000_000 for seed in seeds)
-    assert scene_seed(7, 3) == seeds[3] != scene_seed(8, 3)
+    assert scene_seeds(7, np.array([3])).tolist() == [seeds[3]] != scene_seeds(8, np.array([3])).tolist()
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,23 +33,15 @@ from canhaptic.lab.batch.radius import spectral_radius
 from canhaptic.lab.batch.scalar import group_figures, group_meter, run_scalar
 from canhaptic.lab.batch.varied import BATCH_KEYS
 from canhaptic.lab.figures.figures import ALL, DISPLAY_METRICS, METRICS, display_figures
+from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.loop.admittance_loop import is_display
-from canhaptic.lab.loop.axis_loop import (
-    PLANT_OF,
-    Array,
-    able_under,
-    at_rate,
-    chosen_algorithms,
-    cycles_of,
-    display_under,
-    parts_of,
-)
+from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.loop.over_can import known_algorithms
-from canhaptic.lab.studies.sweep.vary import CONTROLLER, Column, Points, Value, Varied, scene_seed, scene_seeds
+from canhaptic.lab.studies.sweep.vary import CONTROLLER, Column, Points, Value, Varied, scene_seeds
 from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, parse_yaml
 from canhaptic.scene.layout import OWN_SECTIONS
 from canhaptic.scene.load import scene_from_text
-from canhaptic.scene.models import SIMULATION_PARTS, AxisScene, Scene
+from canhaptic.scene.models import SIMULATION_PARTS, Scene
 from canhaptic.scene.overrides import apply_overrides
 from canhaptic.scene.own_code import require_same_code
 
@@ -75,43 +67,32 @@ def batch_key(key: str, axis: int, name: str) -> str | None:
         axis: Index of the axis.
         name: Name of the axis.
     """
-    head, _, rest = key.partition(".")
-    if head == "axes":
-        which, _, below = rest.partition(".")
-        if which not in (str(axis), name):
-            return None
-        return below if below.partition(".")[0] in OWN_SECTIONS else f"axes.0.{below}"
-    if key.startswith("simulation.axes."):
-        which, _, below = key.removeprefix("simulation.axes.").partition(".")
+    head, _, rest = key.removeprefix("simulation.").partition(".")
+    if head != "axes":
+        return key
+    which, _, below = rest.partition(".")
+    if key != f"{head}.{rest}":
         return f"simulation.{below}" if which == name else None
-    return key
+    if which not in (str(axis), name):
+        return None
+    return below if below.partition(".")[0] in OWN_SECTIONS else f"axes.0.{below}"
 
 
 def _places(document: MarkedMapping, key: str) -> tuple[str, ...]:
+    """Return the shared place of a key, where there is one or no axis has its own, and those of axes with their own."""
     head, _, rest = key.partition(".")
-    if not rest:
+    part, owner = rest.partition(".")[0], document.get("simulation")
+    if head in OWN_SECTIONS and rest:
+        part, owner, entries = head, document, document.get("axes")
+        every = enumerate(entries if isinstance(entries, MarkedList) else ())
+        own = [f"axes.{i}.{key}" for i, entry in every if _has(entry, head)]
+    elif head == "simulation" and part in SIMULATION_PARTS:
+        axes = owner.get("axes") if isinstance(owner, MarkedMapping) else None
+        named = axes.items() if isinstance(axes, MarkedMapping) else ()
+        own = [f'simulation.axes."{name}".{rest}' for name, parts in named if _has(parts, part)]
+    else:
         return (key,)
-    if head in OWN_SECTIONS:
-        entries = document.get("axes")
-        own = [f"axes.{i}.{key}" for i, entry in enumerate(_entries(entries)) if _has(entry, head)]
-        return (*_shared(document, head, key, own), *own)
-    part = rest.partition(".")[0]
-    if head == "simulation" and part in SIMULATION_PARTS:
-        simulation = document.get("simulation")
-        axes = simulation.get("axes") if isinstance(simulation, MarkedMapping) else None
-        named = axes if isinstance(axes, MarkedMapping) else {}
-        own = [f'simulation.axes."{name}".{rest}' for name, parts in named.items() if _has(parts, part)]
-        return (*_shared(simulation, part, key, own), *own)
-    return (key,)
-
-
-def _shared(owner: object, name: str, key: str, own: list[str]) -> tuple[str, ...]:
-    """Return the shared place where there is one, or where no axis has its own."""
-    return (key,) if _has(owner, name) or not own else ()
-
-
-def _entries(value: object) -> list[object]:
-    return list(value) if isinstance(value, MarkedList) else []
+    return (*([key] if _has(owner, part) or not own else []), *own)
 
 
 def _has(value: object, name: str) -> bool:
@@ -138,12 +119,12 @@ class Recipe:
         varied: The keys; a range has only its ends.
         places: Override paths of each key, in the order of `varied`.
         axes: Names of the axes outside groups, and of the groups.
-        duration: Length of every run [s]; None: the scene's.
-        cycles: SYNCs of every scene; None: from the duration.
+        seed: Seed from which every scene's own is derived.
         metrics: Requested metrics.
         engine: Engine for scenes that fit a batch; chosen once, so that all workers agree.
+        duration: Length of every run [s]; None: the scene's.
+        cycles: SYNCs of every scene; None: from the duration.
         beyond_bus: Whether rates that the bus could not carry are accepted.
-        seed: Seed from which every scene's own is derived.
         allow_code: Whether the program files that scenes name may run, here and in workers.
         own_code: (file or plug-in, SHA-256) of the scene's user code; a worker with different code refuses the scene.
         displays: Whether every axis is an admittance display.
@@ -156,12 +137,12 @@ class Recipe:
     varied: tuple[Varied, ...]
     places: tuple[tuple[str, ...], ...]
     axes: tuple[str, ...]
-    duration: float | None
-    cycles: int | None
+    seed: int
     metrics: tuple[str, ...]
     engine: ChosenEngine
-    beyond_bus: bool
-    seed: int
+    duration: float | None = None
+    cycles: int | None = None
+    beyond_bus: bool = False
     alone: str = ""
     displays: bool = False
     allow_code: bool = False
@@ -186,18 +167,15 @@ class Built(NamedTuple):
         return self.scene
 
 
-def make_recipe(
-    scene: Scene,
-    points: Points,
-    *,
-    metrics: tuple[str, ...],
-    engine: ChosenEngine,
-    duration: float | None = None,
-    cycles: int | None = None,
-    beyond_bus: bool = False,
-    allow_code: bool = False,
-) -> Recipe:
+def make_recipe(scene: Scene, points: Points, *, allow_code: bool = False, **options: Any) -> Recipe:
     """Return the recipe of a sweep, with every value tried on its own.
+
+    Args:
+        scene: Simulated scene, from a file or text.
+        points: Scenes of the sweep.
+        allow_code: Whether the program files that scenes name may run.
+        options: Further attributes of the recipe: metrics and engine, and where they are not the default duration,
+            cycles and beyond_bus.
 
     Raises:
         InputError: The scene has no text or simulation, or an unknown algorithm is asked for.
@@ -217,16 +195,12 @@ def make_recipe(
         scene.overrides,
         tuple(v if v.spacing == "list" else replace(v, values=v.ends) for v in points.varied),
         tuple(places[v.key] for v in points.varied),
-        tuple(parts_of(scene)),
-        duration,
-        cycles,
-        metrics,
-        engine,
-        beyond_bus,
+        tuple(axis_loop.parts_of(scene)),
         scene.simulation.seed if scene.simulation else 0,
         displays=all(axis.parameters.admittance is not None for axis in scene.axes),
         allow_code=allow_code or bool(scene.own_code),
         own_code=tuple(scene.own_code.items()),
+        **options,
     )
     for varied in recipe.varied:
         _try_alone(recipe, varied)
@@ -248,7 +222,7 @@ def scene_of(recipe: Recipe, row: Row) -> Built:
     try:
         scene = _read(recipe, _overrides(recipe, values))
         if rate is not None:
-            scene = at_rate(scene, float(rate))
+            scene = axis_loop.at_rate(scene, float(rate))
     except InputError as error:
         return Built(None, _first_line(error))
     return Built(scene, "") if controller is None else _under(scene, str(controller))
@@ -256,9 +230,10 @@ def scene_of(recipe: Recipe, row: Row) -> Built:
 
 def seeded(recipe: Recipe, scene: Scene, index: int) -> Scene:
     """Return a scene whose random seed follows from its global index, unless the sweep varies the seed itself."""
-    if scene.simulation is None or any(varied.key == _SEED for varied in recipe.varied):
+    seeds = seeds_of(recipe, scene, np.array([index]))
+    if scene.simulation is None or seeds is None:
         return scene
-    seed = scene_seed(recipe.seed, index)
+    seed = int(seeds[0])
     axes = tuple(
         replace(axis, simulation=axis.simulation and replace(axis.simulation, seed=seed + i))
         for i, axis in enumerate(scene.axes)
@@ -275,7 +250,7 @@ def seeds_of(recipe: Recipe, scene: Scene, indices: NDArray[np.intp]) -> Array |
 
 def cycles_in(recipe: Recipe, scene: Scene) -> int:
     """Return the number of SYNCs of a scene."""
-    return recipe.cycles or cycles_of(scene, recipe.duration)
+    return recipe.cycles or axis_loop.cycles_of(scene, recipe.duration)
 
 
 @lru_cache(maxsize=4096)
@@ -310,7 +285,7 @@ def _try_alone(recipe: Recipe, varied: Varied) -> None:
         if recipe.displays:
             known_algorithms(DISPLAY_ALGORITHMS, "admittance algorithm", names)
         else:
-            chosen_algorithms(names)
+            axis_loop.chosen_algorithms(names)
         return
     for value in varied.ends:
         texts = _overrides(recipe, {varied.key: value}, with_unit=True)
@@ -342,27 +317,21 @@ def _overrides(recipe: Recipe, values: Mapping[str, Value], *, with_unit: bool =
 
 def _under(scene: Scene, controller: str) -> Built:
     """Return the scene with every axis under an algorithm, which takes missing but needed values from the plant."""
-    axes: list[AxisScene] = []
-    remark = ""
-    from_plant: tuple[str, ...] = ()
     if scene.groups:
         return Built(None, f"{CONTROLLER} {controller}: group {scene.groups[0].name!r} has algorithms of its own")
+    found: list[axis_loop.AbleAxis] = []
     for axis in scene.axes:
         try:
-            if axis.parameters.admittance is not None:
-                axes.append(display_under(axis, controller))
-                continue
-            chosen = able_under(axis, controller, scene)
+            display = axis.parameters.admittance is not None
+            found.append(
+                axis_loop.AbleAxis(axis_loop.display_under(axis, controller))
+                if display
+                else axis_loop.able_under(axis, controller, scene)
+            )
         except ParameterError as error:
             return Built(None, _first_line(error))
-        axes.append(chosen.axis)
-        remark, from_plant = chosen.remark or remark, chosen.from_plant or from_plant
-    return Built(replace(scene, axes=tuple(axes)), remark, from_plant)
-
-
-def of_plant(from_plant: tuple[str, ...]) -> dict[str, str]:
-    """Return the batch keys of the loop that follow keys of the plant, for properties taken from it."""
-    return {f"passivity.{key}": f"simulation.plant.{PLANT_OF[key]}" for key in from_plant}
+    last = next((able for able in reversed(found) if able.from_plant), found[-1])
+    return Built(replace(scene, axes=tuple(able.axis for able in found)), last.remark, last.from_plant)
 
 
 def _first_line(error: Exception) -> str:
@@ -380,7 +349,7 @@ USUAL: Final = (*METRICS, RADIUS)
 
 def usual_figures(scene: Scene) -> tuple[str, ...]:
     """Return the default metrics of a sweep: those for each kind of display in the scene."""
-    displays = [is_display(part) for part in parts_of(scene).values()]
+    displays = [is_display(part) for part in axis_loop.parts_of(scene).values()]
     if not any(displays):
         return USUAL
     return tuple(DISPLAY_METRICS) if all(displays) else tuple(dict.fromkeys((*USUAL, *DISPLAY_METRICS)))
@@ -470,7 +439,7 @@ class _Chunk:
         """Return the rows that share the values of some keys, in the order of their first."""
         kinds = np.zeros(len(rows), dtype=np.int64)
         for key in keys:
-            numbers = _numbered(self._columns[key])[rows]
+            numbers = np.unique(np.asarray(self._columns[key])[rows], return_inverse=True)[1]
             kinds = np.unique(kinds * (numbers.max(initial=0) + 1) + numbers, return_inverse=True)[1]
         _, first, kinds = np.unique(kinds, return_index=True, return_inverse=True)
         together = np.split(rows[np.argsort(kinds, kind="stable")], np.cumsum(np.bincount(kinds))[:-1])
@@ -484,7 +453,7 @@ class _Chunk:
         self._of_plant = built.remark if built.from_plant else self._of_plant
         not_linear = self._closed_form(built, rows, batched) if RADIUS in self._recipe.metrics else ""
         if self._recipe.metrics == (RADIUS,):
-            self._note_all(rows, 0 if not_linear else _CLOSED_FORM, _joined(not_linear, _remark_of(built)))
+            self._note(rows, COMPLETED, 0 if not_linear else _CLOSED_FORM, _joined(not_linear, _remark_of(built)))
             return
         reason = self._recipe.alone or self._in_arrays(built, rows, batched)
         if reason:
@@ -524,14 +493,13 @@ class _Chunk:
         for path, values in found.items():
             self._figures[path][rows] = values
         engine = ENGINES.index(recipe.engine)
-        self._note_all(rows, engine, _remark_of(built, is_batched=True))
+        self._note(rows, COMPLETED, engine, _remark_of(built, is_batched=True))
         for row, text in stopped.items():
             self._note(int(rows[row]), _FAILED, engine, text)
         return ""
 
     def _varied(self, built: Built, scene: Scene, index: int, rows: _Rows, batched: Sequence[str]) -> dict[str, Array]:
         """Return the values that differ within a batch of one axis, under the names of the batch."""
-        follows = of_plant(built.from_plant)
         varied: dict[str, Array] = {}
         for key in batched:
             name = batch_key(key, index, self._recipe.axes[index])
@@ -539,7 +507,8 @@ class _Chunk:
             if name is None or not isinstance(values, np.ndarray) or not _is_taken(scene, name):
                 continue
             varied[name] = np.ascontiguousarray(values[rows])
-            varied |= {own: varied[name] for own, plant in follows.items() if plant == name}
+            follows = (own for own in built.from_plant if name == f"simulation.plant.{axis_loop.PLANT_OF[own]}")
+            varied |= {f"passivity.{own}": varied[name] for own in follows}  # what is taken from the plant varies too
         if not varied:  # an axis that nothing touches: every scene of the batch is the same
             varied = {RATE: np.full(len(rows), scene.bus.rate)}
         return varied
@@ -567,21 +536,14 @@ class _Chunk:
                     self._figures[f"{name}/{metric}"][row] = figures[metric]
             self._note(row, _FAILED if failure else COMPLETED, engine, failure or remark)
 
-    def _note_all(self, rows: _Rows, engine: int, remark: str) -> None:
-        self._status[rows], self._engine[rows], self._remark[rows] = COMPLETED, engine, self._slot(remark)
-
-    def _note(self, row: int, status: int, engine: int, remark: str) -> None:
-        self._status[row], self._engine[row], self._remark[row] = status, engine, self._slot(remark)
+    def _note(self, rows: _Rows | int, status: int, engine: int, remark: str) -> None:
+        self._status[rows], self._engine[rows], self._remark[rows] = status, engine, self._slot(remark)
 
     def _slot(self, remark: str) -> int:
-        """Return the number of a remark, 0 for none."""
-        if not remark:
-            return 0
-        if remark not in self._texts:
-            if len(self._texts) == SLOTS:
-                return SLOTS
+        """Return the number of a remark, 0 for none; those that a chunk has no room for share the last one."""
+        if remark and remark not in self._texts and len(self._texts) < SLOTS:
             self._texts.append(remark if len(self._texts) < SLOTS - 1 else _MORE)
-        return self._texts.index(remark) + 1 if remark in self._texts else SLOTS
+        return ["", *self._texts].index(remark) if remark in ("", *self._texts) else SLOTS
 
 
 def row_of(columns: Mapping[str, Column], row: int, keys: set[str] | None = None) -> Row:
@@ -593,17 +555,9 @@ def row_of(columns: Mapping[str, Column], row: int, keys: set[str] | None = None
     )
 
 
-def _numbered(column: Column) -> NDArray[np.int64]:
-    """Return a whole number for each value of a column, the same for the same value."""
-    if isinstance(column, np.ndarray):
-        return np.unique(column, return_inverse=True)[1]
-    known = {value: number for number, value in enumerate(dict.fromkeys(column))}
-    return np.array([known[value] for value in column], dtype=np.int64)
-
-
 def _alone(built: Built, name: str) -> Scene:
     """Return the scene of a single axis or group: they share nothing but the bus."""
-    return parts_of(built.permitted())[name]
+    return axis_loop.parts_of(built.permitted())[name]
 
 
 def _figures_alone(recipe: Recipe, scene: Scene, asked: Sequence[str]) -> tuple[Mapping[str, float], bool, str]:

@@ -38,7 +38,7 @@ from canhaptic.lab.studies.sweep.chunk import (
     usual_figures,
 )
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable, create
-from canhaptic.lab.studies.sweep.vary import Points, Value, Varied, make_points, parse_vary
+from canhaptic.lab.studies.sweep.vary import Points, Varied, make_points, parse_vary, short
 from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
 
@@ -143,8 +143,7 @@ def make_sweep(
     metrics: Sequence[str] | None = None,
     engine: Engine = "auto",
     chunk: int | None = None,
-    beyond_bus: bool = False,
-    allow_code: bool = False,
+    **options: bool,
 ) -> Asked:
     """Return a sweep, checked as far as possible before a scene runs.
 
@@ -159,25 +158,22 @@ def make_sweep(
         metrics: Names of `FIGURES`; by default `usual_figures`, which need no continuous run of each scene.
         engine: Engine for scenes that fit a batch; "auto" is numba where it is installed and worthwhile.
         chunk: Scenes that are finished together; affects only how much a kill can lose.
-        beyond_bus: Whether to accept rates that the bus could not carry, instead of refusing them.
-        allow_code: Whether program files that a varied value names may run; the scene's own may if it was loaded
+        options: `beyond_bus`: whether to accept rates that the bus could not carry, instead of refusing them.
+            `allow_code`: whether program files that a varied value names may run; the scene's own may if it was loaded
             that way.
 
     Raises:
         InputError: Anything is wrong.
     """
-    points = make_points([_varied(one) for one in vary], controllers, samples, seed)
-    _check(metrics, duration, cycles)
+    points = make_points([parse_vary(one) if isinstance(one, str) else one for one in vary], controllers, samples, seed)
+    if unknown := [name for name in metrics or () if name not in FIGURES]:
+        raise InputError(f"unknown metric {unknown[0]!r}, expected one of: {', '.join(FIGURES)}")
+    if duration is not None and cycles is not None:
+        raise InputError("got a duration and a number of cycles; give one")
     recipe = make_recipe(
-        scene,
-        points,
-        metrics=tuple(dict.fromkeys(metrics or usual_figures(scene))),
-        engine=chosen_engine(engine, pays=False),
-        duration=duration,
-        cycles=cycles,
-        beyond_bus=beyond_bus,
-        allow_code=allow_code,
-    )
+        scene, points, metrics=tuple(dict.fromkeys(metrics or usual_figures(scene))),
+        engine=chosen_engine(engine, pays=False), duration=duration, cycles=cycles, **options,
+    )  # fmt: skip
     together = _together(recipe, points)
     if together < _FEWEST_TOGETHER and not scene.groups and not recipe.displays:
         reason = f"only {together} of the scenes differ in nothing but keys of a batch, expected {_FEWEST_TOGETHER}"
@@ -187,14 +183,6 @@ def make_sweep(
     pays = _pays(scene, len(points), recipe.cycles or cycles_of(scene, duration))
     recipe = replace(recipe, engine=chosen_engine(engine, pays))
     return Asked(recipe, points, chunk, _identity(scene, recipe, points), engine == "auto")
-
-
-def _check(metrics: Sequence[str] | None, duration: float | None, cycles: int | None) -> None:
-    unknown = [name for name in metrics or () if name not in FIGURES]
-    if unknown:
-        raise InputError(f"unknown metric {unknown[0]!r}, expected one of: {', '.join(FIGURES)}")
-    if duration is not None and cycles is not None:
-        raise InputError("got a duration and a number of cycles; give one")
 
 
 def _pays(scene: Scene, scenes: int, cycles: int) -> bool:
@@ -211,10 +199,6 @@ def _is_long(asked: Asked) -> bool:
     return asked.recipe.engine == "python" and len(asked.points) * cycles >= _WORTH_A_POOL
 
 
-def _varied(one: str | Varied) -> Varied:
-    return parse_vary(one) if isinstance(one, str) else one
-
-
 def _together(recipe: Recipe, points: Points) -> int:
     """Return how many scenes of the whole sweep differ in nothing but keys that may differ inside a batch."""
     apart = [v for v in points.varied if not is_batch_key(recipe, v.key) or (v.key == RATE and recipe.cycles is None)]
@@ -227,11 +211,8 @@ def _is_not_batchable(scene: Scene, controllers: Sequence[str]) -> bool:
     """Whether some of the scenes will have to run one by one."""
     if scene.groups or any(is_display(part) for part in parts_of(scene).values()):
         return True
-    for axis in scene.axes:
-        for name in controllers or (axis.passivity.name,):
-            if why_not_batchable(replace(scene, axes=(with_algorithm(axis, name),))):
-                return True
-    return False
+    under = ((axis, name) for axis in scene.axes for name in controllers or (axis.passivity.name,))
+    return any(why_not_batchable(replace(scene, axes=(with_algorithm(*one),))) for one in under)
 
 
 def _identity(scene: Scene, recipe: Recipe, points: Points) -> Row:
@@ -251,22 +232,19 @@ def _identity(scene: Scene, recipe: Recipe, points: Points) -> Row:
 
 
 def _notes(scene: Scene, asked: Asked) -> dict[str, str]:
-    notes = {"scene": scene.text, "source": scene.source, "overrides": json.dumps(scene.overrides)}
-    return notes | {"plant_errors": "\n".join(_plant_errors(asked))}
+    """Return texts about a sweep: scene, overrides, and the estimated errors of plants that are not exact.
 
-
-def _plant_errors(asked: Asked) -> list[str]:
-    """Return the estimated errors of plants that are not exact: of the first and last scene and of each kind of plant.
-
-    Of the others it is not estimated, which the last line says.
+    They are of the first and last scene and of each kind of plant; the last line counts the others.
     """
     lines, looked_at = [], _looked_at(asked.points)
     for index in looked_at:
         row = row_of(asked.points.columns(index, index + 1), 0)
-        built, words = scene_of(asked.recipe, row).scene, ", ".join(f"{key}={_short(value)}" for key, value in row)
+        built, words = scene_of(asked.recipe, row).scene, ", ".join(f"{key}={short(value)}" for key, value in row)
         lines += [f"with {words}: {line}" for line in (plant_errors(built) if built else ())]
-    others = len(asked.points) - len(looked_at)
-    return [*lines, f"of {others} other scenes ERROR NOT KNOWN"] if lines and others else lines
+    if lines and (others := len(asked.points) - len(looked_at)):
+        lines.append(f"of {others} other scenes ERROR NOT KNOWN")
+    notes = {"scene": scene.text, "source": scene.source, "overrides": json.dumps(scene.overrides)}
+    return notes | {"plant_errors": "\n".join(lines)}
 
 
 def _looked_at(points: Points) -> list[int]:
@@ -279,27 +257,21 @@ def _looked_at(points: Points) -> list[int]:
     return sorted(found)
 
 
-def _short(value: Value) -> str:
-    return value if isinstance(value, str) else f"{value:.6g}"
-
-
 def _check_same(table: SweepTable, asked: Asked) -> None:
     """Refuse to go on with a file of something else.
 
     Raises:
         InputError: It is; names what differs.
     """
-    for name, value in asked.identity.items():
-        if table.identity.get(name) == value:
-            continue
-        found, wanted = (_words(name, entry) for entry in (table.identity.get(name), value))
-        raise InputError(
-            f"{table.folder}: was made with {name.replace('_', ' ')} {found}, now {wanted}; ask for the same, "
-            "give another --out, or replace it with --force"
-        )
+    for name, wanted in asked.identity.items():
+        found = table.identity.get(name)
+        if found != wanted:
+            raise InputError(
+                f"{table.folder}: was made with {name.replace('_', ' ')} {_words(found)}, now {_words(wanted)}; "
+                "ask for the same, give another --out, or replace it with --force"
+            )
 
 
-def _words(name: str, value: Any) -> str:
-    if name == "varied" and value:
-        return " ".join(str(varied["given"]) for varied in value)
-    return str(value)[:160]
+def _words(value: Any) -> str:
+    varied = isinstance(value, list) and value and isinstance(value[0], dict)
+    return " ".join(str(one["given"]) for one in value) if varied else str(value)[:160]

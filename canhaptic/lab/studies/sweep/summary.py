@@ -23,9 +23,11 @@ _MOST_REMARKS: Final = 20
 
 def summary(table: SweepTable) -> Row:
     """Return the account of a sweep as plain values: as `canhaptic sweep --json` prints it."""
-    counts: Counter[tuple[str, str, str]] = Counter()
-    for status, engine, remark, number in table.remarks():
-        counts[status, engine, remark] += number
+    remarks, status, engines = Counter[tuple[str, str, str]](), Counter[str](), Counter[str]()
+    for ended, engine, remark, number in table.remarks():
+        remarks[ended, engine, remark] += number
+        status[ended] += number
+        engines[engine] += number
     return {
         "file": str(table.folder),
         "scene": table.note("source"),
@@ -33,22 +35,15 @@ def summary(table: SweepTable) -> Row:
         "samples": table.identity["samples"],
         "scenes": len(table),
         "finished": table.finished(),
-        "status": _by(counts, 0),
-        "engines": _by(counts, 1),
+        "status": dict(status),
+        "engines": dict(engines),
         "remarks": [
-            {"status": status, "engine": engine, "remark": remark, "scenes": number}
-            for (status, engine, remark), number in counts.most_common()
-            if remark
+            {**dict(zip(("status", "engine", "remark"), kind, strict=True)), "scenes": number}
+            for kind, number in remarks.most_common()
+            if kind[2]
         ][:_MOST_REMARKS],
         "figures": {axis: _figures(table, axis) for axis in table.axes},
     }
-
-
-def _by(counts: Counter[tuple[str, str, str]], part: int) -> dict[str, int]:
-    found: Counter[str] = Counter()
-    for kind, number in counts.items():
-        found[kind[part]] += number
-    return dict(found)
 
 
 def _figures(table: SweepTable, axis: str) -> Row:
@@ -67,7 +62,7 @@ def _shares(table: SweepTable, axis: str, status: NDArray[np.uint8]) -> Row:
     found: Row = {"scenes": int(rows.sum())}
     if untouched := int((status == UNTOUCHED).sum()):
         found["no_contact"] = untouched
-    for name, (metric, figure) in _SHARES.items():
+    for name, (_, metric, figure) in _SHARES.items():
         if metric in table.metrics:
             values = table.figure(axis, metric)[rows]
             found[name] = figure(values) if len(values) else None
@@ -88,40 +83,32 @@ def _finite(figure: Callable[[Array], Any]) -> Callable[[Array], float | None]:
     return of
 
 
-_SHARES: Final[Mapping[str, tuple[str, Callable[[Array], float | None]]]] = {
-    "passive": ("least_interaction", _kept),
-    "margin_kept": ("margin", _kept),
-    "least_margin": ("margin", _finite(np.min)),
-    "diverged": ("diverged", lambda values: float((values == 1.0).mean())),
-    "stable": (RADIUS, _finite(lambda values: (values < 1.0).mean())),
-    "stiffness_rendered": ("stiffness_rendered.share", _finite(np.median)),
-    "mass_felt": ("mass_felt.share", _finite(np.median)),
-    "guard_acts": ("guard_acts", _finite(np.median)),
+_SHARES: Final[Mapping[str, tuple[str, str, Callable[[Array], float | None]]]] = {
+    "passive": ("passive, by the plant", "least_interaction", _kept),
+    "margin_kept": ("margin kept", "margin", _kept),
+    "least_margin": ("smallest margin", "margin", _finite(np.min)),
+    "diverged": ("diverged", "diverged", lambda values: float((values == 1.0).mean())),
+    "stable": ("linear loop stable", RADIUS, _finite(lambda values: (values < 1.0).mean())),
+    "stiffness_rendered": ("stiffness, median", "stiffness_rendered.share", _finite(np.median)),
+    "mass_felt": ("mass felt, median", "mass_felt.share", _finite(np.median)),
+    "guard_acts": ("guard acts, median", "guard_acts", _finite(np.median)),
 }
+"""Name -> heading, the figure, and what is made of it."""
 
 
 def summary_report(found: Row) -> RenderableType:
     """Return tables of a summary."""
-    heading = Text(" ")
-    heading.append(found["scene"], style="bold")
-    heading.append(f"   {found['finished']} of {found['scenes']} scenes   {'  '.join(found['varied'])}")
-    parts: list[RenderableType] = [heading, _counts(found), _shares_table(found)]
-    return Group(*parts)
-
-
-def _counts(found: Row) -> RenderableType:
+    heading = Text.assemble(" ", (found["scene"], "bold"), f"   {found['finished']} of {found['scenes']} scenes   ",
+                            "  ".join(found["varied"]))  # fmt: skip
     engines = {_ENGINES[name]: number for name, number in found["engines"].items()}
     lines = [Text(f" computed: {_listed(engines)}"), Text(f" status:   {_listed(found['status'])}")]
     style = {"refused": "yellow", "failed": "red"}
     lines += [
-        Text(
-            f" {entry['scenes']} {entry['status']} ({entry['engine']}): {entry['remark']}",
-            style.get(entry["status"], ""),
-        )
-        for entry in found["remarks"]
-        if (entry["status"], entry["engine"]) != ("completed", "scalar") or not entry["remark"].startswith("only ")
+        Text(f" {of['scenes']} {of['status']} ({of['engine']}): {of['remark']}", style.get(of["status"], ""))
+        for of in found["remarks"]
+        if (of["status"], of["engine"]) != ("completed", "scalar") or not of["remark"].startswith("only ")
     ]
-    return Group(*lines)
+    return Group(heading, *lines, _shares_table(found))
 
 
 def _listed(counts: dict[str, int]) -> str:
@@ -130,27 +117,17 @@ def _listed(counts: dict[str, int]) -> str:
 
 _ENGINES: Final = {"none": "not run", "scalar": "one at a time", "python": "in batches", "numba": "in compiled batches",
                    "closed form": "in closed form"}  # fmt: skip
-_COLUMNS: Final = {
-    "no_contact": "no contact",
-    "passive": "passive, by the plant",
-    "margin_kept": "margin kept",
-    "least_margin": "smallest margin",
-    "diverged": "diverged",
-    "stable": "linear loop stable",
-    "stiffness_rendered": "stiffness, median",
-    "mass_felt": "mass felt, median",
-    "guard_acts": "guard acts, median",
-}
 
 
 def _shares_table(found: Row) -> Table:
     entries = {(axis, name): entry for axis, of in found["figures"].items() for name, entry in of.items()}
-    shown = [key for key in _COLUMNS if any(key in entry for entry in entries.values())]
+    heads = {"no_contact": "no contact", **{key: head for key, (head, _, _) in _SHARES.items()}}
+    shown = [key for key in heads if any(key in entry for entry in entries.values())]
     rows = [
         [f"{axis}, {name}", str(entry["scenes"]), *(_cell(key, entry.get(key)) for key in shown)]
         for (axis, name), entry in entries.items()
     ]
-    return Table("", ["axis, algorithm", "scenes", *(_COLUMNS[key] for key in shown)], rows, keys=1)
+    return Table("", ["axis, algorithm", "scenes", *(heads[key] for key in shown)], rows, keys=1)
 
 
 def _cell(key: str, value: float | None) -> str:

@@ -67,18 +67,15 @@ class Varied:
             return self.values
         return tuple(dict.fromkeys((self.values[0], self.values[-1])))
 
-    def at(self, shares: Array) -> list[Value] | Array:
+    def at(self, shares: Array) -> "Column":
         """Return the values at fractions of the range, 0 <= share < 1, shape (n,): a Latin hypercube's strata.
 
         A list is divided into as many equal parts as it has values.
         """
         if self.spacing == "list":
-            chosen = [self.values[int(share * len(self.values))] for share in shares]
-            return np.array(chosen) if self.is_number else chosen
+            return _picked(self, (shares * len(self.values)).astype(int))
         low, high = (float(value) for value in (self.values[0], self.values[-1]))
-        if self.spacing == "log":
-            return np.array([low * math.pow(high / low, share) for share in shares.tolist()])
-        return low + (high - low) * shares
+        return np.array([_within(low, high, share, self.spacing) for share in shares.tolist()])
 
     def yaml(self, value: Value, *, with_unit: bool = False) -> str:
         """Return a value as YAML text for an override: in SI, or in the unit as typed so that it can be checked."""
@@ -91,9 +88,9 @@ class Varied:
     def __str__(self) -> str:
         """One line for a file and a screen."""
         if self.spacing == "list":
-            return f"{self.key}={','.join(_short(value) for value in self.values)}"
+            return f"{self.key}={','.join(short(value) for value in self.values)}"
         count = "" if self.is_open else f":{len(self.values)}"
-        return f"{self.key}={_short(self.values[0])}:{_short(self.values[-1])}:{self.spacing}{count}"
+        return f"{self.key}={short(self.values[0])}:{short(self.values[-1])}:{self.spacing}{count}"
 
 
 def parse_vary(text: str) -> Varied:
@@ -144,14 +141,12 @@ def _range(text: str, key: str, parts: list[str]) -> Varied:
         raise _refused(text, f"cannot read the range {':'.join(parts)!r}", _SHAPES)
     if low[1] and high[1] and low[1] != high[1]:
         raise _refused(text, f"got the units {low[1]!r} and {high[1]!r}", "give both ends in one unit")
-    unit = high[1] or low[1]
+    unit, [count] = high[1] or low[1], words or ["2"]
+    if not count.isascii() or not count.isdigit():
+        raise _refused(text, f"got {count!r} for the number of values", _SHAPES)
     scale = parse_unit(unit)[0] if unit else 1.0
-    ends = low[0] * scale, high[0] * scale
-    if not words:
-        return Varied(key, _spaced(text, *ends, 2, spacing), unit, spacing, is_open=True)
-    if not words[0].isascii() or not words[0].isdigit():
-        raise _refused(text, f"got {words[0]!r} for the number of values", _SHAPES)
-    return Varied(key, _spaced(text, *ends, int(words[0]), spacing), unit, spacing)
+    values = _spaced(text, low[0] * scale, high[0] * scale, int(count), spacing)
+    return Varied(key, values, unit, spacing, is_open=not words)
 
 
 def _spaced(text: str, low: float, high: float, count: int, spacing: str) -> tuple[float, ...]:
@@ -161,11 +156,11 @@ def _spaced(text: str, low: float, high: float, count: int, spacing: str) -> tup
         raise _refused(text, f"got {low:g} to {high:g}", "expected finite ends, the lower one first")
     if spacing == "log" and not low > 0.0:
         raise _refused(text, f"got {low:g} as the lower end", "a logarithmic range begins above 0; use lin, or list 0")
-    if spacing == "log":
-        inner = [low * math.pow(high / low, i / (count - 1)) for i in range(1, count - 1)]
-    else:
-        inner = [low + (high - low) * (i / (count - 1)) for i in range(1, count - 1)]
-    return (low, *inner, high)
+    return (low, *(_within(low, high, i / (count - 1), spacing) for i in range(1, count - 1)), high)
+
+
+def _within(low: float, high: float, share: float, spacing: str) -> float:
+    return low * math.pow(high / low, share) if spacing == "log" else low + (high - low) * share
 
 
 def _list(text: str, key: str, items: list[str]) -> Varied:
@@ -221,7 +216,8 @@ def _split(text: str, separator: str) -> list[str]:
     return parts
 
 
-def _short(value: Value) -> str:
+def short(value: Value) -> str:
+    """Return a value in words, a number with six digits."""
     return value if isinstance(value, str) else f"{value:.6g}"
 
 
@@ -266,17 +262,15 @@ class Points:
         place = 0 if self.samples else [varied.key for varied in self.varied].index(key)
         return np.unravel_index(np.arange(len(self)), self.shape)[place]
 
-    def columns(self, start: int, stop: int) -> dict[str, Column]:
+    def columns(self, start: int, stop: int) -> dict[str, "Column"]:
         """Return the values of scenes `start` to `stop` by key, each of length stop - start."""
         indices = np.unravel_index(np.arange(start, stop), self.shape)
         if not self.samples:
             return {v.key: _picked(v, index) for v, index in zip(self.varied, indices, strict=True)}
         found: dict[str, Column] = {}
         for order, varied in enumerate(self.varied):
-            if varied.key == CONTROLLER:
-                found[varied.key] = _picked(varied, indices[0])
-            else:
-                found[varied.key] = varied.at(_shares(self.samples, self.seed, order)[indices[-1]])
+            shares = _shares(self.samples, self.seed, order)[indices[-1]]
+            found[varied.key] = _picked(varied, indices[0]) if varied.key == CONTROLLER else varied.at(shares)
         return found
 
 
@@ -309,11 +303,6 @@ def make_points(varied: Sequence[Varied], controllers: Sequence[str] = (), sampl
             f"got {len(points)} scenes, expected at most {_MOST_SCENES}; take fewer values, or --sample lhs:N"
         )
     return points
-
-
-def scene_seed(base: int, index: int) -> int:
-    """Return the random seed of the scene with a global index: 0 to 10^9."""
-    return int(scene_seeds(base, np.array([index]))[0])
 
 
 def scene_seeds(base: int, indices: NDArray[np.intp]) -> Array:
