@@ -29,6 +29,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
@@ -38,7 +39,7 @@ from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch.radius import spectral_radius
 from canhaptic.lab.batch.varied import scene_with
-from canhaptic.lab.figures.field_figures import NEAR
+from canhaptic.lab.figures.field_figures import NEAR, stiffest_walls
 from canhaptic.lab.loop.admittance_loop import is_display
 from canhaptic.lab.loop.axis_loop import Array, display_under, viscous_friction, with_algorithm
 from canhaptic.lab.studies.sweep.chunk import BATCHED, COMPLETED, RADIUS, UNTOUCHED, batch_key
@@ -112,9 +113,14 @@ class MapField:
         unit = _unit_of(self.scene, key)
         return f"{key} [{unit}]" if unit else key
 
-    def level(self, key: str, value: float) -> str:
-        """Return one value of a key in words, such as `damping 5 N*s/m`."""
-        return f"{key.rpartition('.')[2]} {value:.3g} {_unit_of(self.scene, key)}".rstrip()
+    def levels(self, key: str | None) -> list[dict[str, float]]:
+        """Return every value of a key, rising, each as {key: value}; one empty mapping for None."""
+        return [{}] if key is None else [{key: value} for value in sorted(self.values[key].tolist())]
+
+    def words(self, at: Mapping[str, float]) -> str:
+        """Return values of keys in words, such as `, damping 5 N*s/m`."""
+        said = (f"{key.rpartition('.')[2]} {at[key]:.3g} {_unit_of(self.scene, key)}" for key in at)
+        return "".join(f", {words.rstrip()}" for words in said)
 
     def _shaped(self, column: NDArray[Any]) -> Any:
         """Return a column of this algorithm; of a grid with the numeric keys first, all others last."""
@@ -122,9 +128,8 @@ class MapField:
         if not self.is_grid:
             return rows
         names = list(self._levels)
-        cube = rows.reshape(list(self._levels.values()))
-        order = [names.index(key) for key in self.keys] + [i for i, key in enumerate(names) if key not in self.keys]
-        cube = cube.transpose(order)
+        order = [names.index(key) for key in self.keys]
+        cube = np.moveaxis(rows.reshape(list(self._levels.values())), order, range(len(order)))
         return cube.reshape(*cube.shape[: len(self.keys)], -1)
 
 
@@ -227,26 +232,23 @@ def theory_at(field: MapField, values: Mapping[str, float]) -> Theory:
         field: Field with the scene and axis.
         values: Key -> value; keys that occur in no formula are ignored.
     """
-    names = {batch_key(key, field.index, field.axis): value for key, value in values.items()}
+    names = {batch_key(key, field.index, field.axis) or "": value for key, value in values.items()}
     return theory_of(scene_with(field.scene, {name: value for name, value in names.items() if name in BATCHED}))
 
 
 def theory_of(scene: Scene) -> Theory:
     """Return the theoretical limits for the wall of a scene with one simulated axis, for any stiffness."""
     [axis] = scene.axes
-    simulation, environment = axis.simulation, axis.environment.parameters
+    simulation, environment, delay = axis.simulation, axis.environment.parameters, scene.bus.delay
     if simulation is None or not hasattr(environment, "stiffness"):
         return Theory(None, None, None, None)
-    delay = scene.bus.delay
     device = simulation.plant.damping + viscous_friction(simulation)
     wall = float(getattr(environment, "damping", 0.0))
-    colgate = colgate_stiffness(device, wall, scene.bus.sample_time, delay)
-    friction = quantisation_bound(axis)
-    friction = friction if friction and math.isfinite(friction) else None
+    friction = quantisation_bound(axis) or math.inf
     certified = [hint.limit for hint in stability_hints(axis) if hint.certificate and hint.limit is not None]
     return Theory(
-        colgate,
-        friction if delay == 0 and wall == 0.0 else None,
+        colgate_stiffness(device, wall, scene.bus.sample_time, delay),
+        friction if delay == 0 and wall == 0.0 and math.isfinite(friction) else None,
         _stable_stiffness(scene),
         max(certified, default=None),
     )
@@ -340,22 +342,22 @@ def border_of(field: MapField, key: str, kept: list[str], judgement: str, *, nea
         judgement: Name of a judgement, in `JUDGEMENTS`.
         near: Whether to return the largest of these values at which the stiffness is rendered within `NEAR`.
     """
-    order = [field.keys.index(name) for name in (key, *kept)]
-    others = [i for i in range(len(field.keys) + 1) if i not in order]
-    passed = _passes(field, judgement).transpose(*order, *others)
-    judged = field.judged().transpose(*order, *others)
-    folded = tuple(range(1 + len(kept), passed.ndim))
-    values = np.sort(field.values[key])
-    rank = np.argsort(field.values[key])
-    good = np.asarray((passed | ~judged).all(axis=folded))[rank]
-    known = np.asarray(np.asarray(judged.any(axis=folded)).all(axis=0))
-    below = np.logical_and.accumulate(good, axis=0)
-    is_open = known & below[-1]
+    order, rank = [field.keys.index(name) for name in (key, *kept)], np.argsort(field.values[key])
+    folded = tuple(range(1 + len(kept), len(field.keys) + 1))
+
+    def arranged(figure: NDArray[Any]) -> Any:
+        """Return a figure with rising values of the key first, then the kept keys, then all others."""
+        return np.moveaxis(figure, order, range(len(order)))[rank]
+
+    judged = arranged(field.judged())
+    passed = (arranged(_passes(field, judgement)) | ~judged).all(axis=folded)
+    known = judged.any(axis=folded).all(axis=0)
+    shares = np.ones(passed.shape)
     if near:
-        shares = field.figure(SHARE).transpose(*order, *others)
-        below &= np.asarray(((np.abs(shares - 1.0) <= NEAR) | ~judged).all(axis=folded))[rank]
-    column = values.reshape(-1, *(1,) * (below.ndim - 1))
-    return _Border(np.where(known, np.where(below, column, 0.0).max(axis=0), np.nan), is_open)
+        apart = np.where(judged, np.abs(arranged(field.figure(SHARE)) - 1.0), 0.0)
+        shares += apart.max(axis=folded)
+    walls = stiffest_walls(np.sort(field.values[key]), passed, shares)
+    return _Border(np.where(known, walls.near if near else walls.passive, np.nan), known & walls.is_open)
 
 
 _COLOURS: Final = (BLUE, GREEN, PURPLE, ORANGE, SKY, VERMILION, GREY)
@@ -464,7 +466,7 @@ def common_limits(panels: Sequence[Panel | None]) -> tuple[float, float]:
         return 0.0, 1.0
     if cells[0].limits is not None:
         return cells[0].limits
-    known = np.concatenate([panel.values[np.isfinite(panel.values)].ravel() for panel in cells])
+    known = np.concatenate([panel.values[np.isfinite(panel.values)] for panel in cells])
     if not len(known):
         return (1.0, 10.0) if cells[0].value_log else (0.0, 1.0)
     low, high = float(known.min()), float(known.max())
@@ -503,29 +505,27 @@ def headline(fields: list[MapField], z: str, x: str, y: str | None) -> list[Line
     """
     if not all(one.has(SHARE) and common_judgement(one) != "margin" for one in fields):
         return []
-    levels: list[float | None] = [None] if y is None else [*sorted(fields[0].values[y].tolist())]
+    levels = fields[0].levels(y)
     if len(levels) > _MOST_PANELS:
         levels = [levels[0], levels[len(levels) // 2], levels[-1]]
-    return [_panel(fields, z, x, {} if level is None or y is None else {y: level}) for level in levels]
+    return [_panel(fields, z, x, at) for at in levels]
 
 
 def _panel(fields: list[MapField], z: str, x: str, at: dict[str, float]) -> Lines:
     field = fields[0]
-    order = np.argsort(field.values[x])
-    places = field.values[x][order]
+    places = np.sort(field.values[x])
     curves: list[PanelCurve] = []
     for number, one in enumerate(fields):
-        border = border_of(one, z, [x, *at], common_judgement(one), near=True).value[order]
-        for key, level in at.items():
-            border = border[:, int(np.flatnonzero(one.values[key] == level)[0])]
         style: CurveStyle = "ours" if one.algorithm == _OURS else "measured"
-        curves.append(PanelCurve(one.algorithm, places, positive(border), style, number))
-    curves += _theory(fields, x, places, at)
-    where = "".join(f", {field.level(key, value)}" for key, value in at.items())
+        border = _border_along(one, z, x, at, common_judgement(one), near=True)
+        curves.append(PanelCurve(one.algorithm, places, border, style, number))
+    plain = next((one for one in fields if one.algorithm == "unprotected"), field)
+    curves += _theory(plain, _OF_PLAIN_WALL, x, at)
+    for ours in (one for one in fields if one.algorithm == _OURS):
+        curves += _theory(ours, {"certificate": "largest certificate of guarded"}, x, at)
     note = f"{_judged(field, common_judgement(field))}; worst case over all other keys; no line: no wall tried passes"
-    shown = tuple(curve for curve in curves if np.isfinite(curve.y).any())
-    title = f"stiffest wall that is passive and within {100.0 * NEAR:g} %{where}"
-    return Lines(title, field.label(x), field.label(z), shown, is_log(places), is_log(field.values[z]), note)
+    title = f"stiffest wall that is passive and within {100.0 * NEAR:g} %{field.words(at)}"
+    return _lines(field, title, x, z, curves, note)
 
 
 def _judged(field: MapField, judgement: str) -> str:
@@ -535,21 +535,34 @@ def _judged(field: MapField, judgement: str) -> str:
     return f"{JUDGEMENTS[judgement]}; for the scene's hand alone ({motion} motion)"
 
 
-def _theory(fields: list[MapField], x: str, places: Array, at: dict[str, float]) -> list[PanelCurve]:
-    """Return the lines of theory: of the plain wall, and the walls that the certificates of `guarded` hold."""
-    plain = next((one for one in fields if one.algorithm == "unprotected"), fields[0])
-    found = [theory_at(plain, {**at, x: float(place)}) for place in places]
-    lines = [PanelCurve(label, places, _column(found, name), name) for name, label in _OF_PLAIN_WALL.items()]
-    ours = next((one for one in fields if one.algorithm == _OURS), None)
-    if ours is not None:
-        found = [theory_at(ours, {**at, x: float(place)}) for place in places]
-        lines.append(PanelCurve("largest certificate of guarded", places, _column(found, "certificate"), "certificate"))
-    return lines
+def _border_along(
+    field: MapField, z: str, x: str, at: Mapping[str, float], judgement: str, *, near: bool = False
+) -> Array:
+    """Return the border over rising x at values of other keys; NaN where not even the least passes."""
+    border = border_of(field, z, [x, *at], judgement, near=near).value[np.argsort(field.values[x])]
+    for key, level in at.items():
+        border = border[:, int(np.flatnonzero(field.values[key] == level)[0])]
+    return positive(border)
 
 
-def _column(found: list[Theory], name: str) -> Array:
-    values = [getattr(one, name) for one in found]
-    return positive(np.array([np.nan if value is None else value for value in values]))
+def _lines(field: MapField, title: str, x: str, z: str, curves: Sequence[PanelCurve], note: str) -> Lines:
+    """Return a panel with the curves that have a point."""
+    shown = tuple(curve for curve in curves if np.isfinite(curve.y).any())
+    log = is_log(field.values[x]), is_log(field.values[z])
+    return Lines(title, field.label(x), field.label(z), shown, *log, note)
+
+
+def _theory(
+    field: MapField, labels: Mapping[CurveStyle, str], x: str, at: Mapping[str, float], number: int = 0
+) -> list[PanelCurve]:
+    """Return lines of theory over rising x; NaN where one is zero or does not apply.
+
+    Where a further key is worst of all, theory is taken at the scene's own value.
+    """
+    places = np.sort(field.values[x])
+    found = [theory_at(field, {**at, x: float(place)}) for place in places]
+    columns = {name: np.array([getattr(one, name) for one in found], dtype=float) for name in labels}
+    return [PanelCurve(label, places, positive(columns[name]), name, number) for name, label in labels.items()]
 
 
 _STIFFNESS: Final = "environment.stiffness"
@@ -582,10 +595,15 @@ def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel | None]
         return [[_metric_panel(one, chosen, chosen.metric or "margin")] for one in fields]
     if fields[0].is_display:
         return [list(_display_panels(one, chosen)) for one in fields]
-    together = _together(fields, chosen)
+    is_shared = chosen.judgement is None and len(fields[0].keys) > 1
+    together = headline(fields, *_keys(fields[0], chosen)) if is_shared else []
     columns = [_usual_panels(one, chosen, beside=bool(together)) for one in fields]
     rows = [row for row in zip(*columns, strict=True) if any(panel.has_something() for panel in row)]
-    return _below(together, [list(column) for column in zip(*rows, strict=True)] or columns)
+    shown = [list(column) for column in zip(*rows, strict=True)] or columns
+    if not together:
+        return [[*column] for column in shown]
+    blank = [None] * len(shown[0])
+    return [[top, *(column or blank)] for top, column in zip_longest(together, shown)]
 
 
 def _display_panels(field: MapField, chosen: Chosen) -> list[Panel]:
@@ -595,23 +613,6 @@ def _display_panels(field: MapField, chosen: Chosen) -> list[Panel]:
         return [_profile(field, field.keys[0], metric) for metric in metrics]
     x = chosen.x or next((key for key in field.keys if key == _MASS), None)
     return [_metric_panel(field, Chosen(x, chosen.y), metric) for metric in metrics]
-
-
-def _below(together: list[Lines], columns: list[list[Panel]]) -> list[list[Panel | None]]:
-    """Return columns with a further row on top, which may be longer or shorter than there are columns."""
-    if not together:
-        return [list(column) for column in columns]
-    blank: list[Panel | None] = [None] * len(columns[0])
-    count = max(len(together), len(columns))
-    tops = [together[i] if i < len(together) else None for i in range(count)]
-    return [[tops[i], *(columns[i] if i < len(columns) else blank)] for i in range(count)]
-
-
-def _together(fields: list[MapField], chosen: Chosen) -> list[Lines]:
-    """Return the panels of all algorithms, unless one judgement was requested or only one key varied."""
-    if chosen.judgement is not None or len(fields[0].keys) == 1:
-        return []
-    return headline(fields, *_keys(fields[0], chosen))
 
 
 def _keys(field: MapField, chosen: Chosen) -> tuple[str, str, str | None]:
@@ -651,50 +652,34 @@ def _preference(key: str) -> int:
 def _width(field: MapField, z: str, x: str, y: str | None, judgement: str) -> Panel:
     """Return the largest z that passes over x (and y), the worst over every other key."""
     border = border_of(field, z, [x] if y is None else [x, y], judgement)
-    order = np.argsort(field.values[x])
-    places = field.values[x][order]
     title = f"{field.algorithm}: largest {z.rpartition('.')[2]}"
     note = f"{_judged(field, judgement)}; worst case over all other keys"
-    levels = [None] if y is None else sorted(field.values[y].tolist())
+    levels = field.levels(y)
+    places = np.sort(field.values[x])
     if y is not None and len(levels) > _MOST_LINES:
-        ranks = np.argsort(field.values[y])
+        order, ranks = (np.argsort(field.values[key]) for key in (x, y))
         cells, rows = positive(border.value[order][:, ranks].T), field.values[y][ranks]
         return Cells(
             f"{title}, {note}", field.label(x), field.label(y), places, rows, cells, field.label(z),
             is_log(places), is_log(rows), value_log=True,
         )  # fmt: skip
     lines: list[PanelCurve] = []
-    for colour, level in enumerate(levels):
-        kept = (
-            border.value if level is None else border.value[:, int(np.flatnonzero(field.values[y or ""] == level)[0])]
-        )
-        of_level = "" if level is None or y is None else f", {field.level(y, level)}"
-        lines.append(PanelCurve(f"measured{of_level}", places, positive(kept[order]), "measured", colour))
+    for colour, at in enumerate(levels):
+        measured = _border_along(field, z, x, at, judgement)
+        lines.append(PanelCurve(f"measured{field.words(at)}", places, measured, "measured", colour))
         if z == _STIFFNESS and field.algorithm == "unprotected":
-            lines += _panel_theory(field, x, places, {} if level is None or y is None else {y: level}, of_level, colour)
+            labels: dict[CurveStyle, str] = {"colgate": f"Colgate{field.words(at)}"}
+            labels |= {} if colour else {"abbott_okamura": "Abbott-Okamura"}
+            applies = theory_at(field, {**at, x: float(places[-1])})
+            known = {name: label for name, label in labels.items() if getattr(applies, name) is not None}
+            lines += _theory(field, known, x, at, colour)
     if border.open.any():
         note += f"; on top: all of the range, {field.values[z].max():.3g}, passes"
     for line in lines:
         if line.style != "measured" and not np.isfinite(line.y).any():
             why = ", no Coulomb friction" if line.style == "abbott_okamura" else ", the wall's damping is too large"
             note += f"; {line.label}: 0{why}"
-    shown = tuple(line for line in lines if np.isfinite(line.y).any())
-    return Lines(title, field.label(x), field.label(z), shown, is_log(places), is_log(field.values[z]), note)
-
-
-def _panel_theory(
-    field: MapField, x: str, places: Array, at: dict[str, float], of_level: str, colour: int
-) -> list[PanelCurve]:
-    """Return the lines of theory; where a further key is worst of all, theory is taken at the scene's own value."""
-    found = [theory_at(field, {**at, x: float(place)}) for place in places]
-    lines = []
-    if all(one.colgate is not None for one in found):
-        values = np.array([one.colgate for one in found], dtype=float)
-        lines.append(PanelCurve(f"Colgate{of_level}", places, positive(values), "colgate", colour))
-    if colour == 0 and all(one.abbott_okamura is not None for one in found):
-        values = np.array([one.abbott_okamura for one in found], dtype=float)
-        lines.append(PanelCurve("Abbott-Okamura", places, positive(values), "abbott_okamura"))
-    return lines
+    return _lines(field, title, x, z, lines, note)
 
 
 def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
@@ -702,28 +687,22 @@ def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
         return _profile(field, field.keys[0], metric)
     others = sorted(field.keys, key=_preference)
     x = chosen.x or next(key for key in others if key != chosen.y)
-    y = chosen.y or (
-        _STIFFNESS if _STIFFNESS in others and x != _STIFFNESS else next(key for key in others if key != x)
-    )
+    y = chosen.y or next(key for key in sorted(others, key=_STIFFNESS.__ne__) if key != x)
     values, label, kind = _shown(field, metric)
     title = f"{field.algorithm}: {label}"
-    untouched: Any = field.untouched()
+    places, untouched = (field.values[x], field.values[y]), field.untouched()
     if field.is_grid:
         keys = [field.keys.index(key) for key in (y, x)]
-        rest = [i for i in range(values.ndim) if i not in keys]
-        values = _worst(values.transpose(*keys, *rest), tuple(range(2, values.ndim)), kind)
-        rows, columns = (np.argsort(field.values[key]) for key in (y, x))
-        values = values[rows][:, columns]
-        untouched = untouched.transpose(*keys, *rest).any(axis=tuple(range(2, untouched.ndim)))[rows][:, columns]
-        title += ", worst case over all other keys" if any(np.array(field.figure(metric).shape)[rest] > 1) else ""
-        places = field.values[x][columns], field.values[y][rows]
-    else:
-        places = field.values[x], field.values[y]
-    limits = (0.0, 1.2) if kind == "share" else None
+        values, untouched = (np.moveaxis(one, keys, [0, 1]) for one in (values, untouched))
+        title += ", worst case over all other keys" if any(size > 1 for size in values.shape[2:]) else ""
+        columns, rows = (np.argsort(place) for place in places)
+        values, places = _worst(values, kind)[rows][:, columns], (places[0][columns], places[1][rows])
+        untouched = untouched.any(axis=tuple(range(2, untouched.ndim)))[rows][:, columns]
+    is_share, is_bad = kind == "share", kind in ("energy", "error")
     return Cells(
         title, field.label(x), field.label(y), *places, values, label, is_log(places[0]), is_log(places[1]),
-        value_log=kind in ("energy", "error"), limits=limits, contour=0.95 if kind == "share" else None,
-        dots=not field.is_grid, more_is_worse=kind in ("energy", "error"), untouched=untouched & np.isnan(values),
+        value_log=is_bad, limits=(0.0, 1.2) if is_share else None, contour=0.95 if is_share else None,
+        dots=not field.is_grid, more_is_worse=is_bad, untouched=untouched & np.isnan(values),
     )  # fmt: skip
 
 
@@ -732,11 +711,8 @@ def _shown(field: MapField, metric: str) -> tuple[Array, str, str]:
     values = field.figure(metric)
     if metric in ("margin", "least_interaction", "believed_margin"):
         words = {"margin": "missing in the margin, eq. 4", "least_interaction": "given out beyond what came in"}
-        return (
-            np.where(np.isnan(values), np.nan, np.maximum(-values, _LEAST_ENERGY)),
-            f"{words.get(metric, metric)} [J]",
-            "energy",
-        )
+        missing = np.where(np.isnan(values), np.nan, np.maximum(-values, _LEAST_ENERGY))
+        return missing, f"{words.get(metric, metric)} [J]", "energy"
     if metric == "damping_rendered.mean":
         asked = _asked_damping(field, values)
         with np.errstate(all="ignore"):
@@ -744,39 +720,35 @@ def _shown(field: MapField, metric: str) -> tuple[Array, str, str]:
     if metric.endswith(".share"):
         return values, f"{'mass felt' if metric == 'mass_felt.share' else 'stiffness rendered'} over asked", "share"
     if metric == _ERROR:
-        return values, f"position error, rms [{field.scene.axes[0].parameters.unit}]", "error"
+        return values, f"position error, rms [{field.unit}]", "error"
     return values, metric, "plain"
 
 
-def _asked_damping(field: MapField, values: Array) -> Array:
+def _asked_damping(field: MapField, values: Array) -> Any:
     key = "environment.damping"
     if key not in field.keys:
-        return np.full(values.shape, float(getattr(field.scene.axes[0].environment.parameters, "damping", 0.0)))
+        return float(getattr(field.scene.axes[0].environment.parameters, "damping", 0.0))
     if not field.is_grid:
         return field.values[key]
-    shape = [1] * values.ndim
-    shape[field.keys.index(key)] = -1
-    return np.broadcast_to(field.values[key].reshape(shape), values.shape)
+    return np.expand_dims(field.values[key], [i for i in range(values.ndim) if i != field.keys.index(key)])
 
 
-def _worst(values: Array, over: tuple[int, ...], kind: str) -> Array:
-    """Return the worst: the most energy missing, the largest error, the share furthest from one, else the least."""
-    if not over:
-        return values
+def _worst(values: Array, kind: str) -> Array:
+    """Return the worst over all but the first two: most energy missing, largest error, share furthest from one.
+
+    Of any other figure it is the least.
+    """
     flat = values.reshape(*values.shape[:2], -1)
-    score = {"energy": flat, "error": flat, "share": np.abs(flat - 1.0), "plain": -flat}[kind]
-    unknown = np.isnan(score)
-    worst = np.where(unknown, -np.inf, score).argmax(axis=2)
-    found: Array = np.take_along_axis(flat, worst[:, :, None], axis=2)[:, :, 0]
-    return np.where(unknown.all(axis=2), np.nan, found)
+    score = {"share": np.abs(flat - 1.0), "plain": -flat}.get(kind, flat)
+    worst = np.where(np.isnan(score), -np.inf, score).argmax(axis=2)
+    return np.asarray(np.take_along_axis(flat, worst[:, :, None], axis=2)[:, :, 0])
 
 
 def _profile(field: MapField, key: str, metric: str) -> Panel:
     """Return a figure along the only key that was varied."""
     values, label, kind = _shown(field, metric)
     order = np.argsort(field.values[key])
-    flat = _worst(values.reshape(len(order), 1, -1), (2,), kind)[:, 0] if field.is_grid else values
-    places = field.values[key][order]
-    line = PanelCurve(field.algorithm, places, flat[order], "measured")
-    log = kind in ("energy", "error")
-    return Lines(f"{field.algorithm}: {label}", field.label(key), label, (line,), is_log(places), log)
+    flat = _worst(values.reshape(len(order), 1, -1), kind)[:, 0]
+    line = PanelCurve(field.algorithm, field.values[key][order], flat[order], "measured")
+    is_steep = kind in ("energy", "error")
+    return Lines(f"{field.algorithm}: {label}", field.label(key), label, (line,), is_log(field.values[key]), is_steep)
