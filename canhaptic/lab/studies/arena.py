@@ -19,10 +19,11 @@ The whole arena: cases to workers, finished ones to the store as they arrive, th
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -38,32 +39,10 @@ from canhaptic.lab.batch.cases import why_not_batchable
 from canhaptic.lab.batch.marching import run_batch
 from canhaptic.lab.batch.scalar import render, run_scalar
 from canhaptic.lab.batch.varied import scene_with
-from canhaptic.lab.figures.field_figures import (
-    asked_impedance,
-    drag,
-    energy_beyond_device,
-    energy_given_out,
-    m_width,
-    rate_hardness,
-    rendered_impedance,
-    stiffest_walls,
-)
+from canhaptic.lab.figures import field_figures
 from canhaptic.lab.figures.figures import figures
-from canhaptic.lab.loop.axis_loop import (
-    EVERYWHERE,
-    Array,
-    LoopCase,
-    LoopRun,
-    Reach,
-    able_under,
-    at_rate,
-    chosen_algorithms,
-    cycles_of,
-    environment_of,
-    loop_case,
-    microseconds_per_step,
-    require_single_axes,
-)
+from canhaptic.lab.loop import axis_loop
+from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import reference_of
@@ -79,27 +58,6 @@ from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 _MARK: Final = ".py:"
 _OF_THE_PLANT: Final = "sim_"
 """Begins the names of scenes about the plant, which render nothing."""
-
-
-@dataclass(frozen=True, slots=True)
-class CaseGroup:
-    """The cases that share one continuous run: a scene at a rate, under every algorithm and delay.
-
-    Attributes:
-        path: Path of the scene.
-        rate: Rate [Hz].
-        delays: Delays, each 0 or 1.
-        algorithms: Names, and `FILE.py:Class` of the user's own.
-        longest: Largest duration of a run [s].
-        allow_code: Whether the named files may run.
-    """
-
-    path: Path
-    rate: float
-    delays: tuple[int, ...]
-    algorithms: tuple[str, ...]
-    longest: float
-    allow_code: bool = False
 
 
 def scenes_named(names: Sequence[str] | None) -> list[Path]:
@@ -154,45 +112,44 @@ def scene_under(path: Path, algorithm: str, *, allow_code: bool = False) -> Scen
         ParameterError: The algorithm refuses the scene.
     """
     scene = load_scene(path, allow_code=allow_code)
-    require_single_axes(scene, "arena")
+    axis_loop.require_single_axes(scene, "arena")
     if len(scene.axes) != 1:
         raise InputError(f"{path}: has {len(scene.axes)} axes, expected one; make a scene of each")
     if is_own(algorithm):
         own = entry_of(algorithm, path, allow_code)
         scene = replace(scene, axes=(replace(scene.axes[0], passivity=own),))
         algorithm = own.name
-    return replace(scene, axes=(able_under(scene.axes[0], algorithm, scene).axis,))
+    return replace(scene, axes=(axis_loop.able_under(scene.axes[0], algorithm, scene).axis,))
 
 
 def with_loop(scene: Scene, rate: float, delay: int) -> Scene:
     """Return a scene at another rate [Hz] and delay; torques act at their SYNC, as in a loop without a bus."""
-    scene = at_rate(scene, rate)
+    scene = axis_loop.at_rate(scene, rate)
     timing = {"torque_window": 0.0, "sync_jitter": 0.0}
     bus = scene.bus.model_copy(update={"rpdo": "synchronous" if delay else "event"})
     axes = tuple(replace(a, loop=a.loop.model_copy(update={"delay": bus.delay, **timing})) for a in scene.axes)
     return replace(scene, bus=bus, axes=axes)
 
 
-def group_figures(group: CaseGroup, known: Iterable[tuple[int, str]] = ()) -> list[Row]:
+def group_figures(group: "ArenaPlan", known: Collection[tuple[int, str]] = ()) -> list[Row]:
     """Return the figures of every case of a group.
 
     Args:
-        group: Group of cases.
+        group: Plan with one scene and one rate, whose cases share one continuous run.
         known: (delay, algorithm label) of cases to leave out.
     """
-    left = set(known)
-    asked = [(d, name) for d in group.delays for name in group.algorithms if (d, label_of(name)) not in left]
+    asked = [(d, name) for d in group.delays for name in group.algorithms if (d, label_of(name)) not in known]
     if not asked:
         return []
-    plain = load_scene(group.path, allow_code=group.allow_code)
-    cycles = cycles_of(at_rate(plain, group.rate), min(group.longest, plain.run.duration or group.longest))
-    reference, _ = reference_of(plain.axes[0], at_rate(plain, group.rate), cycles)
+    [path], [rate] = group.scenes, group.rates
+    plain = axis_loop.at_rate(load_scene(path, allow_code=group.allow_code), rate)
+    cycles = axis_loop.cycles_of(plain, min(group.longest, plain.run.duration or group.longest))
+    reference, _ = reference_of(plain.axes[0], plain, cycles)
     found = []
     for delay, name in asked:
-        case = {"scene": group.path.stem, "rate": group.rate, "delay": delay, "algorithm": label_of(name)}
-        make = partial(scene_under, group.path, name, allow_code=group.allow_code)
+        case = {"scene": path.stem, "rate": rate, "delay": delay, "algorithm": label_of(name)}
         try:
-            scene = with_loop(make(), group.rate, delay)
+            scene = with_loop(scene_under(path, name, allow_code=group.allow_code), rate, delay)
             found.append(case | _figures_of(scene, cycles, reference))
         except ParameterError as error:
             found.append(case | {"status": "refused", "remark": str(error).splitlines()[0]})
@@ -200,36 +157,30 @@ def group_figures(group: CaseGroup, known: Iterable[tuple[int, str]] = ()) -> li
 
 
 def _figures_of(scene: Scene, cycles: int, reference: ContinuousReference | None) -> Row:
-    case = loop_case(scene.axes[0], scene)
-    run = render(case, cycles, EVERYWHERE if reference is None else Reach.around(reference.position))
-    return {"status": run.ended or "completed", **_of_run(run, scene, reference)}
-
-
-def _of_run(run: LoopRun, scene: Scene, reference: ContinuousReference | None) -> Row:
     """Return the figures of a run, to four digits."""
-    environment, sample_time = environment_of(scene.axes[0]), scene.bus.sample_time
+    [axis], environment, sample_time = scene.axes, axis_loop.environment_of(scene.axes[0]), scene.bus.sample_time
+    run = render(
+        axis_loop.loop_case(axis, scene),
+        cycles,
+        axis_loop.EVERYWHERE if reference is None else axis_loop.Reach.around(reference.position),
+    )
     found = figures(environment, run, reference, sample_time)
     stiffness = getattr(environment, "stiffness", None)
-    hardness = rate_hardness(run, environment, sample_time)
-    error, travel = part(found, "position_error", "rms"), None if reference is None else reference.travel
-    share = part(found, "stiffness_rendered", "share")
+    hardness = field_figures.rate_hardness(run, environment, sample_time)
+    error, ratio, share = ((found[key] or {}).get(part) for key, part in _PARTS.items())
+    travel = None if reference is None else reference.travel
     values: dict[str, float | None] = {
-        "energy_given_out": energy_given_out(run),
-        "energy_beyond_device": energy_beyond_device(run, scene.axes[0].loop.device_damping or 0.0, sample_time),
+        "energy_given_out": field_figures.energy_given_out(run),
+        "energy_beyond_device": field_figures.energy_beyond_device(run, axis.loop.device_damping or 0.0, sample_time),
         "position_error": error / travel if error is not None and travel else None,
-        "force_variation": part(found, "force_variation", "ratio"),
+        "force_variation": ratio,
         "stiffness_error": None if share is None else abs(share - 1.0),
         "rate_hardness": hardness / stiffness if hardness is not None and stiffness else None,
         "limit_cycle": found["limit_cycle"],
-        "drag": drag(run),
+        "drag": field_figures.drag(run),
     }
-    certificate = {"certificate": run.summary.certificate.name.lower()}
-    return certificate | {name: None if value is None else rounded(value) for name, value in values.items()}
-
-
-def part(found: Mapping[str, Any], group: str, name: str) -> float | None:
-    """Return one figure of a group; None where the group could not be measured."""
-    return None if found[group] is None else found[group][name]
+    status = {"status": run.ended or "completed", "certificate": run.summary.certificate.name.lower()}
+    return status | {name: None if value is None else rounded(value) for name, value in values.items()}
 
 
 def rounded(value: float) -> float:
@@ -237,6 +188,8 @@ def rounded(value: float) -> float:
     return float(f"{value:.4g}")
 
 
+_PARTS: Final = {"position_error": "rms", "force_variation": "ratio", "stiffness_rendered": "share"}
+"""Figure -> its part that counts."""
 DAMPINGS: Final = (0.0, 0.05, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)  # [N*s/m]
 _STIFFNESSES: Final = (1e2, 1e6)  # [N/m]
 FREQUENCIES: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # [Hz]
@@ -269,37 +222,41 @@ def borders(rig: Path, algorithm: str, delay: int, per_decade: int, *, allow_cod
         allow_code: Whether the file may run.
     """
     stiffnesses = tried_stiffnesses(per_decade)
-    try:
-        scene = _at_delay(scene_under(rig, algorithm, allow_code=allow_code), delay)
-    except ParameterError:
+    scene = _on_rig(rig, algorithm, delay, allow_code)
+    if scene is None:
         return []
-    shape = len(stiffnesses), len(DAMPINGS)
     walls = {
         "environment.stiffness": np.repeat(stiffnesses, len(DAMPINGS)),
         "environment.damping": np.tile(DAMPINGS, len(stiffnesses)),
     }
-    found = {name: values.reshape(shape) for name, values in _tried(scene, walls).items()}
+    found = {name: values.reshape(-1, len(DAMPINGS)) for name, values in _tried(scene, walls).items()}
     kept = (found["diverged"] == 0.0) & (found["least_covered"] >= -PASSIVE_TOLERANCE)
-    border = stiffest_walls(stiffnesses, kept, found["stiffness_rendered.share"])
-    passive, near, is_open = (values.tolist() for values in border)
+    border = zip(
+        DAMPINGS, *field_figures.stiffest_walls(stiffnesses, kept, found["stiffness_rendered.share"]), strict=True
+    )
     return [
-        {"algorithm": label_of(algorithm), "delay": delay, "damping": damping, "passive": rounded(passive[i]),
-         "near": rounded(near[i]), "open": is_open[i]}
-        for i, damping in enumerate(DAMPINGS)
+        {"algorithm": label_of(algorithm), "delay": delay, "damping": damping, "passive": rounded(passive),
+         "near": rounded(near), "open": bool(is_open)}
+        for damping, passive, near, is_open in border
     ]  # fmt: skip
 
 
 def _tried(scene: Scene, walls: Mapping[str, Array]) -> Mapping[str, Array]:
     """Return the figures of walls, compiled where the algorithm has a kernel."""
-    cycles = cycles_of(scene, None)
+    cycles = axis_loop.cycles_of(scene, None)
     if not why_not_batchable(scene):
         return run_batch(scene, walls, cycles, metrics=_METRICS)
-    rows = [dict(zip(walls, values, strict=True)) for values in zip(*(w.tolist() for w in walls.values()), strict=True)]
+    rows = (dict(zip(walls, values, strict=True)) for values in np.column_stack([*walls.values()]).tolist())
     found = [run_scalar(scene_with(scene, row), cycles, _METRICS) for row in rows]
     return {name: np.array([one[name] for one in found]) for name in _METRICS}
 
 
-def _at_delay(scene: Scene, delay: int) -> Scene:
+def _on_rig(rig: Path, algorithm: str, delay: int, allow_code: bool = False) -> Scene | None:
+    """Return the rig under an algorithm at a delay; None where that refuses it."""
+    try:
+        scene = scene_under(rig, algorithm, allow_code=allow_code)
+    except ParameterError:
+        return None
     return with_loop(scene, scene.bus.rate, delay)
 
 
@@ -309,20 +266,19 @@ def theory(rig: Path, delay: int) -> dict[str, Rows]:
     They apply to the plain wall, and the largest stiffness that a certificate of `guarded` holds; see
     `lab.studies.map`.
     """
-    plain, ours = (_at_delay(scene_under(rig, name), delay) for name in ("unprotected", "guarded"))
+    plain, ours = (with_loop(s, s.bus.rate, delay) for s in (scene_under(rig, n) for n in ("unprotected", "guarded")))
     device = simulation_of(plain.axes[0]).plant.damping
     fine = [*np.linspace(0.0, device, 21).tolist(), *(damping for damping in DAMPINGS if damping > device)]
     found = {d: theory_of(scene_with(plain, {"environment.damping": d})) for d in fine}
-    certified = theory_of(ours).certificate
-    return {
-        "Colgate, plain wall": _points({d: one.colgate for d, one in found.items()}),
-        "eigenvalues, plain wall": _points({d: one.eigenvalues for d, one in found.items()}),
-        "largest certificate of guarded": _points(dict.fromkeys(DAMPINGS, certified)),
+    lines = {
+        "Colgate, plain wall": {d: one.colgate for d, one in found.items()},
+        "eigenvalues, plain wall": {d: one.eigenvalues for d, one in found.items()},
+        "largest certificate of guarded": dict.fromkeys(DAMPINGS, theory_of(ours).certificate),
     }
-
-
-def _points(line: Mapping[float, float | None]) -> Rows:
-    return [{"damping": rounded(d), "stiffness": rounded(k)} for d, k in line.items() if k]
+    return {
+        name: [{"damping": rounded(d), "stiffness": rounded(k)} for d, k in line.items() if k]
+        for name, line in lines.items()
+    }
 
 
 def impedances(rig: Path, algorithm: str, delay: int, *, allow_code: bool = False) -> Rows:
@@ -330,53 +286,52 @@ def impedances(rig: Path, algorithm: str, delay: int, *, allow_code: bool = Fals
 
     The environment is a spring with a damper, always in contact; the ratio is given as magnitude and angle [rad].
     """
-    try:
-        scene = _at_delay(scene_under(rig, algorithm, allow_code=allow_code), delay)
-    except ParameterError:
-        return []
-    found = []
+    scene, found = _on_rig(rig, algorithm, delay, allow_code), Rows()
+    if scene is None:
+        return found
     for frequency in FREQUENCIES:
         run, period = _shaken(scene, frequency), scene.bus.sample_time
-        asked = asked_impedance(_SPRING.stiffness, _SPRING.damping, frequency)
-        ratio = complex(np.nan) if run.ended else rendered_impedance(run, period, frequency) / asked
+        asked = field_figures.asked_impedance(_SPRING.stiffness, _SPRING.damping, frequency)
+        ratio = complex(np.nan) if run.ended else field_figures.rendered_impedance(run, period, frequency) / asked
         size, angle = (rounded(float(part)) if np.isfinite(part) else None for part in (abs(ratio), np.angle(ratio)))
         case = {"algorithm": label_of(algorithm), "delay": delay, "frequency": frequency}
         found.append({**case, "size": size, "angle": angle})
     return found
 
 
-def _shaken(scene: Scene, frequency: float) -> LoopRun:
+def _shaken(scene: Scene, frequency: float) -> axis_loop.LoopRun:
     [axis] = scene.axes
     motion = SinusoidMotion(amplitude=_AMPLITUDE, frequency=frequency, offset=_PRESS)
     user = _HAND.model_copy(update={"motion": motion})
     simulation = replace(simulation_of(axis), user=user)
     environment = ComponentSpec("spring_damper_wall", _SPRING)
-    case = loop_case(replace(axis, environment=environment, simulation=simulation), scene)
-    return render(case, cycles_of(scene, 2.0))
+    case = axis_loop.loop_case(replace(axis, environment=environment, simulation=simulation), scene)
+    return render(case, axis_loop.cycles_of(scene, 2.0))
 
 
 def times_of_steps(rig: Path, algorithms: Sequence[str], *, allow_code: bool = False) -> dict[str, float]:
     """Return the time of a step [us] of each algorithm on the rig, interleaved; valid for this machine and moment."""
-    cases: dict[str, tuple[LoopCase, LoopRun]] = {}
+    cases: dict[str, tuple[axis_loop.LoopCase, axis_loop.LoopRun]] = {}
     for name in algorithms:
-        try:
+        with suppress(ParameterError):
             scene = scene_under(rig, name, allow_code=allow_code)
-        except ParameterError:
-            continue
-        case = loop_case(scene.axes[0], scene)
-        cases[label_of(name)] = case, render(case, cycles_of(scene, None))
-    return {name: rounded(time) for name, time in microseconds_per_step(cases, _REPEATS).items()}
+            case = axis_loop.loop_case(scene.axes[0], scene)
+            cases[label_of(name)] = case, render(case, axis_loop.cycles_of(scene, None))
+    return {name: rounded(time) for name, time in axis_loop.microseconds_per_step(cases, _REPEATS).items()}
 
 
 def mass_widths(rig: Path) -> Rows:
     """Return the M-width of the rig at several rates and delays: no algorithm of a torque axis renders a mass."""
     plant = simulation_of(scene_under(rig, "unprotected").axes[0]).plant
-    found = []
-    for rate in _RATES:
-        for delay in (0, 1):
-            width = m_width(plant.mass, plant.damping, 1.0 / rate, delay)
-            found.append({"rate": rate, "delay": delay, "least": rounded(width.least), "most": rounded(width.most)})
-    return found
+    return [
+        {"rate": rate, "delay": delay}
+        | {
+            key: rounded(value)
+            for key, value in field_figures.m_width(plant.mass, plant.damping, 1 / rate, delay)._asdict().items()
+        }
+        for rate in _RATES
+        for delay in (0, 1)
+    ]
 
 
 class Column(NamedTuple):
@@ -388,8 +343,8 @@ class Column(NamedTuple):
     is_ranked: bool = True  # whether less is better
 
 
-def _count(cases: Iterable[Row], figure: str) -> float:
-    return float(sum(case[figure] > PASSIVE_TOLERANCE for case in cases))
+def _count(figure: str) -> Callable[[Sequence[Row]], float]:
+    return lambda cases: float(sum(case[figure] > PASSIVE_TOLERANCE for case in cases))
 
 
 def _combined(figure: str, by: Callable[[Sequence[float]], Any] = np.median) -> Callable[[Sequence[Row]], float | None]:
@@ -407,10 +362,10 @@ def _most_given_out(cases: Sequence[Row]) -> float:
 
 
 COLUMNS: Final[dict[str, Column]] = {
-    "given_out": Column("cases that gave out more than 1 uJ", "1", lambda c: _count(c, "energy_given_out")),
+    "given_out": Column("cases that gave out more than 1 uJ", "1", _count("energy_given_out")),
     "beyond_device": Column(
         "cases that gave out more than 1 uJ beyond what the device takes", "1",
-        lambda c: _count(c, "energy_beyond_device"),
+        _count("energy_beyond_device"),
     ),
     "most_given_out": Column("most energy given out, completed runs", "J", _most_given_out),
     "diverged": Column("runs that diverged", "1", lambda c: float(sum(case["status"] == "diverged" for case in c))),
@@ -434,8 +389,8 @@ def ranking(algorithms: Sequence[str], cases: Sequence[Row]) -> list[Row]:
     rows = []
     for name in algorithms:
         built = [case for case in cases if case["algorithm"] == name and case["status"] != "refused"]
-        row: Row = {"algorithm": name, "cases": len(built)}
-        rows.append(row | {key: column.value(built) if built else None for key, column in COLUMNS.items()})
+        figures = {key: column.value(built) if built else None for key, column in COLUMNS.items()}
+        rows.append({"algorithm": name, "cases": len(built), **figures})
     return rows
 
 
@@ -452,16 +407,12 @@ def ranks(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
 
 def given_out(algorithms: Sequence[str], cases: Sequence[Row]) -> dict[str, dict[str, dict[str, float]]]:
     """Return where energy is given out: algorithm -> scene -> number of cases beyond the device, and the most [J]."""
-    found: dict[str, dict[str, dict[str, float]]] = {}
-    for name in algorithms:
-        of_scene: dict[str, list[float]] = {}
-        for case in cases:
-            if case["algorithm"] == name and case["status"] != "refused":
-                of_scene.setdefault(case["scene"], []).append(case["energy_beyond_device"])
-        found[name] = {
-            scene: {"cases": float(sum(e > PASSIVE_TOLERANCE for e in energies)), "most": max(energies)}
-            for scene, energies in of_scene.items()
-        }
+    found: dict[str, dict[str, dict[str, float]]] = {name: {} for name in algorithms}
+    for case in cases:
+        if case["algorithm"] in found and case["status"] != "refused":
+            energy = case["energy_beyond_device"]
+            of = found[case["algorithm"]].setdefault(case["scene"], {"cases": 0.0, "most": energy})
+            of["cases"], of["most"] = of["cases"] + (energy > PASSIVE_TOLERANCE), max(of["most"], energy)
     return found
 
 
@@ -491,16 +442,12 @@ class ArenaStore(Store):
             create_store(folder, _KIND, {}, replace=force)
         super().__init__(folder, _KIND, writable=True)
 
-    def finished(self, group: CaseGroup) -> list[Row]:
+    def finished(self, group: "ArenaPlan") -> list[Row]:
         """Return the stored cases of a group."""
         names = (_key(group, delay, name) for delay in group.delays for name in group.algorithms)
-        return [self._read(name) for name in names if name in self.chunks]
+        return [json.loads((self.folder / name).read_text(encoding="utf-8")) for name in names if name in self.chunks]
 
-    def _read(self, name: str) -> Row:
-        case: Row = json.loads((self.folder / name).read_text(encoding="utf-8"))
-        return case
-
-    def add(self, group: CaseGroup, found: Iterable[Row]) -> None:
+    def add(self, group: "ArenaPlan", found: Iterable[Row]) -> None:
         """Store the figures of cases of a group; all of them are on disk on return.
 
         Raises:
@@ -512,9 +459,9 @@ class ArenaStore(Store):
             self.write(name, json.dumps(case).encode())
 
 
-def _key(group: CaseGroup, delay: int, algorithm: str) -> str:
+def _key(group: "ArenaPlan", delay: int, algorithm: str) -> str:
     own = _hash_of(Path(algorithm.rpartition(":")[0])) if is_own(algorithm) else ""
-    parts: list[Any] = [_hash_of(group.path), group.rate, delay, algorithm, own, group.longest, code_hash()]
+    parts = [_hash_of(group.scenes[0]), group.rates[0], delay, algorithm, own, group.longest, code_hash()]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32] + ".json"
 
 
@@ -562,13 +509,9 @@ class ArenaPlan:
     per_decade: int = PER_DECADE
     allow_code: bool = False
 
-    def groups(self) -> list[CaseGroup]:
-        """Return the cases, grouped by shared continuous run."""
-        return [
-            CaseGroup(path, rate, self.delays, self.algorithms, self.longest, self.allow_code)
-            for path in self.scenes
-            for rate in self.rates
-        ]
+    def groups(self) -> list["ArenaPlan"]:
+        """Return the cases, grouped by shared continuous run: a plan for each scene at each rate."""
+        return [replace(self, scenes=(path,), rates=(rate,)) for path in self.scenes for rate in self.rates]
 
     def names(self) -> list[str]:
         """Return the names of the algorithms in results, each once."""
@@ -586,12 +529,11 @@ class ArenaPlan:
             raise InputError(f"arena: got the delays {self.delays}, expected 0 (event) or 1 (synchronous)")
         if len(self.names()) < len(self.algorithms) or len({path.stem for path in self.scenes}) < len(self.scenes):
             raise InputError("arena: two scenes or two algorithms have one name; give each file another name")
-        chosen_algorithms([name for name in self.algorithms if not is_own(name)] or None)
+        axis_loop.chosen_algorithms([name for name in self.algorithms if not is_own(name)] or None)
         for path in self.scenes:
             scene_under(path, "unprotected", allow_code=self.allow_code)
-        for name in self.algorithms:
-            if is_own(name):
-                entry_of(name, self.scenes[0], self.allow_code)
+        for name in filter(is_own, self.algorithms):
+            entry_of(name, self.scenes[0], self.allow_code)
 
 
 def run_arena(
@@ -614,31 +556,31 @@ def run_arena(
         InputError: A scene, an algorithm or the store cannot be used.
     """
     plan.check()
-    groups = plan.groups()
-    known = {group: store.finished(group) for group in groups}
-    total = sum(len(group.delays) * len(group.algorithms) for group in groups)
-    count = Count(total, sum(map(len, known.values())), progress)
-    run_jobs([_job(group, of, store, count) for group, of in known.items()], executor, stop_requested, store.folder)
-    if count.state.done < total:
+    groups, each = plan.groups(), len(plan.delays) * len(plan.algorithms)
+    known = [store.finished(group) for group in groups]
+    count = Count(each * len(groups), sum(map(len, known)), progress)
+    jobs = [_job(group, of, store, count) for group, of in zip(groups, known, strict=True)]
+    run_jobs(jobs, executor, stop_requested, store.folder)
+    if count.state.done < count.state.total:
         return None
-    cases = [case for group in groups for case in store.finished(group)]
+    cases, names = [case for group in groups for case in store.finished(group)], plan.names()
     found: Row = {
         "canhaptic": version("canhaptic"),
         "code": code_hash(),
         "scenes": [path.stem for path in plan.scenes],
-        "algorithms": plan.names(),
+        "algorithms": names,
         "rates": list(plan.rates),
         "delays": list(plan.delays),
         "longest": plan.longest,
-        "standings": (rows := ranking(plan.names(), cases)),
+        "standings": (rows := ranking(names, cases)),
         "ranks": ranks(rows),
-        "given_out": given_out(plan.names(), cases),
+        "given_out": given_out(names, cases),
         "cases": cases,
     }
     return found | (_of_rig(plan, stop_requested) if plan.per_decade else {})
 
 
-def _job(group: CaseGroup, finished: Sequence[Row], store: ArenaStore, count: Count) -> Job:
+def _job(group: ArenaPlan, finished: Sequence[Row], store: ArenaStore, count: Count) -> Job:
     """Return the job that runs the cases of a group that are not in the store."""
 
     def take(found: Sequence[Row]) -> None:
@@ -646,7 +588,7 @@ def _job(group: CaseGroup, finished: Sequence[Row], store: ArenaStore, count: Co
         count.add(len(found))
 
     known = [(case["delay"], case["algorithm"]) for case in finished]
-    what = f"{group.path.stem} at {group.rate:g} Hz"
+    what = f"{group.scenes[0].stem} at {group.rates[0]:g} Hz"
     return Job(what, group_figures, lambda: (group, known), take)
 
 

@@ -10,6 +10,7 @@ reference.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Final
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
@@ -20,26 +21,7 @@ from canhaptic.lab.batch.continuous import continuous_reference
 from canhaptic.lab.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
 from canhaptic.lab.batch.scalar import render_by, render_group, work_of
 from canhaptic.lab.figures.figures import figures
-from canhaptic.lab.loop.axis_loop import (
-    EVERYWHERE,
-    AbleAxis,
-    LoopRun,
-    Reach,
-    able_under,
-    at_rate,
-    chosen_algorithms,
-    cycles_of,
-    display_group_under,
-    display_under,
-    environment_of,
-    group_under,
-    loop_case,
-    microseconds_per_step,
-    own_algorithms,
-    parts_of,
-    plant_parts,
-    require_single_axes,
-)
+from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.loop.over_can import Progress, accounts_over_can, heading_of, known_algorithms, render_over_can
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.lab.studies import Row
@@ -55,7 +37,7 @@ class AxisComparison:
     name: str
     unit: str
     reference: ContinuousReference | None
-    runs: dict[str, LoopRun]
+    runs: dict[str, axis_loop.LoopRun]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +65,7 @@ def compared_algorithms(scene: Scene, algorithms: Sequence[str] | None) -> list[
         return known_algorithms(DISPLAY_ALGORITHMS, "admittance algorithm", algorithms or list(every))
     if scene.groups:
         return known_algorithms(GROUP_ALGORITHMS, "group algorithm", algorithms)
-    return chosen_algorithms(algorithms, own_algorithms(scene))
+    return axis_loop.chosen_algorithms(algorithms, axis_loop.own_algorithms(scene))
 
 
 def compare(
@@ -116,14 +98,15 @@ def compare(
     names, displays = compared_algorithms(scene, algorithms), are_displays(scene)
     if rate is not None:
         _require_rate(scene, displays=displays, over_can=over_can)
-        scene = at_rate(scene, rate)
-    cycles = cycles_of(scene, duration)
+        scene = axis_loop.at_rate(scene, rate)
+    cycles = axis_loop.cycles_of(scene, duration)
+    if not displays and not scene.groups:
+        return _of_axes(scene, names, cycles, _Counter(progress), None if over_can else engine, repeats)
     if displays:
-        return Comparison(_of_displays(scene, names, cycles, progress), (), scene.bus.sample_time)
-    if scene.groups:
-        computes: Engine = "python" if over_can else engine
-        return Comparison(_of_groups(scene, names, cycles, computes, progress), (), scene.bus.sample_time)
-    return _of_axes(scene, names, cycles, _Counter(progress), None if over_can else engine, repeats)
+        result = _of_displays(scene, names, cycles, progress)
+    else:
+        result = _of_groups(scene, names, cycles, "python" if over_can else engine, progress)
+    return Comparison(result, (), scene.bus.sample_time)
 
 
 def _require_rate(scene: Scene, *, displays: bool, over_can: bool) -> None:
@@ -154,22 +137,18 @@ class _Counter:
 
 def reference_of(axis: AxisScene, scene: Scene, cycles: int) -> tuple[ContinuousReference | None, str]:
     """Return the continuous run of an axis, and how it was found; None and the reason where there is none."""
-    (plant, user, effects, _), period = plant_parts(axis), scene.bus.sample_time_ns
+    (plant, user, effects, _), period = axis_loop.plant_parts(axis), scene.bus.sample_time_ns
     try:
-        found = continuous_reference(environment_of(axis), plant, user, effects, period, cycles)
+        found = continuous_reference(axis_loop.environment_of(axis), plant, user, effects, period, cycles)
     except InputError as error:
         return None, f"none: {error}"
     return found, found.method
 
 
-_Able = AbleAxis | str
-"""An axis under an algorithm, or why that refuses it."""
-_Tried = tuple[_Able, LoopRun | None]
-
-
-def _able(axis: AxisScene, name: str, scene: Scene) -> _Able:
+def _able(axis: AxisScene, name: str, scene: Scene) -> axis_loop.AbleAxis | str:
+    """Return an axis under an algorithm, or why that refuses it."""
     try:
-        return able_under(axis, name, scene)
+        return axis_loop.able_under(axis, name, scene)
     except ParameterError as error:
         return f"refused: {error}"
 
@@ -178,20 +157,25 @@ def _of_axes(
     scene: Scene, names: Sequence[str], cycles: int, counter: Callable[[], None], engine: Engine | None, repeats: int
 ) -> Comparison:
     """Return the comparison of single axes; by an engine without a bus, or None: over CAN."""
-    require_single_axes(scene, "compare")
+    axis_loop.require_single_axes(scene, "compare")
     if not all(axis.simulation is not None for axis in scene.axes):
         raise InputError(f"{scene.source}: has no `simulation`, expected a plant and a user to compare on; add one")
     references = [reference_of(axis, scene, cycles) for axis in scene.axes]
     tried: list[dict[str, _Tried]] = [{} for _ in scene.axes]
     for name in names:
         able = [_able(axis, name, scene) for axis in scene.axes]
-        if engine is None:
-            found = _over_can(scene, able, cycles, counter)
-        else:
-            found = [
-                _direct(scene, one, of, cycles, counter, engine) for one, (of, _) in zip(able, references, strict=True)
+        known = [one for one in able if isinstance(one, axis_loop.AbleAxis)]
+        if engine is not None:
+            runs = [
+                None if isinstance(one, str) else _direct(scene, one, reference, cycles, counter, engine)
+                for one, (reference, _) in zip(able, references, strict=True)
             ]
-        for axis, one in zip(tried, found, strict=True):
+        elif len(known) == len(able):
+            runs = [*render_over_can(replace(scene, axes=tuple(one.axis for one in known)), cycles, counter)]
+        else:  # all axes run together
+            refused = next(one for one in able if isinstance(one, str))
+            able, runs = [refused] * len(able), [None] * len(able)
+        for axis, one in zip(tried, zip(able, runs, strict=True), strict=True):
             axis[name] = one
     axes = [_of_axis(scene, *row, repeats) for row in zip(scene.axes, references, tried, strict=True)]
     result = {**heading_of(scene, cycles, "can" if engine is None else "direct")}
@@ -200,23 +184,15 @@ def _of_axes(
 
 
 def _direct(
-    scene: Scene, able: _Able, reference: ContinuousReference | None, cycles: int, counter: Callable[[], None],
-    engine: Engine,
-) -> _Tried:  # fmt: skip
-    if isinstance(able, str):
-        return able, None
-    reach = EVERYWHERE if reference is None else Reach.around(reference.position)
-    case = loop_case(able.axis, scene)
-    computes = chosen_engine(engine, work_of(case, cycles) >= WORTH_COMPILING)
-    return able, render_by(computes, case, cycles, reach, counter)
+    scene: Scene, able: axis_loop.AbleAxis, reference: ContinuousReference | None, cycles: int,
+    counter: Callable[[], None], engine: Engine,
+) -> axis_loop.LoopRun:  # fmt: skip
+    reach = axis_loop.EVERYWHERE if reference is None else axis_loop.Reach.around(reference.position)
+    case = axis_loop.loop_case(able.axis, scene)
+    return render_by(chosen_engine(engine, work_of(case, cycles) >= WORTH_COMPILING), case, cycles, reach, counter)
 
 
-def _over_can(scene: Scene, able: Sequence[_Able], cycles: int, counter: Callable[[], None]) -> list[_Tried]:
-    refused = next((one for one in able if isinstance(one, str)), None)
-    if refused is not None:
-        return [(refused, None)] * len(able)
-    axes = tuple(one.axis for one in able if not isinstance(one, str))
-    return list(zip(able, render_over_can(replace(scene, axes=axes), cycles, counter), strict=True))
+_Tried = tuple[axis_loop.AbleAxis | str, axis_loop.LoopRun | None]
 
 
 def _of_axis(
@@ -226,16 +202,17 @@ def _of_axis(
     """Return the runs of one axis, and their account as plain values."""
     reference, method = found
     runs = {name: run for name, (_, run) in tried.items() if run is not None}
-    cases = {name: (loop_case(able_under(axis, name, scene).axis, scene), run) for name, run in runs.items()}
-    cost = microseconds_per_step(cases, repeats) if repeats else {}
+    cases = {name: (axis_loop.loop_case(able.axis, scene), runs[name]) for name, (able, _) in tried.items()
+             if isinstance(able, axis_loop.AbleAxis)}  # fmt: skip
+    cost = axis_loop.microseconds_per_step(cases, repeats) if repeats else {}
     accounts = {}
     for name, (able, run) in tried.items():
-        remark = able if isinstance(able, str) else able.remark
+        remarks = (able if isinstance(able, str) else able.remark, "" if run is None else run.reason)
         accounts[name] = {
             "status": "refused" if run is None else run.ended or "completed",
-            "remark": "; ".join(text for text in (remark, "" if run is None else run.reason) if text),
+            "remark": "; ".join(filter(None, remarks)),
             "engine": None if run is None else run.engine,
-            **(figures(environment_of(axis), run, reference, scene.bus.sample_time)
+            **(figures(axis_loop.environment_of(axis), run, reference, scene.bus.sample_time)
                if run is not None and run.position.size else {}),
             "microseconds_per_step": cost.get(name),
         }  # fmt: skip
@@ -254,13 +231,15 @@ def _of_axis(
 
 def _of_displays(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> Row:
     runs = accounts_over_can(scene, names, cycles, _displays_under, progress)
-    axes = {axis: {name: _of_display(axis, found) for name, found in runs.items()} for axis in parts_of(scene)}
+    axes = {
+        axis: {name: _of_display(axis, found) for name, found in runs.items()} for axis in axis_loop.parts_of(scene)
+    }
     return {**heading_of(scene, cycles), "axes": axes}
 
 
 def _displays_under(scene: Scene, name: str) -> Scene:
-    groups = tuple(display_group_under(group, name) for group in scene.groups)
-    axes = tuple(axis if axis.group else display_under(axis, name) for axis in scene.axes)
+    groups = tuple(axis_loop.display_group_under(group, name) for group in scene.groups)
+    axes = tuple(axis if axis.group else axis_loop.display_under(axis, name) for axis in scene.axes)
     return replace(scene, axes=axes, groups=groups)
 
 
@@ -291,7 +270,7 @@ def _of_groups(scene: Scene, names: Sequence[str], cycles: int, engine: Engine, 
 
 
 def _groups_under(scene: Scene, name: str) -> Scene:
-    return replace(scene, groups=tuple(group_under(group, name) for group in scene.groups))
+    return replace(scene, groups=tuple(axis_loop.group_under(group, name) for group in scene.groups))
 
 
 def _groups_over_can(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> dict[str, Row]:
@@ -307,13 +286,11 @@ def _of_group(name: str, found: Row) -> Row:
 
 
 def _groups_compiled(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> dict[str, Row]:
-    parts, found, done = parts_of(scene), {group.name: Row() for group in scene.groups}, 0
-    for group, accounts in found.items():
-        for name in names:
-            accounts[name] = _compiled(parts[group], name, cycles)
-            done += cycles
-            if progress is not None:
-                progress(done // len(found))
+    parts, found = axis_loop.parts_of(scene), {group.name: Row() for group in scene.groups}
+    for done, (group, name) in enumerate(product(found, names), 1):
+        found[group][name] = _compiled(parts[group], name, cycles)
+        if progress is not None:
+            progress(done * cycles // len(found))
     return found
 
 

@@ -11,7 +11,6 @@ from canhaptic.lab.studies.arena import (
     COLUMNS,
     ArenaPlan,
     ArenaStore,
-    CaseGroup,
     given_out,
     group_figures,
     ranking,
@@ -119,7 +118,7 @@ def test_an_own_entry_runs_where_it_is_allowed_and_counts_as_what_it_is(tmp_path
     assert mine == known
     (tmp_path / "mine.py").write_text(OWN.replace("pass", "x = 1"))  # another file: its cases run again
     store = ArenaStore(tmp_path / "out" / "cases")
-    group = CaseGroup(scenes_named(["slot"])[0], 100.0, (0, 1), ("unprotected", words[-1]), 0.4, allow_code=True)
+    group = ArenaPlan(tuple(scenes_named(["slot"])), ("unprotected", words[-1]), (100.0,), (0, 1), 0.4, allow_code=True)
     assert {case["algorithm"] for case in store.finished(group)} == {"unprotected"}
 
 
@@ -147,7 +146,7 @@ def test_what_cannot_be_used_is_refused_before_anything_runs(
 
 def test_cases_that_are_known_are_left_out() -> None:
     names = ("energy_bounding", "guarded", "unprotected")
-    group = CaseGroup(scenes_named(["slot"])[0], 100.0, (0,), names, 0.1)
+    group = ArenaPlan(tuple(scenes_named(["slot"])), names, (100.0,), (0,), 0.1)
     assert [found["algorithm"] for found in group_figures(group, [(0, "guarded"), (1, "unprotected")])] == [
         "energy_bounding",
         "unprotected",
