@@ -13,7 +13,7 @@ from canhaptic.lab.render.design_report import snippet
 from canhaptic.lab.studies.compare import compare
 from canhaptic.lab.studies.design import wall
 from canhaptic.lab.studies.design.trial import Trial
-from canhaptic.lab.studies.design.wall import _rounded, design_wall, felt_of
+from canhaptic.lab.studies.design.wall import _rounded, design, felt_of
 from canhaptic.scene.load import load_scene
 
 DEMO = str(Path(__file__).resolve().parents[3] / "configs" / "demo.yaml")
@@ -43,7 +43,7 @@ def designed(engine, progress):
     progress.clear()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(wall, "_ONE_BY_ONE", wall._Places((8, 5), (4, 3), 3))  # a third of them
-        return design_wall(load_scene(DEMO, RIG), engine=engine, progress=lambda *seen: progress.append(seen))
+        return design(load_scene(DEMO, RIG), engine=engine, progress=lambda *seen: progress.append(seen))
 
 
 def test_a_progress_bar_rises_and_never_passes_its_end(designed, progress):
@@ -145,15 +145,15 @@ def test_the_lines_can_be_pasted_into_the_scene(designed):
 
 def test_what_cannot_be_designed_is_said():
     with pytest.raises(InputError, match="expected 0 <= margin"):
-        design_wall(load_scene(DEMO), margin=-1.0)
+        design(load_scene(DEMO), margin=-1.0)
     bare = load_scene(DEMO, ["simulation=null", "bus.channel=x", "passivity={algorithm: unprotected}"])
     with pytest.raises(InputError, match="moving_mass"):
-        design_wall(bare)
+        design(bare)
 
 
 def test_a_rig_that_renders_no_wall_is_told_what_to_change():
     with pytest.raises(CheckFailedError, match=r"not even 60 N/m is rendered .* raise bus\.rate"):
-        design_wall(load_scene(DEMO, ["bus.rate=5", "passivity.moving_mass=0.01"]), engine="python")
+        design(load_scene(DEMO, ["bus.rate=5", "passivity.moving_mass=0.01"]), engine="python")
 
 
 def test_numbers_are_rounded_down():

@@ -4,8 +4,9 @@ A mass passes where every hand feels it within the tolerance, and at most the de
 1.1 (M + c tau) are tried, from heavy to light; the answer is the last before one that fails, times 1 + margin.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -56,16 +57,16 @@ def design_displays(
         CheckFailedError: No mass passes.
     """
     require_design_room(margin, tolerance)
-    parts = parts_of(scene)
-    trials = [_Trial(name, part, tolerance) for name, part in parts.items()]
-    most, tried = len(trials) * (sum(_PLACES) + 1), 0
+    trials, each = [_Trial(name, part, tolerance) for name, part in parts_of(scene).items()], sum(_PLACES) + 1
     found = {}
-    for trial in trials:
-        for tried_here, result in _search(trial, margin):
-            progress(tried + tried_here, most)
-            found[trial.name] = result
-        tried += sum(_PLACES) + 1
+    for number, trial in enumerate(trials):
+        shown = partial(_show, progress, number * each, len(trials) * each)
+        found[trial.name] = _lightest(trial, margin, shown)
     return {"scene": scene.source, "margin": margin, "tolerance": tolerance, "displays": found}
+
+
+def _show(progress: Progress, before: int, most: int, tried: int) -> None:
+    progress(before + tried, most)
 
 
 class _Trial:
@@ -91,12 +92,8 @@ class _Trial:
     def passes(self, figures: list[_Figures]) -> bool:
         """Whether every hand feels the mass as requested and no energy is given out."""
         floor = -self.allowance - PASSIVE_TOLERANCE
-        return all(
-            of["diverged"] == 0.0
-            and of["least_interaction"] >= floor
-            and abs(of["mass_felt.share"] - 1.0) <= self._tolerance
-            for of in figures
-        )
+        is_kept = all(of["diverged"] == 0.0 and of["least_interaction"] >= floor for of in figures)
+        return is_kept and self.off(figures) <= self._tolerance
 
     def off(self, figures: list[_Figures]) -> float:
         """Return the deviation of the felt mass from the request, for the worst hand."""
@@ -104,8 +101,8 @@ class _Trial:
         return 1e9 if np.isnan(shares).any() else max(shares)
 
 
-def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, Row]]:
-    """Yield (masses tried so far, result for the lightest), from heavy to light.
+def _lightest(trial: _Trial, margin: float, progress: Callable[[int], None]) -> Row:
+    """Return the result for the lightest mass, searched from heavy to light; `progress` gets the masses tried.
 
     Raises:
         CheckFailedError: None passes.
@@ -113,13 +110,12 @@ def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, Row]]:
     low, high = (share * trial.never_acts for share in _RANGE)
     tried, most = 0, 0.0
     nearest: tuple[float, float, list[_Figures]] = (np.inf, low, [])
-    found: Row = {}
     for places in _PLACES:
         passed = 0.0
         for mass in np.geomspace(low, high, places)[::-1].tolist():
             figures = trial.figures(mass)
             tried += 1
-            yield tried, found
+            progress(tried)
             if trial.passes(figures):
                 passed, most = mass, max(most, mass)
             elif passed or most:
@@ -132,8 +128,8 @@ def _search(trial: _Trial, margin: float) -> Iterator[tuple[int, Row]]:
         high = passed or high
     mass = _rounded_up(high * (1.0 + margin))
     found = _account(trial, mass, trial.figures(mass))
-    found["passes"] = [high, most]
-    yield tried + 1, found
+    progress(tried + 1)
+    return {**found, "passes": [high, most]}
 
 
 def _why(figures: list[_Figures], mass: float, trial: _Trial) -> str:
@@ -220,23 +216,22 @@ def display_snippet(found: Row) -> str:
 
 def display_design_report(result: Row) -> RenderableType:
     """Return the text of a design for a terminal; `result` as `design_displays` returns it."""
-    heading = Text(" ")
-    heading.append(str(result["scene"]), style="bold")
-    heading.append(f"   within {100.0 * result['tolerance']:g} %, margin {100.0 * result['margin']:g} %")
-    parts: list[RenderableType] = [heading]
+    said = f"   within {100.0 * result['tolerance']:g} %, margin {100.0 * result['margin']:g} %"
+    parts = [Text.assemble(" ", (str(result["scene"]), "bold"), said)]
     for name, found in result["displays"].items():
         low, high = found["mass_felt.share"]
         given = si(max(0.0, -found["least_interaction"]), "J", 3)
-        parts += [
-            Text(),
-            Text(f" {name}: the lightest mass, of {found['hands']} hands"),
-            Text(display_snippet(found)),
-            Text(f" passes from {found['passes'][0]:.3g} to {found['passes'][1]:.3g} {found['unit']}"),
-            Text(f" felt: {100.0 * low:.1f} to {100.0 * high:.1f} % of that"),
-            Text(f" given out at most: {given} ({si(found['energy_allowance'], 'J', 3)} declared)"),
-            Text(f" the guard acts in {100.0 * found['guard_acts']:.2g} % of the holds with a command, at most"),
-            Text(f" passive without it from M + c tau = {found['never_acts']:.3g} {found['unit']} on"),
-        ]
+        lines = (
+            "",
+            f" {name}: the lightest mass, of {found['hands']} hands",
+            display_snippet(found),
+            f" passes from {found['passes'][0]:.3g} to {found['passes'][1]:.3g} {found['unit']}",
+            f" felt: {100.0 * low:.1f} to {100.0 * high:.1f} % of that",
+            f" given out at most: {given} ({si(found['energy_allowance'], 'J', 3)} declared)",
+            f" the guard acts in {100.0 * found['guard_acts']:.2g} % of the holds with a command, at most",
+            f" passive without it from M + c tau = {found['never_acts']:.3g} {found['unit']} on",
+        )
+        parts += map(Text, lines)
         if found["uncertified"]:
             parts.append(Text(f" NOT certified in {100.0 * found['uncertified']:.2g} % of the holds", "yellow"))
     return Group(*parts)

@@ -87,14 +87,9 @@ class GuidedPlant(Plant):
     """
 
     def __init__(
-        self,
-        parameters: PlantParameters,
-        hand: GuidedHand,
-        effects: Sequence[Effect],
-        sample_time_ns: int,
-        course: Iterable[Leg],
-        seed: int = 0,
-    ) -> None:
+        self, parameters: PlantParameters, hand: GuidedHand, effects: Sequence[Effect], sample_time_ns: int,
+        course: Iterable[Leg], seed: int = 0,
+    ) -> None:  # fmt: skip
         super().__init__(parameters, hand, effects, sample_time_ns, seed)
         self._legs = {round(leg.begins * _NS / sample_time_ns) * sample_time_ns: leg for leg in course}
 
@@ -112,21 +107,6 @@ class GuidedPlant(Plant):
         leg = self._legs.get(now)
         if leg is not None:
             self.set_states({SPEED: leg.speed, PUSH_RATE: leg.push_rate})
-
-
-def guided_case(
-    case: LoopCase,
-    parameters: PlantParameters,
-    hand: GuidedHand,
-    course: Sequence[Leg],
-    effects: Sequence[Effect] = (),
-    seed: int = 0,
-) -> LoopCase:
-    """Return a loop whose plant is held by a guided hand."""
-    period = case.sample_time_ns
-    return replace(
-        case, make_plant=lambda: GuidedPlant(parameters, hand, effects, period, course, seed), simulation=None
-    )
 
 
 _FURTHEST: Final = 4.0
@@ -175,6 +155,29 @@ class Bench:
     effects: Sequence[Effect] = ()
     seed: int = 0
 
+    def run(
+        self, wall: SpringDamperWall, hand: GuidedHand, course: Sequence[Leg], seconds: float, reach: Reach,
+        position: float, velocity: float = 0.0,
+    ) -> LoopRun:  # fmt: skip
+        """Return a run of the loop at a wall, with a guided hand on the handle.
+
+        Args:
+            wall: The wall.
+            hand: The hand.
+            course: Course of the hand.
+            seconds: Length of the run [s].
+            reach: Positions that do not count as divergence.
+            position: Where the handle begins [m or rad].
+            velocity: Velocity of the handle at the beginning [m/s or rad/s].
+        """
+        plant = self.plant.model_copy(update={"initial_position": position, "initial_velocity": velocity})
+        period = self.case.sample_time_ns
+        case = replace(
+            self.case, environment=wall, simulation=None,
+            make_plant=lambda: GuidedPlant(plant, hand, self.effects, period, course, self.seed),
+        )  # fmt: skip
+        return render(case, round(seconds / (period * 1e-9)), reach)
+
 
 def held(bench: Bench, stiffness: float, leaning: Leaning, damping: float = 0.0) -> Held:
     """Outcome of one wall.
@@ -185,24 +188,19 @@ def held(bench: Bench, stiffness: float, leaning: Leaning, damping: float = 0.0)
         leaning: Push on the wall.
         damping: Damping of the wall [N*s/m or N*m*s/rad].
     """
-    plant = bench.plant.model_copy(update={"initial_position": leaning.clearance, "initial_velocity": 0.0})
     course = (Leg(0.0, push_rate=-leaning.push / leaning.rise), Leg(leaning.rise))
-    wall = SpringDamperWall(stiffness=stiffness, damping=damping)
-    hand = GuidedHand(damping=leaning.damping)
-    case = guided_case(replace(bench.case, environment=wall), plant, hand, course, bench.effects, bench.seed)
-    period = case.sample_time_ns * 1e-9
+    wall, hand = SpringDamperWall(stiffness=stiffness, damping=damping), GuidedHand(damping=leaning.damping)
     deepest = max(_FURTHEST * leaning.push / stiffness, _LEAST_FURTHEST)
-    run = render(case, round(leaning.duration / period), Reach(-deepest, deepest))
+    run = bench.run(wall, hand, course, leaning.duration, Reach(-deepest, deepest), leaning.clearance)
     if run.ended:
         return Held(float("nan"), float("nan"), run.least_interaction, passed=False)
-    last = slice(-max(2, round(leaning.rest / period)), None)
+    last = slice(-max(2, round(leaning.rest / (bench.case.sample_time_ns * 1e-9))), None)
     depth, torque = -run.true_position[last], run.torque[last]
     mean = float(depth.mean())
     share = float(torque.mean()) / (stiffness * mean) if mean > 0.0 else 0.0
     ripple = float(np.ptp(depth)) / mean if mean > 0.0 else float("inf")
-    least = run.least_interaction
     within = abs(share - 1.0) <= leaning.tolerance and ripple <= leaning.tolerance
-    return Held(share, ripple, least, within and least >= -leaning.allowance)
+    return Held(share, ripple, run.least_interaction, within and run.least_interaction >= -leaning.allowance)
 
 
 class LargestHeld(NamedTuple):
@@ -262,12 +260,9 @@ def enter(bench: Bench, wall: SpringDamperWall, hand: SlowHand) -> Entered:
     """Result of a slow hand at a wall that is solid below the origin."""
     period, way = bench.case.sample_time_ns * 1e-9, hand.free + hand.into
     moving = max(1, round(way / hand.speed / period)) * period  # it stops with a SYNC
-    speed = way / moving
-    plant = bench.plant.model_copy(update={"initial_position": hand.free, "initial_velocity": -speed})
-    course = (Leg(0.0, speed=-speed), Leg(moving))
+    speed, course = way / moving, (Leg(0.0, speed=-way / moving), Leg(moving))
     guided = GuidedHand(stiffness=hand.stiffness, damping=hand.damping, place=hand.free)
-    case = guided_case(replace(bench.case, environment=wall), plant, guided, course, bench.effects, bench.seed)
-    run = render(case, round((moving + hand.settling) / period), Reach(-1.0, 1.0))
+    run = bench.run(wall, guided, course, moving + hand.settling, Reach(-1.0, 1.0), hand.free, -speed)
     if run.ended:
         return Entered(float("nan"), float("nan"), run.least_interaction, run)
     inside = np.flatnonzero(run.true_position < 0.0)

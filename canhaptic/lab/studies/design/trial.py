@@ -47,7 +47,6 @@ from canhaptic.control.port_hamiltonian.storages import (
     Dissipator,
     QuadraticForm,
     Spring,
-    Storage,
     states_of,
 )
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
@@ -58,21 +57,12 @@ from canhaptic.lab.batch.group_loop import group_case, shares
 from canhaptic.lab.batch.scalar import group_meter, render_group
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.sweep.chunk import (
-    COMPLETED,
-    ENGINES,
-    REFUSED,
-    ChunkResult,
-    Recipe,
-    make_recipe,
-    places_of,
-    run_chunk,
-)
+from canhaptic.lab.studies.sweep import chunk
 from canhaptic.lab.studies.sweep.vary import CONTROLLER, Column, listed, make_points, ranged
 from canhaptic.scene.hints import LEAN
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.method import simulation_of
-from canhaptic.scene.models import AxisScene, MechanismScene, Scene, task_unit
+from canhaptic.scene.models import AxisScene, GroupScene, MechanismScene, Scene, task_unit
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion
 from canhaptic.sim.plant.user import RecordedMotion, SinusoidMotion
 from canhaptic.units import Parameters
@@ -117,90 +107,79 @@ def _anisotropic(network: AnisotropicSpring) -> NetworkScale:
 
     def with_values(stiffness: float, damping: float) -> Parameters:
         damped = _times(shape, damping / _largest(shape)) if damping else None
-        return network.model_copy(
-            update={"stiffness": _times(network.stiffness, stiffness / stiffest), "damping": damped}
-        )
+        stiffened = _times(network.stiffness, stiffness / stiffest)
+        return network.model_copy(update={"stiffness": stiffened, "damping": damped})
 
     return NetworkScale(stiffest, with_values)
 
 
 def _general(network: General, name: str) -> NetworkScale:
     at_ports = _moved_by_ports(network)
-    stiffest = max((_stiffness(storage) for _, storage in at_ports), default=0.0)
+    stiffest = max((_size(storage) for storage, _, _ in at_ports.values()), default=0.0)
     if stiffest == 0.0:
         raise InputError(
             f"network {name!r} has no spring at its ports, so no stiffness to design; its masses and inner "
             "springs stay as the scene gives them"
         )
-    most = max((_viscous(part) for part in network.dissipators), default=0.0)
-    dissipators = network.dissipators if most else (*network.dissipators, *_in_proportion(network, at_ports))
+    most = max((_size(part) for part in network.dissipators if _is_outer(part)), default=0.0)
+    dissipators = network.dissipators if most else (*network.dissipators, *map(_in_proportion, at_ports.values()))
     most = most or stiffest
 
     def with_values(stiffness: float, damping: float) -> Parameters:
-        chosen = {place for place, _ in at_ports}
-        storages = [
-            _stiffened(storage, stiffness / stiffest) if place in chosen else storage
+        storages = tuple(
+            _scaled(storage, stiffness / stiffest) if place in at_ports else storage
             for place, storage in enumerate(network.storages)
-        ]
-        damped = tuple(_damped(part, damping / most) for part in dissipators)
-        return network.model_copy(update={"storages": tuple(storages), "dissipators": damped})
+        )
+        damped = tuple(_scaled(part, damping / most) if _is_outer(part) else part for part in dissipators)
+        return network.model_copy(update={"storages": storages, "dissipators": damped})
 
     return NetworkScale(stiffest, with_values)
 
 
-def _moved_by_ports(network: General) -> list[tuple[int, Storage]]:
-    """Return the springs and forms that a port moves, each with its place among the storages."""
-    found: list[tuple[int, Storage]] = []
+_AtPort = tuple[Spring | QuadraticForm, int, Any]
+"""A storage that a port moves, its first state, and its rows of the gain."""
+
+
+def _moved_by_ports(network: General) -> dict[int, _AtPort]:
+    """Return the springs and forms that a port moves, by their places among the storages."""
+    found: dict[int, _AtPort] = {}
     state = 0
     for place, storage in enumerate(network.storages):
-        rows = network.gain[state : state + states_of(storage)]
-        if isinstance(storage, Spring | QuadraticForm) and any(value != 0.0 for row in rows for value in row):
-            found.append((place, storage))
+        gain = np.array(network.gain[state : state + states_of(storage)])
+        if isinstance(storage, Spring | QuadraticForm) and gain.any():
+            found[place] = storage, state, gain
         state += states_of(storage)
     return found
 
 
-def _in_proportion(network: General, at_ports: Sequence[tuple[int, Storage]]) -> list[Dissipator]:
-    """Return a damper in parallel with each spring that a port moves, as large in number as its stiffness."""
-    found: list[Dissipator] = []
-    starts = np.cumsum([0, *(states_of(storage) for storage in network.storages)]).tolist()
-    for place, storage in at_ports:
-        state = starts[place]
-        if isinstance(storage, Spring):
-            found.append(Damper(type="damper", viscous=storage.stiffness, beside=state))
-        elif isinstance(storage, QuadraticForm):
-            gain = np.array(network.gain[state : state + states_of(storage)])
-            matrix = gain.T @ np.array(storage.matrix) @ gain
-            ports = tuple(range(gain.shape[1]))
-            found.append(DampingMatrix(type="damping_matrix", matrix=_times(matrix.tolist(), 1.0), ports=ports))
-    return found
+def _in_proportion(at_port: _AtPort) -> Dissipator:
+    """Return a damper in parallel with a spring that a port moves, as large in number as its stiffness."""
+    storage, state, gain = at_port
+    if isinstance(storage, Spring):
+        return Damper(type="damper", viscous=storage.stiffness, beside=state)
+    matrix = gain.T @ np.array(storage.matrix) @ gain
+    return DampingMatrix(type="damping_matrix", matrix=_times(matrix.tolist(), 1.0), ports=tuple(range(gain.shape[1])))
 
 
-def _stiffness(storage: Storage) -> float:
-    if isinstance(storage, QuadraticForm):
-        return _largest(storage.matrix)
-    return storage.stiffness if isinstance(storage, Spring) else 0.0
+def _is_outer(part: Dissipator) -> bool:
+    """Whether a dissipator is at the ports or in parallel with a spring."""
+    return bool(part.ports) if isinstance(part, DampingMatrix) else not part.states
 
 
-def _stiffened(storage: Storage, factor: float) -> Storage:
-    if isinstance(storage, QuadraticForm):
-        return storage.model_copy(update={"matrix": _times(storage.matrix, factor)})
-    return storage.model_copy(update={"stiffness": cast(Spring, storage).stiffness * factor})
+def _size(part: Any) -> float:
+    """Return the stiffness or the linear coefficient of a part: of a matrix the largest eigenvalue."""
+    return _largest(part.matrix) if hasattr(part, "matrix") else getattr(part, _coefficient(part))
 
 
-def _viscous(part: Dissipator) -> float:
-    """Return the largest linear coefficient of the dissipators at the ports or in parallel with a spring."""
-    if isinstance(part, DampingMatrix):
-        return _largest(part.matrix) if part.ports else 0.0
-    return 0.0 if part.states else part.viscous
+def _coefficient(part: Any) -> str:
+    return "stiffness" if isinstance(part, Spring) else "viscous"
 
 
-def _damped(part: Dissipator, factor: float) -> Dissipator:
-    if not _viscous(part):
-        return part
-    if isinstance(part, DampingMatrix):
+def _scaled(part: Any, factor: float) -> Any:
+    if hasattr(part, "matrix"):
         return part.model_copy(update={"matrix": _times(part.matrix, factor)})
-    return part.model_copy(update={"viscous": part.viscous * factor})
+    name = _coefficient(part)
+    return part.model_copy(update={name: getattr(part, name) * factor})
 
 
 def _largest(matrix: _Matrix) -> float:
@@ -268,6 +247,10 @@ class TrialVerdict:
         }
 
 
+def _allowance_of(part: AxisScene | GroupScene) -> float:
+    return float(getattr(part.passivity.parameters, "energy_allowance", 0.0)) + PASSIVE_TOLERANCE
+
+
 class Trial:
     """Rig for trials of walls.
 
@@ -297,7 +280,7 @@ class Trial:
         self._tolerance = tolerance
         force = LEAN * axis.parameters.torque_limit
         self.unit, self.softest = axis.parameters.unit, force / _DEEPEST
-        self._allowance = float(getattr(axis.passivity.parameters, "energy_allowance", 0.0)) + PASSIVE_TOLERANCE
+        self._allowance = _allowance_of(axis)
         self._judged = "least_covered" if axis.loop.device_damping else "least_interaction"
         hand = self.hand = _hand(axis)
         travel = 2.0 * force / hand["stiffness"]
@@ -318,6 +301,9 @@ class Trial:
         Args:
             stiffness: Stiffness of each wall, shape (n,) [N/m or N*m/rad].
             damping: Damping of each wall, shape (n,) [N*s/m or N*m*s/rad].
+
+        Raises:
+            InputError: Every wall is refused.
         """
         count, name = len(stiffness), self.scene.axes[0].parameters.name
         columns: dict[str, Column] = {
@@ -327,13 +313,19 @@ class Trial:
             **{key: np.repeat(values, count) for key, values in self._hands.items()},
         }
         self.walls += count
-        result = run_chunk(self._recipe, 0, columns)
-        self._look_at(result)
+        result = chunk.run_chunk(self._recipe, 0, columns)
+        if (result.status == chunk.REFUSED).all():
+            raise InputError(f"{self.scene.source}: no wall can be tried: {result.texts[0]}")
+        self.engine, self.remark = chunk.ENGINES[int(result.engine.max())], result.of_plant or self.remark
         figures = {metric: result.figures[f"{name}/{metric}"].reshape(2, count) for metric in _METRICS}
         with np.errstate(all="ignore"):
             damped = np.array(figures["damping_rendered.mean"][1] / np.where(damping > 0.0, damping, np.nan))
         least, judged = (figures[metric].min(axis=0) for metric in ("least_interaction", self._judged))
-        ran = (result.status == COMPLETED).reshape(2, count) & (figures["diverged"] == 0.0) & (figures["contact"] > 0.0)
+        ran = (
+            (result.status == chunk.COMPLETED).reshape(2, count)
+            & (figures["diverged"] == 0.0)
+            & (figures["contact"] > 0.0)
+        )
         shares = figures["stiffness_rendered.share"]
         return verdict_of(
             shares, damped, least, judged, ran.all(axis=0), self._allowance, self._tolerance, damping
@@ -344,17 +336,6 @@ class Trial:
         [axis] = self.scene.axes
         mass = simulation_of(axis).plant.mass
         return max(mass / self.scene.bus.sample_time, math.sqrt(stiffness * mass))
-
-    def _look_at(self, result: ChunkResult) -> None:
-        """Note the engine of the trials, and refuse a rig on which none can be made.
-
-        Raises:
-            InputError: Every wall is refused.
-        """
-        if (result.status == REFUSED).all():
-            raise InputError(f"{self.scene.source}: no wall can be tried: {result.texts[0]}")
-        self.engine = ENGINES[int(result.engine.max())]
-        self.remark = result.of_plant or self.remark
 
 
 def verdict_of(
@@ -398,7 +379,7 @@ def _with_user(scene: Scene, user: dict[str, object]) -> Scene:
     plant, simulation = "simulation.plant", axis.simulation
     if simulation is None:
         overrides.append(f"{plant}={yaml.safe_dump(_declared(axis, scene), default_flow_style=True).strip()}")
-    places = places_of(scene, (f"{plant}.initial_position", "simulation.user", "environment.type"))
+    places = chunk.places_of(scene, (f"{plant}.initial_position", "simulation.user", "environment.type"))
     wall = "{type: spring_damper_wall, stiffness: 1, damping: 0}"
     overrides += [f"{place.removesuffix('.type')}={wall}" for place in places["environment.type"]]
     given = yaml.safe_dump(user, default_flow_style=True, width=1000).strip()
@@ -421,10 +402,10 @@ def _declared(axis: AxisScene, scene: Scene) -> dict[str, float]:
     return {"mass": axis.loop.moving_mass, "damping": axis.loop.device_damping or 0.0}
 
 
-def _recipe(scene: Scene, hands: Mapping[str, tuple[float, float]], engine: ChosenEngine) -> Recipe:
+def _recipe(scene: Scene, hands: Mapping[str, tuple[float, float]], engine: ChosenEngine) -> chunk.Recipe:
     varied = [ranged(STIFFNESS, 1e-3, STIFFEST, 2, "log"), ranged(DAMPING, 0.0, _MOST_DAMPING, 2)]
     points = make_points([*varied, *(listed(key, values) for key, values in hands.items())], [ALGORITHM])
-    return make_recipe(scene, points, metrics=_METRICS, engine=engine, duration=DURATION)
+    return chunk.make_recipe(scene, points, metrics=_METRICS, engine=engine, duration=DURATION)
 
 
 _SPAN: Final = 10.0
@@ -455,9 +436,9 @@ class GroupTrial:
         scene: Simulated scene with one group; its network has a spring at its ports (`network_scale`).
         tolerance: Largest relative difference of a rendering from the requested one.
         engine: Engine of the trials.
-        executor: Executor for loops that are not compiled; None: this thread.
 
     Attributes:
+        executor: Executor for loops that are not compiled; None: this thread.
         scene: Scene with the hands in motion.
         unit: Unit of the handle's motion.
         softest: Smallest stiffness to try [N/m or N*m/rad].
@@ -470,14 +451,12 @@ class GroupTrial:
             simulated.
     """
 
-    def __init__(
-        self, scene: Scene, tolerance: float, engine: Engine = "auto", executor: Executor | None = None
-    ) -> None:
+    def __init__(self, scene: Scene, tolerance: float, engine: Engine = "auto") -> None:
         if len(scene.groups) != 1 or any(not axis.group for axis in scene.axes):
             raise InputError(f"{scene.source}: has more than one group; design takes one: make a scene of each")
         (group,) = scene.groups
         self._scale = network_scale(group.network.parameters, group.network.name)
-        self.scene, self._tolerance, self._executor = scene, tolerance, executor
+        self.scene, self._tolerance, self.executor = scene, tolerance, cast("Executor | None", None)
         self.unit = task_unit(group.kinematics.name, scene.axis(group.axes[0]).parameters.unit)
         self.softest = min(self._scale.stiffness, STIFFEST) / _SPAN
         self._stroke = _stroke_time(scene)
@@ -485,7 +464,7 @@ class GroupTrial:
         self._chosen: ChosenEngine = chosen_engine(engine, pays=True)
         self.is_quick = self._chosen == "numba" and group_case(scene).is_compilable
         self.engine, self.walls, self.remark = "numba" if self.is_quick else "python", 0, ""
-        self._allowance = float(getattr(group.passivity.parameters, "energy_allowance", 0.0)) + PASSIVE_TOLERANCE
+        self._allowance = _allowance_of(group)
         self._has_damping = all(axis.loop.device_damping for axis in scene.axes)
 
     def damping_scale(self, stiffness: float) -> float:
@@ -496,12 +475,10 @@ class GroupTrial:
         """Try networks; see `Trial.verdict`."""
         self.walls += len(stiffness)
         pairs = list(zip(stiffness.tolist(), damping.tolist(), strict=True))
-        scenes = [(scene, time) for scene, time in self._hands() for _ in pairs]
         jobs = [
-            (self._with_network(scene, *pair), time, self._chosen)
-            for (scene, time), pair in zip(scenes, 2 * pairs, strict=True)
+            (self._with_network(scene, *pair), time, self._chosen) for scene, time in self._hands() for pair in pairs
         ]
-        run: Callable[..., Any] = map if self._executor is None or self.is_quick else self._executor.map
+        run: Callable[..., Any] = map if self.executor is None or self.is_quick else self.executor.map
         table = np.array([*run(_tried, jobs)], dtype=float).reshape(2, len(pairs), -1)
         spring, damper, least, covered, ran, _ = np.moveaxis(table, 2, 0)
         judged = covered if self._has_damping else least
@@ -513,16 +490,10 @@ class GroupTrial:
     def account(self, verdict: TrialVerdict, stiffness: float, damping: float) -> Row:
         """Return the description and cost of the network."""
         (group,) = self.scene.groups
-        axes = [self.scene.axis(name) for name in group.axes]
-        worst = max(
-            _tried((self._with_network(scene, stiffness, damping), time, "python"))[5] for scene, time in self._hands()
-        )
+        loop, given = self.scene.axis(group.axes[0]).loop, group.passivity.parameters
+        runs = [_tried((self._with_network(of, stiffness, damping), time, "python")) for of, time in self._hands()]
         network = self._scale.with_values(stiffness, damping).model_dump(mode="json", exclude_unset=True)
-        given = group.passivity.parameters
         losses = getattr(given, "max_consecutive_losses", 0)
-        hand = {"hand_force": getattr(given, "hand_force", 0.0)} | (
-            {"max_consecutive_losses": losses} if losses else {}
-        )
         return {
             "scene": self.scene.source,
             "group": group.name,
@@ -531,12 +502,13 @@ class GroupTrial:
             "stiffness": stiffness,
             "damping": damping,
             **verdict.account(damping),
-            "certificate": WEAKEST_LAST[worst].name.lower(),
+            "certificate": WEAKEST_LAST[max(run.certificate for run in runs)].name.lower(),
             "certified": {},
             "engine": self.engine,
             "remark": self.remark,
-            "loop": {key: value for key in _DECLARED if (value := getattr(axes[0].loop, key)) is not None},
-            "hand": hand,
+            "loop": {key: value for key in _DECLARED if (value := getattr(loop, key)) is not None},
+            "hand": {"hand_force": getattr(given, "hand_force", 0.0)}
+            | ({"max_consecutive_losses": losses} if losses else {}),
         }
 
     def _hands(self) -> Sequence[tuple[Scene, float]]:
@@ -553,9 +525,8 @@ class GroupTrial:
         run = render_group("python", self.scene, round(self._stroke / period))
         time = int(np.abs(run.torque).max(axis=1).argmax()) * period
         axes = tuple(_at_rest(axis, time) for axis in self.scene.axes)
-        return replace(
-            self.scene, axes=axes, mechanisms=tuple(_handle_at_rest(of, time) for of in self.scene.mechanisms)
-        )
+        mechanisms = tuple(_handle_at_rest(of, time) for of in self.scene.mechanisms)
+        return replace(self.scene, axes=axes, mechanisms=mechanisms)
 
 
 def _tried(job: tuple[Scene, float, ChosenEngine]) -> _Tried:

@@ -17,7 +17,6 @@ drags   the same for possible declared drags, after the distance over which drag
 import math
 import os
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -44,7 +43,7 @@ from canhaptic.lab.studies.design.trial import (
     Trial,
     TrialVerdict,
 )
-from canhaptic.lab.studies.runner import Pool
+from canhaptic.lab.studies.runner import pool_of
 from canhaptic.lab.studies.sweep.chunk import places_of
 from canhaptic.scene.hints import DRAG, ENCODER, LEAN, guarantee, stability_hints
 from canhaptic.scene.load import scene_from_text
@@ -80,20 +79,19 @@ def felt_of(scene: Scene, algorithm: str, hand: dict[str, float], tolerance: flo
         tolerance: Largest relative difference of a stiffness from the requested one.
         stiffness: Stiffness of the wall that is entered slowly [N/m or N*m/rad].
     """
-    able = able_under(scene.axes[0], algorithm, scene)
-    axis, limit = able.axis, able.axis.parameters.torque_limit
-    plant, _, effects, seed = plant_parts(axis)
+    axis = able_under(scene.axes[0], algorithm, scene).axis
+    limit, (plant, _, effects, seed) = axis.parameters.torque_limit, plant_parts(axis)
     bench = Bench(loop_case(axis, scene), plant, effects, seed)
     period, speed = scene.bus.sample_time, _ORDINARY[axis.parameters.unit]
     duration = min(_LONGEST, 1.0 + settling_time(plant.mass, plant.damping + hand["damping"]))
+    leaning = Leaning(duration=duration, tolerance=tolerance, damping=hand["damping"], per_decade=5, fine=0.02)
     walls = []
     for push in (part * limit for part in _PUSHES):
-        leaning = Leaning(
-            push, duration=duration, tolerance=tolerance, damping=hand["damping"], per_decade=5, fine=0.02
-        )
-        found = largest_held(bench, leaning, push / _DEEPEST, _STIFFEST * plant.mass / period**2)
-        walls.append({"push": push, "held": found.stiffness, "certified": _certified(axis, push)})
-        walls[-1] |= {"softer": found.softer, "softer_not_held": found.failing}
+        found = largest_held(bench, replace(leaning, push=push), push / _DEEPEST, _STIFFEST * plant.mass / period**2)
+        walls.append(
+            {"push": push, "held": found.stiffness, "certified": _certified(axis, push), "softer": found.softer,
+             "softer_not_held": found.failing}
+        )  # fmt: skip
     comes = SlowHand(
         speed, hand["stiffness"], hand["damping"], 0.1 * speed, LEAN * limit / hand["stiffness"], settling=1.0, rest=0.3
     )
@@ -115,13 +113,10 @@ def _drags(bench: Bench, axis: AxisScene, wall: SpringDamperWall, comes: SlowHan
         return []
     asks = parameters.model_copy(update={"earned_energy": None, "drag": 0.0})
     energy = kept_for_contacts(wall, asks, loop, hand_response(asks, loop))
-    if energy == 0.0:
-        return []
     rows: list[dict[str, float | None]] = []
-    for drag in sorted({0.0, parameters.drag, DRAG}):
+    for drag in sorted({0.0, parameters.drag, DRAG}) if energy else ():
         earning = drag + (loop.device_friction or 0.0)
-        way = energy / earning if earning > 0.0 else None
-        start = None
+        way, start = energy / earning if earning > 0.0 else None, None
         if way is not None and _FURTHER * way <= _FURTHEST[axis.parameters.unit]:
             tried = replace(bench, case=replace(bench.case, parameters=asks.model_copy(update={"drag": drag})))
             start = _start_speed(tried, wall, replace(comes, free=max(comes.free, _FURTHER * way)))
@@ -199,22 +194,9 @@ def design(
     engine: Engine = "auto",
     progress: Callable[[int, int], None] = lambda _tried, _most: None,
 ) -> Row:
-    """Return the stiffest wall of an axis or group, see `design_wall`, or the lightest mass of each display."""
-    if are_displays(scene):
-        from canhaptic.lab.studies.design.admittance_design import design_displays
-
-        return design_displays(scene, margin, tolerance, progress)
-    return design_wall(scene, margin, tolerance, engine, progress)
-
-
-def design_wall(
-    scene: Scene,
-    margin: float = MARGIN,
-    tolerance: float = TOLERANCE,
-    engine: Engine = "auto",
-    progress: Callable[[int, int], None] = lambda _tried, _most: None,
-) -> Row:
     """Return the stiffest wall for the rig of a scene, and the largest damping at that stiffness, as plain values.
+
+    For admittance displays it is the lightest mass of each, see `design_displays`.
 
     Args:
         scene: Simulated scene of one group; or scene of one axis, simulated or with `passivity.moving_mass` declared.
@@ -227,22 +209,17 @@ def design_wall(
         InputError: The scene cannot be designed for, or a margin or tolerance is out of range.
         CheckFailedError: Not even the softest wall passes.
     """
+    if are_displays(scene):
+        from canhaptic.lab.studies.design.admittance_design import design_displays
+
+        return design_displays(scene, margin, tolerance, progress)
     require_design_room(margin, tolerance)
-    with ExitStack() as stack:
-        trial = _trial_of(scene, tolerance, engine, stack)
-        return _designed(trial, margin, tolerance, progress)
-
-
-def _trial_of(scene: Scene, tolerance: float, engine: Engine, stack: ExitStack) -> Trial | GroupTrial:
-    """Return the rig of a scene; a group that Python runs gets a process on each core until the stack is left."""
     if not scene.groups:
-        return Trial(scene, tolerance, engine)
+        return _designed(Trial(scene, tolerance, engine), margin, tolerance, progress)
     trial, cores = GroupTrial(scene, tolerance, engine), os.cpu_count() or 1
-    if trial.is_quick or cores == 1:
-        return trial
-    pool = Pool(cores)
-    stack.callback(pool.close)
-    return GroupTrial(scene, tolerance, engine, pool.executor)
+    with pool_of(1 if trial.is_quick else cores) as pool:  # a group that Python runs gets a process on each core
+        trial.executor = None if pool is None else pool.executor
+        return _designed(trial, margin, tolerance, progress)
 
 
 def _designed(trial: Trial | GroupTrial, margin: float, tolerance: float, progress: Callable[[int, int], None]) -> Row:
@@ -349,8 +326,8 @@ def _edges(passed: Booleans, nearly: Booleans) -> tuple[int, int]:
 
 def _chosen(parameters: Parameters) -> Row:
     """Return the values that differ from their defaults, without `alpha`, which has its own unit."""
-    fields = {key: field for key, field in type(parameters).model_fields.items() if key != "alpha"}
-    return {key: value for key, of in fields.items() if (value := getattr(parameters, key)) != of.default}
+    fields = type(parameters).model_fields.items()
+    return {k: value for k, of in fields if (value := getattr(parameters, k)) != of.default and k != "alpha"}
 
 
 def _rounded(value: float) -> float:
@@ -363,10 +340,9 @@ def _rounded(value: float) -> float:
 
 def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: float) -> Row:
     """Return the figures of a wall: its verdict, and one run of it, leant on, next to the continuous wall."""
-    values = {STIFFNESS: stiffness, DAMPING: damping}
-    places = places_of(trial.scene, tuple(values))
+    scene, values = trial.scene, {STIFFNESS: stiffness, DAMPING: damping}
+    places = places_of(scene, tuple(values))
     overrides = [f"{place}={value!r}" for key, value in values.items() for place in places[key]]
-    scene = trial.scene
     allowed = bool(scene.own_code)
     wall = scene_from_text(scene.text, scene.source, [*scene.overrides, *overrides], allow_code=allowed)
     [axis] = wall.axes
@@ -374,7 +350,7 @@ def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: flo
     hints = stability_hints(axis)
     run, parameters = axes[axis.parameters.name]["algorithms"][ALGORITHM], axis.passivity.parameters
     return {
-        "scene": trial.scene.source,
+        "scene": scene.source,
         "unit": axis.parameters.unit,
         "stiffness": stiffness,
         "damping": damping,
