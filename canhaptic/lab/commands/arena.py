@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.cli.long_command import StopSignal
-from canhaptic.cli.output import note_file, write_file, write_json, write_note
+from canhaptic.cli.output import note_file, write_file, write_note
 from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.lab.commands.results import show
 from canhaptic.lab.commands.scene_progress import scene_progress
 from canhaptic.lab.render.arena_picture import pictures_of, write_arena_page
 from canhaptic.lab.studies.arena import ArenaPlan, ArenaStore, run_arena, scenes_named
 from canhaptic.lab.studies.runner import pool_of
 from canhaptic.view.picture_style import require_matplotlib
-from canhaptic.view.run_lines import make_console
 from canhaptic.view.table import Table
 
 STORE: Final = "cases"
@@ -37,24 +37,14 @@ def execute(arguments: argparse.Namespace) -> int:
         write_note(f"  stopped     finished work is kept in {out / STORE}; the same command continues")
         return stop.exit_status
     _write(found, out)
-    if arguments.json:
-        write_json(found)
-    else:
-        make_console().print(_table(found))
+    show(arguments, found, lambda: _table(found))
     return 0
 
 
 def _plan(arguments: argparse.Namespace) -> ArenaPlan:
-    given: dict[str, Any] = {
-        "rates": arguments.rates,
-        "delays": arguments.delays,
-        "longest": arguments.duration,
-        "rig": arguments.rig,
-        "per_decade": arguments.walls,
-    }
-    options: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in given.items() if value is not None
-    }
+    names = {"rates": "rates", "delays": "delays", "duration": "longest", "rig": "rig", "walls": "per_decade"}
+    given: dict[str, Any] = {of: value for name, of in names.items() if (value := getattr(arguments, name)) is not None}
+    options: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
     algorithms = (*(arguments.algorithms or ALGORITHMS), *arguments.entry)
     return ArenaPlan(tuple(scenes_named(arguments.scenes)), algorithms, allow_code=arguments.allow_code, **options)
 

@@ -2,14 +2,15 @@
 
 import argparse
 
-from canhaptic.cli.options import check_picture, scene_of
-from canhaptic.cli.output import note_file, write_json, write_note
+from canhaptic.cli.options import scene_of
+from canhaptic.cli.output import write_note
 from canhaptic.errors import InputError
+from canhaptic.lab.commands.results import check_files, show, write_files
 from canhaptic.lab.loop.axis_loop import cycles_of
+from canhaptic.lab.render.compare_picture import draw_comparison
+from canhaptic.lab.render.compare_table import comparison_report
 from canhaptic.lab.studies.compare import are_displays, compare, compared_algorithms
 from canhaptic.scene.method import plant_errors
-from canhaptic.scene.models import Scene
-from canhaptic.view.run_lines import make_console
 from canhaptic.view.terminal import run_progress
 
 
@@ -20,41 +21,23 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: A scene, an algorithm or a picture that cannot be used.
     """
     scene = scene_of(arguments)
+    displays = are_displays(scene)
     for line in plant_errors(scene):
         write_note(f"  {line}")
-    if arguments.png is not None:
-        _require_picture(scene)
-        check_picture(arguments.png, arguments.force)
+    if arguments.png is not None and displays:
+        raise InputError("--png: for impedance displays; draw an admittance display with canhaptic run --png")
+    if arguments.png is not None and scene.groups:
+        raise InputError("--png: draws axes with their continuous run; draw a group with canhaptic run --png")
+    check_files(arguments)
     algorithms = compared_algorithms(scene, arguments.algorithms)
     total = cycles_of(scene, arguments.duration) * len(algorithms)
-    if not scene.groups and not are_displays(scene):
+    if not scene.groups and not displays:
         total = round(total * len(scene.axes) * (arguments.rate or scene.bus.rate) * scene.bus.sample_time)
     with run_progress(total, scene.bus.sample_time, "free") as progress:
         comparison = compare(
             scene, algorithms, duration=arguments.duration, rate=arguments.rate, over_can=arguments.can,
             engine=arguments.engine, progress=progress,
         )  # fmt: skip
-    if arguments.json:
-        write_json(comparison.result)
-    else:
-        from canhaptic.lab.render.compare_table import comparison_report
-
-        make_console().print(comparison_report(comparison.result))
-    if arguments.png is not None:
-        from canhaptic.lab.render.compare_picture import draw_comparison
-
-        draw_comparison(comparison, arguments.png)
-        note_file("picture", arguments.png)
+    show(arguments, comparison.result, lambda: comparison_report(comparison.result))
+    write_files(arguments, png=lambda path: draw_comparison(comparison, path))
     return 0
-
-
-def _require_picture(scene: Scene) -> None:
-    """Refuse a picture of parts without a continuous run.
-
-    Raises:
-        InputError: The scene has admittance displays or groups.
-    """
-    if are_displays(scene):
-        raise InputError("--png: for impedance displays; draw an admittance display with canhaptic run --png")
-    if scene.groups:
-        raise InputError("--png: draws axes with their continuous run; draw a group with canhaptic run --png")

@@ -3,7 +3,8 @@
 import argparse
 
 from canhaptic.cli.options import scene_of
-from canhaptic.cli.output import write_json, write_note
+from canhaptic.cli.output import write_note
+from canhaptic.lab.commands.results import show
 from canhaptic.lab.commands.scene_progress import scene_progress
 from canhaptic.lab.render.design_report import design_report, snippet
 from canhaptic.lab.studies.compare import are_displays
@@ -11,7 +12,6 @@ from canhaptic.lab.studies.design.admittance_design import display_design_report
 from canhaptic.lab.studies.design.wall import design
 from canhaptic.lab.studies.runner import Progress
 from canhaptic.scene.method import plant_errors
-from canhaptic.view.run_lines import make_console
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -25,14 +25,11 @@ def execute(arguments: argparse.Namespace) -> int:
     for line in plant_errors(scene):
         write_note(f"  {line}")
     displays = are_displays(scene)
-    with scene_progress("trying masses" if displays else "trying walls") as show:
+    with scene_progress("trying masses" if displays else "trying walls") as progress:
         found = design(
             scene, arguments.margin, arguments.tolerance, arguments.engine,
-            lambda tried, most: show(Progress(tried, most, 0)),
+            lambda tried, most: progress(Progress(tried, most, 0)),
         )  # fmt: skip
-    if arguments.json:
-        every = {name: display_snippet(of) for name, of in found["displays"].items()} if displays else snippet(found)
-        write_json({**found, "yaml": every})
-    else:
-        make_console().print((display_design_report if displays else design_report)(found))
+    every = {name: display_snippet(of) for name, of in found["displays"].items()} if displays else snippet(found)
+    show(arguments, {**found, "yaml": every}, lambda: (display_design_report if displays else design_report)(found))
     return 0

@@ -2,8 +2,9 @@
 
 import argparse
 
-from canhaptic.cli.options import check_page, check_picture
-from canhaptic.cli.output import note_file, write_json, write_line, write_note
+from canhaptic.cli.output import write_json, write_line, write_note
+from canhaptic.lab.commands.results import check_files, write_files
+from canhaptic.lab.render.map_picture import draw_map, write_map
 from canhaptic.lab.studies.map import Chosen, Lines, Panel, fields_of, panels_of, passing_share, usual_judgement
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 
@@ -14,10 +15,7 @@ def execute(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: A file, key, figure or picture that cannot be used.
     """
-    if arguments.png is not None:
-        check_picture(arguments.png, arguments.force)
-    if arguments.html is not None:
-        check_page(arguments.html, arguments.force)
+    check_files(arguments)
     with SweepTable(arguments.file) as table:
         fields = fields_of(table, arguments.axis, allow_code=arguments.allow_code)
         chosen = Chosen(arguments.x, arguments.y, arguments.metric, arguments.by)
@@ -31,16 +29,10 @@ def execute(arguments: argparse.Namespace) -> int:
         write_json({"file": str(arguments.file), "passing": shares, "no_contact": untouched, "lines": _lines(columns)})
     else:
         _print(columns, shares, untouched)
-    if arguments.png is not None:
-        from canhaptic.lab.render.map_picture import draw_map
-
-        draw_map(columns, caption, arguments.png)
-        note_file("picture", arguments.png)
-    if arguments.html is not None:
-        from canhaptic.lab.render.map_picture import write_map
-
-        write_map(columns, caption, arguments.html)
-        note_file("page", arguments.html)
+    write_files(
+        arguments, png=lambda path: draw_map(columns, caption, path),
+        html=lambda path: write_map(columns, caption, path),
+    )  # fmt: skip
     return 0
 
 

@@ -9,14 +9,14 @@ from typing import Final
 
 from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.options import scene_of
-from canhaptic.cli.output import note_file, write_json, write_note
+from canhaptic.cli.output import note_file, write_note
 from canhaptic.errors import InputError
+from canhaptic.lab.commands.results import show
 from canhaptic.lab.commands.scene_progress import scene_progress
 from canhaptic.lab.studies.runner import Pool, Progress, dask_executor, pool_of
 from canhaptic.lab.studies.sweep.run_sweep import sweep
 from canhaptic.lab.studies.sweep.summary import summary, summary_report
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
-from canhaptic.view.run_lines import make_console
 
 _OPTIONS: Final = (
     "resume", "force", "controllers", "seed", "duration", "cycles", "metrics", "engine", "chunk", "beyond_bus",
@@ -48,10 +48,7 @@ def execute(arguments: argparse.Namespace) -> int:
         with SweepTable(out) as table:
             found, errors = summary(table), table.note("plant_errors")
     found["file"] = None if arguments.out is None else found["file"]
-    if arguments.json:
-        write_json(found)
-    else:
-        make_console().print(summary_report(found))
+    show(arguments, found, lambda: summary_report(found))
     for line in errors.splitlines():
         write_note(f"  {line}")
     _note(arguments.out, state, stop.requested())
