@@ -690,10 +690,11 @@ def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
     y = chosen.y or next(key for key in sorted(others, key=_STIFFNESS.__ne__) if key != x)
     values, label, kind = _shown(field, metric)
     title = f"{field.algorithm}: {label}"
-    places, untouched = (field.values[x], field.values[y]), field.untouched()
+    untouched: Any = field.untouched()
+    places = field.values[x], field.values[y]
     if field.is_grid:
         keys = [field.keys.index(key) for key in (y, x)]
-        values, untouched = (np.moveaxis(one, keys, [0, 1]) for one in (values, untouched))
+        values, untouched = np.moveaxis(values, keys, [0, 1]), np.moveaxis(untouched, keys, [0, 1])
         title += ", worst case over all other keys" if any(size > 1 for size in values.shape[2:]) else ""
         columns, rows = (np.argsort(place) for place in places)
         values, places = _worst(values, kind)[rows][:, columns], (places[0][columns], places[1][rows])
