@@ -21,7 +21,7 @@ from functools import cached_property
 from math import nan
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,11 @@ if TYPE_CHECKING:
 
 
 _LOG_NAME: Final = "run.h5"
+_OF_PORTS: Final = (
+    *("stored", "dissipated", "deficit", "least_interaction", "certificate", "passive", "verdict", "plant_passive"),
+    *("first_active", "active_since", "advice"),
+)
+"""Figures of `PortAccount` with the names of the account."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,13 +213,7 @@ class SimulationResult:
         sample_time: Sample time [s].
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        raw: RunResult,
-        error: CanHapticError | None,
-        folder: Path,
-    ) -> None:
+    def __init__(self, scene: Scene, raw: RunResult, error: CanHapticError | None, folder: Path) -> None:
         self.scene = scene
         self.account = Account(raw)
         self.error = error
@@ -428,27 +427,15 @@ def _plain(value: object) -> object:
 
 
 def _port_account(name: str, raw: "RunResult | Inspection") -> PortAccount:
-    port = raw["ports"][name]
-    group = port.get("group", "")
-    whole = raw["ports"][group] if group else port
-    truth = raw["truth"].get(name)
+    port, truth = raw["ports"][name], raw["truth"].get(name)
+    whole = cast("dict[str, Any]", raw["ports"][port["group"]] if "group" in port else port)
     return PortAccount(
         name=name,
         energy_in=port["in"],
         energy_out=port["out"],
-        stored=whole["stored"],
-        dissipated=whole["dissipated"],
-        deficit=whole["deficit"],
         margin=whole["margin"]["value"],
-        least_interaction=whole["least_interaction"],
         true_least_interaction=nan if truth is None else truth["least_interaction"],
-        certificate=whole["certificate"],
-        passive=whole["passive"],
-        verdict=whole["verdict"],
-        plant_passive=whole.get("plant_passive"),
-        first_active=whole.get("first_active"),
-        active_since=whole.get("active_since"),
-        advice=whole.get("advice", ""),
-        group=group,
+        group=port.get("group", ""),
         mass_felt=port["mass"]["felt"] if "mass" in port else None,
+        **{key: whole[key] for key in _OF_PORTS if key in whole},
     )

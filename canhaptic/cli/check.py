@@ -30,13 +30,11 @@ from canhaptic.host.realtime import GRANTED, Realtime
 from canhaptic.scene import hints as limits
 from canhaptic.scene.build import build, require_buildable
 from canhaptic.scene.first_contact import FELT, advice, halves_rendered, kept_through_losses, slowest_felt
-from canhaptic.scene.hints import guarantee, stability_hints
+from canhaptic.scene.hints import guarantee
 from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import AxisScene, Guess, Scene, refused_values, status_text, values_to_set
 from canhaptic.view.run_lines import make_console
-from canhaptic.view.table import Cell, Styled, Table
-
-_UNLIMITED = "unlimited"
+from canhaptic.view.table import Styled, Table
 
 
 class _HostSetting(NamedTuple):
@@ -49,51 +47,37 @@ class _HostSetting(NamedTuple):
 
 def host_settings() -> list[_HostSetting]:
     """Settings that matter for a cycle at wall-clock pace; unreadable ones are left out."""
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    is_realtime, runtime = _read("/sys/kernel/realtime") == "1", _read("/proc/sys/kernel/sched_rt_runtime_us")
+    governor = _read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
+    source = _read("/sys/devices/system/clocksource/clocksource0/current_clocksource")
+    late = "no PREEMPT_RT: wake-ups may be late by milliseconds"
+    slow = "cpupower frequency-set -g performance keeps the clock up"
     settings = [
-        _HostSetting("kernel", f"{platform.system()} {platform.release()}", _kernel_advice()),
-        _HostSetting("processors", str(len(_affinity())), _processor_advice()),
+        ("kernel", f"{platform.system()} {platform.release()}", "" if is_realtime else late),
+        (
+            "processors",
+            str(processors),
+            "" if processors > 1 else "the log writer shares the only processor with the cycle",
+        ),
         _limit("real-time priority", "RLIMIT_RTPRIO", "rtprio"),
         _limit("locked memory", "RLIMIT_MEMLOCK", "memlock"),
+        ("real-time share", "all" if runtime == "-1" else runtime and f"{runtime} us of each second", ""),
+        ("frequency governor", governor, "" if governor == "performance" else slow),
+        ("clock source", source, "too coarse for a cycle" if source == "jiffies" else ""),
     ]
-    runtime = _read("/proc/sys/kernel/sched_rt_runtime_us")
-    if runtime:
-        settings.append(
-            _HostSetting("real-time share", "all" if runtime == "-1" else f"{runtime} us of each second", "")
-        )
-    governor = _read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
-    if governor:
-        advice = "" if governor == "performance" else "cpupower frequency-set -g performance keeps the clock up"
-        settings.append(_HostSetting("frequency governor", governor, advice))
-    source = _read("/sys/devices/system/clocksource/clocksource0/current_clocksource")
-    if source:
-        settings.append(_HostSetting("clock source", source, "" if source != "jiffies" else "too coarse for a cycle"))
-    return settings
+    return [_HostSetting(*setting) for setting in settings if setting[1]]
 
 
-def _affinity() -> set[int]:
-    return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
-
-
-def _kernel_advice() -> str:
-    return "" if _read("/sys/kernel/realtime") == "1" else "no PREEMPT_RT: wake-ups may be late by milliseconds"
-
-
-def _processor_advice() -> str:
-    return "" if len(_affinity()) > 1 else "the log writer shares the only processor with the cycle"
-
-
-def _limit(name: str, key: str, item: str) -> _HostSetting:
+def _limit(name: str, key: str, item: str) -> tuple[str, str, str]:
     try:
         import resource
-    except ImportError:  # Windows
-        return _HostSetting(name, "not on this system", "")
-    number = getattr(resource, key, None)  # Linux alone
-    if number is None:
-        return _HostSetting(name, "not on this system", "")
-    soft, _ = resource.getrlimit(number)
-    granted = soft == resource.RLIM_INFINITY or soft > 0
-    advice = "" if granted else f"not permitted; grant `{item}` in /etc/security/limits.conf"
-    return _HostSetting(name, _UNLIMITED if soft == resource.RLIM_INFINITY else str(soft), advice)
+
+        soft, _ = resource.getrlimit(getattr(resource, key))  # Linux alone has both
+    except (ImportError, AttributeError):  # the first on Windows
+        return name, "not on this system", ""
+    advice = "" if soft else f"not permitted; grant `{item}` in /etc/security/limits.conf"
+    return name, "unlimited" if soft == resource.RLIM_INFINITY else str(soft), advice
 
 
 def _read(path: str) -> str:
@@ -126,37 +110,29 @@ def checked(scene: Scene) -> dict[str, Any]:
 
 
 def _findings_of(scene: Scene, *, asks_drives: bool = False) -> "_CheckFindings":
-    dictionaries = [read_dictionary(a.parameters.eds, a.parameters.node_id) for a in scene.axes]
     axes = [axis.parameters for axis in scene.axes]
-    maps = [choose_map(dictionary, axis) for dictionary, axis in zip(dictionaries, axes, strict=True)]
-    budgets = {
-        bus.name: require_budget(
-            bus.parameters, [plan for axis, plan in zip(scene.axes, maps, strict=True) if axis.bus == bus.name]
-        )
-        for bus in scene.buses
-    }
-    parameters = {bus.name: bus.parameters for bus in scene.buses}
-    findings = {
-        axis.parameters.name: check_dictionary(dictionary, axis.parameters, parameters[axis.bus])
-        for dictionary, axis in zip(dictionaries, scene.axes, strict=True)
-    }
+    dictionaries = [read_dictionary(axis.eds, axis.node_id) for axis in axes]
+    maps = [(of.bus, choose_map(d, of.parameters)) for d, of in zip(dictionaries, scene.axes, strict=True)]
     if not scene.unread:
         require_buildable(scene)
-    hints = [hint for axis in scene.axes for hint in stability_hints(axis)]
-    hints += limits.group_hints(scene) + limits.later_hints(scene)
-    hints += limits.display_hints(scene)
     tried = ((axis.parameters.name, slowest_felt(axis)) for axis in scene.axes)
-    felt = {name: speed for name, speed in tried if speed is not None}
-    fitness = [survey(*of).suitability.value for of in zip(dictionaries, axes, strict=True)]
-    dear = dear_holds(scene) if scene.simulated and not scene.unread else []
-    kept = _objects_of_drives(scene) if asks_drives else {}
-    return _CheckFindings(scene, budgets, findings, hints, felt, fitness, dear, kept)
-
-
-def _objects_of_drives(scene: Scene) -> dict[str, list[Finding]]:
-    """Limits, ramps and reactions that the drives keep; raise SdoError where one does not answer."""
-    with build(scene) as experiment:
-        return {axis.parameters.name: experiment.rig.read_objects(n) for n, axis in enumerate(scene.axes)}
+    kept: dict[str, list[Finding]] = {}
+    if asks_drives:  # their limits, ramps and reactions
+        with build(scene) as experiment:
+            kept = {axis.name: experiment.rig.read_objects(n) for n, axis in enumerate(axes)}
+    return _CheckFindings(
+        scene=scene,
+        budgets={name: require_budget(bus, [plan for on, plan in maps if on == name]) for name, bus in scene.buses},
+        findings={
+            axis.parameters.name: check_dictionary(dictionary, axis.parameters, scene.bus_of(axis))
+            for dictionary, axis in zip(dictionaries, scene.axes, strict=True)
+        },
+        hints=limits.hints_of(scene),
+        felt={name: speed for name, speed in tried if speed is not None},
+        fitness=[survey(*of).suitability.value for of in zip(dictionaries, axes, strict=True)],
+        dear=dear_holds(scene) if scene.simulated and not scene.unread else [],
+        objects=kept,
+    )
 
 
 _USUAL: Final = 0.01
@@ -186,9 +162,8 @@ class _CheckFindings(NamedTuple):
         speed, unit = _USUAL * axis.parameters.largest_speed, f"{axis.parameters.unit}/s"
         halves = halves_rendered(axis, speed)
         both = f" ({halves[0]:.2f} up to a crest and {halves[1]:.2f} behind it at {speed:.2g} {unit})" if halves else ""
-        return (
-            f"felt from {self.felt[name]:.2g} {unit}{at}{both}{self._under_losses(axis, max(speed, self.felt[name]))}"
-        )
+        lost = self._under_losses(axis, max(speed, self.felt[name]))
+        return f"felt from {self.felt[name]:.2g} {unit}{at}{both}{lost}"
 
     def _under_losses(self, axis: AxisScene, speed: float) -> str:
         """Return the share of lost frames through which a wall stays; empty where no loss is declared."""
@@ -198,7 +173,7 @@ class _CheckFindings(NamedTuple):
         kept = max((lost for lost, share in tried if share >= FELT), default=0.0)
         beyond = next((f"{share:.0%} of it at {lost:.1%}" for lost, share in tried if lost > kept), "")
         stays = [f"it stays where about {kept:.1%} of the frames are lost"] if kept else []
-        return f"; pressed for 1 s {', '.join([*stays, *([beyond] if beyond else [])])}"
+        return f"; pressed for 1 s {', '.join(filter(None, [*stays, beyond]))}"
 
     @property
     def refused(self) -> bool:
@@ -282,14 +257,15 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool, full: boo
     unset = values_to_set(scene)
     if found.refused or any(guess.line for guess in unset):
         console.print("set these before connecting a drive:")
-        console.print(_guess_table(unset) if full else _guess_line(unset))
+        console.print(_guesses(unset, full=full))
     if resolved:
         values = _without_empty(scene.resolved())
         console.print(yaml.safe_dump(values, sort_keys=False, allow_unicode=True), markup=False)
     _print_findings(console, found, full=full)
-    answers = _realtime(scene)
-    if answers:
-        console.print(_realtime_table(answers))
+    if answers := _realtime(scene):
+        styles = ["" if answer == GRANTED else "yellow" for answer in answers.values()]
+        rows = [[Styled(text, style) for text in pair] for pair, style in zip(answers.items(), styles, strict=True)]
+        console.print(Table("bus.realtime", ("asked", "answer"), rows))
 
 
 def _print_findings(console: Console, found: _CheckFindings, *, full: bool) -> None:
@@ -318,16 +294,13 @@ def _print_findings(console: Console, found: _CheckFindings, *, full: bool) -> N
     console.print("[dim]every object, limit and setting: --full[/]")
 
 
-def _guess_line(unset: list[Guess]) -> Text:
-    """The values to set in a few lines; the file explains each one."""
-    return Text(
-        ", ".join(f"{f'line {guess.line} ' if guess.line else ''}{guess.key}: {guess.value}" for guess in unset)
-    )
-
-
-def _guess_table(unset: list[Guess]) -> Table:
-    rows: list[list[Cell]] = [[guess.line or "", guess.key, guess.value, guess.note] for guess in unset]
-    return Table("to set", ("line", "key", "guess", "what belongs there"), rows)
+def _guesses(unset: list[Guess], *, full: bool) -> Table | Text:
+    """The values to set, in a few lines or as a table; the file explains each one."""
+    if full:
+        rows = [(guess.line or "", guess.key, guess.value, guess.note) for guess in unset]
+        return Table("to set", ("line", "key", "guess", "what belongs there"), rows)
+    lines = ((f"line {guess.line} " if guess.line else "", guess) for guess in unset)
+    return Text(", ".join(f"{line}{guess.key}: {guess.value}" for line, guess in lines))
 
 
 def _realtime(scene: Scene) -> dict[str, str]:
@@ -348,31 +321,22 @@ def _without_empty(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _bus_table(bus: str, budget: BusBudget) -> Table:
-    rows: list[list[Cell]] = [
-        [row.what, row.frames, row.bits_each, row.bits, f"{row.bits / budget.bitrate * 1e6:.0f} us"]
+    rows = [
+        (row.what, row.frames, row.bits_each, row.bits, f"{row.bits / budget.bitrate * 1e6:.0f} us")
         for row in budget.rows
     ]
     return Table(f"{bus}, worst cycle", ("what", "frames", "bits each", "bits", "time"), rows)
 
 
 def _fitness_table(title: str, findings: list[Finding]) -> Table:
-    rows: list[list[Cell]] = [[row.item, WORDS[row.verdict], row.text] for row in findings]
-    return Table(title, ("object", "verdict", ""), rows)
+    return Table(title, ("object", "verdict", ""), [[row.item, WORDS[row.verdict], row.text] for row in findings])
 
 
 def _hint_table(hints: list[limits.Hint], *, texts: bool) -> Table:
-    rows: list[list[Cell]] = []
+    rows = []
     for hint in hints:
         limit = "unknown" if hint.limit is None else f"{hint.limit:.4g} {hint.unit}"
         asked = "" if hint.asked is None else f"{hint.asked:.4g}"
         style = "dim" if not hint.concerns else "yellow" if hint.exceeded else ""
-        shown = (hint.axis, hint.what, limit, asked, *([hint.text] if texts else []))
-        rows.append([Styled(text, style) for text in shown])
-    return Table("stability", ("axis", "limit", "at most", "requested", *([""] if texts else [])), rows)
-
-
-def _realtime_table(answers: dict[str, str]) -> Table:
-    rows: list[list[Cell]] = [
-        [Styled(text, "" if pair[1] == GRANTED else "yellow") for text in pair] for pair in answers.items()
-    ]
-    return Table("bus.realtime", ("asked", "answer"), rows)
+        rows.append([Styled(text, style) for text in (hint.axis, hint.what, limit, asked, hint.text)[: 4 + texts]])
+    return Table("stability", ("axis", "limit", "at most", "requested", "")[: 4 + texts], rows)

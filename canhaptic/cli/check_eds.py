@@ -130,7 +130,7 @@ def _print(console: Console, found: Survey, profile: str | None, *, full: bool) 
         console.print(_map_table(found.axis_map))
         console.print(_load_table(found))
     if not found.reasons:
-        console.print(_manual_table(found))
+        console.print(Table("to be configured by hand, under axes", ("key", "why"), found.manual))
 
 
 def _print_brief(console: Console, found: Survey) -> None:
@@ -181,8 +181,3 @@ def _load_table(found: Survey) -> Table:
     ]  # fmt: skip
     title = f"bus at {found.bitrate / 1000:g} kbit/s, one axis"
     return Table(title, ("rate", "periodic load", "worst cycle", "of", "", "axes that fit"), rows)
-
-
-def _manual_table(found: Survey) -> Table:
-    rows = [[key.key, key.reason] for key in found.manual]
-    return Table("to be configured by hand, under axes", ("key", "why"), rows)

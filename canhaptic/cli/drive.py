@@ -27,10 +27,9 @@ def execute(arguments: argparse.Namespace) -> int:
     """Run until the duration is over (0) or a signal arrives (130, 143)."""
     scene = scene_of(arguments)
     if any(bus.parameters.interface == "virtual" and bus.parameters.channel is None for bus in scene.buses):
-        raise InputError(
-            f"{scene.source}: bus.interface 'virtual' stays inside this process, so no master can reach the drive; "
-            "name a bus that both use, for example --set bus.interface=udp_multicast --set bus.channel=239.74.163.21"
-        )
+        text = f"{scene.source}: bus.interface 'virtual' stays inside this process, so no master can reach the drive"
+        example = "--set bus.interface=udp_multicast --set bus.channel=239.74.163.21"
+        raise InputError(f"{text}; name a bus that both use, for example {example}")
     with ExitStack() as stack:
         stop = stack.enter_context(StopSignal())
         realtime = Realtime(scene.bus.realtime)

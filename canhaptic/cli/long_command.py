@@ -58,16 +58,18 @@ class StopSignal:
 
 
 def notes(scene: Scene) -> Iterator[str]:
-    """Notes on axes whose torque is reduced because its scale is not verified, and the check list."""
+    """Notes on axes whose torque is reduced because its scale is not verified, the check list, and slow plants."""
     for axis in scene.axes:
         given, limit = axis.parameters, axis.loop.torque_limit or 0.0
         if limit < given.torque_limit and given.admittance is None:
-            yield (
-                f"{given.name}: torque_verified: no: at most {limit:.3g} {effort_unit(given.unit)} are sent, a "
-                "hundredth of torque_limit; canhaptic commission verifies the scale"
-            )
+            text = f"{given.name}: torque_verified: no: at most {limit:.3g} {effort_unit(given.unit)} are sent, a"
+            yield f"{text} hundredth of torque_limit; canhaptic commission verifies the scale"
     if scene.simulation is None:
         yield from check_list(scene.run.confirmed)
+    if scene.simulated:  # real drives load nothing of it
+        from canhaptic.scene.method import dear_holds
+
+        yield from dear_holds(scene)
 
 
 def check_list(confirmed: Mapping[CheckItem, str]) -> Iterator[str]:

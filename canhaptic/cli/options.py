@@ -86,7 +86,7 @@ def check_picture(path: Path, force: bool) -> None:
 
 
 def check_page(path: Path, force: bool) -> None:
-    """Refuse a page that could not be written, before the run.
+    """Refuse a page or picture that could not be written, before the run.
 
     Args:
         path: The file.

@@ -62,12 +62,7 @@ def write_failure(error: CanHapticError) -> None:
 def failure(error: CanHapticError) -> dict[str, Any]:
     """Return an error as plain values."""
     faults = list(error.faults) if isinstance(error, SceneError) else [str(error)]
-    return {
-        "status": "error",
-        "error": type(error).__name__,
-        "exit_status": error.exit_status,
-        "faults": faults,
-    }
+    return {"status": "error", "error": type(error).__name__, "exit_status": error.exit_status, "faults": faults}
 
 
 def _finite(value: Any) -> Any:

@@ -7,7 +7,7 @@ from canhaptic.cli.options import scene_of
 from canhaptic.cli.output import write_json
 from canhaptic.host.socketcan_state import PreflightFinding, preflight
 from canhaptic.view.run_lines import make_console
-from canhaptic.view.table import Cell, Styled, Table
+from canhaptic.view.table import Styled, Table
 
 _REFUSED: Final = 1
 _COLOURS: Final = {"well": "green", "note": "yellow", "refused": "red"}
@@ -31,7 +31,5 @@ def _print(findings: list[PreflightFinding], interfaces: list[str]) -> None:
     if not findings:
         console.print(f"nothing to check: {', '.join(interfaces)} is not SocketCAN")
         return
-    rows: list[list[Cell]] = [
-        [f.interface, f.item, Styled(f.severity, _COLOURS[f.severity]), f.seen, f.text] for f in findings
-    ]
+    rows = [(f.interface, f.item, Styled(f.severity, _COLOURS[f.severity]), f.seen, f.text) for f in findings]
     console.print(Table("SocketCAN", ("interface", "item", "", "seen", "what to do"), rows))

@@ -53,12 +53,10 @@ def _replay_report(result: ReplayResult) -> list[Text]:
     """Outcome of a replay as lines of text."""
     difference, frames = result["difference"], result["frames"]
     start = "from the boot of the drives" if result["start"] == "boot" else "from the first SYNC with all axes enabled"
+    played = f"{frames['compared']} frames of the master compared, {frames['played']} of the drives played"
     lines = [
         Text(f" {result['recording']}: {result['duration']:.6g} s, {frames['recorded']} frames, replayed {start}"),
-        Text(
-            f" {frames['compared']} frames of the master compared, {frames['played']} of the drives played, "
-            f"{result['cycles']} cycles, {result['speed']:.1f} times real time"
-        ),
+        Text(f" {played}, {result['cycles']} cycles, {result['speed']:.1f} times real time"),
         Text(f" ended: {result['ended']}"),
     ]
     if result["skipped"]:
@@ -67,13 +65,8 @@ def _replay_report(result: ReplayResult) -> list[Text]:
         objects = ", ".join(result["reads_left_out"])
         lines.append(Text(f" objects that the start left out, because the recorded master was older: {objects}"))
     if difference is None:
-        return [
-            *lines,
-            Text(
-                " identical: the master sent every frame byte for byte as recorded (except heartbeats and times)",
-                style="green",
-            ),
-        ]
+        text = " identical: the master sent every frame byte for byte as recorded (except heartbeats and times)"
+        return [*lines, Text(text, style="green")]
     place = f"line {difference['number']}, {difference['time']:.6f} s"
     lines.append(Text(f" different at {place}:", style="bold red"))
     lines.append(Text(f"   recorded  {_words(difference['recorded'])}"))

@@ -2,7 +2,9 @@
 
 import argparse
 import tempfile
+from collections.abc import Iterator
 from contextlib import ExitStack
+from itertools import chain
 from math import inf
 from pathlib import Path
 from typing import Final
@@ -36,14 +38,12 @@ def execute(arguments: argparse.Namespace) -> int:
                 energy_log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.h5"
         require_no_guesses(scene)
         _require_allowed(scene, most=inf if arguments.large_allowance else _LARGE)
-        for text in elsewhere:
+        for text in chain(elsewhere, _preflight(scene)):
             write_note(f"  {text}")
-        if any(bus.parameters.interface == "socketcan" for bus in scene.buses):
-            _preflight(scene)
         stop = stack.enter_context(StopSignal())
         scene = _with_checked_holds(scene, stop, arguments)
         experiment = build(scene, arguments.pace, energy_log, bus_log, no_torque=arguments.no_torque)
-        for text in (*notes(scene), *_dear_holds(scene)):
+        for text in notes(scene):
             write_note(f"  {text}")
         stack.callback(experiment.close, "interrupted")  # by then closed already, unless a second signal came
         result, error = _run(experiment, arguments.duration or scene.run.duration, stop)
@@ -61,6 +61,14 @@ def execute(arguments: argparse.Namespace) -> int:
     return stop.exit_status or (_NOT_PASSIVE if arguments.strict and _fails(result) else 0)
 
 
+def _preflight(scene: Scene) -> Iterator[str]:
+    if any(bus.parameters.interface == "socketcan" for bus in scene.buses):
+        from canhaptic.host.socketcan_state import require_preflight
+
+        for note in require_preflight(scene):
+            yield f"{note.interface}: {note.item}: {note.seen}: {note.text}"
+
+
 def _with_checked_holds(scene: Scene, stop: StopSignal, arguments: argparse.Namespace) -> Scene:
     """Return the scene after the check that `check_hold` asks for; nothing of it is loaded otherwise."""
     if arguments.no_torque or all(axis.parameters.check_hold is None for axis in scene.axes):
@@ -70,36 +78,18 @@ def _with_checked_holds(scene: Scene, stop: StopSignal, arguments: argparse.Name
     return checked_holds(scene, write_note, stop.requested)
 
 
-def _dear_holds(scene: Scene) -> list[str]:
-    """Return the warnings about slow simulated plants; real drives load nothing of it."""
-    if not scene.simulated:
-        return []
-    from canhaptic.scene.method import dear_holds
-
-    return dear_holds(scene)
-
-
 def _require_allowed(scene: Scene, most: float) -> None:
     """Refuse an allowance that a hand may feel as a kick, above `most` [J].
 
     Raises:
         ParameterError: An axis or a group may give out more than 10 mJ.
     """
-    ports = [(axis.parameters.name, axis.passivity) for axis in scene.axes if not axis.group]
-    for name, passivity in [*ports, *((group.name, group.passivity) for group in scene.groups)]:
+    for name, passivity, _ in scene.ports:
         energy = getattr(passivity.parameters, "energy_allowance", 0.0)
         if energy > most:
-            raise ParameterError(
-                f"{name}: passivity.energy_allowance: got {energy:.3g} J, expected at most {most:g} J; the port "
-                "may give out this energy before any comes in: declare less, or run with --large-allowance"
-            )
-
-
-def _preflight(scene: Scene) -> None:
-    from canhaptic.host.socketcan_state import require_preflight
-
-    for note in require_preflight(scene):
-        write_note(f"  {note.interface}: {note.item}: {note.seen}: {note.text}")
+            text = f"{name}: passivity.energy_allowance: got {energy:.3g} J, expected at most {most:g} J; the port may"
+            text += " give out this energy before any comes in"
+            raise ParameterError(f"{text}: declare less, or run with --large-allowance")
 
 
 def _withheld(result: RunResult) -> str:

@@ -28,13 +28,13 @@ from canhaptic.control.ledger import EnergyLossMeter
 from canhaptic.control.verdict import PortResult
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.axis_parameters import BusParameters
-from canhaptic.drive.can.link import Link, Recorder
+from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.host.interfaces import opening_error
 from canhaptic.result import RunResult, run_result
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import (
     build_axis_controllers,
     build_axis_groups,
@@ -93,34 +93,20 @@ _PROMISE_PASSIVITY: Final = frozenset({"guarded", "energy_bounding"})
 
 def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
     """Return a meter for each port of a scene that has a limit."""
-    meters: list[EnergyLossMeter | None] = []
-    for place, axis in enumerate(scene.axes):
-        if not axis.group and axis.parameters.admittance is None:
-            allowance = getattr(axis.passivity.parameters, "energy_allowance", 0.0)
-            meters.append(_meter(scene, axis.parameters.name, axis.passivity.name, (place,), allowance))
-    for group, places in zip(scene.groups, group_places(scene), strict=True):
-        allowance = getattr(group.passivity.parameters, "energy_allowance", 0.0)
-        meters.append(_meter(scene, group.name, group.passivity.name, places, allowance))
-    return [meter for meter in meters if meter is not None]
-
-
-def _meter(
-    scene: Scene, name: str, algorithm: str, places: tuple[int, ...], allowance: float
-) -> EnergyLossMeter | None:
-    axes = [scene.axes[place] for place in places]
-    is_on = algorithm in _PROMISE_PASSIVITY or not scene.simulated
-    limits = [limit for axis in axes if (limit := _limit(axis, is_on)) is not None]
-    if not limits:
-        return None
-    damping = [0.0 if axis.loop.device_friction else axis.loop.device_damping or 0.0 for axis in axes]  # see `Cycle`
-    return EnergyLossMeter(name, places, min(limits), allowance, damping, scene.bus.sample_time)
-
-
-def _limit(axis: AxisScene, is_on: bool) -> float | None:
-    given = axis.parameters.energy_loss_limit
-    if given == "none":
-        return None
-    return given if given is not None else DEFAULT_LIMIT if is_on else None
+    meters = []
+    for name, passivity, places in scene.ports:
+        axes = [scene.axes[place] for place in places]
+        default = DEFAULT_LIMIT if passivity.name in _PROMISE_PASSIVITY or not scene.simulated else "none"
+        given = (axis.parameters.energy_loss_limit for axis in axes)
+        limits = [limit for one in given if isinstance(limit := default if one is None else one, float)]
+        if not limits or (axes[0].parameters.admittance is not None and not axes[0].group):
+            continue
+        damping = [
+            0.0 if axis.loop.device_friction else axis.loop.device_damping or 0.0 for axis in axes
+        ]  # see `Cycle`
+        allowance = getattr(passivity.parameters, "energy_allowance", 0.0)
+        meters.append(EnergyLossMeter(name, places, min(limits), allowance, damping, scene.bus.sample_time))
+    return meters
 
 
 def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
@@ -138,20 +124,28 @@ def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
     """
     homes = (Path.cwd().resolve(), Path(scene.source).resolve().parent)
     notes = []
-    for key, path in (
-        ("log.energy", scene.log.energy if energy else None),
-        ("log.bus", scene.log.bus if bus else None),
+    for is_used, key, option, path in (
+        (energy, "log.energy", "--log", scene.log.energy),
+        (bus, "log.bus", "--bus-log", scene.log.bus),
     ):
-        if path is None or any(path.resolve().is_relative_to(home) for home in homes):
+        if not is_used or path is None or any(path.resolve().is_relative_to(home) for home in homes):
             continue
         if path.exists():
-            option = "--log" if key == "log.energy" else "--bus-log"
             raise InputError(
                 f"{scene.source}: {key}: {path} already exists, outside the folder of the scene and the current one; "
                 f"give {option} {path} --force to replace it"
             )
         notes.append(f"{key} of {scene.source} is outside its folder: {path}")
     return notes
+
+
+def _opened(scene: Scene, channels: "Sequence[str | int | None]", stack: ExitStack) -> list[can.BusABC]:
+    """Return one connection to each bus, closed with the stack."""
+    buses = []
+    for of, channel in zip(scene.buses, channels, strict=True):
+        buses.append(open_bus(of.parameters, channel))
+        stack.callback(buses[-1].shutdown)
+    return buses
 
 
 def _simulated_side(
@@ -162,15 +156,15 @@ def _simulated_side(
         return [], None
     from canhaptic.scene.far_side import all_drives, build_drive_group
 
-    pairs = zip(scene.buses, channels, strict=True)
-    groups = [build_drive_group(scene, _open_bus(of.parameters, on, stack), of.name) for of, on in pairs]
+    pairs = zip(scene.buses, _opened(scene, channels, stack), strict=True)
+    groups = [build_drive_group(scene, bus, of.name) for of, bus in pairs]
     return groups, all_drives(scene, groups)
 
 
 def _faulty_buses(scene: Scene, buses: "Sequence[can.BusABC]", stack: ExitStack) -> "dict[int, FaultyBus]":
     """Return the master's connections to the buses on which the scene names effects, by place of the bus."""
     faulty: dict[int, FaultyBus] = {}
-    if scene.simulated:
+    if scene.simulated and scene.bus_effects is not None:
         from canhaptic.scene.far_side import suffers, with_effects
 
         for n in [n for n, named in enumerate(scene.buses) if suffers(scene, named.name)]:
@@ -205,9 +199,11 @@ class Experiment:
         controllers = build_axis_controllers(scene)
         _require_push(scene, controllers)
         with ExitStack() as stack:
-            channels = [_channel(bus.parameters) for bus in scene.buses]
+            named = [bus.parameters for bus in scene.buses]
+            is_private = [bus.interface == "virtual" and bus.channel is None for bus in named]
+            channels = [private_channel() if new else bus.channel for bus, new in zip(named, is_private, strict=True)]
             groups, self.far_side = _simulated_side(scene, channels, stack)
-            buses = [_open_bus(b.parameters, channel, stack) for b, channel in zip(scene.buses, channels, strict=True)]
+            buses = _opened(scene, channels, stack)
             faulty = _faulty_buses(scene, buses, stack)
             self.faulty_buses = {scene.buses[n].name: faulty_bus for n, faulty_bus in faulty.items()}
             self.clock = _build_clock(scene, pace, groups, faulty)
@@ -215,9 +211,9 @@ class Experiment:
             self.bus_log: BusLogWriter | None = None
             if energy_log or bus_log:
                 self._open_logs(energy_log, bus_log, stack, dry_run=no_torque)
+            records = [self.bus_log.on(n) if self.bus_log else None for n in range(len(buses))]
             links = [
-                Link(faulty.get(n, bus), self.clock, _recorder(self.bus_log, n), echoes=echoes(of.parameters))
-                for n, (of, bus) in enumerate(zip(scene.buses, buses, strict=True))
+                Link(faulty.get(n, buses[n]), self.clock, records[n], echoes=echoes(of)) for n, of in enumerate(named)
             ]
             self.rig = _build_rig(scene, links, dry_run=no_torque)
             truths, groups_of_axes, meters = _truths(self.far_side), build_axis_groups(scene), build_axis_meters(scene)
@@ -411,18 +407,6 @@ def _jitters(scene: Scene, pace: str) -> list[float] | None:
     return [axis.loop.sync_jitter or 0.0 for axis in scene.axes]
 
 
-def _channel(bus: BusParameters) -> str | int | None:
-    if bus.channel is None and bus.interface == "virtual":
-        return private_channel()
-    return bus.channel
-
-
-def _open_bus(parameters: BusParameters, channel: str | int | None, stack: ExitStack) -> can.BusABC:
-    bus = open_bus(parameters, channel)
-    stack.callback(bus.shutdown)
-    return bus
-
-
 def _build_clock(scene: Scene, pace: _Pace, groups: "Sequence[DriveGroup]", faulty: "Mapping[int, FaultyBus]") -> Clock:
     """Return the clock, which drives the simulated drives, and the faults between them and the master if any."""
     peers: list[SimulatedPeer] = [faulty[n].around(group) if n in faulty else group for n, group in enumerate(groups)]
@@ -432,15 +416,10 @@ def _build_clock(scene: Scene, pace: _Pace, groups: "Sequence[DriveGroup]", faul
     return clock
 
 
-def _recorder(bus_log: "BusLogWriter | None", index: int) -> Recorder | None:
-    return None if bus_log is None else bus_log.on(index)
-
-
 def _build_rig(scene: Scene, links: Sequence[Link], *, dry_run: bool) -> Rig:
     by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
     drives = [build_servo_drive(axis, *by_name[axis.bus], dry_run=dry_run) for axis in scene.axes]
-    for drive, axis in zip(drives, scene.axes, strict=True):
-        given = axis.parameters
+    for drive, given in zip(drives, (axis.parameters for axis in scene.axes), strict=True):
         is_asked = not scene.simulated or given.hold_checked or given.check_hold  # else it is as the simulation says
         drive.hold = "not checked" if is_asked and given.admittance is None else ""
     return Rig(links, drives, scene.bus, group_places(scene))
@@ -450,9 +429,6 @@ def _truths(far_side: "Drives | None") -> Callable[[], Sequence[Truth]] | None:
     if far_side is None:
         return None
     readers = [drive.truth for drive in far_side.drives]
-    if len(readers) == 1:
-        [read] = readers
-        return lambda: (read(),)
     return lambda: [read() for read in readers]
 
 

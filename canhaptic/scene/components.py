@@ -1,20 +1,24 @@
 """Fields of the scene whose model is chosen by name from a table, or imported only where the scene has the key."""
 
 import warnings
-from collections.abc import Mapping, Set
-from contextlib import AbstractContextManager
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from multiprocessing import parent_process
-from typing import Any, Final, Literal, NamedTuple, Protocol
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from canhaptic.axis_units import Motion
+from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import OverrideWarning, ParameterError
 from canhaptic.registry import load
 from canhaptic.scene.document import MarkedMapping
-from canhaptic.units import OnDemand, Parameters, example, shown
+from canhaptic.units import OnDemand, Parameters, UnitContext, example, shown
+
+if TYPE_CHECKING:
+    from canhaptic.scene.own_code import OwnCode
 
 READY: Final = "ready"
 """Type of an error of pydantic whose text needs no preceding value."""
@@ -26,38 +30,31 @@ OWN_MODULE: Final = "_canhaptic_own_"
 """Begins the name of the private module of a file of own code."""
 
 
-class _CodeReading(Protocol):
-    """Code of its user that a scene names; see `OwnCode`, which is loaded where a scene names some."""
+@dataclass(slots=True)
+class SceneContext(UnitContext):
+    """Context of the validation of a scene."""
 
-    def is_left(self, reference: str, kind: str) -> bool:
-        """Return whether a name is of own code that stays unread."""
-
-    def find(self, reference: str, kind: str) -> Any:
-        """Return the user-defined class that a name means; None where it means none."""
-
-
-class SceneReading(Protocol):
-    """Context of the models of a scene while they are validated."""
-
-    simulated: bool
-    """Whether the drives are simulated inside this process."""
-    motion: Motion | None
-    """Unit of the position of the axis that is read."""
+    bus: BusParameters | None = None  # once it is validated
+    simulated: bool = False  # as that of `Scene`, once the bus is validated
+    folder: Path = Path()  # of the scene
+    use: CodeUse = "refused"
+    displays: set[str] = field(default_factory=set)  # axes that are admittance displays, as far as they are read
+    is_display: bool = False  # whether the last of them is one
+    _code: "OwnCode | None" = None
 
     @property
-    def code(self) -> _CodeReading:
-        """User code that may be read."""
+    def has_code(self) -> bool:
+        """Whether the scene refers to user code."""
+        return self._code is not None
 
     @property
-    def displays(self) -> Set[str]:
-        """Names of the admittance displays among the axes read so far."""
+    def code(self) -> "OwnCode":
+        """User code that may be read, loaded where a scene refers to any."""
+        if self._code is None:
+            from canhaptic.scene.own_code import OwnCode
 
-    @property
-    def is_display(self) -> bool:
-        """Whether the axis being read, or the last one, is an admittance display."""
-
-    def moving(self, motion: Motion | None) -> AbstractContextManager[object]:
-        """Read quantities in the units of this motion until the context ends."""
+            self._code = OwnCode(self.folder, self.use)
+        return self._code
 
 
 class ComponentSpec(NamedTuple):
@@ -118,7 +115,7 @@ class ComponentOf:
         plain = core_schema.plain_serializer_function_ser_schema(lambda spec: spec.as_plain(self.selector))
         return core_schema.with_info_plain_validator_function(self.read, serialization=plain)
 
-    def read(self, value: object, info: ValidationInfo[SceneReading]) -> ComponentSpec:
+    def read(self, value: object, info: ValidationInfo[SceneContext]) -> ComponentSpec:
         """Return the component that a section names."""
         if isinstance(value, ComponentSpec):
             return value
@@ -149,7 +146,7 @@ class ComponentOf:
         return ComponentSpec(name, validated(model, section, info.context), own)
 
     def _switched(
-        self, name: str, model: type[Parameters], section: MarkedMapping, reading: SceneReading
+        self, name: str, model: type[Parameters], section: MarkedMapping, reading: SceneContext
     ) -> MarkedMapping:
         """Section without the keys of a type that an override replaced; sections of real drives are kept whole."""
         was, fields = section.was, model.model_fields
@@ -253,7 +250,7 @@ class ComponentByDisplay(ComponentOf):
 
         return self._admittance if known(self._admittance) > known(self) else self
 
-    def read(self, value: object, info: ValidationInfo[SceneReading]) -> ComponentSpec:
+    def read(self, value: object, info: ValidationInfo[SceneContext]) -> ComponentSpec:
         """Return the component that a section names, from the table for the axis's kind of display."""
         of_group = info.data.get("axes")
         is_display = info.context.displays >= set(of_group) if of_group else info.context.is_display
@@ -281,7 +278,7 @@ def _own_parameters(own: object, name: str) -> type[Parameters]:
     return model
 
 
-def validated(model: type[Parameters], section: MarkedMapping, context: SceneReading) -> Parameters:
+def validated(model: type[Parameters], section: MarkedMapping, context: SceneContext) -> Parameters:
     """Parameters of a section, in the units of its axis or of the model itself."""
     with context.moving(section.motion or getattr(model, "motion", None)):
         return model.model_validate(section, context=context)

@@ -3,15 +3,13 @@
 A scene without one loads nothing of it.
 """
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, cast
 
 from canhaptic.control.admittance import build_display_group
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.mass_felt import MassAsked, MassFelt
-from canhaptic.drive.axis_parameters import AxisParameters
-from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.scene.document import Diagnostics, MarkedMapping
 from canhaptic.scene.models import AxisScene, GroupScene, Scene
 
 if TYPE_CHECKING:
@@ -76,31 +74,19 @@ def mass_felt(scene: Scene, axis: AxisScene) -> MassFelt | None:
     ))  # fmt: skip
 
 
-def check_display(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: Diagnostics) -> None:
-    """Note missing properties of an admittance display, and an impedance display simulated as an admittance display."""
-    display, simulation = axis.parameters.admittance, axis.simulation
+def display_faults(scene: Scene, axis: AxisScene) -> Iterator[tuple[str, str]]:
+    """Yield key and text of the faults of an admittance display, or of an impedance display simulated as one."""
+    given, display, simulation = axis.parameters, axis.parameters.admittance, axis.simulation
     if display is None:
-        if simulation is not None and simulation.admittance is not None:
-            faults.add(entry.mark, "simulation.admittance: got one, but the axis has no `admittance`; add it there")
+        yield "", "simulation.admittance: got one, but the axis has no `admittance`; add it there"
         return
-    at = entry.value_at("admittance")
+    got = "got an admittance display"
     if axis.simulated_drive is not None:
-        faults.add(
-            at, "got an admittance display, but this axis moves a simulated mechanism; expected a plant of its own"
-        )
+        yield "admittance", f"{got}, but this axis moves a simulated mechanism; expected a plant of its own"
     if scene.bus.rpdo == "event":
-        faults.add(
-            at, "got an admittance display with rpdo: event, whose commands act at an unknown time; use synchronous"
-        )
+        yield "admittance", f"{got} with rpdo: event, whose commands act at an unknown time; use synchronous"
     if simulation is not None and simulation.admittance is None:
-        faults.add(at, "got an admittance display, but simulation.admittance is missing; add loop, grip and sensor")
-    if not scene.simulated:
-        for key in _missing(axis.parameters, display):
-            faults.add(at, f"{key}: missing; an admittance display on a real interface does not move without, add it")
-
-
-def _missing(given: AxisParameters, display: AdmittanceParameters) -> list[str]:
-    """Keys that real hardware needs and the axis lacks."""
+        yield "admittance", f"{got}, but simulation.admittance is missing; add loop, grip and sensor"
     needed = {
         "admittance.position_low": display.position_low,
         "admittance.position_high": display.position_high,
@@ -109,7 +95,8 @@ def _missing(given: AxisParameters, display: AdmittanceParameters) -> list[str]:
         "speed_limit": given.speed_limit if "speed_limit" in given.model_fields_set else None,
         "watchdog: true": given.watchdog or None,
     }
-    return [key for key, value in needed.items() if value is None]
+    for key in (key for key, value in needed.items() if value is None and not scene.simulated):
+        yield "admittance", f"{key}: missing; an admittance display on a real interface does not move without, add it"
 
 
 def refuse_displays(scene: Scene, command: str) -> None:

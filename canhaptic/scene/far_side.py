@@ -4,6 +4,7 @@ A scene without a simulation loads nothing of it.
 """
 
 from collections.abc import Callable
+from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from canhaptic.sim.bus.faulty_bus import FaultyBus
     from canhaptic.sim.drive.can.drive_node import DriveGroup, Drives, SimulatedDrive
     from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+    from canhaptic.sim.drive.profile.servo import Motor
     from canhaptic.sim.plant.effects import Effect
     from canhaptic.sim.plant.mechanism import Mechanism, MechanismParameters
     from canhaptic.sim.plant.mechanism.shared_mechanism import MechanismMotor
@@ -39,16 +41,14 @@ def build_plant(simulation: AxisSimulation, sample_time_ns: int) -> "Plant":
         sample_time_ns: Time between two SYNCs [ns].
     """
     effects = [effect_of(effect) for effect in simulation.effects]
+    given = simulation.user, effects, sample_time_ns, simulation.seed, simulation.accuracy
     if simulation.admittance is not None:
         from canhaptic.sim.plant.velocity_drive import AdmittancePlant
 
-        return AdmittancePlant(
-            simulation.plant, simulation.admittance, simulation.user, effects, sample_time_ns, simulation.seed,
-            simulation.accuracy,
-        )  # fmt: skip
+        return AdmittancePlant(simulation.plant, simulation.admittance, *given)
     from canhaptic.sim.plant.plant import Plant
 
-    return Plant(simulation.plant, simulation.user, effects, sample_time_ns, simulation.seed, simulation.accuracy)
+    return Plant(simulation.plant, *given)
 
 
 def effect_of(effect: ComponentSpec) -> "Effect":
@@ -67,31 +67,12 @@ def build_mechanism(of: MechanismScene, sample_time_ns: int) -> "Mechanism":
 
 
 def build_simulated_drive(
-    axis: AxisScene, simulation: AxisSimulation, bus: can.BusABC, sample_time_ns: int
+    axis: AxisScene, parameters: "SimulatedDriveParameters", motor: "Motor", bus: can.BusABC, sample_time_ns: int
 ) -> "SimulatedDrive":
-    """Return the drive of one axis with motor and user behind it; it reads its dictionary itself."""
+    """Return the drive of one axis with its motor; it reads its dictionary itself."""
     from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 
-    plant = build_plant(simulation, sample_time_ns)
-    node_id, eds = axis.parameters.node_id, axis.parameters.eds
-    return SimulatedDrive(bus, node_id, eds, plant, simulation.drive, sample_time_ns)
-
-
-def build_mechanism_drive(
-    axis: AxisScene,
-    parameters: "SimulatedDriveParameters",
-    motor: "MechanismMotor",
-    bus: can.BusABC,
-    sample_time_ns: int,
-) -> "SimulatedDrive":
-    """Return the drive of one axis that moves a mechanism with others."""
-    from canhaptic.sim.drive.can.drive_node import SimulatedDrive
-
-    node_id, eds = axis.parameters.node_id, axis.parameters.eds
-    drive = SimulatedDrive(bus, node_id, eds, motor, parameters, sample_time_ns)
-    servo = drive.servo
-    motor.connect(lambda: servo.torque)
-    return drive
+    return SimulatedDrive(bus, axis.parameters.node_id, axis.parameters.eds, motor, parameters, sample_time_ns)
 
 
 def shared_motors(scene: Scene) -> "dict[str, MechanismMotor]":
@@ -148,10 +129,12 @@ def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) ->
     for axis in axes:
         try:
             if axis.simulation is not None:
-                drives.append(build_simulated_drive(axis, axis.simulation, bus, period))
+                plant = build_plant(axis.simulation, period)
+                drives.append(build_simulated_drive(axis, axis.simulation.drive, plant, bus, period))
             elif axis.simulated_drive is not None:
                 motor = motors[axis.parameters.name]
-                drives.append(build_mechanism_drive(axis, axis.simulated_drive, motor, bus, period))
+                drives.append(build_simulated_drive(axis, axis.simulated_drive, motor, bus, period))
+                motor.connect(partial(getattr, drives[-1].servo, "torque"))
         except ParameterError as error:
             raise ParameterError(f"{scene.source}: simulation.drive of {axis.parameters.name}: {error}") from error
     if not drives:
@@ -181,8 +164,8 @@ def device_bounds(scene: Scene, axis: AxisScene) -> dict[str, float]:
     """Upper bounds of an axis's simulated device; none for a real one, or one in another process."""
     if axis.simulation is not None:
         effects = [effect.parameters for effect in axis.simulation.effects]
-        damping = axis.simulation.plant.damping + sum(_damping(effect) for effect in effects)
-        return dict(zip(_BOUNDS, (damping, sum(_friction(effect) for effect in effects)), strict=True))
+        damping = axis.simulation.plant.damping + sum(map(_damping, effects))
+        return dict(zip(_BOUNDS, (damping, sum(map(_friction, effects))), strict=True))
     for of in scene.mechanisms:
         if axis.parameters.name in of.axes:
             return _bounds_of_mechanism(of, of.axes.index(axis.parameters.name))

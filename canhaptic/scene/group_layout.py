@@ -13,7 +13,7 @@
 Keys of `passivity` that concern the loop of all axes are in `passivity` of the group; an axis may have its own.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from canhaptic.axis_units import Motion
@@ -24,7 +24,6 @@ from canhaptic.scene.document import (
     Diagnostics,
     MarkedList,
     MarkedMapping,
-    SourceLocation,
     read_list,
     read_mapping,
 )
@@ -50,11 +49,8 @@ class Members(NamedTuple):
             kinematics.set("type", "identity")
         name = kinematics.get("type") if isinstance(kinematics, MarkedMapping) else None
         task = task_unit(str(name), motor) if str(name) in KINEMATICS else None
-        for key, value, motion in (
-            ("kinematics", kinematics, task),
-            ("network", section.get("network"), task),
-            ("passivity", section.get("passivity"), motor),
-        ):
+        of_task = (("kinematics", kinematics, task), ("network", section.get("network"), task))
+        for key, value, motion in (*of_task, ("passivity", section.get("passivity"), motor)):
             section.put(key, _moving(value, motion), section.keys_at.get(key, section.mark), section.value_at(key))
         if name == "identity" and "axes" not in kinematics:
             section["kinematics"].set("axes", max(1, len(self.axes)))
@@ -100,29 +96,24 @@ def check_group_axes(
         faults: Receives one line per fault.
     """
     for members, what in ((groups, "group"), (mechanisms, "mechanism")):
-        if names:
-            _check_members(members, names, what, faults)
+        used: set[str] = set()
+        for section, axes in members if names else ():
+            value = section.get("axes")
+            for index, name in enumerate(axes):
+                at = value.values_at[index] if isinstance(value, MarkedList) else section.value_at("axes")
+                if name not in names:
+                    known = f"{', '.join(names)}{nearest(name, names)}"
+                    faults.add(at, f"got {name!r}, expected the name of an axis: {known}")
+                elif name in used:
+                    faults.add(at, f"got {name!r}, which is in a {what} already; an axis belongs to one")
+                used.add(name)
     taken = set(names)
     for group in groups:
-        name = group.section.get("name")
-        if isinstance(name, str) and name in taken:
-            text = f"got {name!r}, which is the name of an axis or of another group; both have an account by name"
+        own = group.section.get("name")
+        if isinstance(own, str) and own in taken:
+            text = f"got {own!r}, which is the name of an axis or of another group; both have an account by name"
             faults.add(group.section.value_at("name"), text)
-        taken.add(str(name))
-
-
-def _check_members(members: Iterable[Members], known: Sequence[str], what: str, faults: Diagnostics) -> None:
-    """Note every axis that does not exist or is in two groups (or mechanisms)."""
-    taken: set[str] = set()
-    for section, names in members:
-        value = section.get("axes")
-        for index, name in enumerate(names):
-            at: SourceLocation = value.values_at[index] if isinstance(value, MarkedList) else section.value_at("axes")
-            if name not in known:
-                faults.add(at, f"got {name!r}, expected the name of an axis: {', '.join(known)}{nearest(name, known)}")
-            elif name in taken:
-                faults.add(at, f"got {name!r}, which is in a {what} already; an axis belongs to one")
-            taken.add(name)
+        taken.add(str(own))
 
 
 def _moving(value: object, motion: Motion | None) -> object:

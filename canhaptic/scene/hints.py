@@ -9,7 +9,7 @@ from dataclasses import replace
 from math import pi, sqrt
 from typing import Final, NamedTuple
 
-from canhaptic.axis_units import damping_unit, effort_unit
+from canhaptic.axis_units import damping_unit, effort_unit, mass_unit, stiffness_unit
 from canhaptic.control.admittance.declared_hand import damping_border, declared_hand_settings, lightest
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, loop_settings
@@ -29,9 +29,6 @@ from canhaptic.scene.models import AxisScene, Scene
 
 _BY_DAMPING: Final = ("guarded", "energy_bounding")
 """Algorithms that certain damping of the device certifies."""
-_UNPROTECTED: Final = "unprotected"
-"""Algorithm that renders the plain wall."""
-_LINEAR_ROTARY: Final = {"stiffness": ("N/m", "N*m/rad"), "damping": ("N*s/m", "N*m*s/rad"), "speed": ("m/s", "rad/s")}
 LEAN: Final = 0.25
 """Force of a hand that leans on a wall, as a part of the torque limit."""
 DRAG: Final = 0.1
@@ -66,9 +63,9 @@ def advised_allowance(loop: LoopProperties, hand_force: float, losses: int = 0) 
 
 def allowance_words(energy: float, loop: LoopProperties, unit: str) -> str:
     """Return the effect of an energy allowance [J], in words, for an axis in m or rad."""
-    mass, mass_unit = loop.moving_mass or 1.0, "kg" if unit == "m" else "kg*m^2"
-    speed = sqrt(2.0 * energy / mass)
-    return f"never more than this beyond what came in since the start: {mass:.2g} {mass_unit} at {speed:.2g} {unit}/s"
+    mass = loop.moving_mass or 1.0
+    moving = f"{mass:.2g} {mass_unit(unit)} at {sqrt(2.0 * energy / mass):.2g} {unit}/s"
+    return f"never more than this beyond what came in since the start: {moving}"
 
 
 class Hint(NamedTuple):
@@ -87,6 +84,12 @@ class Hint(NamedTuple):
     def exceeded(self) -> bool:
         """Whether the scene asks for more than the limit."""
         return self.limit is not None and self.asked is not None and self.asked > self.limit
+
+
+def hints_of(scene: Scene) -> list[Hint]:
+    """Return the limits of all axes, groups and admittance displays of a scene."""
+    alone = [hint for axis in scene.axes for hint in stability_hints(axis)]
+    return alone + group_hints(scene) + later_hints(scene) + display_hints(scene)
 
 
 def stability_hints(axis: AxisScene) -> list[Hint]:
@@ -108,10 +111,10 @@ def later_hints(scene: Scene) -> list[Hint]:
         if axis.group or axis.parameters.admittance is not None or not (axis.is_own or not axis.is_read):
             continue
         later = replace(axis, loop=axis.loop.model_copy(update={"delay": axis.loop.delay + 1}))
-        held = [{h.certificate: h for h in _certificate_hints(each) if h.certificate} for each in (axis, later)]
-        for name, hint in held[1].items():
-            text = f"own code in a process of its own, one hold later (code_runs_in: cycle: {held[0][name].limit:.4g})"
-            hints.append(hint._replace(what=f"{hint.what}, one hold later", text=text, certificate=""))
+        for now, hint in zip(_certificate_hints(axis), _certificate_hints(later), strict=False):  # first those
+            if hint.certificate:
+                text = f"own code in a process of its own, one hold later (code_runs_in: cycle: {now.limit:.4g})"
+                hints.append(hint._replace(what=f"{hint.what}, one hold later", text=text, certificate=""))
     return hints
 
 
@@ -122,15 +125,13 @@ def group_hints(scene: Scene) -> list[Hint]:
     """
     hints = []
     for group in scene.groups:
-        if any(scene.axis(name).parameters.admittance is not None for name in group.axes):
+        members, is_identity = [scene.axis(name) for name in group.axes], group.kinematics.name == "identity"
+        if any(axis.parameters.admittance is not None for axis in members):
             continue  # see `display_hints`
         axes = [
-            replace(
-                axis, passivity=group.passivity,
-                environment=group.network if group.kinematics.name == "identity" else axis.environment,
-            )
-            for axis in map(scene.axis, group.axes)
-        ]  # fmt: skip
+            replace(axis, passivity=group.passivity, environment=group.network if is_identity else axis.environment)
+            for axis in members
+        ]
         for axis in axes:
             hints += [*_certificate_hints(axis, axes), *_apart_hint(axis, len(axes)), *_damping_hints(axis)]
     return hints
@@ -160,19 +161,15 @@ def _apart_hint(axis: AxisScene, axes: int) -> list[Hint]:
     return [Hint(axis.parameters.name, "extension without force", limit, None, f"{unit}/({unit}/s)", text)]
 
 
-def _hint(axis: AxisScene, what: str, quantity: str, limit: float | None, asked: float | None, text: str) -> Hint:
-    unit = _LINEAR_ROTARY[quantity][axis.parameters.unit == "rad"]
-    return Hint(axis.parameters.name, what, limit, asked, unit, text)
-
-
-def _of_plain_wall(
-    axis: AxisScene, what: str, quantity: str, limit: float | None, asked: float | None, text: str
+def _hint(
+    axis: AxisScene, what: str, limit: float | None, text: str, certificate: str = "", *, plain: bool = False
 ) -> Hint:
-    """Return a limit that holds for a spring and damper without any algorithm."""
-    plain = axis.passivity.name == _UNPROTECTED
-    return _hint(axis, what, quantity, limit, asked, text if plain else f"plain wall only: {text}")._replace(
-        concerns=plain
-    )
+    """Return a limit of stiffness or damping; a `plain` one holds for a spring and damper without any algorithm."""
+    quantity = "stiffness" if what.startswith("stiffness") else "damping"
+    unit = (stiffness_unit if quantity == "stiffness" else damping_unit)(axis.parameters.unit)
+    concerns = not plain or axis.passivity.name == "unprotected"
+    text = text if concerns else f"plain wall only: {text}"
+    return Hint(axis.parameters.name, what, limit, _asked(axis, quantity), unit, text, concerns, certificate)
 
 
 def _known(axis: AxisScene, key: str, of_plant: str) -> tuple[float | None, str]:
@@ -192,16 +189,14 @@ def _asked(axis: AxisScene, name: str) -> float | None:
 
 def _stiffness_hints(axis: AxisScene) -> list[Hint]:
     damping, source = _known(axis, "device_damping", "damping")
-    stiffness, period, delay = _asked(axis, "stiffness"), axis.loop.sample_time, axis.loop.delay
+    period, delay = axis.loop.sample_time, axis.loop.delay
     bound = None if damping is None else renderable_by_device_damping(damping, period, 0)
     what = "stiffness, Colgate's bound 2 b / T"
-    hints = [_of_plain_wall(axis, what, "stiffness", bound, stiffness, f"passive below; {source}")]
+    hints = [_hint(axis, what, bound, f"passive below; {source}", plain=True)]
     if delay and damping is not None:
-        bound = renderable_by_device_damping(damping, period, delay)
+        bound, text = renderable_by_device_damping(damping, period, delay), f"held by the device's damping; {source}"
         what = f"stiffness at delay {delay}, 2 b / {1 + delay} T"
-        hints.append(
-            _of_plain_wall(axis, what, "stiffness", bound, stiffness, f"held by the device's damping; {source}")
-        )
+        hints.append(_hint(axis, what, bound, text, plain=True))
     return hints
 
 
@@ -211,12 +206,13 @@ def _quantisation_hint(axis: AxisScene) -> Hint:
     Abbott and Okamura, "Effects of position quantization and sampling rate on virtual-wall passivity", IEEE Trans.
     Robotics 21, 2005: a plain spring wall is passive for every user up to the lesser of this and Colgate's bound.
     """
-    count, stiffness, friction = axis.loop.encoder_count, _asked(axis, "stiffness"), _simulated_friction(axis)
-    limit = quantisation_bound(axis)
+    stiffness, friction = _asked(axis, "stiffness"), _simulated_friction(axis)
     text = "no Coulomb friction known" if friction is None else f"friction {friction:.3g} of the simulated plant"
     if stiffness is not None:
-        text += f"; needs {0.5 * stiffness * count:.3g} of Coulomb friction for the requested wall"
-    return _of_plain_wall(axis, "stiffness, quantisation bound 2 f_c / count", "stiffness", limit, stiffness, text)
+        needed = 0.5 * stiffness * axis.loop.encoder_count
+        text += f"; needs {needed:.3g} of Coulomb friction for the requested wall"
+    what = "stiffness, quantisation bound 2 f_c / count"
+    return _hint(axis, what, quantisation_bound(axis), text, plain=True)
 
 
 def quantisation_bound(axis: AxisScene) -> float | None:
@@ -236,27 +232,18 @@ def _simulated_friction(axis: AxisScene) -> float | None:
 
 
 def _damping_hints(axis: AxisScene) -> list[Hint]:
+    """Limits of damping; the first, b - k T / 2, is left by Colgate's condition b > k T / 2 + |d| at the stiffness."""
+    hints, (device, source), stiffness = [], _known(axis, "device_damping", "damping"), _asked(axis, "stiffness")
+    period, delay = axis.loop.sample_time, axis.loop.delay
+    if device is not None and stiffness is not None:
+        limit = max(0.0, device - 0.5 * stiffness * period)
+        hints.append(_hint(axis, "damping, Colgate's bound b - k T / 2", limit, source, plain=True))
     mass, source = _known(axis, "moving_mass", "mass")
-    damping, period, delay = _asked(axis, "damping"), axis.loop.sample_time, axis.loop.delay
     ripples = None if mass is None else least_oscillating_damping(delay, mass, period)
     diverges = None if mass is None else largest_stable_damping(delay, mass, period)
-    return [
-        *_colgate_damping(axis, damping),
-        _hint(
-            axis, "damping, no ripple", "damping", ripples, damping, f"delay {delay}, the cap of algorithms; {source}"
-        ),
-        _hint(axis, "damping, stable", "damping", diverges, damping, f"delay {delay}; {source}"),
-    ]
-
-
-def _colgate_damping(axis: AxisScene, asked: float | None) -> list[Hint]:
-    """Damping left by Colgate's condition b > k T / 2 + |d| at the requested stiffness: b - k T / 2."""
-    device, source = _known(axis, "device_damping", "damping")
-    stiffness = _asked(axis, "stiffness")
-    if device is None or stiffness is None:
-        return []
-    limit = max(0.0, device - 0.5 * stiffness * axis.loop.sample_time)
-    return [_of_plain_wall(axis, "damping, Colgate's bound b - k T / 2", "damping", limit, asked, source)]
+    text = f"delay {delay}, the cap of algorithms; {source}"
+    hints.append(_hint(axis, "damping, no ripple", ripples, text))
+    return [*hints, _hint(axis, "damping, stable", diverges, f"delay {delay}; {source}")]
 
 
 def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list[Hint]:
@@ -266,18 +253,19 @@ def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list
     (`max_consecutive_losses`). In a group the hand pulls on every axis at once, with the same force.
     """
     parameters, loop = axis.passivity.parameters, axis.loop
-    torque, hints, lag = axis.parameters.torque_limit, [], loop.delay + _losses(axis)
+    torque, losses, hints = axis.parameters.torque_limit, _losses(axis), []
+    lag = loop.delay + losses
     held: dict[str, tuple[float, str]] = {}
-    more = f"; max_consecutive_losses {_losses(axis)}: {lag + 1} holds" if _losses(axis) else ""
+    more = f"; max_consecutive_losses {losses}: {lag + 1} holds" if losses else ""
     hand_force, hand_speed = getattr(parameters, "hand_force", None), getattr(parameters, "hand_speed", None)
     if hand_force is not None and loop.moving_mass is not None:
         least, most = 0.0 if len(group) > 1 else loop.device_damping or 0.0, loop.device_damping_bound or 0.0
         pull = (hand_force + (loop.device_friction_bound or 0.0)) * _on_all(axis, group)
         response = displacement_response(loop.sample_time, loop.moving_mass, pull, least, most, timing=loop.timing)
-        limit = renderable_by_hand_force(response, lag, torque)
         of_each = f" on each of {len(group)} axes" if len(group) > 1 else ""
-        held["hand force"] = limit, f"at the torque limit, hand force up to {hand_force:g}{of_each}{more}"
-        hints += _felt_hints(axis, response, lag, f"hand force up to {hand_force:g}{of_each}{more}")
+        text = f"hand force up to {hand_force:g}{of_each}{more}"
+        held["hand force"] = renderable_by_hand_force(response, lag, torque), f"at the torque limit, {text}"
+        hints += _felt_hints(axis, response, lag, text)
     if loop.device_damping and axis.passivity.name in _BY_DAMPING:
         limit = renderable_by_device_damping(loop.device_damping, loop.sample_time, lag)
         held["device damping"] = limit, f"for every user, device_damping {loop.device_damping:g} declared{more}"
@@ -292,18 +280,18 @@ def _encoder_hint(axis: AxisScene) -> list[Hint]:
     count, friction, asked = axis.loop.encoder_count, axis.loop.device_friction or 0.0, _asked(axis, "stiffness")
     if not count or axis.group or axis.passivity.name != "guarded":
         return []
-    what, unit = f"stiffness kept {ENCODER}", axis.parameters.unit
-    if not friction:
+    unit, limit = axis.parameters.unit, friction / count if friction else None
+    if friction:
+        text = "at any speed of any hand, by device_friction; twice that for tremor over one count"
+        if asked:
+            text += f"; counts up to {friction / asked:.2g} {unit} keep the wall asked, here {count:.2g} {unit}"
+    else:
         text = "repeated presses soften the wall, as the encoder leaves energy uncertain: "
         text += "declare passivity.device_friction (canhaptic commission measures it)"
         if asked:
             text += f"; {asked * count:.2g} {effort_unit(unit)} of it would keep the requested stiffness, without it "
             text += f"each motion back and forth over one count leaves {asked * count * count:.2g} J uncertain"
-        return [_hint(axis, what, "stiffness", None, asked, text)]
-    text = "at any speed of any hand, by device_friction; twice that for tremor over one count"
-    if asked:
-        text += f"; counts up to {friction / asked:.2g} {unit} keep the wall asked, here {count:.2g} {unit}"
-    return [_hint(axis, what, "stiffness", friction / count, asked, text)]
+    return [_hint(axis, f"stiffness kept {ENCODER}", limit, text)]
 
 
 def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
@@ -317,7 +305,7 @@ def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
     held = [(hint.limit, hint.certificate) for hint in own if hint.limit is not None]
     if not held:
         return ""
-    unit, most = _LINEAR_ROTARY["stiffness"][axis.parameters.unit == "rad"], max(held)
+    unit, most = stiffness_unit(axis.parameters.unit), max(held)
     text = f"{axis.parameters.name}: guaranteed for the declared {most[1]}: {most[0]:.3g} {unit} at the torque limit"
     bound = axis.loop.device_damping_bound
     if bound and axis.loop.device_damping is None:
@@ -332,15 +320,12 @@ def _felt_hints(axis: AxisScene, response: DisplacementResponse, lag: int, text:
     limit = renderable_by_hand_force(response, lag, push)
     what = f"stiffness felt at a push of {push:.3g} {effort_unit(axis.parameters.unit)}"
     slowest, earned = start_speed(response, axis.loop.sample_time, lag), min(stiffness or limit, limit)
-    begins = "from zero energy"
-    if axis.loop.device_friction:
-        slowest, begins = (
-            0.0,
-            f"up to device_friction {axis.loop.device_friction:g} at once, more with the energy below",
-        )
+    begins, name, unit = "from zero energy", axis.parameters.name, f"{axis.parameters.unit}/s"
+    if friction := axis.loop.device_friction:
+        slowest, begins = 0.0, f"up to device_friction {friction:g} at once, more with the energy below"
     return [
-        _hint(axis, what, "stiffness", limit, stiffness, f"{text}{_share(limit, stiffness)}"),
-        _hint(axis, "approach speed for a first torque, from", "speed", slowest, None, f"{begins}; {text}"),
+        _hint(axis, what, limit, f"{text}{_share(limit, stiffness)}"),
+        Hint(name, "approach speed for a first torque, from", slowest, None, unit, f"{begins}; {text}"),
         *_energy_hint(axis, response, lag, earned),
     ]
 
@@ -350,7 +335,7 @@ def _energy_hint(axis: AxisScene, response: DisplacementResponse, lag: int, stif
     energy, unit, parameters = start_energy(response, lag, stiffness), axis.parameters.unit, axis.passivity.parameters
     if energy in {0.0, math.inf}:
         return []
-    what = f"energy for slower contacts with {stiffness:.4g} {_LINEAR_ROTARY['stiffness'][unit == 'rad']}"
+    what = f"energy for slower contacts with {stiffness:.4g} {stiffness_unit(unit)}"
     drag, friction = getattr(parameters, "drag", 0.0) or DRAG, axis.loop.device_friction or 0.0
     earning = f"{drag:g} {effort_unit(unit)} of drag earn it over {energy / drag:.2g} {unit} of faster motion"
     if friction:
@@ -373,17 +358,14 @@ def _held_stiffness(axis: AxisScene, held: dict[str, tuple[float, str]]) -> list
     """One hint per certificate, and the part left by the largest of them, which is the one that counts."""
     stiffness = _asked(axis, "stiffness")
     hints = [
-        _hint(
-            axis, f"stiffness, certified by {name}", "stiffness", limit, stiffness, f"{text}{_share(limit, stiffness)}"
-        )._replace(certificate=name)
+        _hint(axis, f"stiffness, certified by {name}", limit, f"{text}{_share(limit, stiffness)}", name)
         for name, (limit, text) in held.items()
     ]
     if len(held) > 1:
         name = max(held, key=lambda entry: held[entry][0])
         limit = held[name][0]
         text = f"the largest counts: {name}{_share(limit, stiffness)}"
-        largest = _hint(axis, "stiffness, certified", "stiffness", limit, stiffness, text)
-        hints.append(largest._replace(certificate="largest"))
+        hints.append(_hint(axis, "stiffness, certified", limit, text, "largest"))
     return hints
 
 
@@ -400,11 +382,9 @@ def display_hints(scene: Scene) -> list[Hint]:
 
 def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
     given, properties = axis.parameters, display_properties(axis)
-    name, effort, speed_unit = given.name, effort_unit(given.unit), f"{given.unit}/s"
-    time = properties.longest_hold
-    doubt = properties.force_error + (0.0 if properties.sampling != "point" else 0.25 * properties.force_slew * time)
+    doubt = _uncertainty(properties)
     text = "acts on the account like dry friction of this size; slew T / 4 for point samples, and the error of a value"
-    hints = [Hint(name, "force uncertainty of the account", doubt, None, effort, text)]
+    hints = [Hint(given.name, "force uncertainty of the account", doubt, None, effort_unit(given.unit), text)]
     group = next((group for group in scene.groups if group.name == axis.group), None)
     chosen = (axis.passivity, axis.environment) if group is None else (group.passivity, group.network)
     known, rendered = (part.parameters for part in chosen)
@@ -412,15 +392,21 @@ def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
         asked = getattr(rendered, "inertia", getattr(rendered, "mass", None))
         if group is not None and group.kinematics.name != "identity":
             asked = None  # in task space, which is not that of the axis
-        hints += _of_guard(axis, known, speed_unit, asked)
-        hints += _of_faults(axis, known, scene)
+        hints += [*_of_guard(axis, known, properties, asked), *_of_faults(axis, known, properties, scene)]
     return hints
 
 
-def _of_guard(axis: AxisScene, known: GuardedAdmittanceParameters, speed_unit: str, asked: float | None) -> list[Hint]:
-    properties, name = display_properties(axis), axis.parameters.name
-    axis_unit = axis.parameters.unit
-    unit, effort = "kg" if axis_unit == "m" else "kg*m^2", effort_unit(axis_unit)
+def _uncertainty(properties: AdmittanceProperties) -> float:
+    """Return the uncertainty of the force in the account [N or N*m]."""
+    sloped = 0.25 * properties.force_slew * properties.longest_hold
+    return properties.force_error + (0.0 if properties.is_mean else sloped)
+
+
+def _of_guard(
+    axis: AxisScene, known: GuardedAdmittanceParameters, properties: AdmittanceProperties, asked: float | None
+) -> list[Hint]:
+    name, axis_unit = axis.parameters.name, axis.parameters.unit
+    unit, speed_unit = mass_unit(axis_unit), f"{axis_unit}/s"
     time, gain, mass = properties.longest_hold, known.loop_gain, known.drive_mass
     holds = properties.delay + 1 + known.max_consecutive_losses
     lag = (properties.delay + 0.5 + properties.latency) * time
@@ -448,42 +434,38 @@ def _of_guard(axis: AxisScene, known: GuardedAdmittanceParameters, speed_unit: s
             hints.append(Hint(name, "damping from which it never acts", border, None, damping_unit(axis_unit), text))
     if asked is not None and properties.speed_quantum:
         least = asked * properties.speed_quantum / properties.sample_time
-        text = (
-            "mass times the smallest step of the speed, over T; in mode 8 a step is one count per T: use a fine encoder"
-        )
-        hints.append(Hint(name, "least force that moves it", least, None, effort, text))
+        text = "mass times the smallest step of the speed, over T; in mode 8 a step is one count per T"
+        text += ": use a fine encoder"
+        hints.append(Hint(name, "least force that moves it", least, None, effort_unit(axis_unit), text))
     return hints
 
 
-def _of_faults(axis: AxisScene, known: GuardedAdmittanceParameters, scene: Scene) -> list[Hint]:
-    """Energy given out by a stalled master and by a frozen sensor, until each is detected."""
-    properties, name = display_properties(axis), axis.parameters.name
-    display, speed = axis.parameters.admittance, properties.speed_limit
-    power = min(0.25 * known.loop_gain * speed * speed, axis.parameters.torque_limit * speed)
-    silence = scene.bus.master_silence_ns * 1e-9
-    noticed = None if display is None or display.force.frozen_after is None else display.force.frozen_after
-    found = "never noticed (admittance.force.frozen_after)"
-    energy = None
-    if noticed is not None:
-        energy = power * noticed * properties.longest_hold
-        found = f"{power:.3g} W until it is noticed after {noticed * properties.longest_hold:.4g} s"
-    return [
-        _of_offset(axis, known, properties),
-        Hint(name, "stalled master", power * silence, None, "J", f"{power:.3g} W at speed_limit for {silence:g} s"),
-        Hint(name, "frozen sensor", energy, None, "J", found),
-    ]
-
-
-def _of_offset(axis: AxisScene, known: GuardedAdmittanceParameters, properties: AdmittanceProperties) -> Hint:
-    """Largest energy given out for a sensor offset of one newton: the work of a constant force."""
-    low, high = (getattr(axis.parameters.admittance, key, None) for key in ("position_low", "position_high"))
-    room = None if low is None or high is None else high - low
-    unit = "J/N" if axis.parameters.unit == "m" else "J/(N*m)"
-    text = "at most the offset times the distance between the position limits"
+def _of_faults(
+    axis: AxisScene, known: GuardedAdmittanceParameters, properties: AdmittanceProperties, scene: Scene
+) -> list[Hint]:
+    """Energy given out by an offset of the sensor, a stalled master and a frozen sensor, until each is detected."""
+    given, speed, display = axis.parameters, properties.speed_limit, axis.parameters.admittance
+    if display is None:
+        return []
+    room = None
+    if display.position_low is not None and display.position_high is not None:
+        room = display.position_high - display.position_low
+    offset = "at most the offset times the distance between the position limits"
     if known.drive_friction is None:
-        text += "; found by commission only"
-        return Hint(axis.parameters.name, "sensor with an offset", room, None, unit, text)
-    effort, sloped = effort_unit(axis.parameters.unit), 0.25 * properties.force_slew * properties.longest_hold
-    found = 2.0 * (known.drive_friction + properties.force_error + (0.0 if properties.is_mean else sloped))
-    text += f"; noticed from about {found:.3g} {effort} on"
-    return Hint(axis.parameters.name, "sensor with an offset", room, None, unit, text)
+        offset += "; found by commission only"
+    else:
+        least = 2.0 * (known.drive_friction + _uncertainty(properties))
+        offset += f"; noticed from about {least:.3g} {effort_unit(given.unit)} on"
+    power = min(0.25 * known.loop_gain * speed * speed, given.torque_limit * speed)
+    silence, energy = scene.bus.master_silence_ns * 1e-9, None
+    frozen = "never noticed (admittance.force.frozen_after)"
+    if (noticed := display.force.frozen_after) is not None:
+        energy = power * noticed * properties.longest_hold
+        frozen = f"{power:.3g} W until it is noticed after {noticed * properties.longest_hold:.4g} s"
+    stalled = f"{power:.3g} W at speed_limit for {silence:g} s"
+    per_force = "J/N" if given.unit == "m" else "J/(N*m)"
+    return [
+        Hint(given.name, "sensor with an offset", room, None, per_force, offset),
+        Hint(given.name, "stalled master", power * silence, None, "J", stalled),
+        Hint(given.name, "frozen sensor", energy, None, "J", frozen),
+    ]

@@ -89,19 +89,18 @@ def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence
     scene = MarkedMapping(written.mark)
     scene.update(source=source, text=text, overrides=tuple(overrides), simulation=None)
     scene.set("run", written.only(RunParameters.model_fields))
-    for key in ("log", "accuracy"):
-        if written.get(key) is not None:
-            scene.put(key, written[key], written.keys_at[key], written.values_at[key])
-    scene.put("log", scene.get("log", MarkedMapping(written.mark)), written.mark, written.value_at("log"))
-    _put_accuracy(scene, faults)
+    log = written.get("log")
+    scene.put("log", MarkedMapping(written.mark) if log is None else log, written.mark, written.value_at("log"))
+    _put_accuracy(scene, written, faults)
     _put_buses(scene, written, faults)
     simulation = None
     if written.get("simulation") is not None:
         simulation = read_mapping(written["simulation"], written.value_at("simulation"), faults, "keys and values")
-        whole = simulation and simulation.without(*SIMULATION_PARTS, "axes", "bus", "mechanisms")
-        scene.set("simulation", _or_noted(whole))
-    if simulation is not None and simulation.get("bus") is not None:
-        scene.put("bus_effects", simulation["bus"], simulation.keys_at["bus"], simulation.values_at["bus"])
+        scene.set("simulation", NOTED)
+    if simulation is not None:
+        scene.set("simulation", simulation.without(*SIMULATION_PARTS, "axes", "bus", "mechanisms"))
+        if simulation.get("bus") is not None:
+            scene.put("bus_effects", simulation["bus"], simulation.keys_at["bus"], simulation.values_at["bus"])
     before = len(faults)
     groups, mechanisms = _members(written, simulation, faults)
     axes = _axes(written, simulation, groups, mechanisms, faults, is_known=len(faults) == before)
@@ -139,17 +138,18 @@ def _or_noted(section: MarkedMapping | None) -> Any:
     return NOTED if section is None else section
 
 
-def _put_accuracy(scene: MarkedMapping, faults: Diagnostics) -> None:
+def _put_accuracy(scene: MarkedMapping, written: MarkedMapping, faults: Diagnostics) -> None:
     """Distinguish given accuracy from accuracy that the build chooses."""
-    accuracy = scene.get("accuracy")
+    if (accuracy := written.get("accuracy")) is None:
+        return
+    at = written.values_at["accuracy"]
+    if isinstance(accuracy, MarkedMapping) and "auto" in accuracy:
+        scene.set("auto_accuracy", accuracy)
+        return
     if accuracy == "auto":
-        faults.add(scene.value_at("accuracy"), "got 'auto' without a tolerance; write it as {auto: 1 um}")
-        scene["accuracy"] = NOTED
-    elif isinstance(accuracy, MarkedMapping):
-        scene["accuracy"] = accuracy.without("auto")
-        if "auto" in accuracy:
-            scene.set("auto_accuracy", accuracy)
-            del scene["accuracy"]
+        faults.add(at, "got 'auto' without a tolerance; write it as {auto: 1 um}")
+    elsewhere = accuracy.without("auto") if isinstance(accuracy, MarkedMapping) else accuracy
+    scene.put("accuracy", NOTED if accuracy == "auto" else elsewhere, written.keys_at["accuracy"], at)
 
 
 # --- buses --------------------------------------------------------------------------------------------------------
@@ -258,7 +258,12 @@ def _axes(
 def _axis(
     section: MarkedMapping, written: MarkedMapping, group: "Members | None", faults: Diagnostics, *, is_known: bool
 ) -> MarkedMapping:
-    section = _over_profile(section, faults)
+    if section.get("drive") is None:
+        section = section.without("drive")
+    else:
+        from canhaptic.scene.profiles import with_profile
+
+        section = with_profile(section, faults)
     own = find_dictionary(section.without(*OWN_SECTIONS, "bus"), faults)
     unit = section.get("unit", AxisParameters.model_fields["unit"].default)
     axis = MarkedMapping(section.mark, unit if unit in get_args(Motion) else None)
@@ -269,21 +274,12 @@ def _axis(
         axis.set("environment", _or_noted(environment))
         axis.set("passivity", _or_noted(passivity))
     else:
-        passivity = _loop_in_group(section, group, faults)
-        name = str(group.section.get("name"))
+        passivity, name = _loop_in_group(section, group, faults), str(group.section.get("name"))
         membership = ComponentSpec("group", GroupMembership(group=name))
         axis.update(environment=membership, passivity=membership, group=name)
     axis.set("loop", MarkedMapping(section.mark) if passivity is None else passivity.only(LOOP_KEYS))
     axis.update(simulation=None)
     return axis
-
-
-def _over_profile(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
-    if section.get("drive") is None:
-        return section.without("drive")
-    from canhaptic.scene.profiles import with_profile
-
-    return with_profile(section, faults)
 
 
 def _own_over_shared(

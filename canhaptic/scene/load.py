@@ -14,11 +14,11 @@ from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import InputError, SceneConflictError, SceneError
 from canhaptic.input_file import read_regular, scene_file
 from canhaptic.registry import load
-from canhaptic.scene.components import CodeUse, ComponentSpec
+from canhaptic.scene.components import CodeUse, ComponentSpec, SceneContext
 from canhaptic.scene.cross_checks import cross_check
 from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation, mark_plain, parse_yaml, read_mapping
 from canhaptic.scene.layout import SECTIONS, laid_out
-from canhaptic.scene.models import AxisScene, AxisSimulation, Scene, SceneContext, scene_adapter
+from canhaptic.scene.models import AxisScene, AxisSimulation, Scene, scene_adapter
 from canhaptic.scene.timing import with_device_bounds, with_timing
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters, substeps_for
 
@@ -54,9 +54,7 @@ def load_scene(
             with its line.
     """
     place = scene_file(Path(path))
-    text = _text(place, str(place))
-    use: CodeUse = "left" if leave_code else _use(allow_code)
-    return _from_text(text, str(place), overrides, use, beyond_bus)
+    return _read(_text(place), str(place), overrides, "left" if leave_code else _use(allow_code), beyond_bus)
 
 
 def scene_from_text(
@@ -74,15 +72,7 @@ def scene_from_text(
     Raises:
         SceneError: Anything in it is wrong; lists every fault with its line.
     """
-    return _from_text(text, source, overrides, _use(allow_code), beyond_bus)
-
-
-def _from_text(text: str, source: str, overrides: Sequence[str], use: CodeUse, beyond_bus: bool) -> Scene:
-    faults = Diagnostics()
-    document = parse_yaml(text, source, faults)
-    if len(faults) and not isinstance(document, MarkedMapping):
-        faults.raise_if_any()
-    return _read(document, source, text, overrides, faults, use, beyond_bus=beyond_bus)
+    return _read(text, source, overrides, _use(allow_code), beyond_bus)
 
 
 def _use(allow_code: bool) -> CodeUse:
@@ -97,35 +87,29 @@ def scene_from_mapping(
     Raises:
         SceneError: Anything in it is wrong; lists every fault.
     """
-    return _read(mark_plain(values, source), source, "", overrides, Diagnostics(), _use(allow_code))
+    return _read(values, source, overrides, _use(allow_code))
 
 
-def _text(path: Path, source: str) -> str:
+def _text(path: Path) -> str:
     try:
         content = read_regular(path, MAX_BYTES)
-    except OSError as error:
-        reason = error.strerror
-        raise SceneError([f"{source}: cannot be read ({reason}); give the path of a scene file (YAML)"]) from error
-    try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line = content[: error.start].count(b"\n") + 1
-        raise SceneError(
-            [f"{source}:{line}: not UTF-8 text (byte 0x{content[error.start]:02x}); save it as UTF-8"]
-        ) from error
+        line, byte = content[: error.start].count(b"\n") + 1, content[error.start]
+        raise SceneError([f"{path}:{line}: not UTF-8 text (byte 0x{byte:02x}); save it as UTF-8"]) from error
+    except OSError as error:
+        text = f"{path}: cannot be read ({error.strerror}); give the path of a scene file (YAML)"
+        raise SceneError([text]) from error
 
 
 def _read(
-    document: Any,
-    source: str,
-    text: str,
-    overrides: Sequence[str],
-    faults: Diagnostics,
-    use: CodeUse,
-    *,
-    beyond_bus: bool = False,
+    written: str | Mapping[str, Any], source: str, overrides: Sequence[str], use: CodeUse, beyond_bus: bool = False
 ) -> Scene:
-    top = SourceLocation(source, 1, 1, ()) if text else SourceLocation(source, 0, 0, ())
+    faults, text = Diagnostics(), written if isinstance(written, str) else ""
+    document = parse_yaml(text, source, faults) if isinstance(written, str) else mark_plain(written, source)
+    if not isinstance(document, MarkedMapping):
+        faults.raise_if_any()
+    top = SourceLocation(source, int(bool(text)), int(bool(text)), ())
     if document is None:
         faults.add(top, f"empty, expected a mapping with {', '.join(SECTIONS)}")
         raise faults.error()
@@ -205,10 +189,10 @@ def for_program(scene: Scene, guard: str) -> Scene:
     for axis in scene.axes:
         what = "renders in a group" if axis.group else "is an admittance display" if axis.parameters.admittance else ""
         if what:
-            raise InputError(
-                f"{scene.source}: {axis.parameters.name}: {what}; a program requests torques of axes that stand "
-                "alone: take the axis out of the group, or render an environment with `canhaptic run`"
+            text = (
+                f"{scene.source}: {axis.parameters.name}: {what}; a program requests torques of axes that stand alone"
             )
+            raise InputError(f"{text}: take the axis out of the group, or render an environment with `canhaptic run`")
     axes = tuple(_for_program(axis, guard) for axis in scene.axes)
     if scene.run.guard is not None:
         if scene.run.guard != guard:

@@ -30,10 +30,8 @@ def open_energy_log(
     """
     from canhaptic.logs.writer_process import EnergyLogWriter
 
-    ports = [
-        PortDescription(given.name, given.unit, None, given.admittance is not None)
-        for given in (axis.parameters for axis in scene.axes)
-    ]
+    given = [axis.parameters for axis in scene.axes]
+    ports = [PortDescription(axis.name, axis.unit, None, axis.admittance is not None) for axis in given]
     for group in scene.groups:
         motor = scene.axis(group.axes[0]).parameters
         state_unit = task_unit(group.kinematics.name, motor.unit)
@@ -57,24 +55,11 @@ def open_bus_log(
     Raises:
         LogWriteError: The file cannot be made.
     """
-    log = scene.log
-    return BusLogWriter(
-        path,
-        _log_channels(scene),
-        pace=pace,
-        file_size=log.file_size,
-        files=log.files,
-        last=log.last,
-        on_failure=on_failure,
-    )
-
-
-def _log_channels(scene: Scene) -> list[str]:
-    """Return the label of each bus in the bus log: the channel of a single bus, the names of several."""
-    if scene.further_buses:
-        return [bus.name for bus in scene.buses]
-    channel = scene.bus.channel
-    return [_PRIVATE_NAME if channel is None else "".join(str(channel).split())]
+    # the label of each bus is the channel of a single one, the names of several
+    channel = _PRIVATE_NAME if scene.bus.channel is None else "".join(str(scene.bus.channel).split())
+    channels = [bus.name for bus in scene.buses] if scene.further_buses else [channel]
+    size = scene.log.model_dump(include={"file_size", "files", "last"})
+    return BusLogWriter(path, channels, pace=pace, on_failure=on_failure, **size)
 
 
 def _run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, Attribute]:
@@ -111,18 +96,15 @@ def _run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, At
 
 def _active_attributes(scene: Scene) -> dict[str, Attribute]:
     """Attributes from which the column `active` of each port with its own account is computed."""
-    meters = {axis.parameters.name: meter for axis, meter in zip(scene.axes, build_axis_meters(scene), strict=True)}
-    ports = {axis.parameters.name: ([axis.parameters.name], axis.passivity) for axis in scene.axes if not axis.group}
-    ports |= {group.name: (list(group.axes), group.passivity) for group in scene.groups}
+    meters, names = build_axis_meters(scene), [axis.parameters.name for axis in scene.axes]
     found: dict[str, Attribute] = {}
-    for name, (axes, passivity) in ports.items():
+    for name, passivity, places in scene.ports:
         allowance = promise_of(passivity.parameters).energy_allowance
-        limits = active_limits([meters[axis].accuracy for axis in axes], allowance)
+        limits = active_limits([meters[place].accuracy for place in places], allowance)
         finite = {key: value for key, value in limits._asdict().items() if isfinite(value)}
         found[f"{name}.{ACTIVE_LIMITS}"] = json.dumps(finite)
-    fits = {name: meter.felt for name, meter in meters.items() if meter.felt is not None}
-    found |= {f"{name}.mass_asked": json.dumps(asdict(felt.asked)) for name, felt in fits.items()}
-    return found
+    fits = zip(names, (meter.felt for meter in meters), strict=True)
+    return found | {f"{name}.mass_asked": json.dumps(asdict(felt.asked)) for name, felt in fits if felt is not None}
 
 
 def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:

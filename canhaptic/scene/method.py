@@ -64,9 +64,14 @@ def torque_history(axis: AxisScene, scene: Scene, holds: int, accuracy: Accuracy
 
 def declared_order(simulation: AxisSimulation) -> int | None:
     """Return the least order in the substep that an effect or an own hand declares; None where all are exact."""
-    parts = (*(effect.parameters for effect in simulation.effects), simulation.user)
-    orders = [getattr(part, "order", None) for part in parts]
-    return min((order for order in orders if order is not None), default=None)
+    return min(_orders(simulation).values(), default=None)
+
+
+def _orders(simulation: AxisSimulation) -> dict[str, int]:
+    """Order of each effect, and of an own hand, that is not exact."""
+    parts = {effect.name: effect.parameters for effect in simulation.effects}
+    named = [*parts.items(), (f"hand {type(simulation.user).__name__}", simulation.user)]
+    return {name: order for name, part in named if (order := getattr(part, "order", None)) is not None}
 
 
 def simulation_of(axis: AxisScene) -> AxisSimulation:
@@ -97,18 +102,15 @@ def dear_holds(scene: Scene) -> list[str]:
         if axis.simulation is None or axis.simulated_drive is not None:
             continue
         if isinstance(motion := getattr(axis.simulation.user, "motion", None), RecordedMotion):
-            lines.append(
-                f"{axis.parameters.name}: {motion.file.name} ends after {motion.end:.4g} s; the hand then stays at "
-                f"{motion.rows[-1][1]:.4g} {axis.parameters.unit}"
-            )
+            end = f"{motion.rows[-1][1]:.4g} {axis.parameters.unit}"
+            text = f"{motion.file.name} ends after {motion.end:.4g} s; the hand then stays at {end}"
+            lines.append(f"{axis.parameters.name}: {text}")
         phase, mode = build_plant(axis.simulation, scene.bus.sample_time_ns).fastest_swing()
         if phase > LONG_SWING:
             products = _PER_RADIAN * phase
-            lines.append(
-                f"{axis.parameters.name}: SLOW while it oscillates: {phase:.2g} rad in one sample time ({mode}), up to "
-                f"{products:.1g} products and about {products * _PER_PRODUCT:.1g} s each; give it damping or more "
-                "mass, or less stiffness"
-            )
+            each = f"{products:.1g} products and about {products * _PER_PRODUCT:.1g} s each"
+            text = f"SLOW while it oscillates: {phase:.2g} rad in one sample time ({mode}), up to {each}"
+            lines.append(f"{axis.parameters.name}: {text}; give it damping or more mass, or less stiffness")
     return lines
 
 
@@ -278,24 +280,20 @@ def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0, pr
     """
     if not scene.simulated:
         return ""
-    orders = {
-        effect.name: getattr(effect.parameters, "order", None)
-        for axis in scene.axes
-        if axis.simulation is not None
-        for effect in axis.simulation.effects
+    approximate = {
+        name: order for axis in scene.axes if axis.simulation for name, order in _orders(axis.simulation).items()
     }
-    for hand in (axis.simulation.user for axis in scene.axes if axis.simulation is not None):
-        orders[f"hand {type(hand).__name__}"] = getattr(hand, "order", None)
     for mechanism in (of.mechanism for of in scene.mechanisms):
-        orders[mechanism.name] = getattr(mechanism.parameters, "order", None)
-    approximate = {name: order for name, order in orders.items() if order is not None}
+        if (order := getattr(mechanism.parameters, "order", None)) is not None:
+            approximate[mechanism.name] = order
     acts = "at its own SYNC" if scene.bus.rpdo == "event" else "one sample late"
     plant = "plant exact between SYNCs"
     if approximate:
         parts = ", ".join(f"{name} of order {order}" for name, order in sorted(approximate.items()))
         plant = f"plant exact between SYNCs but for {parts}"
-    if plants and periods:
-        plant = f"{plant}, {_spent(plants, periods)}"
+    if plants and periods:  # products are per plant on average
+        events, products = sum(of.events for of in plants), sum(of.products for of in plants) / len(plants) / periods
+        plant = f"{plant}, {events} event{'' if events == 1 else 's'}, {products:.2g} products per period"
     if prices:
         plant = f"{plant}, {_priced(prices)}"
     bus = "" if scene.bus_effects is None else f"; bus with {', '.join(scene.bus_effects.named)}"
@@ -313,9 +311,3 @@ def _priced(prices: Sequence[PlantPrice]) -> str:
     if doubt:
         return f"{text}, ERROR NOT KNOWN over {periods} periods: {doubt}"
     return f"{text}, estimated error {error:.1g} {unit} over {periods} periods"
-
-
-def _spent(plants: Sequence[Plant], periods: int) -> str:
-    """Events and products of all plants together; products are per plant on average."""
-    events, products = sum(plant.events for plant in plants), sum(plant.products for plant in plants)
-    return f"{events} event{'' if events == 1 else 's'}, {products / len(plants) / periods:.2g} products per period"

@@ -16,7 +16,6 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, WrapValidator, model_validator
@@ -40,18 +39,18 @@ from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import InputError
 from canhaptic.scene.components import (
     READY,
-    CodeUse,
     ComponentByDisplay,
     ComponentOf,
     ComponentSpec,
     OwnModel,
+    SceneContext,
     UnreadParameters,
 )
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.effects import EFFECTS
 from canhaptic.sim.plant.mechanism import MECHANISMS
-from canhaptic.units import Name, OnDemand, Parameters, PrintablePath, PrintableText, UnitContext, quantity
+from canhaptic.units import Name, OnDemand, Parameters, PrintablePath, PrintableText, quantity
 
 if TYPE_CHECKING:
     from canhaptic.host.socketcan_state import Runner
@@ -86,6 +85,14 @@ class NamedBus(NamedTuple):
     parameters: BusParameters
 
 
+class Port(NamedTuple):
+    """One part of a scene with an account of its own: an axis outside groups, or a group."""
+
+    name: str
+    passivity: ComponentSpec
+    places: tuple[int, ...]  # indices of its axes in the scene
+
+
 class LogParameters(Parameters):
     """Paths of the logs, relative to the current folder; options of `run` take precedence."""
 
@@ -111,7 +118,6 @@ class LogParameters(Parameters):
 
 if TYPE_CHECKING:
     from canhaptic.scene.old_forms import Release
-    from canhaptic.scene.own_code import OwnCode
     from canhaptic.sim.bus.faulty_bus import BusEffects
     from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
     from canhaptic.sim.plant.mechanism.task_hand import TaskHand
@@ -179,33 +185,6 @@ SIMULATION_PARTS: Final = ("drive", "plant", "user", "effects", "admittance")
 def task_unit(kinematics: str, motor_unit: UnitT) -> UnitT | Literal["m"]:
     """Unit of task space, by the name of the kinematics and the unit of the motor axes."""
     return "m" if kinematics in _MOVES_IN_METRES else motor_unit
-
-
-@dataclass(slots=True)
-class SceneContext(UnitContext):
-    """Context of the validation of a scene."""
-
-    bus: BusParameters | None = None  # once it is validated
-    simulated: bool = False  # as that of `Scene`, once the bus is validated
-    folder: Path = Path()  # of the scene
-    use: CodeUse = "refused"
-    displays: set[str] = field(default_factory=set)  # axes that are admittance displays, as far as they are read
-    is_display: bool = False  # whether the last of them is one
-    _code: "OwnCode | None" = None
-
-    @property
-    def has_code(self) -> bool:
-        """Whether the scene refers to user code."""
-        return self._code is not None
-
-    @property
-    def code(self) -> "OwnCode":
-        """User code that may be read, loaded where a scene refers to any."""
-        if self._code is None:
-            from canhaptic.scene.own_code import OwnCode
-
-            self._code = OwnCode(self.folder, self.use)
-        return self._code
 
 
 CheckItem = Literal["motor_data", "dry_run", "torque", "zero", "limits", "brake", "sto", "emergency_stop"]
@@ -440,6 +419,13 @@ class Scene:
         further = (NamedBus(bus.name, bus.over(self.bus)) for bus in self.further_buses)
         return (NamedBus(self.bus_name, self.bus), *further)
 
+    @property
+    def ports(self) -> list[Port]:
+        """Every axis outside groups, then every group."""
+        places = {axis.parameters.name: place for place, axis in enumerate(self.axes)}
+        alone = [Port(of.parameters.name, of.passivity, (n,)) for n, of in enumerate(self.axes) if not of.group]
+        return alone + [Port(of.name, of.passivity, tuple(places[name] for name in of.axes)) for of in self.groups]
+
     def axis(self, name: str) -> AxisScene:
         """Return the axis of that name."""
         return next(axis for axis in self.axes if axis.parameters.name == name)
@@ -576,27 +562,19 @@ def guesses_left(scene: Scene) -> list[Guess]:
 
 def values_to_set(scene: Scene) -> list[Guess]:
     """Return what real drives still need from a scene: marked values, and undeclared ones."""
-    missing = [f"bus.{key}" for key in _missing_of_bus(scene)]
-    marked = guesses_left(scene)
+    is_virtual = any(bus.parameters.interface == "virtual" for bus in scene.buses)
+    missing, marked = ["bus.interface", "bus.channel"] if is_virtual else [], guesses_left(scene)
+    verifies = "torque_verified" not in {guess.key for guess in marked}
     for axis in scene.axes:
         given = axis.parameters
         missing += [f"{given.name}.{key}" for key in _REQUIRED if getattr(given, key) is None]
-        if (
-            given.admittance
-            and given.torque_verified == "no"
-            and "torque_verified" not in {key for _, key, *_ in marked}
-        ):
+        if given.admittance and given.torque_verified == "no" and verifies:
             missing.append(f"{given.name}.torque_verified")  # a drive that holds a velocity takes the torque it needs
     return [
         *marked,
         *(Guess(0, key, "", "missing") for key in missing),
         *(Guess(0, key, "", "missing, or 0") for key in scene.undeclared),
     ]
-
-
-def _missing_of_bus(scene: Scene) -> list[str]:
-    is_virtual = any(bus.parameters.interface == "virtual" for bus in scene.buses)
-    return ["interface", "channel"] if is_virtual else []
 
 
 def refused_values(scene: Scene, run: "Runner | None" = None) -> list[Guess]:
@@ -608,7 +586,8 @@ def refused_values(scene: Scene, run: "Runner | None" = None) -> list[Guess]:
     """
     if scene.simulated:
         return []
-    unset = guesses_left(scene) if _is_simulated_elsewhere(scene) else values_to_set(scene)
+    is_udp = all(bus.parameters.interface == "udp_multicast" for bus in scene.buses)  # which carries no real CAN bus
+    unset = guesses_left(scene) if scene.simulation is not None and is_udp else values_to_set(scene)
     if not unset:
         return []
     from canhaptic.host.socketcan_state import all_links_are_virtual
@@ -621,11 +600,6 @@ def status_text(scene: Scene) -> str:
     count = len(values_to_set(scene))
     hardware = f"{count} value{'' if count == 1 else 's'} to set" if count else "ready"
     return f"Simulation: {'ready' if scene.simulation else 'no section `simulation`'}. Hardware: {hardware}"
-
-
-def _is_simulated_elsewhere(scene: Scene) -> bool:
-    """Return whether a scene with simulated drives reaches them over UDP, which carries no real CAN bus."""
-    return scene.simulation is not None and all(bus.parameters.interface == "udp_multicast" for bus in scene.buses)
 
 
 def require_no_guesses(scene: Scene) -> None:

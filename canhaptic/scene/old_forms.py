@@ -7,11 +7,7 @@ from collections.abc import Collection, Iterable, Mapping
 from copy import deepcopy
 from typing import Any, Final, Literal, get_args
 
-OLD_KEYS: Final = {
-    "lead": "prediction_holds",
-    "credit": "energy_allowance",
-    "lost_frames": "max_consecutive_losses",
-}
+OLD_KEYS: Final = {"lead": "prediction_holds", "credit": "energy_allowance", "lost_frames": "max_consecutive_losses"}
 """Key of `passivity` in the first release -> its name in the second."""
 OLD_ALGORITHMS: Final = {"direct": "unprotected", "original": "a_priori_dissipation"}
 """Algorithm of one axis in the first release -> its name now."""

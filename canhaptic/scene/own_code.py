@@ -13,6 +13,7 @@ import hashlib
 import importlib.util
 import stat
 import sys
+import traceback
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -30,7 +31,7 @@ _RETURN_NUMBERS: Final[Mapping[str, tuple[str, ...]]] = {
     "passivity algorithm": ("step", "hold"),
 }
 """Kind -> methods watched from the start; methods of hands and effects are added where the plant is put together."""
-_MARK: Final = ".py:"
+_MARK: Final = ".py:"  # of `file.py:Class`
 _LARGEST: Final = 1_000_000  # [bytes]
 ENTRY_POINT_GROUPS: Final[Mapping[str, str]] = {
     "environment": "canhaptic.environments",
@@ -39,11 +40,6 @@ ENTRY_POINT_GROUPS: Final[Mapping[str, str]] = {
     "hand": "canhaptic.hands",
 }
 """Kind of user-defined part -> group of the entry points of plug-ins."""
-
-
-def _names_own_code(name: object) -> bool:
-    """Return whether the name of a component is `file.py:Class`."""
-    return isinstance(name, str) and _MARK in name
 
 
 def installed(kind: str) -> dict[str, EntryPoint]:
@@ -73,7 +69,7 @@ class OwnCode:
 
     def is_left(self, reference: str, kind: str) -> bool:
         """Whether a name refers to user code that this scene leaves unread; it is then noted in `left`."""
-        if self._use != "left" or not (_names_own_code(reference) or reference in installed(kind)):
+        if self._use != "left" or not (_MARK in reference or reference in installed(kind)):
             return False
         self.left.append(reference)
         return True
@@ -84,7 +80,7 @@ class OwnCode:
         Raises:
             ParameterError: Not allowed, not a file of the scene's folder, or the code fails.
         """
-        if _names_own_code(reference):
+        if _MARK in reference:
             return self.load(reference, kind)
         found = installed(kind).get(reference)
         return None if found is None else self._plug_in(found, kind)
@@ -95,9 +91,8 @@ class OwnCode:
             chosen = found.load()
             source = Path(str(sys.modules[chosen.__module__].__file__)).read_bytes()
         except Exception as error:  # foreign code may raise anything
-            raise ParameterError(
-                f"{found.name}: the plug-in {package} cannot be used ({type(error).__name__}: {error})"
-            ) from error
+            text = f"{found.name}: the plug-in {package} cannot be used ({type(error).__name__}: {error})"
+            raise ParameterError(text) from error
         self.hashes[f"{found.name} ({package})"] = hashlib.sha256(source).hexdigest()
         if isinstance(chosen, type):
             watch(chosen, _RETURN_NUMBERS.get(kind, ()))
@@ -111,24 +106,26 @@ class OwnCode:
         """
         name, _, attribute = reference.partition(":")
         if kind not in ENTRY_POINT_GROUPS:
-            raise ParameterError(f"got {reference!r}, expected a built-in {kind}; own code can be {_listed()}")
+            *first, last = ENTRY_POINT_GROUPS
+            own = f"own code can be {', '.join(first)} or {last}"
+            raise ParameterError(f"got {reference!r}, expected a built-in {kind}; {own}")
         if self._use != "run":
-            raise ParameterError(
-                f"names the program file {name!r}, which was not run; read it, and if you trust it "
-                "repeat the command with --allow-code (from Python: allow_code=True)"
-            )
+            text = f"names the program file {name!r}, which was not run; read it, and if you trust it repeat the"
+            raise ParameterError(f"{text} command with --allow-code (from Python: allow_code=True)")
         path = self._checked(name)
-        content = _content(path)
+        try:
+            content = read_regular(path, _LARGEST)
+        except OSError as error:
+            raise ParameterError(f"{name}: cannot be read ({error.strerror}); name a file of Python") from error
         digest = hashlib.sha256(content).hexdigest()
         module = _module(path, digest, content)
-        if not isinstance(getattr(module, attribute, None), type):
-            classes = [
-                key for key, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__
-            ]
-            raise ParameterError(f"{name}: has no class {attribute!r}, expected one of: {', '.join(classes) or 'none'}")
+        chosen = getattr(module, attribute, None)
+        if not isinstance(chosen, type):
+            names = [key for key, of in vars(module).items() if getattr(of, "__module__", "") == module.__name__]
+            raise ParameterError(f"{name}: has no class {attribute!r}, expected one of: {', '.join(names) or 'none'}")
         self.hashes[name] = digest
-        watch(getattr(module, attribute), _RETURN_NUMBERS.get(kind, ()))
-        return getattr(module, attribute)
+        watch(chosen, _RETURN_NUMBERS.get(kind, ()))
+        return chosen
 
     def _checked(self, name: str) -> Path:
         """Path of a regular file that lies in the scene's folder itself."""
@@ -137,9 +134,8 @@ class OwnCode:
             path = (folder / name).resolve(strict=True)
             regular = stat.S_ISREG(path.stat().st_mode)
         except (OSError, ValueError) as error:
-            raise ParameterError(
-                f"{name}: cannot be read ({error}); put the file into the folder of the scene"
-            ) from error
+            text = f"{name}: cannot be read ({error}); put the file into the folder of the scene"
+            raise ParameterError(text) from error
         if path.parent != folder:
             raise ParameterError(f"{name}: lies in {path.parent}, expected a file in the scene's folder {folder}")
         if not regular or path.suffix != ".py":
@@ -161,21 +157,8 @@ def require_same_code(ran: Mapping[str, str], recorded: Mapping[str, str], where
     for name in {**recorded, **ran}:
         now, then = ran.get(name, "nothing"), recorded.get(name, "nothing")
         if now != then:
-            raise InputError(
-                f"{name}: is not the code of {where}: SHA-256 {now[:12]} now, {then[:12]} there; put that version back"
-            )
-
-
-def _listed() -> str:
-    *first, last = ENTRY_POINT_GROUPS
-    return f"{', '.join(first)} or {last}"
-
-
-def _content(path: Path) -> bytes:
-    try:
-        return read_regular(path, _LARGEST)
-    except OSError as error:
-        raise ParameterError(f"{path.name}: cannot be read ({error.strerror}); name a file of Python") from error
+            text = f"{name}: is not the code of {where}: SHA-256 {now[:12]} now, {then[:12]} there"
+            raise InputError(f"{text}; put that version back")
 
 
 @cache
@@ -199,9 +182,5 @@ def _module(path: Path, digest: str, content: bytes) -> ModuleType:
 
 def _line_in(error: BaseException, path: Path) -> int:
     """Return the last line of the file that was running when it raised."""
-    line, trace = 0, error.__traceback__
-    while trace is not None:
-        if trace.tb_frame.f_code.co_filename == str(path):
-            line = trace.tb_lineno
-        trace = trace.tb_next
-    return line
+    lines = [line for frame, line in traceback.walk_tb(error.__traceback__) if frame.f_code.co_filename == str(path)]
+    return lines[-1] if lines else 0

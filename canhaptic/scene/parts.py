@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupController, NetworkEnvironment
 
 _ANY: Final = 1e6  # [N or N*m]
+_OF_THE_DEVICE: Final = ("device_damping", "device_friction", "device_damping_bound", "device_friction_bound")
 _OF_A_WINDING: Final = ("supply", "back_emf", "resistance")
 _PROGRAMS: Final = {
     "certificates": "canhaptic.control.passivity.asked_torque:GuardedProgram",
@@ -47,8 +48,9 @@ def loop_as_known(axis: AxisScene) -> LoopProperties:
     before it is certified.
     """
     effects, loop = _effects(axis), axis.loop
-    error, limit = _position_error(effects), _largest_torque(effects)
-    changes: dict[str, float] = {}
+    error = 0.5 * _value(effects, "encoder_quantisation", "count", 0.0)
+    error += _SIGMAS * _value(effects, "encoder_noise", "deviation", 0.0)
+    limit, changes = _value(effects, "torque_saturation", "limit", inf), dict[str, float]()
     if error:
         changes["encoder_count"] = loop.encoder_count + 2.0 * error
     if limit < (inf if loop.torque_limit is None else loop.torque_limit):
@@ -65,19 +67,16 @@ def accuracy_of(scene: Scene, axis: AxisScene) -> Accuracy:
     return Accuracy(
         sample_time=loop.sample_time * (1.0 + (loop.sync_jitter or 0.0)),
         position=0.5 * loop.encoder_count,
-        torque_share=_share(effects),
+        torque_share=1.0 if "thermal_derating" in effects else _value(effects, "torque_ripple", "amplitude", 0.0),
         torque_offset=0.5 * _value(effects, "torque_quantisation", "quantum", 0.0) + unasked,
         acts_unasked=unasked > 0.0,
-        torque_limit=_largest_torque(effects),
+        torque_limit=_value(effects, "torque_saturation", "limit", inf),
         late=0.0 if bounds_motion else late,
         late_speed=axis.parameters.largest_speed if certifies else None,
         counts_losses=bool(axis.group) or not bounds_motion,
         largest_speed=axis.parameters.largest_speed,
         largest_torque=axis.parameters.torque_limit,
-        device_damping=loop.device_damping,
-        device_friction=loop.device_friction,
-        device_damping_bound=loop.device_damping_bound,
-        device_friction_bound=loop.device_friction_bound,
+        **{key: getattr(loop, key) for key in _OF_THE_DEVICE},
     )
 
 
@@ -118,15 +117,6 @@ def _value(effects: Mapping[str, Parameters], name: str, key: str, otherwise: fl
     return float(getattr(effects[name], key)) if name in effects else otherwise
 
 
-def _position_error(effects: Mapping[str, Parameters]) -> float:
-    count = _value(effects, "encoder_quantisation", "count", 0.0)
-    return 0.5 * count + _SIGMAS * _value(effects, "encoder_noise", "deviation", 0.0)
-
-
-def _largest_torque(effects: Mapping[str, Parameters]) -> float:
-    return _value(effects, "torque_saturation", "limit", inf)
-
-
 def _unasked(effects: Mapping[str, Parameters], axis: AxisScene) -> float:
     """Largest unrequested torque of a motor with a back-EMF that can reach its supply; 0 where it cannot."""
     if "voltage_limit" not in effects:
@@ -138,13 +128,6 @@ def _unasked(effects: Mapping[str, Parameters], axis: AxisScene) -> float:
     return constant * (supply + constant * speed) / resistance + torque
 
 
-def _share(effects: Mapping[str, Parameters]) -> float:
-    """Largest relative error of a torque; a hot winding may give none of it."""
-    if "thermal_derating" in effects:
-        return 1.0
-    return _value(effects, "torque_ripple", "amplitude", 0.0)
-
-
 def build_axis_controller(axis: AxisScene) -> Controller:
     """Return the passivity algorithm of one axis around its environment.
 
@@ -152,9 +135,8 @@ def build_axis_controller(axis: AxisScene) -> Controller:
         ParameterError: The algorithm cannot do without a value that is not given, or a group renders on the axis.
     """
     if axis.group:
-        raise ParameterError(
-            f"{axis.parameters.name}: group {axis.group!r} renders on this axis, expected an axis outside groups"
-        )
+        text = f"{axis.parameters.name}: group {axis.group!r} renders on this axis"
+        raise ParameterError(f"{text}, expected an axis outside groups")
     if axis.parameters.admittance is not None:
         from canhaptic.scene.displays import display_properties
 
@@ -194,8 +176,7 @@ def build_axis_groups(scene: Scene) -> "list[AxisGroup]":
 
 def group_places(scene: Scene) -> list[tuple[int, ...]]:
     """Return the indices of the axes of each group in the scene."""
-    places = {axis.parameters.name: place for place, axis in enumerate(scene.axes)}
-    return [tuple(places[name] for name in group.axes) for group in scene.groups]
+    return [places for name, _, places in scene.ports if name in {group.name for group in scene.groups}]
 
 
 def build_axis_meters(scene: Scene) -> list[AxisMeter]:

@@ -46,14 +46,6 @@ def _ratio(written: object) -> float | None:
     return ratio if isinstance(ratio, int | float) and 0.0 < ratio < _LARGEST_RATIO else None
 
 
-def _mirror_quirks(drive: MarkedMapping, axis: MarkedMapping) -> None:
-    """Add to the section of a simulated drive the keys that follow from its axis; its own keys win."""
-    for key, value in _twin_of(axis).items():
-        if key not in drive:
-            at = axis.value_at("quirks")
-            drive.put(key, value, at, at)
-
-
 def _joined(before: Any, value: Any) -> Any:
     if isinstance(before, list):
         return [*before, *value]
@@ -88,24 +80,23 @@ def put_far_side(
 
 def _own_parts(name: str, simulation: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
     """Return the entry of `simulation.axes` of an axis; an empty one where it has none."""
-    axes = simulation.get("axes")
-    if not isinstance(axes, MarkedMapping) or axes.get(name) is None:
-        return MarkedMapping(simulation.mark)
-    own = read_mapping(axes[name], axes.value_at(name), faults, ", ".join(SIMULATION_PARTS))
+    axes, own = simulation.get("axes"), None
+    if isinstance(axes, MarkedMapping) and axes.get(name) is not None:
+        own = read_mapping(axes[name], axes.value_at(name), faults, ", ".join(SIMULATION_PARTS))
     return MarkedMapping(simulation.mark) if own is None else own
 
 
 def _drive(parts: MarkedMapping, axis: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
     """Return the simulated drive's parameters; its scaling is the axis's unless it has its own."""
-    at = parts.value_at("drive")
-    written = MarkedMapping(at)
-    if parts.get("drive") is not None:
-        written = read_mapping(parts["drive"], at, faults, "its parameters") or written
-    drive = written.copy()
+    at, written = parts.value_at("drive"), parts.get("drive")
+    written = None if written is None else read_mapping(written, at, faults, "its parameters")
+    drive = MarkedMapping(at) if written is None else written.copy()
     for key in SCALING_KEYS:
         if key not in drive and axis.get(key) is not None:
             drive.put(key, axis[key], axis.keys_at[key], axis.values_at[key])
-    _mirror_quirks(drive, axis)
+    for key, value in _twin_of(axis).items():
+        if key not in drive:
+            drive.put(key, value, axis.value_at("quirks"), axis.value_at("quirks"))
     _mirror_display(drive, axis)
     return drive
 
@@ -120,14 +111,9 @@ def _mirror_display(drive: MarkedMapping, axis: MarkedMapping) -> None:
     if not isinstance(force, MarkedMapping) or "per_count" not in force:
         return
     at = axis.value_at("admittance")
-    scales = own.copy()
-    named = {
-        "force_object": force.get("object"),
-        "force_node": force.get("node"),
-        "force_per_count": force["per_count"],
-        "force_offset_counts": force.get("offset_counts", 0.0),
-        "velocity_counts": display.get("velocity_counts"),
-    }
+    scales, named = own.copy(), {f"force_{key}": force.get(key) for key in ("object", "node", "per_count")}
+    named["force_offset_counts"] = force.get("offset_counts", 0.0)
+    named["velocity_counts"] = display.get("velocity_counts")
     for key, value in named.items():
         if value is not None and key not in scales:
             scales.put(key, value, at, at)

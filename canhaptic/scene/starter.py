@@ -56,17 +56,12 @@ def missing_values(found: Survey, sample_time: float) -> dict[str, str]:
         found: Survey of the dictionary.
         sample_time: Time from SYNC to SYNC [s].
     """
-    listed = found.dictionary
-    values = {**_absent(found), **_misleading(listed, sample_time)}
-    return {_key(place): f"{value:#x}" for place, value in values.items() if _holds(listed, place, value)}
-
-
-def _holds(dictionary: ObjectDictionary, place: _Place, value: int) -> bool:
-    """Whether the drive has an object of a type that can hold a value."""
-    if objection(dictionary, ObjectUse(*place)) is not None:
-        return False
-    variable = dictionary.get_variable(*place)
-    return variable is not None and range_objection(variable, value) is None
+    listed, fitting = found.dictionary, {}
+    for place, value in {**_absent(found), **_misleading(listed, sample_time)}.items():
+        variable = listed.get_variable(*place) if objection(listed, ObjectUse(*place)) is None else None
+        if variable is not None and range_objection(variable, value) is None:  # of a type that can hold it
+            fitting[_key(place)] = f"{value:#x}"
+    return fitting
 
 
 def _key(place: _Place) -> str:

@@ -10,7 +10,7 @@ The hand-force certificate counts on them. With real drives nothing is derived: 
 (`canhaptic commission`) and declared, and without them no real drive runs (`guesses`, and the algorithm itself).
 """
 
-from collections.abc import Mapping, Set
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -53,14 +53,10 @@ _MOST_JITTER: Final = 0.5
 """Part of a sample time: a SYNC later than that is a SYNC skipped."""
 
 
-def undeclared(loop: LoopProperties) -> list[str]:
-    """Undeclared timing keys of an axis."""
-    return [key for key in GUESSES if getattr(loop, key) is None]
-
-
-def _unknown(loop: LoopProperties) -> list[str]:
-    """Timing keys of an axis with a real drive that are undeclared, or 0 where none is."""
-    return [key for key in GUESSES if getattr(loop, key) is None or (key in _NEVER_ZERO and not getattr(loop, key))]
+def undeclared(loop: LoopProperties, *, is_real: bool = False) -> list[str]:
+    """Undeclared timing keys of an axis; with a real drive also those that are 0 where none is."""
+    never_zero = _NEVER_ZERO if is_real else ()
+    return [key for key in GUESSES if getattr(loop, key) is None or (key in never_zero and not getattr(loop, key))]
 
 
 def with_timing(scene: Scene) -> Scene:
@@ -72,7 +68,6 @@ def with_timing(scene: Scene) -> Scene:
         return scene
     if not scene.simulated:
         known = [{**GUESSES, "torque_window": GUESSES["torque_window"] + windows[axis.bus]} for axis in scene.axes]
-        missing = [_unknown(axis.loop) for axis in scene.axes]
     else:
         from canhaptic.scene.far_side import lag_of
 
@@ -81,7 +76,7 @@ def with_timing(scene: Scene) -> Scene:
             {"sync_jitter": jitters[axis.bus], "torque_window": windows[axis.bus], "current_lag": lag_of(axis)}
             for axis in scene.axes
         ]
-        missing = [undeclared(axis.loop) for axis in scene.axes]
+    missing = [undeclared(axis.loop, is_real=not scene.simulated) for axis in scene.axes]
     found = zip(scene.axes, known, missing, strict=True)
     return replace(scene, axes=tuple(_with_loop(axis, {key: of[key] for key in keys}) for axis, of, keys in found))
 
@@ -91,17 +86,11 @@ def _needed(scene: Scene, axis: AxisScene) -> list[str]:
 
     The bound of dry friction is one: nothing can be guessed of it.
     """
-    is_open = axis.loop.device_friction_bound is None and rests_on_hand_force(scene, axis)
-    timing = [key for key in _unknown(axis.loop) if key in _rests_on(scene, axis)]
-    return timing + (["device_friction_bound"] if is_open else [])
-
-
-def _rests_on(scene: Scene, axis: AxisScene) -> Set[str]:
-    """Timing keys on which the promise of an axis rests; empty where its algorithm makes none."""
     known = scene.passivity_of(axis).parameters
-    if hasattr(known, "hand_force"):
-        return GUESSES.keys()
-    return set(DISPLAY_LOOP_KEYS if hasattr(known, "loop_gain") else ())
+    rests_on = GUESSES if hasattr(known, "hand_force") else DISPLAY_LOOP_KEYS if hasattr(known, "loop_gain") else ()
+    is_open = axis.loop.device_friction_bound is None and rests_on_hand_force(scene, axis)
+    timing = [key for key in undeclared(axis.loop, is_real=True) if key in rests_on]
+    return timing + (["device_friction_bound"] if is_open else [])
 
 
 def _effects(scene: Scene, bus: NamedBus) -> Mapping[str, float]:
