@@ -101,9 +101,8 @@ class Cycle:
         self._grouped = _grouped(self.controllers, self.groups, rig.dry_run) if groups or rig.dry_run else None
         axes = self._grouped.axes if self._grouped else len(self.controllers)
         if axes != len(rig.drives):
-            raise InputError(
-                f"cycle: got controllers for {axes} axes and a rig of {len(rig.drives)}; give each axis one"
-            )
+            text = f"cycle: got controllers for {axes} axes and a rig of {len(rig.drives)}"
+            raise InputError(f"{text}; give each axis one")
         self.ledgers = [Ledger() for _ in range(axes)]
         known = axis_meters or [AxisMeter() for _ in range(axes)]
         self.meters = RunMeters(known, rig.drives, self.controllers, self.groups)
@@ -175,8 +174,8 @@ class Cycle:
             if any(broken[axis] for axis in group.axes):
                 account = group.balance.account._replace(certificate=_NO_CERTIFICATE)
                 group.balance = group.balance._replace(account=account)
-        if self._log is not None and not self.uneven:
-            self._log.event(self.rig.sync_index, "timing", "", _UNEVEN.format(self.rig.uneven * 1e-9))
+        if not self.uneven:
+            self._event(self.rig.sync_index, "timing", "", _UNEVEN.format(self.rig.uneven * 1e-9))
         self.uneven += 1
 
     def _lost(self, meter: EnergyLossMeter, samples: Sequence[Sample]) -> str:
@@ -209,24 +208,26 @@ class Cycle:
         """End the run after the present cycle because a log can no longer be written; callable from any thread."""
         self._log = _FailedLog(reason)
 
+    def _event(self, index: int, kind: str, name: str, text: str) -> None:
+        if self._log is not None:
+            self._log.event(index, kind, name, text)
+
     def note_fault(self, error: Exception) -> None:
         """Log the cause that ended the run, with the SYNC that found it and the axis that failed."""
-        if self._log is not None:
-            kind, axis = "emcy" if isinstance(error, EmergencyError) else "fault", getattr(error, "axis", "")
-            self._log.event(self.rig.sync_index, kind, axis, str(error))
+        kind = "emcy" if isinstance(error, EmergencyError) else "fault"
+        self._event(self.rig.sync_index, kind, getattr(error, "axis", ""), str(error))
 
     def note_holds(self) -> None:
         """Log whether the hold of each drive's torques was checked, for the verdict that a reader of the log forms."""
         for drive in self.rig.drives:
-            if self._log is not None and drive.hold:
-                self._log.event(0, "hold", drive.axis.name, drive.hold)
+            if drive.hold:
+                self._event(0, "hold", drive.axis.name, drive.hold)
 
     def note_unrestored(self) -> None:
         """Log objects of a drive that the start changed and the stop did not restore."""
-        if self._log is not None:
-            for drive in self.rig.drives:
-                for text in drive.unrestored:
-                    self._log.event(self.rig.sync_index, "unrestored", drive.axis.name, text)
+        for drive in self.rig.drives:
+            for text in drive.unrestored:
+                self._event(self.rig.sync_index, "unrestored", drive.axis.name, text)
 
     def _account(
         self, samples: Sequence[Sample], balances: Sequence[EnergyBalance], truths: Sequence[Truth] | None
@@ -261,9 +262,8 @@ class Cycle:
             balance = group.balance
             rows.append(group.sample(samples))
             accounts.append(balance.account)
-            text = group.book(rows[0].sync_index, self.rig.deadline_index)
-            if text and self._log is not None:
-                self._log.event(rows[0].sync_index, "limit", group.name, text)
+            if text := group.book(rows[0].sync_index, self.rig.deadline_index):
+                self._event(rows[0].sync_index, "limit", group.name, text)
         true = None if truths is None else [*truths, *(group.truth(truths) for group in self.groups)]
         return rows, accounts, true
 
@@ -331,32 +331,26 @@ def run(
 @contextmanager
 def running(cycle: Cycle) -> Iterator[None]:
     """Start the rig, and stop it on every exit from the block: zero torque first. See `run`."""
+    rig = cycle.rig
     try:
-        with _started(cycle):
+        rig.start()
+        try:
+            cycle.note_holds()
             yield
+        except LogStoppedError:
+            rig.stop()
+            raise
+        except Exception as error:
+            rig.stop(ramp=False, reason=reason_of(error))
+            cycle.note_fault(error)
+            if isinstance(error, RigError):
+                error.records = error.records or tuple(rig.records)
+                raise
+            text = f"the cycle failed at SYNC {rig.sync_index}, torque is zero: {type(error).__name__}: {error}"
+            raise CycleFailedError(text, rig.records) from error
+        except BaseException:
+            rig.stop(ramp=False)
+            raise
+        rig.stop()
     finally:
         cycle.note_unrestored()
-
-
-@contextmanager
-def _started(cycle: Cycle) -> Iterator[None]:
-    rig = cycle.rig
-    rig.start()
-    try:
-        cycle.note_holds()
-        yield
-    except LogStoppedError:
-        rig.stop()
-        raise
-    except Exception as error:
-        rig.stop(ramp=False, reason=reason_of(error))
-        cycle.note_fault(error)
-        if isinstance(error, RigError):
-            error.records = error.records or tuple(rig.records)
-            raise
-        text = f"the cycle failed at SYNC {rig.sync_index}, torque is zero: {type(error).__name__}: {error}"
-        raise CycleFailedError(text, rig.records) from error
-    except BaseException:
-        rig.stop(ramp=False)
-        raise
-    rig.stop()

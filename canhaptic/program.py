@@ -130,10 +130,8 @@ def _guard_of(scene: Scene, asked: _Guard, *, is_replay: bool) -> str:
 def _require_watchdogs(scene: Scene) -> None:
     for axis in scene.axes:
         if not axis.parameters.watchdog:
-            raise InputError(
-                f"{scene.source}: {axis.parameters.name}: watchdog: got false; a program that is killed would leave "
-                "its torque on: set watchdog: true, with a drive that has one"
-            )
+            text = f"{scene.source}: {axis.parameters.name}: watchdog: got false; a program that is killed would leave"
+            raise InputError(f"{text} its torque on: set watchdog: true, with a drive that has one")
 
 
 class AxisSample(NamedTuple):

@@ -45,10 +45,8 @@ def load_algorithm(table: Mapping[str, str], name: str, kind: str, parameters: o
     if parameters is None:
         return algorithm, algorithm.parameters_type()
     if not isinstance(parameters, algorithm.parameters_type):
-        raise ParameterError(
-            f"{kind} {name!r}: got parameters {type(parameters).__name__}, "
-            f"expected {algorithm.parameters_type.__name__}"
-        )
+        text = f"{kind} {name!r}: got parameters {type(parameters).__name__}"
+        raise ParameterError(f"{text}, expected {algorithm.parameters_type.__name__}")
     return algorithm, parameters
 
 

@@ -71,20 +71,10 @@ class RunResult(Verdicts):
 
 
 _OF_AN_AXIS: Final = (
-    "unit",
-    "in",
-    "out",
-    "peak_torque",
-    "limited_cycles",
-    "read_back",
-    "read_back_bound",
-    "dry_run",
-    "withheld_torque",
-    "hold",
-    "mass",
+    *("unit", "in", "out", "peak_torque", "limited_cycles", "read_back", "read_back_bound"),
+    *("dry_run", "withheld_torque", "hold", "mass"),
 )
-
-
+"""Keys of the account of an axis in a group."""
 _WORST_LAST: Final[tuple[Verdict, ...]] = ("yes", "in doubt", "no")
 _HEADLINES: Final[tuple[Headline, ...]] = ("no contact", "dry run", "yes", "in doubt", "nothing rendered", "no")
 """The displayed words, worst last; one handle without a contact does not make a run of several doubtful."""

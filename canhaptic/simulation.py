@@ -368,15 +368,12 @@ def simulate(
     """
     loaded = load_any(scene, changes or {}, allow_code)
     if not loaded.simulated:
-        raise InputError(
-            f"{loaded.source}: simulates nothing in this process (needs `simulation` and `bus.interface: virtual`); "
-            "a real rig is started on purpose, by `canhaptic run`"
-        )
+        text = f"{loaded.source}: simulates nothing in this process (needs `simulation` and `bus.interface: virtual`)"
+        raise InputError(f"{text}; a real rig is started on purpose, by `canhaptic run`")
     length = loaded.run.duration if duration is None else RunParameters.validated({"duration": duration}).duration
     if length is None:
-        raise InputError(
-            f"{loaded.source}: duration: missing; add it to the scene or call simulate(..., duration=10.0)"
-        )
+        text = f"{loaded.source}: duration: missing"
+        raise InputError(f"{text}; add it to the scene or call simulate(..., duration=10.0)")
     cycles = max(1, round(length / loaded.bus.sample_time))
     folder = Path(tempfile.mkdtemp(prefix="canhaptic-"))
     try:
@@ -403,9 +400,8 @@ def load_any(
     overrides = [_override(path, value) for path, value in changes.items()]
     if isinstance(scene, Scene):
         if changes:
-            raise InputError(
-                "changes: a loaded scene takes none; give them to load_scene, or name the file of the scene here"
-            )
+            text = "changes: a loaded scene takes none"
+            raise InputError(f"{text}; give them to load_scene, or name the file of the scene here")
         return scene
     if isinstance(scene, Mapping):
         return scene_from_mapping(scene, overrides=overrides, allow_code=allow_code)
@@ -416,9 +412,8 @@ def _override(path: str, value: object) -> str:
     try:
         return f"{path}={json.dumps(value, default=_plain)}"
     except (TypeError, ValueError) as error:
-        raise InputError(
-            f"changes: {path}: got {shown(value)}, expected a number, a text, a list or a mapping"
-        ) from error
+        text = f"changes: {path}"
+        raise InputError(f"{text}: got {shown(value)}, expected a number, a text, a list or a mapping") from error
 
 
 def _plain(value: object) -> object:

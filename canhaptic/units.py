@@ -43,30 +43,23 @@ else:
 # Dimension exponents of (kg, m, s, A, K, rad). The radian is kept as a dimension of its own, so that a linear
 # stiffness on a rotary axis is an error and not a wall of the wrong strength.
 _Dimension = tuple[int, ...]
-_BASE_UNITS: Final[dict[str, tuple[float, _Dimension]]] = {
-    "kg": (1.0, (1, 0, 0, 0, 0, 0)),
-    "g": (1e-3, (1, 0, 0, 0, 0, 0)),
-    "m": (1.0, (0, 1, 0, 0, 0, 0)),
-    "s": (1.0, (0, 0, 1, 0, 0, 0)),
-    "min": (60.0, (0, 0, 1, 0, 0, 0)),
-    "h": (3600.0, (0, 0, 1, 0, 0, 0)),
-    "Hz": (1.0, (0, 0, -1, 0, 0, 0)),
-    "A": (1.0, (0, 0, 0, 1, 0, 0)),
-    "K": (1.0, (0, 0, 0, 0, 1, 0)),
-    "rad": (1.0, (0, 0, 0, 0, 0, 1)),
-    "deg": (math.pi / 180.0, (0, 0, 0, 0, 0, 1)),
-    "rev": (2.0 * math.pi, (0, 0, 0, 0, 0, 1)),
-    "N": (1.0, (1, 1, -2, 0, 0, 0)),
-    "J": (1.0, (1, 2, -2, 0, 0, 0)),
-    "W": (1.0, (1, 2, -3, 0, 0, 0)),
-    "V": (1.0, (1, 2, -3, -1, 0, 0)),
-    "ohm": (1.0, (1, 2, -3, -2, 0, 0)),
-    "H": (1.0, (1, 2, -2, -2, 0, 0)),
-    "bit": (1.0, (0, 0, 0, 0, 0, 0)),
-    "count": (1.0, (0, 0, 0, 0, 0, 0)),
-    "1": (1.0, (0, 0, 0, 0, 0, 0)),
-    "%": (1e-2, (0, 0, 0, 0, 0, 0)),
+_UNITS: Final[dict[_Dimension, dict[str, float]]] = {
+    (1, 0, 0, 0, 0, 0): {"kg": 1.0, "g": 1e-3},
+    (0, 1, 0, 0, 0, 0): {"m": 1.0},
+    (0, 0, 1, 0, 0, 0): {"s": 1.0, "min": 60.0, "h": 3600.0},
+    (0, 0, -1, 0, 0, 0): {"Hz": 1.0},
+    (0, 0, 0, 1, 0, 0): {"A": 1.0},
+    (0, 0, 0, 0, 1, 0): {"K": 1.0},
+    (0, 0, 0, 0, 0, 1): {"rad": 1.0, "deg": math.pi / 180.0, "rev": 2.0 * math.pi},
+    (1, 1, -2, 0, 0, 0): {"N": 1.0},
+    (1, 2, -2, 0, 0, 0): {"J": 1.0},
+    (1, 2, -3, 0, 0, 0): {"W": 1.0},
+    (1, 2, -3, -1, 0, 0): {"V": 1.0},
+    (1, 2, -3, -2, 0, 0): {"ohm": 1.0},
+    (1, 2, -2, -2, 0, 0): {"H": 1.0},
+    (0, 0, 0, 0, 0, 0): {"bit": 1.0, "count": 1.0, "1": 1.0, "%": 1e-2},
 }
+_BASE_UNITS: Final = {name: (factor, dimension) for dimension, of in _UNITS.items() for name, factor in of.items()}
 _PREFIXES: Final = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6, "G": 1e9}
 _NUMBER_AND_UNIT: Final = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?")
 _AS_PRINTED: Final = str.maketrans({"µ": "u", "μ": "u", "·": "*", "²": "^2", "³": "^3"})
@@ -365,6 +358,13 @@ class Parameters(BaseModel, metaclass=_ParametersMeta):
         except ValidationError as error:
             raise ParameterError(_describe(cls, error)) from error
 
+    @classmethod
+    def of_section(cls, section: Mapping[str, Any], context: object) -> Self:
+        """Return the parameters of a section of a scene, in the units of its axis or of the model's own motion."""
+        motion = getattr(section, "motion", None) or getattr(cls, "motion", None)
+        with context.moving(motion) if isinstance(context, UnitContext) else nullcontext():
+            return cls.model_validate(section, context=context)
+
 
 class OnDemand:
     """Annotation of a field whose model is imported only where the scene has a section for it.
@@ -386,14 +386,12 @@ class OnDemand:
 
     def read(self, value: object, info: ValidationInfo[Any]) -> object:
         """Return the parameters of a section, in the units of its axis or of the model's own motion."""
-        model, context = self.model_of(), info.context
+        model = self.model_of()
         if isinstance(value, model):
             return value
         if not isinstance(value, Mapping):
             raise ValueError("expected a mapping of keys and values")
-        motion = getattr(value, "motion", None) or getattr(model, "motion", None)
-        with context.moving(motion) if isinstance(context, UnitContext) else nullcontext():
-            return model.model_validate(value, context=context)
+        return model.of_section(value, info.context)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         return handler(core_schema.chain_schema([self.model_of().__pydantic_core_schema__]))

@@ -122,10 +122,8 @@ def dialogue_of(scene: Scene, *, yes: bool) -> Dialogue:
     """Return the dialogue with a person, or for simulated drives an automatic one; raise InputError without any."""
     if yes:
         if not scene.simulated:
-            raise InputError(
-                f"{scene.source}: --yes is for drives simulated in this process; for a real drive a person at "
-                "the machine must answer"
-            )
+            text = f"{scene.source}: --yes is for drives simulated in this process"
+            raise InputError(f"{text}; for a real drive a person at the machine must answer")
         return Unattended(write_note)
     if not sys.stdin.isatty():
         raise InputError("every step is confirmed by a person, which needs a terminal; --yes is for simulated drives")

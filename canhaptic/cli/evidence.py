@@ -23,6 +23,7 @@ from canhaptic.scene.build import build
 from canhaptic.scene.edited_text import Change, edited_text
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene, require_no_guesses
+from canhaptic.scene.overrides import split_override
 
 _TENTH: Final = 0.1
 _PACKAGES: Final = ("canhaptic", "python-can", "canopen", "numpy", "pydantic", "h5py")
@@ -55,9 +56,9 @@ def execute(arguments: argparse.Namespace) -> int:
         if session.report.failed:
             raise InputError(f"{out}: the commissioning failed: {'; '.join(missing)}; no run follows")
         if all(axis.parameters.admittance is None for axis in own.axes):
-            _run(own, out, "dry_run", arguments.duration, dialogue, stop, no_torque=True)
+            _run(own, "dry_run", arguments, dialogue, stop)
         tenth = [f"axes.{n}.torque_limit={_TENTH * axis.parameters.torque_limit}" for n, axis in enumerate(own.axes)]
-        _run(load_scene(path, tenth), out, "tenth", arguments.duration, dialogue, stop)
+        _run(load_scene(path, tenth), "tenth", arguments, dialogue, stop)
     _write_json(out / "versions.json", _versions())
     rows = "\n".join(
         f"| {file.name} | {hashlib.sha256(file.read_bytes()).hexdigest()} |" for file in sorted(out.iterdir())
@@ -80,9 +81,7 @@ def _copied(scene: Scene, out: Path, *, anonymous: bool) -> Path:
             content = _SERIAL.sub(r"\g<1>0", _NAMES.sub(lambda found: f"{found[1]}=", content))
         (out / name).write_bytes(content.encode("latin-1"))
         changes.append(Change(("axes", str(number), "eds"), name))
-    overrides = [
-        Change(tuple(where.split(".")), value) for where, _, value in (o.partition("=") for o in scene.overrides)
-    ]
+    overrides = [Change(*split_override(text)) for text in scene.overrides]
     text = edited_text(scene.text, [*overrides, *changes])
     if anonymous:
         text = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("#")) + "\n"
@@ -90,17 +89,9 @@ def _copied(scene: Scene, out: Path, *, anonymous: bool) -> Path:
     return out / "rig.yaml"
 
 
-def _run(
-    scene: Scene,
-    out: Path,
-    name: str,
-    duration: float,
-    dialogue: Dialogue,
-    stop: StopSignal,
-    *,
-    no_torque: bool = False,
-) -> None:
+def _run(scene: Scene, name: str, arguments: argparse.Namespace, dialogue: Dialogue, stop: StopSignal) -> None:
     """Run a scene with both logs, and write its account."""
+    out, duration, no_torque = arguments.out, arguments.duration, name == "dry_run"
     torque = "without torque" if no_torque else "at a tenth of torque_limit"
     if not dialogue.confirm(f"a run of {duration:g} s {torque}: hand on the handle. Now?"):
         raise InputError(f"{name}: not agreed to; the folder {out} is incomplete")

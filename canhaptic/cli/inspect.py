@@ -116,10 +116,8 @@ def _write_files(log: EnergyLog, result: Inspection, arguments: argparse.Namespa
         others = [stack.enter_context(EnergyLog.open(path)) for path in paths]
         for other in others:
             if not set(other.ports) & set(log.ports):
-                raise InputError(
-                    f"{other.path}: has the ports {', '.join(other.ports)} and none of {', '.join(log.ports)}; nothing "
-                    "of it can be drawn over this run"
-                )
+                text = f"{other.path}: has the ports {', '.join(other.ports)} and none of {', '.join(log.ports)}"
+                raise InputError(f"{text}; nothing of it can be drawn over this run")
         for path in pictures:
             draw_energy(log, path, arguments.start, arguments.stop, others)
         if arguments.html is not None:

@@ -61,13 +61,8 @@ def scene_of(arguments: argparse.Namespace, *, beyond_bus: bool = False) -> "Sce
     from canhaptic.scene.load import load_scene
 
     allow_code: bool | None = getattr(arguments, "allow_code", None)
-    return load_scene(
-        arguments.config,
-        arguments.overrides,
-        allow_code=bool(allow_code),
-        leave_code=allow_code is None,
-        beyond_bus=beyond_bus,
-    )
+    code = {"allow_code": bool(allow_code), "leave_code": allow_code is None}
+    return load_scene(arguments.config, arguments.overrides, beyond_bus=beyond_bus, **code)
 
 
 def check_picture(path: Path, force: bool) -> None:

@@ -131,10 +131,8 @@ def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
         if not is_used or path is None or any(path.resolve().is_relative_to(home) for home in homes):
             continue
         if path.exists():
-            raise InputError(
-                f"{scene.source}: {key}: {path} already exists, outside the folder of the scene and the current one; "
-                f"give {option} {path} --force to replace it"
-            )
+            text = f"{scene.source}: {key}: {path} already exists, outside the folder of the scene and the current one"
+            raise InputError(f"{text}; give {option} {path} --force to replace it")
         notes.append(f"{key} of {scene.source} is outside its folder: {path}")
     return notes
 
@@ -334,14 +332,11 @@ def build(
         LogWriteError: A log cannot be written.
     """
     if scene.unread:
-        raise InputError(
-            f"{scene.source}: {', '.join(scene.unread)} was left unread; load the scene with allow_code=True"
-        )
+        text = f"{scene.source}: {', '.join(scene.unread)} was left unread"
+        raise InputError(f"{text}; load the scene with allow_code=True")
     if pace == "free" and not scene.simulated:
-        raise InputError(
-            f"{scene.source}: pace 'free' needs drives simulated in this process (bus.interface: virtual and a "
-            "`simulation`); real drives run at pace 'real'"
-        )
+        text = f"{scene.source}: pace 'free' needs drives simulated in this process (bus.interface"
+        raise InputError(f"{text}: virtual and a `simulation`); real drives run at pace 'real'")
     chosen: _Pace = pace or ("free" if scene.simulated else "real")
     for axis in scene.axes if no_torque else ():
         require_torque_axis(axis)  # before a log is made

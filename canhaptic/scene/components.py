@@ -143,7 +143,7 @@ class ComponentOf:
             raise self._refused(text) from error
         section = value.without(self.selector, *(key for key in self.apart if key not in model.model_fields))
         section = self._switched(name, model, section, info.context)
-        return ComponentSpec(name, validated(model, section, info.context), own)
+        return ComponentSpec(name, model.of_section(section, info.context), own)
 
     def _switched(
         self, name: str, model: type[Parameters], section: MarkedMapping, reading: SceneContext
@@ -217,7 +217,7 @@ class OwnModel(OnDemand):
         if not (isinstance(own, type) and issubclass(own, model)):
             seen = "which is unknown" if own is None else f"which is no {model.__name__}"
             raise ValueError(f"type: got {name!r}, {seen}; expected FILE.py:Class, a subclass of {model.__name__}")
-        return validated(own, value.without("type"), info.context)
+        return own.of_section(value.without("type"), info.context)
 
 
 def _with_type(value: Parameters | None) -> dict[str, object] | None:
@@ -276,9 +276,3 @@ def _own_parameters(own: object, name: str) -> type[Parameters]:
     if not (isinstance(model, type) and issubclass(model, Parameters)):
         raise ParameterError(f"{name}: has no parameters; expected a subclass of Parameters, or `parameters_type`")
     return model
-
-
-def validated(model: type[Parameters], section: MarkedMapping, context: SceneContext) -> Parameters:
-    """Parameters of a section, in the units of its axis or of the model itself."""
-    with context.moving(section.motion or getattr(model, "motion", None)):
-        return model.model_validate(section, context=context)

@@ -48,9 +48,8 @@ def build_group_of_displays(scene: Scene, group: GroupScene) -> "GroupController
     axes = [scene.axis(name) for name in group.axes]
     others = [axis.parameters.name for axis in axes if axis.parameters.admittance is None]
     if others:
-        raise ParameterError(
-            f"group {group.name!r} mixes admittance displays and {', '.join(others)}; expected one kind"
-        )
+        text = f"group {group.name!r} mixes admittance displays and {', '.join(others)}"
+        raise ParameterError(f"{text}; expected one kind")
     properties, kinematics = [display_properties(of) for of in axes], cast("Kinematics", group.kinematics.parameters)
     return build_display_group(
         group.network.parameters, group.passivity.name, group.passivity.parameters, properties, kinematics
@@ -107,7 +106,5 @@ def refuse_displays(scene: Scene, command: str) -> None:
     """
     names = ", ".join(axis.parameters.name for axis in scene.axes if axis.parameters.admittance is not None)
     if names:
-        raise InputError(
-            f"{scene.source}: {names}: {command} takes impedance displays (motion in, torque out) only; "
-            "use canhaptic run, touch, compare, sweep, design, accuracy, check or inspect"
-        )
+        text = f"{scene.source}: {names}: {command} takes impedance displays (motion in, torque out) only"
+        raise InputError(f"{text}; use canhaptic run, touch, compare, sweep, design, accuracy, check or inspect")

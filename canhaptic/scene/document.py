@@ -310,18 +310,14 @@ class _Builder:
 
 
 def _read_scalar(kind: str, text: str) -> Any:
-    if kind in {"str", "merge"}:
-        return text
-    if kind == "null":
-        return None
+    plain = text.replace("_", "").lower()
+    if kind == "int":
+        return int(plain, {"0x": 16, "0o": 8}.get(plain[:2], 10))
+    if kind == "float":
+        return float(re.sub(r"\.(?=inf|nan)", "", plain))
     if kind == "bool":
         return {"true": True, "false": False}[text.lower()]
-    if kind == "int":
-        digits = text.replace("_", "")
-        return int(digits, {"0x": 16, "0o": 8}.get(digits[:2].lower(), 10))
-    if kind == "float":
-        return float(re.sub(r"\.(?=inf|nan)", "", text.lower().replace("_", "")))
-    raise KeyError(kind)
+    return {"str": text, "merge": text, "null": None}[kind]
 
 
 def mark_plain(value: Any, source: str, path: tuple[str, ...] = ()) -> Any:

@@ -13,15 +13,7 @@ from canhaptic.axis_units import damping_unit, effort_unit, mass_unit, stiffness
 from canhaptic.control.admittance.declared_hand import damping_border, declared_hand_settings, lightest
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, loop_settings
-from canhaptic.control.certificates.scalar_bounds import (
-    DisplacementResponse,
-    displacement_response,
-    renderable_by_device_damping,
-    renderable_by_hand_force,
-    renderable_by_hand_speed,
-    start_energy,
-    start_speed,
-)
+from canhaptic.control.certificates import scalar_bounds as bounds
 from canhaptic.control.damping import largest_stable_damping, least_oscillating_damping
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.scene.displays import display_properties
@@ -55,9 +47,9 @@ def advised_allowance(loop: LoopProperties, hand_force: float, losses: int = 0) 
     if loop.moving_mass is None or loop.device_damping_bound is None:
         return 0.0
     pull, least, most = hand_force + (loop.device_friction_bound or 0.0), 0.0, loop.device_damping_bound
-    response = displacement_response(loop.sample_time, loop.moving_mass, pull, least, most, timing=loop.timing)
+    response = bounds.displacement_response(loop.sample_time, loop.moving_mass, pull, least, most, timing=loop.timing)
     holds = loop.delay + losses
-    energy = start_energy(response, holds, 0.5 * renderable_by_hand_force(response, holds, _ANY_TORQUE))
+    energy = bounds.start_energy(response, holds, 0.5 * bounds.renderable_by_hand_force(response, holds, _ANY_TORQUE))
     return min(energy, LARGEST_ADVISED)
 
 
@@ -190,13 +182,13 @@ def _asked(axis: AxisScene, name: str) -> float | None:
 def _stiffness_hints(axis: AxisScene) -> list[Hint]:
     damping, source = _known(axis, "device_damping", "damping")
     period, delay = axis.loop.sample_time, axis.loop.delay
-    bound = None if damping is None else renderable_by_device_damping(damping, period, 0)
+    bound = None if damping is None else bounds.renderable_by_device_damping(damping, period, 0)
     what = "stiffness, Colgate's bound 2 b / T"
     hints = [_hint(axis, what, bound, f"passive below; {source}", plain=True)]
     if delay and damping is not None:
-        bound, text = renderable_by_device_damping(damping, period, delay), f"held by the device's damping; {source}"
+        bound = bounds.renderable_by_device_damping(damping, period, delay)
         what = f"stiffness at delay {delay}, 2 b / {1 + delay} T"
-        hints.append(_hint(axis, what, bound, text, plain=True))
+        hints.append(_hint(axis, what, bound, f"held by the device's damping; {source}", plain=True))
     return hints
 
 
@@ -261,16 +253,17 @@ def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list
     if hand_force is not None and loop.moving_mass is not None:
         least, most = 0.0 if len(group) > 1 else loop.device_damping or 0.0, loop.device_damping_bound or 0.0
         pull = (hand_force + (loop.device_friction_bound or 0.0)) * _on_all(axis, group)
-        response = displacement_response(loop.sample_time, loop.moving_mass, pull, least, most, timing=loop.timing)
+        given = loop.sample_time, loop.moving_mass, pull, least, most
+        response = bounds.displacement_response(*given, timing=loop.timing)
         of_each = f" on each of {len(group)} axes" if len(group) > 1 else ""
         text = f"hand force up to {hand_force:g}{of_each}{more}"
-        held["hand force"] = renderable_by_hand_force(response, lag, torque), f"at the torque limit, {text}"
+        held["hand force"] = bounds.renderable_by_hand_force(response, lag, torque), f"at the torque limit, {text}"
         hints += _felt_hints(axis, response, lag, text)
     if loop.device_damping and axis.passivity.name in _BY_DAMPING:
-        limit = renderable_by_device_damping(loop.device_damping, loop.sample_time, lag)
+        limit = bounds.renderable_by_device_damping(loop.device_damping, loop.sample_time, lag)
         held["device damping"] = limit, f"for every user, device_damping {loop.device_damping:g} declared{more}"
     if hand_speed is not None:
-        limit = renderable_by_hand_speed(hand_speed, loop.sample_time, lag, torque)
+        limit = bounds.renderable_by_hand_speed(hand_speed, loop.sample_time, lag, torque)
         held["hand speed"] = limit, f"at the torque limit, hand speed up to {hand_speed:g}{more}"
     return [*_held_stiffness(axis, held), *hints, *_encoder_hint(axis)]
 
@@ -309,17 +302,17 @@ def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
     text = f"{axis.parameters.name}: guaranteed for the declared {most[1]}: {most[0]:.3g} {unit} at the torque limit"
     bound = axis.loop.device_damping_bound
     if bound and axis.loop.device_damping is None:
-        limit = renderable_by_device_damping(bound, axis.loop.sample_time, axis.loop.delay + _losses(axis))
+        limit = bounds.renderable_by_device_damping(bound, axis.loop.sample_time, axis.loop.delay + _losses(axis))
         text += f"; with device_damping measured: up to {limit:.3g} {unit} for every hand"
     return text
 
 
-def _felt_hints(axis: AxisScene, response: DisplacementResponse, lag: int, text: str) -> list[Hint]:
+def _felt_hints(axis: AxisScene, response: bounds.DisplacementResponse, lag: int, text: str) -> list[Hint]:
     """Part of a wall felt by a hand that leans on it, or approaches slowly, by the hand-force certificate."""
     push, stiffness = LEAN * axis.parameters.torque_limit, _asked(axis, "stiffness")
-    limit = renderable_by_hand_force(response, lag, push)
+    limit = bounds.renderable_by_hand_force(response, lag, push)
     what = f"stiffness felt at a push of {push:.3g} {effort_unit(axis.parameters.unit)}"
-    slowest, earned = start_speed(response, axis.loop.sample_time, lag), min(stiffness or limit, limit)
+    slowest, earned = bounds.start_speed(response, axis.loop.sample_time, lag), min(stiffness or limit, limit)
     begins, name, unit = "from zero energy", axis.parameters.name, f"{axis.parameters.unit}/s"
     if friction := axis.loop.device_friction:
         slowest, begins = 0.0, f"up to device_friction {friction:g} at once, more with the energy below"
@@ -330,9 +323,10 @@ def _felt_hints(axis: AxisScene, response: DisplacementResponse, lag: int, text:
     ]
 
 
-def _energy_hint(axis: AxisScene, response: DisplacementResponse, lag: int, stiffness: float) -> list[Hint]:
+def _energy_hint(axis: AxisScene, response: bounds.DisplacementResponse, lag: int, stiffness: float) -> list[Hint]:
     """Energy needed to feel a contact at any speed; no hint where none is needed."""
-    energy, unit, parameters = start_energy(response, lag, stiffness), axis.parameters.unit, axis.passivity.parameters
+    energy, unit = bounds.start_energy(response, lag, stiffness), axis.parameters.unit
+    parameters = axis.passivity.parameters
     if energy in {0.0, math.inf}:
         return []
     what = f"energy for slower contacts with {stiffness:.4g} {stiffness_unit(unit)}"

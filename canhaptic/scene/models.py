@@ -23,12 +23,7 @@ from pydantic import ValidationInfo as Info
 from pydantic_core import PydanticCustomError
 
 from canhaptic.canopen.eds import dictionary_content
-from canhaptic.control.admittance import (
-    DISPLAY_ALGORITHMS,
-    DISPLAY_ENVIRONMENTS,
-    DISPLAY_GROUP_ALGORITHMS,
-    DISPLAY_NETWORKS,
-)
+from canhaptic.control import admittance as displays
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
@@ -145,35 +140,22 @@ _UNVERIFIED: Final = 0.01
 UnitT = TypeVar("UnitT", bound=str | None)
 _Drive = Annotated[SimulatedDriveParameters, OnDemand("canhaptic.sim.drive.drive_parameters:SimulatedDriveParameters")]
 _Hand = Annotated[TaskHand, OnDemand("canhaptic.sim.plant.mechanism.task_hand:TaskHand")]
-Environment = Annotated[
-    ComponentSpec,
-    ComponentByDisplay(
-        ComponentOf(ENVIRONMENTS, "environment"),
-        ComponentOf(DISPLAY_ENVIRONMENTS, "environment of an admittance display"),
-    ),
-]
-Algorithm = Annotated[
-    ComponentSpec,
-    ComponentByDisplay(
-        ComponentOf(ALGORITHMS, "passivity algorithm", "algorithm", LOOP_KEYS),
-        ComponentOf(DISPLAY_ALGORITHMS, "algorithm of an admittance display", "algorithm", DISPLAY_LOOP_KEYS),
-    ),
-]
-GroupAlgorithm = Annotated[
-    ComponentSpec,
-    ComponentByDisplay(
-        ComponentOf(GROUP_ALGORITHMS, "group algorithm", "algorithm", LOOP_KEYS),
-        ComponentOf(
-            DISPLAY_GROUP_ALGORITHMS, "algorithm of several admittance displays", "algorithm", DISPLAY_LOOP_KEYS
-        ),
-    ),
-]
-GroupNetwork = Annotated[
-    ComponentSpec,
-    ComponentByDisplay(
-        ComponentOf(NETWORKS, "network"), ComponentOf(DISPLAY_NETWORKS, "network of several admittance displays")
-    ),
-]
+_LOOP, _DISPLAY_LOOP = ("algorithm", LOOP_KEYS), ("algorithm", DISPLAY_LOOP_KEYS)
+_ENVIRONMENT = ComponentByDisplay(
+    ComponentOf(ENVIRONMENTS, "environment"),
+    ComponentOf(displays.DISPLAY_ENVIRONMENTS, "environment of an admittance display"),
+)
+_ALGORITHM = ComponentByDisplay(
+    ComponentOf(ALGORITHMS, "passivity algorithm", *_LOOP),
+    ComponentOf(displays.DISPLAY_ALGORITHMS, "algorithm of an admittance display", *_DISPLAY_LOOP),
+)
+_GROUP_ALGORITHM = ComponentByDisplay(
+    ComponentOf(GROUP_ALGORITHMS, "group algorithm", *_LOOP),
+    ComponentOf(displays.DISPLAY_GROUP_ALGORITHMS, "algorithm of several admittance displays", *_DISPLAY_LOOP),
+)
+_NETWORK = ComponentByDisplay(
+    ComponentOf(NETWORKS, "network"), ComponentOf(displays.DISPLAY_NETWORKS, "network of several admittance displays")
+)
 
 
 SCALING_KEYS: Final = ("counts_per_unit", "rated_torque", "direction")
@@ -293,8 +275,8 @@ class AxisScene:
     """One axis with everything that is rendered on it."""
 
     parameters: AxisParameters
-    environment: Environment
-    passivity: Algorithm
+    environment: Annotated[ComponentSpec, _ENVIRONMENT]
+    passivity: Annotated[ComponentSpec, _ALGORITHM]
     loop: Annotated[LoopProperties, BeforeValidator(_loop_of)]
     simulation: AxisSimulation | None
     bus: str = ""  # name of the one it is on
@@ -327,8 +309,8 @@ class GroupScene:
     name: Name
     axes: tuple[str, ...]
     kinematics: Annotated[ComponentSpec, ComponentOf(KINEMATICS, "kinematics")]
-    network: GroupNetwork
-    passivity: GroupAlgorithm
+    network: Annotated[ComponentSpec, _NETWORK]
+    passivity: Annotated[ComponentSpec, _GROUP_ALGORITHM]
 
 
 def _as_many_as_move_it(axes: tuple[str, ...], info: Info[SceneContext]) -> tuple[str, ...]:

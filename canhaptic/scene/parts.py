@@ -222,10 +222,8 @@ def check_group(group: GroupScene) -> None:
     """
     kinematics = cast("Kinematics", group.kinematics.parameters)
     if kinematics.axes != len(group.axes):
-        raise ParameterError(
-            f"kinematics {group.kinematics.name!r} has {kinematics.axes} motor axes, expected the {len(group.axes)} of "
-            f"the group: {', '.join(group.axes)}"
-        )
+        text = f"kinematics {group.kinematics.name!r} has {kinematics.axes} motor axes"
+        raise ParameterError(f"{text}, expected the {len(group.axes)} of the group: {', '.join(group.axes)}")
 
 
 def build_servo_drive(axis: AxisScene, link: Link, bus: BusParameters, *, dry_run: bool = False) -> ServoDrive:

@@ -38,26 +38,18 @@ class Channels:
             return 0
         place = self._places.get(frame.channel)
         if place is None:
-            raise LogFormatError(
-                f"frame {frame.number} is on bus {frame.channel!r}, which is not a name, channel or number of a bus of "
-                f"{self._source} ({', '.join(self._places)})"
-            )
+            text = f"frame {frame.number} is on bus {frame.channel!r}, which is not a name"
+            raise LogFormatError(f"{text}, channel or number of a bus of {self._source} ({', '.join(self._places)})")
         return place
 
 
 def describe_nodes(scene: Scene) -> list[NodeDescription]:
     """Name, dictionary, units and bus of every axis."""
     places = {bus.name: place for place, bus in enumerate(scene.buses)}
-    return [
-        NodeDescription(
-            axis.node_id,
-            axis.name,
-            read_dictionary(axis.eds, axis.node_id),
-            axis.counts_per_unit,
-            axis.unit,
-            axis.rated_torque and axis.rated_torque * quirks_of(axis.quirks).torque_scale,
-            axis.direction,
-            places[name],
-        )
-        for axis, name in ((axis.parameters, axis.bus) for axis in scene.axes)
-    ]
+    nodes = []
+    for axis, bus in ((axis.parameters, axis.bus) for axis in scene.axes):
+        torque = axis.rated_torque and axis.rated_torque * quirks_of(axis.quirks).torque_scale
+        scales = axis.counts_per_unit, axis.unit, torque, axis.direction
+        dictionary = read_dictionary(axis.eds, axis.node_id)
+        nodes.append(NodeDescription(axis.node_id, axis.name, dictionary, *scales, places[bus]))
+    return nodes

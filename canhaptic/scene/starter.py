@@ -26,15 +26,8 @@ from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import is_writable
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.can.bus_budget import round_rate
+from canhaptic.drive.profile import fitness
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
-from canhaptic.drive.profile.fitness import (
-    ObjectUse,
-    listed,
-    max_torque_unwritten,
-    objection,
-    range_objection,
-    steepest_ramp,
-)
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.survey import Suitability, Survey, stated_value
 from canhaptic.errors import DictionaryError
@@ -56,10 +49,10 @@ def missing_values(found: Survey, sample_time: float) -> dict[str, str]:
         found: Survey of the dictionary.
         sample_time: Time from SYNC to SYNC [s].
     """
-    listed, fitting = found.dictionary, {}
-    for place, value in {**_absent(found), **_misleading(listed, sample_time)}.items():
-        variable = listed.get_variable(*place) if objection(listed, ObjectUse(*place)) is None else None
-        if variable is not None and range_objection(variable, value) is None:  # of a type that can hold it
+    dictionary, fitting = found.dictionary, {}
+    for place, value in {**_absent(found), **_misleading(dictionary, sample_time)}.items():
+        variable, fault = dictionary.get_variable(*place), fitness.objection(dictionary, fitness.ObjectUse(*place))
+        if fault is None and variable is not None and fitness.range_objection(variable, value) is None:
             fitting[_key(place)] = f"{value:#x}"
     return fitting
 
@@ -227,7 +220,7 @@ def _display_rendered(display: AdmittanceParameters, limit: float, sample_time: 
 def _display(found: Survey, display: AdmittanceParameters, limit: float) -> str:
     """Return the keys of an axis that make it an admittance display."""
     counts, dictionary = _counts(found.dictionary), found.dictionary
-    unlimited, steepest = max_torque_unwritten(dictionary, found.axis), steepest_ramp(dictionary)
+    unlimited, steepest = fitness.max_torque_unwritten(dictionary, found.axis), fitness.steepest_ramp(dictionary)
     named, is_velocity = display.force.object, display.mode == "velocity"
     return _text(
         "display",
@@ -265,7 +258,7 @@ def _rate(found: Survey) -> float:
 
 def _identity(found: Survey, drive: str | None) -> str:
     lines = "" if drive is None else _text("profile", drive=drive)
-    if found.vendor_id and listed(found.dictionary, od.IDENTITY, 1) is not None:
+    if found.vendor_id and fitness.listed(found.dictionary, od.IDENTITY, 1) is not None:
         lines += _text("vendor_id", vendor_id=f"{found.vendor_id:#x}")
     return lines
 
