@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from math import inf
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from canhaptic.control.axis_meter import Accuracy, AxisMeter
 from canhaptic.control.balance import OUT_OF_CONTACT, Branch, EnergyBalance
@@ -96,22 +96,6 @@ class Activity:
             self.at_handle_since, self.active = deadline, self.active | ACTIVE_AT_HANDLE
 
 
-@runtime_checkable
-class _StatesResolution(Protocol):
-    """A controller that states an uncertainty of its own energy."""
-
-    @property
-    def energy_resolution(self) -> float: ...
-
-
-@runtime_checkable
-class _Asks(Protocol):
-    """A controller whose torque a program asks for."""
-
-    @property
-    def asked(self) -> float: ...
-
-
 class PortFigures:
     """Figures of a port in addition to its ledger, from its holds or from the columns of a log.
 
@@ -202,8 +186,8 @@ class AxisPort(PortFigures):
             limits, is_damped=meter.is_damped, books_least=meter.books_least, damping_asked=meter.damping_asked
         )
         self._meter, self._drive, self.felt = meter, drive, meter.felt
-        self._controller = controller if isinstance(controller, _StatesResolution) else None
-        self._asks = controller if isinstance(controller, _Asks) else None
+        self._controller: Any = controller if hasattr(controller, "energy_resolution") else None
+        self._asks: Any = controller if hasattr(controller, "asked") else None
         self._floor = -inf if controller is None else limits.floor  # of a group only the sum counts
 
     def take(self, sample: Sample, balance: EnergyBalance, ledger: Ledger, sent: float) -> Measured:
@@ -311,8 +295,7 @@ class GroupPort(PortFigures):
 
     def measured(self) -> Measured:
         """Return the figures so far that the log holds."""
-        controller = self._group.controller
-        resolution = controller.energy_resolution if isinstance(controller, _StatesResolution) else 0.0
+        resolution: float = getattr(self._group.controller, "energy_resolution", 0.0)
         resolution += self._group.uncertainty + sum([meter.resolution for meter in self._meters])
         return Measured(
             resolution + sum([drive.read_back_bound for drive in self._drives]),

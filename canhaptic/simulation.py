@@ -108,7 +108,6 @@ class Account(Mapping[str, PortAccount]):
 
     def __init__(self, raw: "RunResult | Inspection") -> None:
         self.raw = cast("RunResult", raw.copy())
-        self._passive, self._verdict = raw["passive"], raw["verdict"]
         self._ports = {name: _port_account(name, raw) for name in raw["ports"]}
 
     def __getitem__(self, name: str) -> PortAccount:
@@ -123,12 +122,12 @@ class Account(Mapping[str, PortAccount]):
     @property
     def passive(self) -> Verdict:
         """The worst verdict of all ports, judged only by the account."""
-        return self._passive
+        return self.raw["passive"]
 
     @property
     def verdict(self) -> Headline:
         """The worst displayed word of any port; see `PortAccount`."""
-        return self._verdict
+        return self.raw["verdict"]
 
     @property
     def first_active(self) -> float | None:

@@ -64,6 +64,11 @@ class ComponentSpec(NamedTuple):
     parameters: Parameters
     own: type | None = None  # the user's own class; None for an entry of the table
 
+    @property
+    def is_read(self) -> bool:
+        """Whether it is known: False where user code was left unread."""
+        return not isinstance(self.parameters, UnreadParameters)
+
     def as_plain(self, selector: str) -> dict[str, object]:
         """Return the section of a scene, defaults included, as plain values."""
         if isinstance(self.parameters, UnreadParameters):

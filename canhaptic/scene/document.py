@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import yaml
 
@@ -18,6 +18,8 @@ from canhaptic.axis_units import Motion
 from canhaptic.errors import SceneError
 from canhaptic.registry import unknown_key
 from canhaptic.units import shown
+
+_Kind = TypeVar("_Kind", "MarkedMapping", "MarkedList")
 
 
 class SourceLocation(NamedTuple):
@@ -60,6 +62,27 @@ class Diagnostics:
             for letter in f"{mark.where}: {path}{message}"
         )
         self._lines.setdefault(line, (mark.line, mark.column))
+
+    def mapping(self, value: object, at: SourceLocation, what: str) -> "MarkedMapping | None":
+        """Return a value that must be a mapping; None, with a fault, when it is something else."""
+        return self._of_kind(MarkedMapping, value, at, f"a mapping of {what}")
+
+    def list(self, value: object, at: SourceLocation, what: str) -> "MarkedList | None":
+        """Return a value that must be a list; None, with a fault, when it is something else."""
+        return self._of_kind(MarkedList, value, at, f"a list of {what}")
+
+    def _of_kind(self, kind: type[_Kind], value: object, at: SourceLocation, what: str) -> _Kind | None:
+        if isinstance(value, kind):
+            return value
+        self.add(at, f"got {shown(value)}, expected {what}")
+        return None
+
+    def unknown_keys(self, section: "MarkedMapping", known: Iterable[str]) -> None:
+        """Note every unknown key of a section, with the nearest known name."""
+        names = tuple(known)
+        for key in section:
+            if key not in names:
+                self.add(section.keys_at[key], unknown_key(key, names))
 
     def error(self, kind: type[SceneError] = SceneError) -> SceneError:
         """Return the error with the first faults noted so far, in the order of the file; overrides come first."""
@@ -337,27 +360,3 @@ def mark_plain(value: Any, source: str, path: tuple[str, ...] = ()) -> Any:
             items.put(mark_plain(entry, source, below.path), below)
         return items
     return value
-
-
-def read_mapping(value: object, at: SourceLocation, faults: Diagnostics, what: str) -> MarkedMapping | None:
-    """Return a value that must be a mapping; None, with a fault, when it is something else."""
-    if isinstance(value, MarkedMapping):
-        return value
-    faults.add(at, f"got {shown(value)}, expected a mapping of {what}")
-    return None
-
-
-def read_list(value: object, at: SourceLocation, faults: Diagnostics, what: str) -> MarkedList | None:
-    """Return a value that must be a list; None, with a fault, when it is something else."""
-    if isinstance(value, MarkedList):
-        return value
-    faults.add(at, f"got {shown(value)}, expected a list of {what}")
-    return None
-
-
-def refuse_unknown_keys(section: MarkedMapping, known: Iterable[str], faults: Diagnostics) -> None:
-    """Note every unknown key of a section, with the nearest known name."""
-    names = tuple(known)
-    for key in section:
-        if key not in names:
-            faults.add(section.keys_at[key], unknown_key(key, names))

@@ -19,14 +19,7 @@ from typing import NamedTuple
 from canhaptic.axis_units import Motion
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.registry import nearest
-from canhaptic.scene.document import (
-    NOTED,
-    Diagnostics,
-    MarkedList,
-    MarkedMapping,
-    read_list,
-    read_mapping,
-)
+from canhaptic.scene.document import NOTED, Diagnostics, MarkedList, MarkedMapping
 from canhaptic.scene.models import task_unit
 from canhaptic.units import shown
 
@@ -70,13 +63,13 @@ def members_of(owner: MarkedMapping | None, key: str, what: str, faults: Diagnos
     """Return the groups or the mechanisms of a scene with their axes; faults in them are noted."""
     if owner is None or owner.get(key) is None:
         return []
-    entries = read_list(owner[key], owner.value_at(key), faults, what)
-    sections = [read_mapping(e, at, faults, "keys and values") for e, at in (entries.items_at() if entries else ())]
+    entries = faults.list(owner[key], owner.value_at(key), what)
+    sections = [faults.mapping(e, at, "keys and values") for e, at in (entries.items_at() if entries else ())]
     return [Members(section, _names_of_axes(section, faults)) for section in sections if section is not None]
 
 
 def _names_of_axes(section: MarkedMapping, faults: Diagnostics) -> tuple[str, ...]:
-    names = read_list(section.get("axes"), section.value_at("axes"), faults, "names of axes")
+    names = faults.list(section.get("axes"), section.value_at("axes"), "names of axes")
     if names is not None and names and all(isinstance(name, str) for name in names):
         return tuple(names)
     if names is not None:

@@ -24,15 +24,7 @@ from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.input_file import shipped
 from canhaptic.registry import nearest
 from canhaptic.scene.components import ComponentSpec
-from canhaptic.scene.document import (
-    NOTED,
-    Diagnostics,
-    MarkedList,
-    MarkedMapping,
-    read_list,
-    read_mapping,
-    refuse_unknown_keys,
-)
+from canhaptic.scene.document import NOTED, Diagnostics, MarkedList, MarkedMapping
 from canhaptic.scene.models import LOOP_KEYS, SIMULATION_PARTS, FurtherBus, GroupMembership, RunParameters
 from canhaptic.units import shown
 
@@ -85,7 +77,7 @@ OWN_SECTIONS: Final = ("environment", "passivity")
 
 def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence[str], faults: Diagnostics) -> Any:
     """Return a scene as written in the form of `Scene`, every value with its location; layout faults are noted."""
-    refuse_unknown_keys(written, SECTIONS, faults)
+    faults.unknown_keys(written, SECTIONS)
     scene = MarkedMapping(written.mark)
     scene.update(source=source, text=text, overrides=tuple(overrides), simulation=None)
     scene.set("run", written.only(RunParameters.model_fields))
@@ -95,7 +87,7 @@ def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence
     _put_buses(scene, written, faults)
     simulation = None
     if written.get("simulation") is not None:
-        simulation = read_mapping(written["simulation"], written.value_at("simulation"), faults, "keys and values")
+        simulation = faults.mapping(written["simulation"], written.value_at("simulation"), "keys and values")
         scene.set("simulation", NOTED)
     if simulation is not None:
         scene.set("simulation", simulation.without(*SIMULATION_PARTS, "axes", "bus", "mechanisms"))
@@ -175,11 +167,11 @@ def _put_buses(scene: MarkedMapping, written: MarkedMapping, faults: Diagnostics
     value = written.get("bus")
     if not isinstance(value, MarkedList):
         expected = "keys and values, or a list of such for several buses"
-        scene.set("bus", _or_noted(read_mapping(value, written.value_at("bus"), faults, expected)))
+        scene.set("bus", _or_noted(faults.mapping(value, written.value_at("bus"), expected)))
         return
     if not value:
         faults.add(value.mark, "got an empty list, expected at least one bus")
-    entries = [read_mapping(entry, at, faults, "name, interface, channel, ...") for entry, at in value.items_at()]
+    entries = [faults.mapping(entry, at, "name, interface, channel, ...") for entry, at in value.items_at()]
     head, *further = entries or [None]
     scene.set("bus", NOTED)
     if head is not None:
@@ -232,12 +224,12 @@ def _axes(
 ) -> list[Any]:
     """The axes; `is_known` is whether groups and mechanisms are right, so that their members are known."""
     at, buses = written.value_at("axes"), _bus_names(written)
-    entries = read_list(written.get("axes"), at, faults, "axes, each with name, node_id, eds, ...")
+    entries = faults.list(written.get("axes"), at, "axes, each with name, node_id, eds, ...")
     if entries is not None and not entries:
         faults.add(at, "got an empty list, expected at least one axis")
     axes: list[Any] = []
     for entry, entry_at in () if entries is None else entries.items_at():
-        section = read_mapping(entry, entry_at, faults, "name, node_id, eds, ...")
+        section = faults.mapping(entry, entry_at, "name, node_id, eds, ...")
         if section is None:
             axes.append(NOTED)
             continue
@@ -293,7 +285,7 @@ def _own_over_shared(
     for owner in (shared, own):
         if owner.get(name) is None:
             continue
-        section = read_mapping(owner[name], owner.value_at(name), faults, f"{selector} and its parameters")
+        section = faults.mapping(owner[name], owner.value_at(name), f"{selector} and its parameters")
         if section is None:
             continue
         is_other = result is None or section.get(selector, result.get(selector)) != result.get(selector)
@@ -317,7 +309,7 @@ def _loop_in_group(section: MarkedMapping, group: "Members", faults: Diagnostics
     loop = of_group if isinstance(of_group, MarkedMapping) else None
     if section.get("passivity") is None:
         return loop
-    own = read_mapping(section["passivity"], section.value_at("passivity"), faults, ", ".join(LOOP_KEYS))
+    own = faults.mapping(section["passivity"], section.value_at("passivity"), ", ".join(LOOP_KEYS))
     if own is None:
         return loop
     for key in own.keys() - set(LOOP_KEYS):
@@ -336,8 +328,8 @@ def _check_names(
                 faults.add(written.keys_at[key], "every axis is in a group; give it in the group, or leave it out")
     own = None if simulation is None else simulation.get("axes")
     if simulation is not None and own is not None:
-        entries = read_mapping(own, simulation.value_at("axes"), faults, "an axis name to its parts")
-        refuse_unknown_keys(entries or MarkedMapping(simulation.mark), names, faults)
+        entries = faults.mapping(own, simulation.value_at("axes"), "an axis name to its parts")
+        faults.unknown_keys(entries or MarkedMapping(simulation.mark), names)
         for parts in (entries or {}).values():
             if isinstance(parts, MarkedMapping):
-                refuse_unknown_keys(parts, SIMULATION_PARTS, faults)
+                faults.unknown_keys(parts, SIMULATION_PARTS)

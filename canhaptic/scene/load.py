@@ -16,7 +16,7 @@ from canhaptic.input_file import read_regular, scene_file
 from canhaptic.registry import load
 from canhaptic.scene.components import CodeUse, ComponentSpec, SceneContext
 from canhaptic.scene.cross_checks import cross_check
-from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation, mark_plain, parse_yaml, read_mapping
+from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation, mark_plain, parse_yaml
 from canhaptic.scene.layout import SECTIONS, laid_out
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene, scene_adapter
 from canhaptic.scene.timing import with_device_bounds, with_timing
@@ -113,7 +113,7 @@ def _read(
     if document is None:
         faults.add(top, f"empty, expected a mapping with {', '.join(SECTIONS)}")
         raise faults.error()
-    sections = read_mapping(document, top, faults, ", ".join(SECTIONS))
+    sections = faults.mapping(document, top, ", ".join(SECTIONS))
     if sections is None:
         raise faults.error()
     if overrides:

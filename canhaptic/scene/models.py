@@ -32,15 +32,7 @@ from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import InputError
-from canhaptic.scene.components import (
-    READY,
-    ComponentByDisplay,
-    ComponentOf,
-    ComponentSpec,
-    OwnModel,
-    SceneContext,
-    UnreadParameters,
-)
+from canhaptic.scene.components import READY, ComponentByDisplay, ComponentOf, ComponentSpec, OwnModel, SceneContext
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.effects import EFFECTS
@@ -288,7 +280,7 @@ class AxisScene:
     def is_read(self) -> bool:
         """Whether environment, algorithm and effects are known: False where user code was left unread."""
         parts = (self.environment, self.passivity, *(self.simulation.effects if self.simulation else ()))
-        return not any(isinstance(part.parameters, UnreadParameters) for part in parts)
+        return all(part.is_read for part in parts)
 
     @property
     def is_own(self) -> bool:

@@ -12,14 +12,7 @@ from typing import Any, Final
 from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.errors import SceneError
 from canhaptic.input_file import read_regular, shipped
-from canhaptic.scene.document import (
-    Diagnostics,
-    MarkedMapping,
-    SourceLocation,
-    parse_yaml,
-    read_mapping,
-    refuse_unknown_keys,
-)
+from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation, parse_yaml
 from canhaptic.units import shown
 
 _LARGEST: Final = 1_000_000  # [B]
@@ -45,8 +38,6 @@ def with_profile(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
     """Section of an axis completed from its profile, and without the key that names the profile."""
     name, at = section.get(_PROFILE_KEY), section.value_at(_PROFILE_KEY)
     own = section.without(_PROFILE_KEY)
-    if name is None:
-        return own
     path = _path(name, at) if isinstance(name, str) else None
     if path is None:
         names = ", ".join(_profile_names())
@@ -94,8 +85,8 @@ def _read(path: Path, faults: Diagnostics) -> MarkedMapping:
         return MarkedMapping(whole)
     top = SourceLocation(str(path), 1, 1, ())
     value = parse_yaml(text, str(path), faults)
-    profile = MarkedMapping(top) if value is None else read_mapping(value, top, faults, "keys of an axis")
+    profile = MarkedMapping(top) if value is None else faults.mapping(value, top, "keys of an axis")
     if profile is None:
         return MarkedMapping(top)
-    refuse_unknown_keys(profile, _PROFILE_KEYS, faults)
+    faults.unknown_keys(profile, _PROFILE_KEYS)
     return profile.only(_PROFILE_KEYS)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from canhaptic.drive.profile.quirks import TWINS
-from canhaptic.scene.document import Diagnostics, MarkedMapping, read_mapping
+from canhaptic.scene.document import Diagnostics, MarkedMapping
 from canhaptic.scene.models import SCALING_KEYS, SIMULATION_PARTS
 from canhaptic.units import Unit
 
@@ -82,14 +82,14 @@ def _own_parts(name: str, simulation: MarkedMapping, faults: Diagnostics) -> Mar
     """Return the entry of `simulation.axes` of an axis; an empty one where it has none."""
     axes, own = simulation.get("axes"), None
     if isinstance(axes, MarkedMapping) and axes.get(name) is not None:
-        own = read_mapping(axes[name], axes.value_at(name), faults, ", ".join(SIMULATION_PARTS))
+        own = faults.mapping(axes[name], axes.value_at(name), ", ".join(SIMULATION_PARTS))
     return MarkedMapping(simulation.mark) if own is None else own
 
 
 def _drive(parts: MarkedMapping, axis: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
     """Return the simulated drive's parameters; its scaling is the axis's unless it has its own."""
     at, written = parts.value_at("drive"), parts.get("drive")
-    written = None if written is None else read_mapping(written, at, faults, "its parameters")
+    written = None if written is None else faults.mapping(written, at, "its parameters")
     drive = MarkedMapping(at) if written is None else written.copy()
     for key in SCALING_KEYS:
         if key not in drive and axis.get(key) is not None:
