@@ -385,4 +385,5 @@ class OnDemand:
         return model.of_section(value, info.context)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> JsonSchemaValue:
-        return handler(core_schema.chain_schema([self.model_of().__pydantic_core_schema__]))
+        schema_of: JsonSchemaValue = handler(core_schema.chain_schema([self.model_of().__pydantic_core_schema__]))
+        return schema_of

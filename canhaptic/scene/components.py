@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from multiprocessing import parent_process
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
 from pydantic.json_schema import JsonSchemaValue
@@ -17,15 +17,13 @@ from canhaptic.registry import load
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.units import OnDemand, Parameters, UnitContext, example, shown
 
-if TYPE_CHECKING:
-    from canhaptic.scene.own_code import OwnCode
-
 READY: Final = "ready"
 """Type of an error of pydantic whose text needs no preceding value."""
 
 
 CodeUse = Literal["refused", "run", "left"]
 """Treatment of own code that a scene names: refused with one error, run, or left unread."""
+_OWN_CODE: Final = {"own code": "canhaptic.scene.own_code:OwnCode"}
 OWN_MODULE: Final = "_canhaptic_own_"
 """Begins the name of the private module of a file of own code."""
 
@@ -40,7 +38,7 @@ class SceneContext(UnitContext):
     use: CodeUse = "refused"
     displays: set[str] = field(default_factory=set)  # axes that are admittance displays, as far as they are read
     is_display: bool = False  # whether the last of them is one
-    _code: "OwnCode | None" = None
+    _code: Any = None
 
     @property
     def has_code(self) -> bool:
@@ -48,12 +46,10 @@ class SceneContext(UnitContext):
         return self._code is not None
 
     @property
-    def code(self) -> "OwnCode":
-        """User code that may be read, loaded where a scene refers to any."""
+    def code(self) -> Any:
+        """User code that may be read, an `OwnCode`, which is loaded where a scene refers to any."""
         if self._code is None:
-            from canhaptic.scene.own_code import OwnCode
-
-            self._code = OwnCode(self.folder, self.use)
+            self._code = load(_OWN_CODE, "own code", "reader")(self.folder, self.use)
         return self._code
 
 
