@@ -16,16 +16,9 @@ from collections.abc import Mapping, Sequence
 from math import inf
 from typing import Final, NotRequired, TypedDict, cast
 
+from canhaptic.control import verdict as verdicts
 from canhaptic.control.balance import Certificate
-from canhaptic.control.verdict import (
-    NOT_CHECKED,
-    Headline,
-    PortResult,
-    Verdict,
-    add_verdicts,
-    claim_nothing,
-    contradict,
-)
+from canhaptic.control.verdict import NOT_CHECKED, Headline, PortResult, Verdict
 from canhaptic.cycle import Cycle
 from canhaptic.meters import PortFigures, Promise, promise_of
 
@@ -160,7 +153,7 @@ def _accounts(
     for (name, _), drive in zip(ports, drives, strict=True) if cycle.rig.dry_run else ():
         accounts[name]["withheld_torque"] = drive.withheld
     for account in accounts.values() if cycle.rig.dry_run else ():
-        claim_nothing(account)
+        verdicts.claim_nothing(account)
     groups = {group.name: [ports[axis][0] for axis in group.axes] for group in cycle.groups}
     return with_groups(accounts, groups, truth)
 
@@ -234,7 +227,7 @@ def withdraw_certificates(account: PortResult, *, longest_gap: int) -> None:
     if is_broken and account["certificates"]:
         account["certificate"] = Certificate.NONE.name.lower()
         account["certificates"] = [account["certificate"]]
-    contradict(account)
+    verdicts.contradict(account)
 
 
 def with_groups(
@@ -256,7 +249,7 @@ def with_groups(
             found[group]["hold"] = max(holds, key=NOT_CHECKED.__eq__)
     for name, account in found.items():
         known = None if truth is None else truth.get(name)
-        add_verdicts(account, known and (known["least_interaction"], known["least_at_handle"]))
+        verdicts.add_verdicts(account, known and (known["least_interaction"], known["least_at_handle"]))
     for group, axes in groups.items():
         found[group] = {"unit": found[group]["unit"], "axes": list(axes), **found[group]}
         for name in axes:
@@ -267,15 +260,8 @@ def with_groups(
 
 def _truth(cycle: Cycle, names: Sequence[str]) -> dict[str, TruthResult]:
     """Energies of the simulated plant for each axis, then for each group; none with real drives."""
-    judge = cycle.judge
-    if judge is None:
+    if (judge := cycle.judge) is None:
         return {}
-    return {
-        name: {
-            "interaction": judge.interaction[place],
-            "least_interaction": judge.least[place],
-            "least_at_handle": judge.least_at_handle[place],
-            "believed_error": judge.believed_error[place],
-        }
-        for place, name in enumerate(names)
-    }
+    sums = zip(judge.interaction, judge.least, judge.least_at_handle, judge.believed_error, strict=True)
+    keys = TruthResult.__annotations__
+    return {name: cast("TruthResult", dict(zip(keys, of, strict=True))) for name, of in zip(names, sums, strict=True)}

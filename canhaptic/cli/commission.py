@@ -193,25 +193,21 @@ class _Terminal:
 
 
 def _print(
-    report: Report,
-    missing: list[str],
-    error: CanHapticError | None,
-    written: Path | None,
-    arguments: argparse.Namespace,
+    report: Report, missing: list[str], error: CanHapticError | None, place: Path | None, arguments: argparse.Namespace
 ) -> None:
     """Print the findings, also before an error, and the path of the scene."""
     if arguments.json:
-        result = {**report.as_json(), "unfinished": missing, "written": None if written is None else str(written)}
+        result = {**report.as_json(), "unfinished": missing, "written": None if place is None else str(place)}
         write_json(result if error is None else {**failure(error), "result": result})
     else:
         console = make_console()
         console.print(report.table())
         if report.values:
-            console.print(report.values_table("values found" if written is None else f"written to {written}"))
+            console.print(report.values_table("values found" if place is None else f"written to {place}"))
     if error is not None:
         write_failure(error)
-    if written is not None:
-        note_file("scene", written)
+    if place is not None:
+        note_file("scene", place)
     elif arguments.out is not None or arguments.in_place:
         write_note(f"  not finished, nothing written{''.join(f'{_NEXT_LINE}{text}' for text in missing)}")
     elif not missing and not arguments.json:

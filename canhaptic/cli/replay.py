@@ -31,10 +31,9 @@ def execute(arguments: argparse.Namespace) -> int:
     else:
         scene = scene_of(arguments)
         if scene.own_code:
-            raise InputError(
-                f"{arguments.bus_log}: the frames do not record the code that made them, and the scene names "
-                f"{', '.join(scene.own_code)}; name the energy log of the same run with --energy-log: it has it"
-            )
+            text = f"{arguments.bus_log}: the frames do not record the code that made them, and the scene names"
+            text = f"{text} {', '.join(scene.own_code)}; name the energy log of the same run with --energy-log"
+            raise InputError(f"{text}: it has it")
     result = replay_bus_log(
         arguments.bus_log, scene, realtime=arguments.realtime, from_sync=arguments.from_sync, dry_run=dry_run
     )

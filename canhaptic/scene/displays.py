@@ -32,14 +32,14 @@ def display_properties(axis: AxisScene) -> AdmittanceProperties:
     force, time = display.force, axis.loop.sample_time
     counts = given.counts_per_unit
     quantum = 1.0 / (counts * time) if display.mode == "position" else 1.0 / (display.velocity_counts or counts)
+    room = {key: getattr(display, key) for key in ("position_low", "position_high")}
     return AdmittanceProperties(
         sample_time=time, jitter=axis.loop.sync_jitter or 0.0,
         delay=axis.loop.delay, sampling=force.sampling, latency=force.latency, filter=force.filter,
         force_slew=force.slew, handle_acceleration=display.handle_acceleration, force_error=force.error,
         encoder_count=1.0 / counts, speed_quantum=quantum, speed_limit=given.speed_limit,
         acceleration_limit=display.acceleration_limit, torque_limit=given.torque_limit,
-        **({} if display.position_low is None else {"position_low": display.position_low}),
-        **({} if display.position_high is None else {"position_high": display.position_high}),
+        **{key: limit for key, limit in room.items() if limit is not None},
     )  # fmt: skip
 
 
@@ -65,12 +65,10 @@ def mass_felt(scene: Scene, axis: AxisScene) -> MassFelt | None:
     environment: Any = part.parameters
     if group is not None:
         environment = environment.of_axis(group.axes.index(axis.parameters.name))
-    properties = display_properties(axis)
-    return MassFelt(MassAsked(
-        environment.mass, environment.stiffness, low=max(environment.lower_wall, properties.position_low),
-        high=min(environment.upper_wall, properties.position_high),
-        sample_time=properties.sample_time, count=properties.encoder_count,
-    ))  # fmt: skip
+    known = display_properties(axis)
+    low, high = max(environment.lower_wall, known.position_low), min(environment.upper_wall, known.position_high)
+    times = {"sample_time": known.sample_time, "count": known.encoder_count}
+    return MassFelt(MassAsked(environment.mass, environment.stiffness, low=low, high=high, **times))
 
 
 def display_faults(scene: Scene, axis: AxisScene) -> Iterator[tuple[str, str]]:

@@ -31,6 +31,8 @@ from canhaptic.units import shown
 if TYPE_CHECKING:
     from canhaptic.scene.group_layout import Members
 
+    _Joined = tuple[list[Members], list[Members]]  # of groups, and of simulated mechanisms
+
 _SHIPPED: Final = shipped("eds")
 
 
@@ -94,8 +96,8 @@ def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence
         if simulation.get("bus") is not None:
             scene.put("bus_effects", simulation["bus"], simulation.keys_at["bus"], simulation.values_at["bus"])
     before = len(faults)
-    groups, mechanisms = _members(written, simulation, faults)
-    axes = _axes(written, simulation, groups, mechanisms, faults, is_known=len(faults) == before)
+    groups, mechanisms = members = _members(written, simulation, faults)
+    axes = _axes(written, simulation, members, faults, is_known=len(faults) == before)
     scene.set("axes", axes)
     units: dict[str, Motion] = {str(a["parameters"].get("name")): a.motion for a in axes if a is not NOTED and a.motion}
     scene.set("groups", [group.as_group(units) for group in groups])
@@ -103,9 +105,7 @@ def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence
     return scene
 
 
-def _members(
-    written: MarkedMapping, simulation: MarkedMapping | None, faults: Diagnostics
-) -> "tuple[list[Members], list[Members]]":
+def _members(written: MarkedMapping, simulation: MarkedMapping | None, faults: Diagnostics) -> "_Joined":
     """Return groups and simulated mechanisms; a scene without them loads nothing of their layout."""
     if written.get("groups") is None and (simulation is None or simulation.get("mechanisms") is None):
         return [], []
@@ -214,16 +214,10 @@ def _bus_of_axis(section: MarkedMapping, names: tuple[str, ...], faults: Diagnos
 
 
 def _axes(
-    written: MarkedMapping,
-    simulation: MarkedMapping | None,
-    groups: "Sequence[Members]",
-    mechanisms: "Sequence[Members]",
-    faults: Diagnostics,
-    *,
-    is_known: bool,
+    written: MarkedMapping, simulation: MarkedMapping | None, members: "_Joined", faults: Diagnostics, *, is_known: bool
 ) -> list[Any]:
     """The axes; `is_known` is whether groups and mechanisms are right, so that their members are known."""
-    at, buses = written.value_at("axes"), _bus_names(written)
+    (groups, mechanisms), at, buses = members, written.value_at("axes"), _bus_names(written)
     entries = faults.list(written.get("axes"), at, "axes, each with name, node_id, eds, ...")
     if entries is not None and not entries:
         faults.add(at, "got an empty list, expected at least one axis")

@@ -57,9 +57,7 @@ def load_scene(
     return _read(_text(place), str(place), overrides, "left" if leave_code else _use(allow_code), beyond_bus)
 
 
-def scene_from_text(
-    text: str, source: str, overrides: Sequence[str] = (), *, allow_code: bool = False, beyond_bus: bool = False
-) -> Scene:
+def scene_from_text(text: str, source: str, overrides: Sequence[str] = (), *, allow_code: bool = False) -> Scene:
     """Validated scene of YAML text, such as the copy in an energy log.
 
     Args:
@@ -67,12 +65,11 @@ def scene_from_text(
         source: File of the text: named in faults, and the base of relative paths.
         overrides: As for `load_scene`.
         allow_code: As for `load_scene`.
-        beyond_bus: As for `load_scene`.
 
     Raises:
         SceneError: Anything in it is wrong; lists every fault with its line.
     """
-    return _read(text, source, overrides, _use(allow_code), beyond_bus)
+    return _read(text, source, overrides, _use(allow_code))
 
 
 def _use(allow_code: bool) -> CodeUse:

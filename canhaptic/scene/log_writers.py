@@ -36,14 +36,10 @@ def open_energy_log(
         motor = scene.axis(group.axes[0]).parameters
         state_unit = task_unit(group.kinematics.name, motor.unit)
         ports.append(PortDescription(group.name, motor.unit, state_unit, motor.admittance is not None))
+    attributes = _run_attributes(scene, pace) | ({DRY_RUN: 1} if dry_run else {})
+    period, with_truth = scene.bus.sample_time_ns, scene.simulated
     return EnergyLogWriter(
-        path,
-        ports,
-        _run_attributes(scene, pace) | ({DRY_RUN: 1} if dry_run else {}),
-        sample_time_ns=scene.bus.sample_time_ns,
-        with_truth=scene.simulated,
-        pace=pace,
-        on_failure=on_failure,
+        path, ports, attributes, sample_time_ns=period, with_truth=with_truth, pace=pace, on_failure=on_failure
     )
 
 

@@ -39,9 +39,6 @@ from canhaptic.sim.plant.effects import EFFECTS
 from canhaptic.sim.plant.mechanism import MECHANISMS
 from canhaptic.units import Name, OnDemand, Parameters, PrintablePath, PrintableText, quantity
 
-if TYPE_CHECKING:
-    from canhaptic.host.socketcan_state import Runner
-
 BusName = Annotated[Name, Field(pattern=r"^\S+$")]
 
 
@@ -551,13 +548,8 @@ def values_to_set(scene: Scene) -> list[Guess]:
     ]
 
 
-def refused_values(scene: Scene, run: "Runner | None" = None) -> list[Guess]:
-    """Return the values without which a run of the scene is refused; none where no drive can be real.
-
-    Args:
-        scene: The scene.
-        run: Runs a command and returns what it printed; the kernel is asked with it whether the buses are virtual.
-    """
+def refused_values(scene: Scene) -> list[Guess]:
+    """Return the values without which a run of the scene is refused; none where no drive can be real."""
     if scene.simulated:
         return []
     is_udp = all(bus.parameters.interface == "udp_multicast" for bus in scene.buses)  # which carries no real CAN bus
@@ -566,7 +558,7 @@ def refused_values(scene: Scene, run: "Runner | None" = None) -> list[Guess]:
         return []
     from canhaptic.host.socketcan_state import all_links_are_virtual
 
-    return [] if all_links_are_virtual(scene, run) else unset
+    return [] if all_links_are_virtual(scene) else unset
 
 
 def status_text(scene: Scene) -> str:
@@ -587,7 +579,6 @@ def require_no_guesses(scene: Scene) -> None:
     marked = ", ".join(f"{guess.line} ({guess.key})" for guess in guesses if guess.line)
     missing = ", ".join(guess.key for guess in guesses if not guess.line)
     parts = (f"lines {marked}: marked {TO_SET}" if marked else "", f"missing: {missing}" if missing else "")
-    raise InputError(
-        f"{scene.source}: {status_text(scene)}: {'; '.join(filter(None, parts))}; the drives are real: put the values "
-        "of your rig there and take the marks away; canhaptic commission measures most of them"
-    )
+    text = f"{scene.source}: {status_text(scene)}: {'; '.join(filter(None, parts))}; the drives are real"
+    remedy = "put the values of your rig there and take the marks away; canhaptic commission measures most of them"
+    raise InputError(f"{text}: {remedy}")
