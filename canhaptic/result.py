@@ -138,6 +138,10 @@ def _accounts(
             "read_back": drive.map.read_back,
             "read_back_bound": drive.read_back_bound,
         }
+        if drive.hold:
+            accounts[name]["hold"] = drive.hold
+        if cycle.rig.dry_run:
+            accounts[name]["withheld_torque"] = drive.withheld
     for place, group in enumerate(cycle.groups, len(ports)):
         sums = group.ledger.summary().as_json(sample_time)
         accounts[group.name] = {
@@ -147,11 +151,6 @@ def _accounts(
             "unsure": group.uncertainty,
             "limits": dict(group.limits),
         }
-    for (name, _), drive in zip(ports, drives, strict=True):
-        if drive.hold:
-            accounts[name]["hold"] = drive.hold
-    for (name, _), drive in zip(ports, drives, strict=True) if cycle.rig.dry_run else ():
-        accounts[name]["withheld_torque"] = drive.withheld
     for account in accounts.values() if cycle.rig.dry_run else ():
         verdicts.claim_nothing(account)
     groups = {group.name: [ports[axis][0] for axis in group.axes] for group in cycle.groups}

@@ -1,7 +1,7 @@
 """`canhaptic home CONFIG`: lets one drive find its zero by its own homing mode, asking before it moves."""
 
 import argparse
-import dataclasses
+from dataclasses import replace
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen import objects as od
@@ -50,9 +50,8 @@ def execute(arguments: argparse.Namespace) -> int:
 
 def _hands_off(scene: Scene) -> Scene:
     """Return the scene with its simulated handles let go."""
-    handles = [axis.simulation and dataclasses.replace(axis.simulation, user=None) for axis in scene.axes]
-    axes = zip(scene.axes, handles, strict=True)
-    return dataclasses.replace(scene, axes=tuple(dataclasses.replace(axis, simulation=of) for axis, of in axes))
+    handles = ((axis, axis.simulation and replace(axis.simulation, user=None)) for axis in scene.axes)
+    return replace(scene, axes=tuple(replace(axis, simulation=handle) for axis, handle in handles))
 
 
 def _axis(scene: Scene, name: str | None) -> AxisScene:

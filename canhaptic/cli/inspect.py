@@ -42,9 +42,8 @@ def execute(arguments: argparse.Namespace) -> int:
         arguments.log = arguments.repair
     if arguments.log.suffix.lower() in {".log", *CONVERTIBLE}:
         return _inspect_frames(arguments, console)
-    for path in (arguments.log, arguments.compare, *arguments.overlay):
-        if path is not None:
-            require_readable(path)
+    for path in filter(None, (arguments.log, arguments.compare, *arguments.overlay)):
+        require_readable(path)
     with EnergyLog.open(arguments.log) as log:
         result = inspect(log, arguments.start, arguments.stop)
         result["checks"] = _checks(result, arguments)
@@ -97,22 +96,20 @@ def _check_files(arguments: argparse.Namespace) -> None:
             require_library(path)
     if arguments.repair is not None and not arguments.force:
         require_new(arguments.repair)
-    for path in (arguments.png, arguments.svg):
-        if path is not None:
-            check_picture(path, arguments.force)
+    for path in filter(None, (arguments.png, arguments.svg)):
+        check_picture(path, arguments.force)
     if arguments.html is not None:
         check_page(arguments.html, arguments.force)
 
 
 def _write_files(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) -> None:
-    for path in (getattr(arguments, suffix) for suffix in _EXPORTS):
-        if path is not None:
-            export(log, path)
-    pictures = [path for path in (arguments.png, arguments.svg) if path is not None]
+    for path in filter(None, (getattr(arguments, suffix) for suffix in _EXPORTS)):
+        export(log, path)
+    pictures = [*filter(None, (arguments.png, arguments.svg))]
     if not pictures and arguments.html is None:
         return
     with ExitStack() as stack:
-        paths = [path for path in (arguments.compare, *arguments.overlay) if path is not None]
+        paths = filter(None, (arguments.compare, *arguments.overlay))
         others = [stack.enter_context(EnergyLog.open(path)) for path in paths]
         for other in others:
             if not set(other.ports) & set(log.ports):

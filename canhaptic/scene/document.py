@@ -67,6 +67,10 @@ class Diagnostics:
         """Return a value that must be a mapping; None, with a fault, when it is something else."""
         return self._of_kind(MarkedMapping, value, at, f"a mapping of {what}")
 
+    def section(self, owner: "MarkedMapping", key: str, what: str) -> "MarkedMapping | None":
+        """Return an entry that must be a mapping; None where there is none, and with a fault for something else."""
+        return None if owner.get(key) is None else self.mapping(owner[key], owner.value_at(key), what)
+
     def list(self, value: object, at: SourceLocation, what: str) -> "MarkedList | None":
         """Return a value that must be a list; None, with a fault, when it is something else."""
         return self._of_kind(MarkedList, value, at, f"a list of {what}")

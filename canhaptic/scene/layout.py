@@ -87,9 +87,8 @@ def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence
     scene.put("log", MarkedMapping(written.mark) if log is None else log, written.mark, written.value_at("log"))
     _put_accuracy(scene, written, faults)
     _put_buses(scene, written, faults)
-    simulation = None
+    simulation = faults.section(written, "simulation", "keys and values")
     if written.get("simulation") is not None:
-        simulation = faults.mapping(written["simulation"], written.value_at("simulation"), "keys and values")
         scene.set("simulation", NOTED)
     if simulation is not None:
         scene.set("simulation", simulation.without(*SIMULATION_PARTS, "axes", "bus", "mechanisms"))
@@ -277,10 +276,7 @@ def _own_over_shared(
     """
     before, result = len(faults), None
     for owner in (shared, own):
-        if owner.get(name) is None:
-            continue
-        section = faults.mapping(owner[name], owner.value_at(name), f"{selector} and its parameters")
-        if section is None:
+        if (section := faults.section(owner, name, f"{selector} and its parameters")) is None:
             continue
         is_other = result is None or section.get(selector, result.get(selector)) != result.get(selector)
         if result is None or (is_other and section.was != ""):
@@ -301,10 +297,7 @@ def _loop_in_group(section: MarkedMapping, group: "Members", faults: Diagnostics
         faults.add(section.keys_at["environment"], f"{renders} leave it out")
     of_group = group.section.get("passivity")
     loop = of_group if isinstance(of_group, MarkedMapping) else None
-    if section.get("passivity") is None:
-        return loop
-    own = faults.mapping(section["passivity"], section.value_at("passivity"), ", ".join(LOOP_KEYS))
-    if own is None:
+    if (own := faults.section(section, "passivity", ", ".join(LOOP_KEYS))) is None:
         return loop
     for key in own.keys() - set(LOOP_KEYS):
         faults.add(own.keys_at[key], f"{renders} give it in the group, and here only {', '.join(LOOP_KEYS)}")
@@ -320,10 +313,9 @@ def _check_names(
         for key in OWN_SECTIONS:
             if written.get(key) is not None:
                 faults.add(written.keys_at[key], "every axis is in a group; give it in the group, or leave it out")
-    own = None if simulation is None else simulation.get("axes")
-    if simulation is not None and own is not None:
-        entries = faults.mapping(own, simulation.value_at("axes"), "an axis name to its parts")
-        faults.unknown_keys(entries or MarkedMapping(simulation.mark), names)
-        for parts in (entries or {}).values():
+    own = None if simulation is None else faults.section(simulation, "axes", "an axis name to its parts")
+    if own is not None:
+        faults.unknown_keys(own, names)
+        for parts in own.values():
             if isinstance(parts, MarkedMapping):
                 faults.unknown_keys(parts, SIMULATION_PARTS)

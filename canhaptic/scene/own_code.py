@@ -10,7 +10,6 @@ Commands that run nothing leave user code unread: they neither import it nor che
 """
 
 import hashlib
-import importlib.util
 import stat
 import sys
 import traceback
@@ -165,10 +164,7 @@ def require_same_code(ran: Mapping[str, str], recorded: Mapping[str, str], where
 def _module(path: Path, digest: str, content: bytes) -> ModuleType:
     """Return the module made of a file; the same content of the same file is run once."""
     name = f"{OWN_MODULE}{digest[:16]}"
-    spec = importlib.util.spec_from_loader(name, loader=None, origin=str(path))
-    if spec is None:
-        raise ParameterError(f"{path.name}: no module can be made of it")
-    module = importlib.util.module_from_spec(spec)
+    module = ModuleType(name)
     module.__file__ = str(path)
     sys.modules[name] = module  # pydantic looks up annotations there
     try:

@@ -81,16 +81,15 @@ def put_far_side(
 def _own_parts(name: str, simulation: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
     """Return the entry of `simulation.axes` of an axis; an empty one where it has none."""
     axes, own = simulation.get("axes"), None
-    if isinstance(axes, MarkedMapping) and axes.get(name) is not None:
-        own = faults.mapping(axes[name], axes.value_at(name), ", ".join(SIMULATION_PARTS))
+    if isinstance(axes, MarkedMapping):
+        own = faults.section(axes, name, ", ".join(SIMULATION_PARTS))
     return MarkedMapping(simulation.mark) if own is None else own
 
 
 def _drive(parts: MarkedMapping, axis: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
     """Return the simulated drive's parameters; its scaling is the axis's unless it has its own."""
-    at, written = parts.value_at("drive"), parts.get("drive")
-    written = None if written is None else faults.mapping(written, at, "its parameters")
-    drive = MarkedMapping(at) if written is None else written.copy()
+    written = faults.section(parts, "drive", "its parameters")
+    drive = MarkedMapping(parts.value_at("drive")) if written is None else written.copy()
     for key in SCALING_KEYS:
         if key not in drive and axis.get(key) is not None:
             drive.put(key, axis[key], axis.keys_at[key], axis.values_at[key])

@@ -155,7 +155,8 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
         kind = "cyclic torque" if found.axis.admittance is None else "an admittance display"
         raise DictionaryError(f"{found.path} is not fit for {kind}: {reasons}")
     dictionary, rate = found.dictionary, _rate(found)
-    stated, resolution = stated_value(dictionary, od.RATED_TORQUE), _resolution_of(drive)
+    quirks = () if drive is None else tuple(profile_values(drive).get("quirks", ()))
+    stated, resolution = stated_value(dictionary, od.RATED_TORQUE), quirks_of(quirks).rated_torque_resolution
     rated = (stated or 0) * resolution or _GUESSED_RATED_TORQUE
     limit = _torque_limit(dictionary, rated)
     text = _text(
@@ -283,11 +284,6 @@ def _count_values(dictionary: ObjectDictionary) -> dict[str, str]:
     note = _text("counts_stated" if stated else "counts_guessed", increments=stated or _GUESSED_COUNTS)
     transmission = _text("transmission") if od.RATED_TORQUE in dictionary else ""
     return {"counts": f"{_counts(dictionary):.10g}", "counts_note": note, "transmission": transmission}
-
-
-def _resolution_of(drive: str | None) -> float:
-    names = () if drive is None else tuple(profile_values(drive).get("quirks", ()))
-    return quirks_of(names).rated_torque_resolution
 
 
 def _rated_lines(dictionary: ObjectDictionary, stated: float | None) -> str:
