@@ -17,14 +17,10 @@ from canhaptic.units import shown
 
 _LARGEST: Final = 1_000_000  # [B]
 _PROFILES: Final = shipped("configs") / "drives"
-_PROFILE_KEY: Final = "drive"
-"""Key of an axis: its drive profile."""
-_OF_THE_RIG: Final = frozenset(
-    (
-        *("name", "node_id", "eds", "unit", "counts_per_unit", "direction", "transmission", "rated_torque"),
-        *("torque_limit", "torque_verified", "position_reference"),
-    )
-)
+_OF_THE_RIG: Final = {
+    *("name", "node_id", "eds", "unit", "counts_per_unit", "direction", "transmission", "rated_torque"),
+    *("torque_limit", "torque_verified", "position_reference"),
+}
 _PROFILE_KEYS: Final = tuple(sorted(AxisParameters.model_fields.keys() - _OF_THE_RIG))
 """Keys that a profile may have."""
 
@@ -36,8 +32,7 @@ def _profile_names() -> list[str]:
 
 def with_profile(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
     """Section of an axis completed from its profile, and without the key that names the profile."""
-    name, at = section.get(_PROFILE_KEY), section.value_at(_PROFILE_KEY)
-    own = section.without(_PROFILE_KEY)
+    name, at, own = section.get("drive"), section.value_at("drive"), section.without("drive")
     path = _path(name, at) if isinstance(name, str) else None
     if path is None:
         names = ", ".join(_profile_names())

@@ -102,7 +102,8 @@ _OVER: Final = 1.1  # every over-estimate
 _START_SPEED: Final = 0.05  # from which a hand moves it [rad/s]
 _HELD: Final = 2.0  # times M + c tau: passive without a guard
 _ACCELERATION: Final = 50.0  # commanded at most [rad/s^2]
-_COUNTS: Final = 16384  # of the sensor up to its range
+_SENSOR: Final = {"range": 2.0, "per_count": 2.0 / 16384, "error": 4e-4, "slew": 25.0}
+"""Force sensor of an admittance display, as parts of the torque limit."""
 
 _SCALED: Final = {
     "stiffness": 5.0,
@@ -231,10 +232,7 @@ def _display(found: Survey, display: AdmittanceParameters, limit: float) -> str:
         acceleration=min(_ACCELERATION, 0.99 * steepest / counts) if is_velocity else _ACCELERATION,
         limited=_text("limit_in_drive", unlimited=unlimited) if unlimited else "",
         source=_text("force_of_node") if named is None else _text("force_of_object", object=named),
-        per_count=2.0 * limit / _COUNTS,
-        range=2.0 * limit,
-        error=4e-4 * limit,
-        slew=25.0 * limit,
+        **{key: part * limit for key, part in _SENSOR.items()},
     )
 
 
