@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import repeat
 from math import inf
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -300,10 +300,6 @@ def _fastest(linear: _Linear) -> Array:
     return found
 
 
-_RATE: Final = "bus.rate"
-_PLANT_DAMPING: Final = "simulation.plant.damping"
-
-
 def why_not_batchable(scene: Scene) -> str:
     """Return "" when the whole loop of a scene can run in a batch, else the reason by name.
 
@@ -418,8 +414,8 @@ def many_loops(case: LoopCase, numbers: Numbers, varied: Mapping[str, Array]) ->
     """
     simulation, period = cast(AxisSimulation, case.simulation), float(case.sample_time_ns)
     found: dict[str, Array | float] = {"seed": float(simulation.seed)}
-    ticks: Array | float = np.rint(1e9 / varied[_RATE]) if _RATE in varied else period
-    if _RATE in varied:
+    ticks: Array | float = np.rint(1e9 / varied["bus.rate"]) if "bus.rate" in varied else period
+    if "bus.rate" in varied:
         found["loop.sample_time"] = ticks * 1e-9
     found["damping_per_time"] = _device_damping(case, simulation, varied) / (ticks * 1e-9)
     linear, plants = None, list[event_plant.PlantValues]()
@@ -436,8 +432,8 @@ def _device_damping(case: LoopCase, simulation: AxisSimulation, varied: Mapping[
     """Device damping that the meter counts as certain, as `loop_case` does."""
     if "passivity.device_damping" in varied:
         return varied["passivity.device_damping"]
-    if _PLANT_DAMPING in varied and case.loop.device_damping is None:
-        return varied[_PLANT_DAMPING] + (case.device_damping - simulation.plant.damping)
+    if "simulation.plant.damping" in varied and case.loop.device_damping is None:
+        return varied["simulation.plant.damping"] + (case.device_damping - simulation.plant.damping)
     return case.device_damping
 
 

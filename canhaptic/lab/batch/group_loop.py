@@ -25,7 +25,7 @@ The one group of a scene in kernel form: environment, algorithm and motors.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, isfinite, sqrt
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -60,8 +60,6 @@ from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import TICKS, Array
 
 _FREE, _EXIT = Branch.FREE.value, Branch.EXIT.value
-_SEEN: Final = 1e-9
-"""Part of the largest sum below which a damper counts as nothing."""
 
 
 class GroupRig(NamedTuple):
@@ -116,16 +114,8 @@ class GroupMeter:
     damping_asked: float = 0.0  # along the motion, as `Meter.damping` is what was rendered [N*s/m or N*m*s/rad]
 
 
-def step(
-    world: GroupModel,
-    settings: object,
-    state: Any,
-    memory: Any,
-    missed: int,
-    positions: Buffer,
-    torques_applied: Buffer,
-) -> GroupHold:
-    """Kernel of an algorithm; the caller of `run_group` supplies it."""
+def step(*_kernel: Any) -> GroupHold:
+    """Kernel of an algorithm, see `GroupKernel`; the caller of `run_group` supplies it."""
     raise NotImplementedError
 
 
@@ -274,7 +264,7 @@ def shares(meter: GroupMeter) -> tuple[float, float]:
     damper = meter.figures.damping / meter.damping_asked if meter.damping_asked > 0.0 else nothing
     if meter.spring_spring == 0.0:
         return nothing, damper
-    if meter.damper_damper <= _SEEN * meter.spring_spring or apart <= _SEEN * both:
+    if meter.damper_damper <= 1e-9 * meter.spring_spring or apart <= 1e-9 * both:
         return meter.held_spring / meter.spring_spring, damper
     return (meter.held_spring * meter.damper_damper - meter.held_damper * meter.spring_damper) / apart, damper
 

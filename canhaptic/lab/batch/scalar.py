@@ -81,12 +81,7 @@ def object_step(environment: Environment, run: AxisRun, position: float, torque_
     return balance
 
 
-def known_reference(
-    settings: ReferenceSettings,
-    reference: ReferenceState,
-    memory: ReferenceMemory,
-    cycle: int,
-) -> float:
+def known_reference(_settings: object, _reference: object, memory: ReferenceMemory, cycle: int) -> float:
     """Replace `follow`: the series are the positions and mean torques of a continuous run."""
     positions, torques = memory.series
     memory.state[0] = positions[cycle]

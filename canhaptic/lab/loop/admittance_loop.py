@@ -6,7 +6,7 @@ same delay as on the bus of the scene; an error that would stop the rig ends the
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,24 +48,32 @@ class AdmittanceRun(LoopRun):
         return cut.sum() / max(1, moving), np.count_nonzero(certificate == Certificate.NONE.value) / cycles, weakest
 
 
-class _Motor(NamedTuple):
+class _Motor:
     """One axis: its simulation, and its readings."""
 
-    plant: AdmittancePlant
-    counts: float  # of the encoder, per m or rad
-    channel: ForceChannel
-    per_count: float
-    offset: float
-    fastest: float  # displacement in one hold that stops the rig [m or rad]
-    name: str
+    def __init__(self, axis: AxisScene, scene: Scene) -> None:
+        given, display, simulation = axis.parameters, axis.parameters.admittance, simulation_of(axis)
+        if display is None:
+            raise InputError(f"{given.name}: is not an admittance display, expected one")
+        self.name, self._counts = given.name, given.counts_per_unit
+        self.plant = cast(AdmittancePlant, build_plant(simulation, scene.bus.sample_time_ns))
+        self.channel = ForceChannel(display.force, scene.bus.sample_time)
+        own, self._per_count, self._offset = (
+            simulation.drive.display,
+            display.force.per_count,
+            display.force.offset_counts,
+        )
+        if own is not None:
+            self._per_count, self._offset = own.force_per_count, own.force_offset_counts
+        self.fastest = 2.0 * given.largest_speed * scene.bus.sample_time  # [m or rad] in a hold, as in the link policy
 
     def position(self) -> float:
         """Encoder reading [m or rad]."""
-        return round(self.plant.encoder_position * self.counts) / self.counts
+        return round(self.plant.encoder_position * self._counts) / self._counts
 
     def force(self) -> float:
         """Sensor reading [N or N*m]."""
-        return self.channel.take(round(self.plant.read_force() / self.per_count + self.offset))
+        return self.channel.take(round(self.plant.read_force() / self._per_count + self._offset))
 
 
 def run_display(scene: Scene, cycles: int) -> AdmittanceRun:
@@ -79,7 +87,7 @@ def run_display(scene: Scene, cycles: int) -> AdmittanceRun:
         InputError: An axis is not simulated, or is no admittance display.
         ParameterError: The controller cannot be built.
     """
-    motors, groups = [_motor(axis, scene) for axis in scene.axes], scene.groups
+    motors, groups = [_Motor(axis, scene) for axis in scene.axes], scene.groups
     controller: Any = build_group(scene, groups[0]) if groups else build_axis_controller(scene.axes[0])
     recorder, motion, reason = Recorder(len(motors)), list[list[float]](), ""
     try:
@@ -89,20 +97,6 @@ def run_display(scene: Scene, cycles: int) -> AdmittanceRun:
     run = finished(recorder.run("stopped" if reason else "", reason), cycles, EVERYWHERE)
     moved = np.array(motion).reshape(-1, len(motors), 3)
     return AdmittanceRun(run.rows, run.axes, run.ended, run.reason, run.engine, moved, controller.energy_resolution)
-
-
-def _motor(axis: AxisScene, scene: Scene) -> _Motor:
-    given, display = axis.parameters, axis.parameters.admittance
-    if display is None:
-        raise InputError(f"{given.name}: is not an admittance display, expected one")
-    simulation = simulation_of(axis)
-    plant = cast(AdmittancePlant, build_plant(simulation, scene.bus.sample_time_ns))
-    channel = ForceChannel(display.force, scene.bus.sample_time)
-    own, per_count, offset = simulation.drive.display, display.force.per_count, display.force.offset_counts
-    if own is not None:
-        per_count, offset = own.force_per_count, own.force_offset_counts
-    fastest = 2.0 * given.largest_speed * scene.bus.sample_time  # as in the link policy of drives
-    return _Motor(plant, given.counts_per_unit, channel, per_count, offset, fastest, given.name)
 
 
 def _walk(

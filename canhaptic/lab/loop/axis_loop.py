@@ -398,9 +398,7 @@ def chosen_algorithms(algorithms: Sequence[str] | None, own: Sequence[str] = ())
         ParameterError: One is unknown.
     """
     chosen = list(dict.fromkeys(algorithms or (*own, "guarded", *ALGORITHMS)))
-    for name in chosen:
-        if name in own:
-            continue
+    for name in [name for name in chosen if name not in own]:
         load(ALGORITHMS, name, "passivity algorithm")
     return chosen
 

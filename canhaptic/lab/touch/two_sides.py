@@ -139,19 +139,12 @@ def reach(motion: Any, rest: float, start: float) -> tuple[float, float]:
     return min(middle - half, start), max(middle + half, start)
 
 
-def on_two_buses(
-    scene: Scene,
-    axes: Sequence[AxisScene],
-    sides: tuple[Side, Side],
-    groups: tuple[GroupScene, ...] = (),
-    mechanisms: tuple[MechanismScene, ...] = (),
-) -> Scene:
-    """Return a scene with a bus for each side, with long timeouts of drives and master."""
+def on_two_buses(scene: Scene, axes: Sequence[AxisScene], sides: tuple[Side, Side], **parts: Any) -> Scene:
+    """Return a scene with a bus for each side, with long timeouts of drives and master; `parts` replace its groups."""
     bus = scene.bus.model_copy(update={"heartbeat_timeout": 10.0, "stop_cycles": max(2000, scene.bus.stop_cycles)})
-    return replace(
-        scene, bus=bus, bus_name=sides[0].name, further_buses=(FurtherBus(name=sides[1].name),), axes=tuple(axes),
-        groups=groups, mechanisms=mechanisms, log=scene.log.model_copy(update={"energy": None, "bus": None}),
-    )  # fmt: skip
+    log, further = scene.log.model_copy(update={"energy": None, "bus": None}), (FurtherBus(name=sides[1].name),)
+    parts = {"groups": (), "mechanisms": (), **parts}
+    return replace(scene, bus=bus, bus_name=sides[0].name, further_buses=further, axes=tuple(axes), log=log, **parts)
 
 
 _OVER: Final = 1.05
@@ -174,30 +167,23 @@ def display_plane(scene: Scene, name: str) -> TouchScene:
     members = [scene.axis(axis) for axis in group.axes]
     guarded = group if group.passivity.name != PLAIN else replace(group, passivity=_guard_of(*members))
     both = (display_group_under(group, PLAIN), guarded)
-    sides = tuple(
-        _side(one.passivity, tuple(f"{one.passivity.name} {axis}" for axis in group.axes), one.passivity.name)
-        for one in both
-    )
-    axes = [
-        _held_axis(axis, side, port)
-        for side in sides
-        for axis, port in zip(members, side.axes, strict=True)
-    ]  # fmt: skip
+    sides = _side(both[0].passivity, group.axes), _side(guarded.passivity, group.axes)
+    axes = [_held_axis(axis, side, f"{side.name} {axis.parameters.name}") for side in sides for axis in members]
     groups = tuple(replace(one, name=side.group, axes=side.axes) for one, side in zip(both, sides, strict=True))
-    hands = [_hand_of(axis) for axis in members]
+    hands, unit = [_hand_of(axis) for axis in members], members[0].parameters.unit
     network: Any = group.network.parameters
     shown = tuple(reach(user.motion, user.rest, start) for user, start in hands)
-    pair = (sides[0], sides[1])
+    sliders = sliders_of(f"groups.{index}.network", network, _DISPLAY_SLIDERS, unit)
     return TouchScene(
-        on_two_buses(scene, axes, pair, groups), pair, members[0].parameters.unit, shown,
-        tuple(start for _, start in hands), _box(network),
-        sliders_of(f"groups.{index}.network", network, _DISPLAY_SLIDERS, members[0].parameters.unit),
-        path=_path(network), is_display=True,
+        on_two_buses(scene, axes, sides, groups=groups), sides, unit, shown, tuple(start for _, start in hands),
+        _box(network), sliders, path=_path(network), is_display=True,
     )  # fmt: skip
 
 
-def _side(passivity: ComponentSpec, axes: tuple[str, ...], group: str = "") -> Side:
-    return Side(passivity.name, axes, group, float(getattr(passivity.parameters, "energy_allowance", 0.0)))
+def _side(passivity: ComponentSpec, axes: Sequence[str]) -> Side:
+    """Side of a group, named for its algorithm."""
+    name, allowance = passivity.name, float(getattr(passivity.parameters, "energy_allowance", 0.0))
+    return Side(name, tuple(f"{name} {axis}" for axis in axes), name, allowance)
 
 
 def _held_axis(axis: AxisScene, side: Side, port: str) -> AxisScene:
@@ -301,8 +287,10 @@ def _line(scene: Scene, axis: AxisScene) -> TouchScene:
     else:
         plain = able_under(axis, PLAIN, scene).axis
         guarded = axis if axis.passivity.name != PLAIN else able_under(axis, GUARDED, scene).axis
-    name = _name_of(guarded)
-    sides = (Side(PLAIN, (PLAIN,)), replace(_side(guarded.passivity, (name,)), name=name))
+    own, allowance = guarded.passivity.own, _side(guarded.passivity, ()).allowance
+    name = guarded.passivity.name if own is None else own.__name__
+    name = name if name != PLAIN else GUARDED
+    sides = (Side(PLAIN, (PLAIN,)), Side(name, (name,), allowance=allowance))
     axes = [_held_axis(one, side, side.axes[0]) for one, side in zip((plain, guarded), sides, strict=True)]
     user, start = _hand_of(axis)
     shown = reach(user.motion, user.rest, start)
@@ -314,11 +302,6 @@ def _line(scene: Scene, axis: AxisScene) -> TouchScene:
         on_two_buses(scene, axes, sides), sides, axis.parameters.unit, (shown,), (start,), solid,
         sliders_of("environment", environment, names, axis.parameters.unit), is_display=is_display, notches=notches,
     )  # fmt: skip
-
-
-def _name_of(axis: AxisScene) -> str:
-    name = axis.passivity.name if axis.passivity.own is None else axis.passivity.own.__name__
-    return name if name != PLAIN else GUARDED
 
 
 def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:
