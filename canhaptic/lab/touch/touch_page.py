@@ -60,7 +60,9 @@ class TouchPage:
         self._drawn = models.ColumnDataSource({"frame": [0]}, name="drawn")
         self._handles.js_on_change("data", models.CustomJS(args={"drawn": self._drawn}, code=_MEASURE))
         self._frame = self._waited = 0
-        _share_range(self._sides)
+        for mine, other in zip(self._sides[0].panels, self._sides[1].panels, strict=True):  # one scale, to compare them
+            other.y_range = mine.y_range
+            mine.y_range.renderers = [*mine.renderers, *other.renderers]
         self._controls = _Controls(hand, self._begin)
         document.title = f"canhaptic touch: {touched.scene.source}"
         sides = row(*(side.layout for side in self._sides), sizing_mode="stretch_width")
@@ -107,14 +109,6 @@ class TouchPage:
         self._status.text = "the drives start ..."
 
 
-def _share_range(sides: list["_SideView"]) -> None:
-    """Give both sides the same scale of force and of energy, so that they can be compared."""
-    first, second = sides
-    for mine, other in zip(first.panels, second.panels, strict=True):
-        other.y_range = mine.y_range
-        mine.y_range.renderers = [*mine.renderers, *other.renderers]
-
-
 class _SideView:
     """Handle, force, energy and verdict of one side."""
 
@@ -137,7 +131,11 @@ class _SideView:
         self._notches = models.ColumnDataSource({"x": [], "y": []}, name=f"notches {number}")
         self.scene = self._new_scene(touched, pointer)
         self.draw_notches(0.0)
-        self.panels = self._panels(touched)
+        force = "force" if touched.unit == "m" else "torque"
+        self.panels = [self._panel(force, effort_unit(touched.unit), ["force"])]
+        if self._is_display:
+            self.panels.append(self._panel("velocity", f"{touched.unit}/s", ["command", "velocity"]))
+        self.panels.append(self._panel("energy", "J", ["energy"]))
         self.panels[-1].add_layout(models.Span(location=0.0, dimension="width", line_color=GREY, line_dash="dashed"))
         title = models.Div(text=f"<b style='font-size:1.3em;color:{_COLOURS[number]}'>{html.escape(self._name)}</b>")
         self.layout = column(*(title, self._verdict, self.scene, *self.panels), sizing_mode="stretch_width")
@@ -175,21 +173,14 @@ class _SideView:
             plane.line(x, y, line_color=PALE, line_width=8, line_alpha=0.5)
         if touched.is_plane:
             for (left, right), (bottom, top) in zip(touched.solid[::2], touched.solid[1::2], strict=True):
-                for edge in ({"right": left}, {"left": right}, {"left": left, "right": right, "top": bottom},
-                             {"left": left, "right": right, "bottom": top}):  # fmt: skip
+                between = {"left": left, "right": right}
+                for edge in ({"right": left}, {"left": right}, between | {"top": bottom}, between | {"bottom": top}):
                     plane.add_layout(models.BoxAnnotation(**edge, **look))
             return
         for low, high in touched.solid:
             edges = {"left": low} if low > shown[0] else {}
             edges |= {"right": high} if high < shown[1] else {}
             plane.add_layout(models.BoxAnnotation(**edges, **look))
-
-    def _panels(self, touched: TouchScene) -> list[figure]:
-        """Return force, of an admittance display velocity too, and energy, each against time."""
-        panels = [self._panel("force" if touched.unit == "m" else "torque", effort_unit(touched.unit), ["force"])]
-        if self._is_display:
-            panels.append(self._panel("velocity", f"{touched.unit}/s", ["command", "velocity"]))
-        return [*panels, self._panel("energy", "J", ["energy"])]
 
     def _panel(self, title: str, unit: str, vectors: list[str]) -> figure:
         # A range of its own: a shared one stands still while any of its panels is scrolled out of sight.
