@@ -245,7 +245,7 @@ def test_a_sensor_that_shows_a_force_at_rest_ends_the_start() -> None:
             with pytest.raises(StartError, match="force at rest") as refused:
                 run(experiment.cycle, 5)
             assert "let go of the handle" in str(refused.value)
-            assert not experiment.plants[0].begun  # nothing was enabled
+            assert experiment.plants[0]._epoch is None  # nothing was enabled
 
 
 def test_a_transducer_that_does_not_answer_the_tare_ends_the_start() -> None:

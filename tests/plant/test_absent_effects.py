@@ -65,8 +65,10 @@ import sys
 {leak}
 sys.path[:0] = [{tests!r}]
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.plant.effects import read_effect
-plant = Plant(PlantParameters(mass=0.25), None, [read_effect(e) for e in {effects!r}], 1_000_000)
+from canhaptic.registry import load
+from canhaptic.sim.plant.effects import EFFECTS
+effects = [load(EFFECTS, e["type"], "effect").validated(e) for e in {effects!r}]
+plant = Plant(PlantParameters(mass=0.25), None, effects, 1_000_000)
 plant.begin(0)
 for k in range(3):
     plant.advance_to((k + 1) * 1_000_000, 1.0)

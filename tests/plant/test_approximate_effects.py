@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.splitting import fixed_point
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tests.plant.plant_scenes import DAMPING, MASS, hand, largest_flow, make_plant, residual, run
+from tests.plant.read_effect import read_effect
 
 TORQUES = [1.5 + 0.5 * math.sin(0.1 * k) for k in range(40)]
 COGGING = {"type": "cogging", "amplitude": 0.5, "pitch": 4e-3, "phase": 0.3}

@@ -99,7 +99,7 @@ def test_stopping_on_the_way_changes_nothing(pauses):
 def test_the_plant_stands_still_until_it_begins_and_repeats_after_reset():
     plant = plant_of(user_s(), initial_position=0.02)
     plant.advance_to(3 * MS, 5.0)
-    assert (plant.position, plant.begun) == (0.02, False)
+    assert (plant.position, plant._epoch) == (0.02, None)
     runs = []
     for _ in range(2):
         plant.begin(10 * MS)

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from canhaptic.lab.judge.reference_model import Model
 from canhaptic.lab.judge.solvers import reference
-from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tests.drawn import examples
 from tests.plant.plant_scenes import MS, largest_flow, make_plant, residual, run
+from tests.plant.read_effect import read_effect
 
 STATIC = 1.0
 STRIBECK = {"type": "stribeck_friction", "kinetic": 0.5, "static": STATIC, "stribeck_velocity": 0.02}

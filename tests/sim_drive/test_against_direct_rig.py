@@ -32,7 +32,7 @@ def test_motor_behind_the_bus_moves_bit_for_bit_as_the_motor_without(delay: int)
     with Rig(motor=motor, rated_torque=10.0) as rig:  # type: ignore[arg-type]
         assert rig.write(0x1400, 2, delay or 255, 1) == "ok"
         rig.enable()
-        if not motor.begun:
+        if motor._epoch is None:
             rig.sync()  # the synchronous controlword acts one SYNC later
         for k in range(CYCLES):
             if k:

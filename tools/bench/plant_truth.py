@@ -16,9 +16,9 @@ import numpy as np
 from canhaptic.lab.judge.reference_model import Model
 from canhaptic.lab.judge.solvers import reference
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from tests.plant.read_effect import read_effect
 from tools.bench.plants.affine_judge import judged
 from tools.bench.plants.hard_costs import cost_rows, hour_row
 from tools.bench.plants.random_scenes import RandomScene, apart, random_scene

@@ -141,7 +141,7 @@ def watch(found: Outcome, plant: AdmittancePlant, before: _Motion, time: float) 
     found.slew = max(found.slew, abs(force - before[0]) / time)
     found.acceleration = max(found.acceleration, abs(velocity - before[1]) / time)
     found.speed, found.force = max(found.speed, abs(velocity)), max(found.force, abs(force))
-    found.far_speed = max(found.far_speed, abs(plant.far_velocity))
+    found.far_speed = max(found.far_speed, abs(plant.state[plant.state_names.index("load_velocity")]))
     found.travel += abs(position - before[2])
     return force, velocity, position
 

@@ -10,7 +10,7 @@ from canhaptic.control.admittance.admittance_environment import AdmittanceEnviro
 from canhaptic.control.admittance.cup_and_ball import CupAndBall
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
-from canhaptic.sim.plant.effects import Effect, read_effect
+from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.sim.plant.velocity_drive import (
@@ -19,6 +19,7 @@ from canhaptic.sim.plant.velocity_drive import (
     SimulatedForceSensor,
     VelocityLoopParameters,
 )
+from tests.plant.read_effect import read_effect
 from tools.displays.direct import Display, Outcome, run
 
 _DURATION = 2.0  # for the drift [s]

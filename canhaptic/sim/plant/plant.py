@@ -207,11 +207,6 @@ class Plant(AutomatonClock):
         self.set_states({PLACE: place})
 
     @property
-    def begun(self) -> bool:
-        """True once the clock of the plant runs."""
-        return self._epoch is not None
-
-    @property
     def products(self) -> int:
         """Number of core steps tried since the start, a machine-independent cost."""
         return self._machine.products

@@ -371,11 +371,6 @@ class AdmittancePlant(Plant):
         read, (_, twist, near, far) = self._machine.state.item, self._places
         return -self._stiffness * read(twist) - self._damping * (read(near) - read(far))
 
-    @property
-    def far_velocity(self) -> float:
-        """True velocity of the mass behind the grip [m/s or rad/s]."""
-        return self._machine.state.item(self._places[3])
-
     def read_force(self) -> float:
         """Present reading of the sensor; see `ForceReading.take`."""
         read, elapsed = self._machine.state.item, self.tick * self.sample_time_ns // TICKS

@@ -8,9 +8,9 @@ from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisSimulation
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from tests.plant.read_effect import read_effect
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 FOLDER = REPOSITORY / "configs" / "accuracy"

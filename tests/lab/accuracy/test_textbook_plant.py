@@ -13,7 +13,6 @@ from canhaptic.lab.studies.accuracy.plant_solvers import fitted_order
 from canhaptic.scene.far_side import build_plant
 from canhaptic.sim.plant.direct_rig import observed
 from canhaptic.sim.plant.effects import EFFECTS as ALL_EFFECTS
-from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.effects.viscous_friction import ViscousFriction
 from canhaptic.sim.plant.plant import Plant
 from tests.lab.accuracy.accuracy_scenes import (
@@ -26,6 +25,7 @@ from tests.lab.accuracy.accuracy_scenes import (
     simulation,
     smooth_torques,
 )
+from tests.plant.read_effect import read_effect
 
 HOLDS = 60
 SECONDS = PERIOD * 1e-9

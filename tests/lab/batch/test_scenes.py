@@ -18,7 +18,7 @@ from canhaptic.lab.loop.axis_loop import environment_of, loop_case, with_algorit
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
-from canhaptic.sim.plant.effects import read_effect
+from tests.plant.read_effect import read_effect
 
 DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo.yaml"
 CYCLES = 700

@@ -11,9 +11,9 @@ from typing import Any, Final
 
 from canhaptic.errors import EventLimitError
 from canhaptic.scene.method import LONG_SWING
-from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from tests.plant.read_effect import read_effect
 from tools.bench.report import Row
 
 US: Final = 1000

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from tests.plant.read_effect import read_effect
 from tools.chance import EXACT, Chance
 
 

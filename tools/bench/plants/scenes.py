@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.effects import read_effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from tests.plant.read_effect import read_effect
 
 Array = NDArray[np.float64]
 PERIOD_NS: Final = 1_000_000

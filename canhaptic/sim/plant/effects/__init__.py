@@ -4,12 +4,7 @@ An effect is a frozen parameter model with `type` (its name in a scene) and `add
 commands, encoders or efforts to a `canhaptic.sim.plant.assembly.PlantModel`.
 """
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol, cast
-
-from canhaptic.axis_units import Motion
-from canhaptic.errors import ParameterError
-from canhaptic.registry import load
+from typing import TYPE_CHECKING, ClassVar, Final, Protocol
 
 if TYPE_CHECKING:
     from canhaptic.sim.plant.assembly import PlantModel
@@ -55,15 +50,3 @@ class Effect(Protocol):
         Raises:
             ParameterError: It needs another effect that is not there, or excludes one that is.
         """
-
-
-def read_effect(values: Mapping[str, Any], motion: Motion | None = None) -> Effect:
-    """Return the effect that a mapping with `type` describes, in the units of an axis that moves in "m" or "rad".
-
-    Raises:
-        ParameterError: The type is missing or unknown (the nearest name is offered), or a value is out of range.
-    """
-    name = values.get("type")
-    if not isinstance(name, str):
-        raise ParameterError(f"effect.type: got {name!r}, expected one of: {', '.join(sorted(EFFECTS))}")
-    return cast(Effect, load(EFFECTS, name, "effect").validated(values, motion))
