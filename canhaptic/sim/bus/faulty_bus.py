@@ -252,7 +252,7 @@ def frame_effects(effects: BusEffects, direction: Direction, seed: int, count: _
     return [_effect(name, effects, stream(seed, direction, name), count) for name in named]
 
 
-_Delivery = Callable[[can.Message, int], None]
+_Deliver = Callable[[can.Message, int], None]
 """Called as deliver(frame, now [ns]) when it arrives."""
 Counts = Counter[tuple[str, str, int]]
 """Frames struck, by (effect, direction, COB-ID)."""
@@ -275,12 +275,12 @@ class Wire:
 
     def __init__(self, bitrate: int) -> None:
         self._bitrate = bitrate
-        self._waiting: list[tuple[int, int, can.Message, _Delivery]] = []
+        self._waiting: list[tuple[int, int, can.Message, _Deliver]] = []
         self._number = 0
-        self._current: tuple[can.Message, _Delivery] | None = None
+        self._current: tuple[can.Message, _Deliver] | None = None
         self._end = NEVER
 
-    def request(self, message: can.Message, deliver: _Delivery) -> None:
+    def request(self, message: can.Message, deliver: _Deliver) -> None:
         """Queue a frame for the wire."""
         self._number += 1
         heapq.heappush(self._waiting, (message.arbitration_id, self._number, message, deliver))
@@ -351,13 +351,7 @@ class BusSegment:
     """
 
     def __init__(
-        self,
-        effects: BusEffects,
-        seed: int,
-        counts: Counts,
-        wire: Wire | None,
-        direction: Direction,
-        deliver: _Delivery,
+        self, effects: BusEffects, seed: int, counts: Counts, wire: Wire | None, direction: Direction, deliver: _Deliver
     ) -> None:
         def count(effect: str, cob_id: int) -> None:
             counts[effect, direction, cob_id] += 1
@@ -366,7 +360,7 @@ class BusSegment:
         self._ids: Container[int] = range(0x800) if effects.ids is None else frozenset(effects.ids)
         self._during = Schedule(effects.during) if effects.during else None
         self._freeze = Schedule(effects.freeze)
-        self._deliver: _Delivery = deliver if wire is None else lambda m, _now: wire.request(m, deliver)
+        self._deliver: _Deliver = deliver if wire is None else lambda m, _now: wire.request(m, deliver)
         self._queue: list[tuple[int, int, can.Message]] = []
         self._number = 0
         self._last_due = -NEVER

@@ -40,13 +40,11 @@ class EmergencyProducer:
         self._cob_id = store.optional(objects.EMCY_COB_ID, DataType.UNSIGNED32)
         self._default_cob_id = objects.EMCY_BASE + node_id
         self._send = send
-        self._count = store.find(_ERROR_HISTORY)
+        self._count = store.find(_ERROR_HISTORY) or Entry(_ERROR_HISTORY, 0, DataType.UNSIGNED8)
         self._history: list[Entry] = []
         while (field := store.find(_ERROR_HISTORY, len(self._history) + 1)) is not None:
             self._history.append(field)
-        if self._count is not None:
-            self._count.check = refuse_unless(lambda value: value == 0)
-            self._count.changed = self._clear_history
+        self._count.check, self._count.changed = refuse_unless(lambda value: value == 0), self._clear_history
         self.reset()
 
     def reset(self) -> None:
@@ -65,8 +63,7 @@ class EmergencyProducer:
             self._present.append(code)
             for field, value in zip(self._history, [code, *(field.value for field in self._history)], strict=False):
                 field.value = value
-            if self._count is not None:
-                self._count.value = min(self._count.number + 1, len(self._history))
+            self._count.value = min(self._count.number + 1, len(self._history))
             self._transmit(code)
 
     def withdraw(self, *codes: int) -> None:
@@ -93,21 +90,18 @@ class EmergencyProducer:
     def _clear_history(self) -> None:
         for field in self._history:
             field.value = None
-        if self._count is not None:
-            self._count.value = 0
+        self._count.value = 0
 
 
 _Call = Callable[[], None]
 _Now = Callable[[], int]
 _NS_PER_MS: Final = 1_000_000
-_COMMANDS: Final = frozenset(int(command) for command in NmtCommand)
 
 
 def command_for(content: bytes, node_id: int) -> NmtCommand | None:
     """Return the command of an NMT frame, or None when it addresses another node or is not valid."""
-    if len(content) != 2 or content[0] not in _COMMANDS or content[1] not in (0, node_id):
-        return None
-    return NmtCommand(content[0])
+    addressed = len(content) == 2 and content[1] in (0, node_id)
+    return next((command for command in NmtCommand if addressed and command == content[0]), None)
 
 
 class HeartbeatProducer:
@@ -123,8 +117,7 @@ class HeartbeatProducer:
     def __init__(self, store: ObjectStore, timers: Timers, send: _Call, now: _Now) -> None:
         self._time = store.entry(objects.PRODUCER_HEARTBEAT_TIME, DataType.UNSIGNED16)
         self._timers, self._send, self._now = timers, send, now
-        self._timer = timers.add(self._beat)
-        self._time.changed = self.restart
+        self._timer, self._time.changed = timers.add(self._beat), self.restart
 
     def restart(self) -> None:
         """Restart with the period in the object; 0 sends none."""

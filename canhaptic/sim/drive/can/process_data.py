@@ -63,22 +63,19 @@ class Pdo:
         communication, mapping = (first + number for first in _RECORDS[is_transmit])
         self._store, self._is_transmit = store, is_transmit
         self._cob_id = cast(Entry, store.find(communication, 1))  # `_pdos_of` made sure that both exist
-        self._type = store.find(communication, 2)
-        self._inhibit = store.find(communication, 3)
-        self._event_timer = store.find(communication, 5)
+        self._type, self._inhibit, self._event_timer = (
+            store.find(communication, place) or Entry(communication, place, DataType.UNSIGNED16) for place in (2, 3, 5)
+        )  # one that the dictionary lacks has no value
         self._count = cast(Entry, store.find(mapping, 0))
         self._slots: list[Entry] = []
         while (slot := store.find(mapping, len(self._slots) + 1)) is not None:
             slot.check = self._check_slot
             self._slots.append(slot)
         self._cob_id.check, self._count.check = self._check_cob_id, self._check_count
-        if self._type is not None:
-            self._type.check = refuse_unless(lambda value: value <= _LARGEST_SYNCHRONOUS or value in (254, 255))
-        if self._inhibit is not None:
-            self._inhibit.check = refuse_unless(lambda _value: not self._exists(), SdoAbort.DEVICE_STATE)
+        self._type.check = refuse_unless(lambda value: value <= _LARGEST_SYNCHRONOUS or value in (254, 255))
+        self._inhibit.check = refuse_unless(lambda _value: not self._exists(), SdoAbort.DEVICE_STATE)
         for entry in (self._cob_id, self._type, self._inhibit, self._event_timer, self._count, *self._slots):
-            if entry is not None:
-                entry.changed = on_change
+            entry.changed = on_change
         self.compile()
 
     def compile(self) -> None:
@@ -92,14 +89,13 @@ class Pdo:
             if entry.value is None:
                 entry.value = 0  # a frame has no room for "no data"
         self.cob_id = cob_id & 0x7FF
-        kind = None if self._type is None else self._type.value
+        kind = self._type.value
         self.transmission_type = kind if isinstance(kind, int) else objects.EVENT_DRIVEN
         self.is_synchronous = self.transmission_type <= _LARGEST_SYNCHRONOUS
-        self.event_time = _NS_PER_MS * (self._event_timer.number if self._event_timer else 0)
-        self.inhibit_time = _NS_PER_INHIBIT_UNIT * (self._inhibit.number if self._inhibit else 0)
+        self.event_time = _NS_PER_MS * self._event_timer.number
+        self.inhibit_time = _NS_PER_INHIBIT_UNIT * self._inhibit.number
         # Too large a torque is for the drive's limiter, which shows it; any other value out of range is ignored.
         self._ranges = [(-_ANY, _ANY) if e.index == objects.TARGET_TORQUE else (e.low, e.high) for e in self.entries]
-        self._takes_all = not any(map(_can_be_beyond, self.entries, self._ranges))
         self._hooks = tuple(dict.fromkeys(e.changed for e in self.entries if e.changed is not None))
         self.reset()
 
@@ -114,15 +110,9 @@ class Pdo:
 
     def load(self, content: bytes | bytearray) -> None:
         """Take over the values of an RPDO and let the drive act on them."""
-        unpack = self._unpack
-        values = unpack(content)
-        if self._takes_all:
-            for entry, value in zip(self.entries, values, strict=True):
+        for entry, value, (low, high) in zip(self.entries, self._unpack(content), self._ranges, strict=True):
+            if low <= value <= high:
                 entry.value = value
-        else:
-            for entry, value, (low, high) in zip(self.entries, values, self._ranges, strict=True):
-                if low <= value <= high:
-                    entry.value = value
         for hook in self._hooks:
             hook()
 
@@ -131,11 +121,8 @@ class Pdo:
         if self.transmission_type == 0:
             is_due, self.is_due = self.is_due, False
             return is_due
-        self._syncs += 1
-        if self._syncs < self.transmission_type:
-            return False
-        self._syncs = 0
-        return True
+        self._syncs = (self._syncs + 1) % self.transmission_type
+        return self._syncs == 0
 
     def _mapped(self) -> tuple[Entry, ...]:
         """Return the mapped objects; none when the map of the dictionary cannot be used."""
@@ -145,9 +132,7 @@ class Pdo:
             if entry is None or not entry.code or 8 * entry.size != slot.number & 0xFF:
                 return ()
             entries.append(entry)
-        if sum(entry.size for entry in entries) * 8 > _MAX_BITS:
-            return ()
-        return tuple(entries)
+        return tuple(entries) if sum(entry.size for entry in entries) * 8 <= _MAX_BITS else ()
 
     def _object(self, mapping: int) -> Entry | None:
         return self._store.find(mapping >> 16, mapping >> 8 & 0xFF)
@@ -201,15 +186,6 @@ def _pdos_of(store: ObjectStore, is_transmit: bool, on_change: Callable[[], None
         for number in range(_PDOS)
         if store.find(communication + number, 1) is not None and store.find(mapping + number, 0) is not None
     )
-
-
-def _can_be_beyond(entry: Entry, allowed: tuple[float, float]) -> bool:
-    """Return whether a frame can carry a value of this object that is not allowed; a real one may be no number."""
-    if entry.code in "fd":
-        return True
-    whole = Entry(entry.index, entry.subindex, entry.data_type)
-    low, high = allowed
-    return whole.low < low or whole.high > high
 
 
 def _packer(pack: Callable[..., bytes], entries: Sequence[Entry]) -> Callable[[], bytes]:
@@ -274,8 +250,7 @@ class ProcessData:
         self._sync_cob_id.check = refuse_unless(lambda value: value & 0x7FF and not value & _SYNC_GENERATOR)
         self._cycle_period = store.optional(objects.COMMUNICATION_CYCLE_PERIOD, DataType.UNSIGNED32)
         self._sync_cob_id.changed = self._cycle_period.changed = on_change
-        counter = store.find(objects.SYNC_COUNTER_OVERFLOW)
-        if counter is not None:
+        if (counter := store.find(objects.SYNC_COUNTER_OVERFLOW)) is not None:
             counter.check = self._check_counter
         self.routes()
 
