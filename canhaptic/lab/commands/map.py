@@ -23,12 +23,13 @@ def execute(arguments: argparse.Namespace) -> int:
         caption = f"{table.note('source')}   {'  '.join(entry['given'] for entry in table.identity['varied'])}"
         for line in table.note("plant_errors").splitlines():
             write_note(f"  {line}")
-        shares = {one.algorithm: passing_share(one, arguments.by or usual_judgement(one)) for one in fields}
+        by = {one.algorithm: arguments.by or usual_judgement(one) for one in fields}
+        shares = {one.algorithm: passing_share(one, by[one.algorithm]) for one in fields}
         untouched = {one.algorithm: float(one.untouched().mean()) for one in fields}
     if arguments.json:
         write_json({"file": str(arguments.file), "passing": shares, "no_contact": untouched, "lines": _lines(columns)})
     else:
-        _print(columns, shares, untouched)
+        _print(columns, [_share(name, share, untouched[name], by[name]) for name, share in shares.items()])
     write_files(
         arguments, png=lambda path: draw_map(columns, caption, path),
         html=lambda path: write_map(columns, caption, path),
@@ -45,11 +46,13 @@ def _lines(columns: list[list[Panel | None]]) -> list[dict[str, object]]:
     ]  # fmt: skip
 
 
-def _print(columns: list[list[Panel | None]], shares: dict[str, float], untouched: dict[str, float]) -> None:
-    for name, share in shares.items():
-        passing = [] if untouched[name] == 1.0 else [f"{100.0 * share:.3g} % of the scenes with a contact pass"]
-        without = [f"{100.0 * untouched[name]:.3g} % had no contact"] if untouched[name] else []
-        write_line(f" {name}: {', '.join([*passing, *without])}")
+def _share(name: str, share: float, untouched: float, by: str) -> str:
+    passing = [f"{100.0 * share:.3g} % of the scenes with a contact pass (judged by: {by})"] if untouched < 1.0 else []
+    return f" {name}: {', '.join([*passing, *([f'{100.0 * untouched:.3g} % had no contact'] if untouched else [])])}"
+
+
+def _print(columns: list[list[Panel | None]], shares: list[str]) -> None:
+    write_line("\n".join(shares))
     for column in columns:
         for panel in column:
             if isinstance(panel, Lines):

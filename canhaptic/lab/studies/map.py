@@ -266,11 +266,11 @@ def _stable_stiffness(scene: Scene) -> float | None:
 
 JUDGEMENTS: Final = {
     "stable": "stable",
-    "passive": "energy in less energy out of the plant >= 0 at the motor, as `run` judges without declared damping",
+    "passive": "energy in less energy out of the plant >= 0 at the motor, as `run` judges it",
     "margin": "margin of (4) >= 0",
     "settled": "energy in less energy out of the plant >= 0 at the end",
-    "covered": "energy in less energy out of the plant >= 0 at the handle, what the device dissipates included; `run` "
-    "counts that only where it is declared, as does --by passive",
+    "covered": "energy in less energy out of the plant >= 0 at the handle, friction and damping of the device included "
+    "(`run` judges the motor alone unless they are declared: --by passive)",
 }
 """Name -> meaning of passing, in words."""
 _ENERGIES: Final = {

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
+from warnings import catch_warnings
 
 import numpy as np
 
@@ -343,7 +344,8 @@ class PlantSide(Plants):
 def _row_of(candidate: Candidate, judged: Callable[[Motion], MotionError], travel: float, holds: int) -> Row:
     """Return the row of a setting, run once; errors are None where it is unstable."""
     try:
-        motion, evaluations, events = candidate.observe()
+        with catch_warnings(action="ignore", category=UserWarning):  # of LSODA, whose row says that it failed
+            motion, evaluations, events = candidate.observe()
     except InputError as error:
         return {**_named(candidate), "status": f"failed: {error}", "evaluations": None}
     found = judged(motion)
