@@ -1,5 +1,6 @@
 """What a person looks at first: notches, force over position, two logs at once, and the moment of a NO."""
 
+import io
 import math
 import sys
 from contextlib import closing
@@ -92,6 +93,14 @@ def test_a_piped_run_writes_plain_lines_and_one_at_real_pace_none(monkeypatch: p
         assert progress is None
     with run_progress(1000, 1e-3, "free") as progress:
         assert isinstance(progress, RunProgress)
+
+
+def test_progress_ends_no_run_whose_standard_error_is_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    with closing(RunProgress(4096, 1e-3, "free", is_piped=True)) as progress:
+        progress._next = 0
+        progress(1024)
+    assert progress._next > 0  # it was due, and is due again later
 
 
 def test_a_plain_line_says_the_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
