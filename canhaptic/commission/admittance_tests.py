@@ -21,7 +21,6 @@ from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParamete
 from canhaptic.errors import InputError
 
 _REST: Final = 1.0  # [s] without a hand
-_CHIRP: Final = (2.0, 40.0, 8.0)  # from [Hz], to [Hz], for [s]
 _AMPLITUDE: Final = 0.02  # of the chirp [m/s or rad/s], if the limits allow it
 _TRAVELS: Final = 3.0  # of the limit: it is the hand that pushes the drive away
 _HALF: Final = 5e-3  # half the width of the hat [s]
@@ -29,7 +28,6 @@ _LATEST: Final = 4  # latest a force may be [samples]
 REQUIRED: Final = ("force at rest", "mass of the drive", "gain of the velocity loop")
 """Items that must be verified on every display before its scene may run."""
 _SAFE: Final = 1.1  # over what was measured, for what is to be declared over
-_SAFE_FRICTION: Final = 1.3  # a drive at rest sticks more
 _SLOWEST: Final = 2.0  # [1/s] of an integral that counts as one
 _SURE: Final = 0.1  # largest standard deviation of M and c, as a part of them
 Array = NDArray[np.float64]
@@ -57,20 +55,17 @@ def commission_displays(session: Session) -> None:
     if any(axis.parameters.admittance is None for axis in session.axes):
         raise InputError(f"{session.scene.source}: has displays of both kinds; commission a scene of each")
     names = ", ".join(axis.parameters.name for axis in session.axes)
-    if not session.agreed(
-        f"{names}: hands off, clear of the machine. Enable the drives at velocity zero?", "sensor", [0]
-    ):
+    asked = f"{names}: hands off, clear of the machine. Enable the drives at velocity zero?"
+    if not session.agreed(asked, "sensor", [0]):
         return
     with session.rig_of(with_hand=False):
         for axis in range(len(session.axes)):
             session.note_objects(axis)
             _rest(session, axis)
-    asked = "hold the handle, and push and pull while it shakes slightly. Start?"
     with session.rig_of(with_hand=True):
         for axis, of in enumerate(session.axes):
-            if session.stop_requested() or not session.agreed(
-                f"{of.parameters.name}: {asked}", "velocity loop", [axis]
-            ):
+            asked = f"{of.parameters.name}: hold the handle, and push and pull while it shakes slightly. Start?"
+            if session.stop_requested() or not session.agreed(asked, "velocity loop", [axis]):
                 return
             _loop(session, axis)
 
@@ -99,17 +94,16 @@ def _rest(session: Session, axis: int) -> None:
 def _loop(session: Session, axis: int) -> None:
     """Measure mass and gains of a drive, sign and latency of its sensor."""
     given, bus = session.axes[axis].parameters, session.scene.bus
-    lowest, highest, seconds = _CHIRP
+    lowest, highest, seconds = 2.0, 40.0, 8.0
     amplitude = min(_AMPLITUDE, 0.5 * (given.speed_limit or _AMPLITUDE), session.limits.speed)
     speeds = sweep(amplitude, lowest, min(highest, 0.1 / session.sample_time), seconds, session.sample_time)
     travel = session.limits.model_copy(update={"travel": _TRAVELS * session.limits.travel})
     law = session.play(axis, speeds, len(speeds) + 2, limits=travel)
     if session.stop_requested():
-        session.not_tried("velocity loop", [axis])
-        return
+        return session.not_tried("velocity loop", [axis])
     if law.tripped:
-        session.found(axis, "velocity loop", "", law.tripped, StepVerdict.UNKNOWN, "push less, or raise --travel")
-        return
+        text = "push less, or raise --travel"
+        return session.found(axis, "velocity loop", "", law.tripped, StepVerdict.UNKNOWN, text)
     commands = np.concatenate([np.zeros(1 + bus.delay), speeds])[: len(law.positions)]
     is_mean = given.admittance is not None and given.admittance.force.sampling != "point"
     fit = _fitted(law, commands, session.sample_time, is_mean=is_mean)
@@ -125,18 +119,10 @@ def _fitted(law: OpenLoop, commands: Array, time: float, *, is_mean: bool) -> _F
     way = np.diff(position)
     speed, lead = _weighted(way / time, holds), np.concatenate([[0.0], np.cumsum(acted * time - way)])
     change = (position[2 * half :] - 2.0 * position[half:-half] + position[: -2 * half]) / (half * time) ** 2
-    rows = np.stack(
-        [
-            change,
-            speed - _weighted(acted, holds),
-            -_weighted(lead, syncs),
-            np.sign(speed),
-            np.ones(len(speed)),
-        ],
-        1,
-    )
+    lag, lead = speed - _weighted(acted, holds), -_weighted(lead, syncs)
+    rows = np.stack([change, lag, lead, np.sign(speed), np.ones(len(speed))], 1)
     pushed = _weighted(force[1:], holds) if is_mean else _weighted(force, syncs)
-    best: _Fit | None = None
+    fits: list[_Fit] = []
     for latency in range(_LATEST + 1):
         shown = pushed[latency:]
         part = rows[: len(shown)]
@@ -146,12 +132,10 @@ def _fitted(law: OpenLoop, commands: Array, time: float, *, is_mean: bool) -> _F
         alike = 2.0 * half  # rows that share samples count once
         spread = np.sqrt(np.diag(np.linalg.inv(part.T @ part)) * square * alike)
         doubt = max(abs(spread[:2] / found[:2]).tolist())
-        if best is None or square < best.square:
-            mass, gain, integral, friction = found[:4].tolist()
-            best = _Fit(mass, gain, integral, abs(friction) + SURE * spread.item(3), doubt, square, latency)
-    if best is None:
-        raise InputError("commission: got no samples, expected several seconds of samples")
-    return best
+        mass, gain, integral, friction = found[:4].tolist()
+        friction = abs(friction) + SURE * spread.item(3)
+        fits.append(_Fit(mass, gain, integral, friction, doubt, square, latency))
+    return min(fits, key=lambda fit: fit.square)
 
 
 def _weighted(values: Array, weights: Array) -> Array:
@@ -166,16 +150,14 @@ def _judge(session: Session, axis: int, fit: _Fit) -> None:
         return
     if fit.doubt > _SURE:
         text = "push and pull harder and more slowly while it shakes: the hand's forces separate mass from gain"
-        session.found(axis, "velocity loop", "", f"uncertain by {fit.doubt:.0%}", StepVerdict.UNKNOWN, text)
-        return
+        return session.found(axis, "velocity loop", "", f"uncertain by {fit.doubt:.0%}", StepVerdict.UNKNOWN, text)
     right = fit.gain > 0.0
     session.judged(
         axis, "sign of the force", f"{given.force.per_count:g}", "as configured" if right else "the other way",
         good=right, text="per_count: the display would push against the hand", otherwise=StepVerdict.FAILED,
     )  # fmt: skip
     if not right:
-        session.propose(axis, "admittance.force.per_count", -given.force.per_count, "N" if linear else "N*m")
-        return
+        return session.propose(axis, "admittance.force.per_count", -given.force.per_count, "N" if linear else "N*m")
     late, text = given.force.latency, "the force would be booked with the motion of another hold"
     found = f"{fit.latency} samples"
     session.judged(axis, "latency of the force", f"{late} samples", found, good=late == fit.latency, text=text)
@@ -217,10 +199,9 @@ def _judge_friction(session: Session, axis: int, found: float, declared: Guarded
     value = f"{found:.3g} {unit}"
     if declared is None or declared.drive_friction is None:
         text = "with drive_friction, an over-estimate, force and motion are compared in every run"
-        session.found(axis, item, "", value, StepVerdict.MEASURED, text)
-        return
+        return session.found(axis, item, "", value, StepVerdict.MEASURED, text)
     good = found <= declared.drive_friction
     stated = f"{declared.drive_friction:.3g} {unit}, an over-estimate"
     session.judged(axis, item, stated, value, good=good, text="not an over-estimate")
     if not good:
-        session.propose(axis, "passivity.drive_friction", _SAFE_FRICTION * found, unit, "1.3 times: friction at rest")
+        session.propose(axis, "passivity.drive_friction", 1.3 * found, unit, "1.3 times: friction at rest")

@@ -33,12 +33,6 @@ _FEWEST_OF_A_RANGE: Final = 8
 """Windows in each direction that a range of speed needs."""
 _OVERLAP: Final = 2.0
 """Windows begin every quarter of their length: n of them hold the information of n / 4 that do not overlap."""
-_PARTS: Final = 8
-"""Parts of a window; the axis must move on in each."""
-_REVERSAL_PARTS: Final = 4
-"""The same for a window about a reversal of the torque, which is short."""
-_SLOWEST: Final = 0.2
-"""Part of the fastest motion below which a window says nothing of a late torque: the axis sticks or turns in it."""
 _STILL: Final = 1e-12  # [m or rad] in one sample time: the sign of the speed is then 0
 
 
@@ -123,7 +117,7 @@ def friction_curve(positions: _Array, applied: _Array, sample_time: float, half_
 
 
 def _one_way(
-    positions: _Array, half_base: int, stride: int, count: int = _PARTS, slowest: float = 0.0
+    positions: _Array, half_base: int, stride: int, count: int = 8, slowest: float = 0.0
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Starts of the windows in which the axis moves one way in every part, and that direction, 1 or -1.
 
@@ -154,13 +148,13 @@ def estimate_lateness(
     A torque that reverses while the axis is fastest shows most (`laws.reversals`): friction that reverses or sticks in
     a window would be mistaken for a late torque. Arguments as for `estimate`; None when the motion was too small.
     """
-    starts, ways = _one_way(positions, half_base, half_base // 4, _REVERSAL_PARTS, _SLOWEST)
+    # A window about a reversal is short; in one with less than a fifth of the fastest motion the axis sticks or turns.
+    starts, ways = _one_way(positions, half_base, half_base // 4, 4, 0.2)
     if len(starts) < _FEWEST_EQUATIONS:
         return None
     matrix, torque = _equations(positions, applied, sample_time, half_base, starts)
     matrix[:, 2] = ways  # a coarse encoder shows no direction in some holds
-    window = starts[:, None] + np.arange(2 * half_base)[None, :]
-    changes = (np.diff(applied, prepend=applied[0])[1:][window] @ _triangle(half_base)) / sample_time
+    changes = _in_windows(np.diff(applied, prepend=applied[0])[1:], starts, half_base) / sample_time
     solved = _solve(np.column_stack([matrix, changes]), torque)
     return None if solved is None else (solved[0][-1], solved[1][-1])
 
@@ -177,8 +171,7 @@ def mass_within(positions: _Array, applied: _Array, sample_time: float, half_bas
     if len(starts) < _FEWEST_EQUATIONS or np.ptp(positions) == 0.0:
         return None
     matrix, torque = _equations(positions, applied, sample_time, half_base, starts)
-    window = starts[:, None] + np.arange(2 * half_base)[None, :]
-    changes = np.diff(applied, prepend=applied[0])[1:][window] @ _triangle(half_base)
+    changes = _in_windows(np.diff(applied, prepend=applied[0])[1:], starts, half_base)
     used = (0, 2, 3) if np.ptp(matrix[:, 2]) > 0.0 else (0, 3)  # too short for damping; friction only where it turns
     solved = _solve(np.column_stack([matrix[:, used], changes]), torque)
     return None if solved is None else (solved[0][0], _OVERLAP * solved[1][0])
@@ -188,21 +181,21 @@ def _equations(
     positions: _Array, applied: _Array, sample_time: float, half_base: int, starts: NDArray[np.int64]
 ) -> tuple[_Array, _Array]:
     """Columns of m, b, c and f, and the mean torques they sum to."""
-    holds = _triangle(half_base)  # weights of the 2 n holds, sum 1
     step = np.diff(positions)
-    window = starts[:, None] + np.arange(2 * half_base)[None, :]
     middle, end = positions[starts + half_base], positions[starts + 2 * half_base]
     acceleration = (end - 2.0 * middle + positions[starts]) / (half_base * sample_time) ** 2
-    velocity = (step[window] @ holds) / sample_time
-    direction = np.where(np.abs(step) > _STILL, np.sign(step), 0.0)[window] @ holds
+    velocity = _in_windows(step, starts, half_base) / sample_time
+    direction = _in_windows(np.where(np.abs(step) > _STILL, np.sign(step), 0.0), starts, half_base)
     matrix = np.column_stack([acceleration, velocity, direction, np.ones(len(starts))])
-    return matrix, applied[1:][window] @ holds
+    return matrix, _in_windows(applied[1:], starts, half_base)
 
 
-def _triangle(half_base: int) -> _Array:
-    """Return the mean weight of each hold under a triangle that rises and falls over `half_base` holds each."""
+def _in_windows(values: _Array, starts: NDArray[np.int64], half_base: int) -> _Array:
+    """Return the mean of each window under a triangle that rises and falls over `half_base` holds each, shape (n,)."""
     rising = np.arange(half_base) + 0.5
-    return np.concatenate([rising, rising[::-1]]) / half_base**2
+    weights = np.concatenate([rising, rising[::-1]]) / half_base**2  # their sum is 1
+    means: _Array = values[starts[:, None] + np.arange(2 * half_base)[None, :]] @ weights
+    return means
 
 
 def _solve(matrix: _Array, torque: _Array) -> tuple[list[float], list[float], float] | None:
@@ -264,18 +257,16 @@ def propose_allowance(session: Session, axis: int, known: Mapping[str, float]) -
     timing = {each.key[10:]: each.value for each in mine if isinstance(each.value, float)}
     loop = with_declared(scene, {**known, **{name: timing[name] for name in _TIMES if name in timing}}).loop
     energy = hints.advised_allowance(loop, hand_force, getattr(scene.passivity.parameters, "max_consecutive_losses", 0))
-    if energy >= _NOTICED:
+    if energy >= 1e-6:  # 0.2 kg at 3 mm/s; less lets no wall engage sooner that anybody would feel
         session.propose(axis, key, energy, "J", hints.allowance_words(energy, loop, scene.parameters.unit))
 
 
-_NOTICED: Final = 1e-6  # [J]: 0.2 kg at 3 mm/s; less lets no wall engage sooner that anybody would feel
 _TIMES: Final = ("sync_jitter", "torque_window", "current_lag")
 _ITEM: Final = "torque lag"
 _SHORTEST: Final = 16  # cycles of the first part of the longest doublet
 _LONGEST: Final = 60
 _DOUBLETS: Final = (32, 64, 128, 256, 512)
 """Lengths of the tests, one after the other until the hold is known and the wall can be judged."""
-_LONGEST_TEST: Final = 60.0  # [s]
 _OVER: Final = 1.1
 _EARLY: Final = 3.0  # standard deviations below 0 from which on a torque acts before its SYNC
 
@@ -304,17 +295,15 @@ def time_the_torque(
     if not session.agreed(f"{name}: hands off. Reversals of {session.shown(axis, torque)}, now?", _ITEM, [axis]):
         return
     before: int | None = None  # the hold by the test before
-    counts = [count for count in _DOUBLETS if 3 * longest * count * session.sample_time <= _LONGEST_TEST]
+    counts = [count for count in _DOUBLETS if 3 * longest * count * session.sample_time <= 60.0]
     for count in counts:
         law = session.play_within(axis, _ITEM, partial(reversals, longest=longest, count=count), torque)
         if session.stop_requested():
-            session.not_tried(_ITEM, [axis])
-            return
+            return session.not_tried(_ITEM, [axis])
         late = None if law.tripped else _lateness(session, axis, law, longest // 3)
         if late is None:
             text = f"{law.tripped or 'too little motion'}; raise --travel or --torque"
-            session.found(axis, _ITEM, "", "unclear", StepVerdict.UNKNOWN, text)
-            return
+            return session.found(axis, _ITEM, "", "unclear", StepVerdict.UNKNOWN, text)
         times = time_the_hold(session, axis, law, longest // 3)
         is_last, hold = count == counts[-1], times.hold
         is_told, before = times.is_sure or (hold is not None and (is_last or hold == before)), hold
@@ -405,7 +394,6 @@ def _propose(session: Session, axis: int, lag: float | None, known: Mapping[str,
     allowance = needed_allowance(scene, session.limits.speed, without, lagging)
     text = f"current_lag {lag * 1e6:.3g} us leaves no energy to start a contact"
     if allowance is None:
-        session.found(axis, "wall", "", "not rendered", StepVerdict.DIFFERS, f"{text}; render a softer wall")
-        return
+        return session.found(axis, "wall", "", "not rendered", StepVerdict.DIFFERS, f"{text}; render a softer wall")
     session.found(axis, "wall", "", f"needs energy_allowance {allowance:.3g} J", StepVerdict.MEASURED, text)
     session.propose(axis, "passivity.energy_allowance", allowance, "J", f"{text}; this much may be given out")

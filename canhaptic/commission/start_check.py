@@ -5,14 +5,13 @@ from dataclasses import replace
 from typing import Final
 
 from canhaptic.commission.mass_and_friction import time_the_torque
-from canhaptic.commission.session import CommissioningLimits, Report, Session, StepVerdict, Unattended
+from canhaptic.commission.session import CommissioningLimits, Session, StepVerdict, Unattended
 from canhaptic.commission.torque_tests import largest_torque
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import StartError
 from canhaptic.scene.models import Scene
 
 _ANNOUNCED: Final = 3.0  # [s] before a real drive moves
-_LOOK: Final = 0.05  # [s] between two looks at the operator's stop
 
 
 def checked_holds(scene: Scene, tell: Callable[[str], None], stop_requested: Callable[[], bool]) -> Scene:
@@ -39,7 +38,9 @@ def checked_holds(scene: Scene, tell: Callable[[str], None], stop_requested: Cal
         for axis in asked:
             if not stop_requested():
                 time_the_torque(session, axis, largest_torque(session, axis), scene.axes[axis].loop.moving_mass or 1.0)
-    _refuse_other_holds(session.report)
+    for row in session.report.findings:
+        if row.verdict in (StepVerdict.DIFFERS, StepVerdict.FAILED):
+            raise StartError(row.axis, f"check_hold: {row.item}", row.found, row.configured, row.text)
     found = {value.axis: value.value for value in session.report.values if value.key == "hold_checked"}
     axes, overrides = list(scene.axes), list(scene.overrides)
     for axis in asked:
@@ -48,12 +49,6 @@ def checked_holds(scene: Scene, tell: Callable[[str], None], stop_requested: Cal
         axes[axis] = replace(axes[axis], parameters=given.model_copy(update={"hold_checked": known}))
         overrides.append(f"axes.{axis}.hold_checked={known or 'null'}")
     return replace(scene, axes=tuple(axes), overrides=tuple(overrides))
-
-
-def _refuse_other_holds(report: Report) -> None:
-    for row in report.findings:
-        if row.verdict in (StepVerdict.DIFFERS, StepVerdict.FAILED):
-            raise StartError(row.axis, f"check_hold: {row.item}", row.found, row.configured, row.text)
 
 
 class _Announced(Unattended):
@@ -70,5 +65,5 @@ class _Announced(Unattended):
         clock = WallClock()
         end = clock.now() + round(_ANNOUNCED * 1e9)
         while self._waits and clock.now() < end and not self._stop_requested():
-            clock.wait_until(clock.now() + round(_LOOK * 1e9))
+            clock.wait_until(clock.now() + 50_000_000)  # [ns] between two looks at the stop
         return not self._stop_requested()

@@ -21,17 +21,9 @@ from canhaptic.commission.mass_and_friction import (
 from canhaptic.commission.session import OpenLoop, Session, StepVerdict, doublet, sweep
 
 _PULSE: Final = 0.04  # [s]
-_REST: Final = 0.2  # [s] after a pulse
-_SEEN_COUNTS: Final = 20  # of motion in the first part of a pulse: enough to know its sign
 _SWEEP: Final = (2.0, 8.0, 4.0)  # [Hz] first and last, [s]
-_LONGEST_SWEEP: Final = 4  # times the first, where the wall asks for a better estimate
-_HALF_BASE: Final = 0.02  # [s] of the weights of the estimate
 _DERATING: Final = 0.5
 """Certain part of the braking force that was measured: warmth, grease and wear reduce it."""
-_SHAKES: Final = 64  # of one sign or the other
-_RESOLVED_COUNTS: Final = 20  # of motion in one part of a shake: quantisation then changes the mass by 0.1 %
-_RIGID: Final = 0.1
-"""Largest relative difference between the masses of a fast and of a slow motion on a stiff axis."""
 MASS_UNITS: Final = {"m": "kg", "rad": "kg*m^2"}
 _UNDER: Final = 0.9
 _OVER: Final = 2.0
@@ -69,18 +61,16 @@ def pulse(session: Session, axis: int) -> Pulse | None:
     """
     parameters = session.axes[axis].parameters
     torque, most = session.quanta[axis], max(session.quanta[axis], largest_torque(session, axis))
-    asked = (
-        f"{parameters.name}: let go of the handle. Pulses of {4 * _PULSE:g} s, from {session.shown(axis, torque)} to "
-        f"{session.shown(axis, most)} while nothing moves, now?"
-    )
+    pulses = f"Pulses of {4 * _PULSE:g} s, from {session.shown(axis, torque)} to {session.shown(axis, most)}"
+    asked = f"{parameters.name}: let go of the handle. {pulses} while nothing moves, now?"
     if not session.agreed(asked, "torque sign", [axis]):
         return None
     cycles = session.cycles(_PULSE)
     while True:
         session.coast(axis)
-        law = session.play(axis, doublet(torque, cycles), 4 * cycles + session.cycles(_REST))
+        law = session.play(axis, doublet(torque, cycles), 4 * cycles + session.cycles(0.2))
         moved = _first_motion(law, cycles)
-        seen = abs(moved) * parameters.counts_per_unit >= _SEEN_COUNTS
+        seen = abs(moved) * parameters.counts_per_unit >= 20.0  # enough to know its sign
         if seen or law.tripped or torque >= most or session.stop_requested():
             break
         torque = min(most, 2.0 * torque)
@@ -94,9 +84,8 @@ def pulse(session: Session, axis: int) -> Pulse | None:
         return None
     if not seen:
         text = "more friction than torque, a brake, or no current; raise --torque with care"
-        session.found(
-            axis, "torque sign", "+", f"no motion at {session.shown(axis, torque)}", StepVerdict.UNKNOWN, text
-        )
+        found = f"no motion at {session.shown(axis, torque)}"
+        session.found(axis, "torque sign", "+", found, StepVerdict.UNKNOWN, text)
         return None
     right = moved > 0.0
     text = "torque and encoder disagree: every wall would pull in. Swap two motor phases, or change 0x607E"
@@ -126,7 +115,7 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
     asked = f"{parameters.name}: hands off. A sweep of {sent}, {lowest:g} to {highest:g} Hz, now?"
     if not session.agreed(asked, "moving mass", [axis]):
         return
-    for times in (1, 2, _LONGEST_SWEEP):
+    for times in (1, 2, 4):  # longer where the wall asks for a better estimate
         record = _swept(session, axis, amplitude, times * duration)
         if record is None:
             return
@@ -138,8 +127,7 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
         session.dialogue.tell(f"  {parameters.name}: moving mass, friction: not known well enough for the wall")
     if found is None or found.mass <= SURE * found.mass_error:
         text = f"too little motion to separate it from friction; raise {limit}, which limits the torque of the sweep"
-        session.found(axis, "moving mass", "", "unclear", StepVerdict.UNKNOWN, text)
-        return
+        return session.found(axis, "moving mass", "", "unclear", StepVerdict.UNKNOWN, text)
     rigid = _of_rotor(session, axis, found)
     if rigid is not None:
         _report_mass(session, axis, rigid)
@@ -173,7 +161,7 @@ def _swept(
         session.found(axis, "moving mass", "", found, StepVerdict.UNKNOWN, law.tripped)
         return None
     positions = np.array(law.positions) / session.encoder_ratios[axis]  # a wrong encoder is not a wrong mass
-    return positions, np.array(law.applied), session.sample_time, max(2, session.cycles(_HALF_BASE))
+    return positions, np.array(law.applied), session.sample_time, max(2, session.cycles(0.02))
 
 
 def declared_of(found: Dynamics, curve: FrictionCurve | None) -> dict[str, float]:
@@ -205,15 +193,18 @@ def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
     """
     parameters, torque = session.axes[axis].parameters, largest_torque(session, axis)
     item, unit = "mass on a shaft", MASS_UNITS[parameters.unit]
-    resolved = _RESOLVED_COUNTS / parameters.counts_per_unit * found.mass / torque
+    # 20 counts of motion in one part of a shake: quantisation then changes the mass by 0.1 %
+    resolved = 20.0 / parameters.counts_per_unit * found.mass / torque
     holds = max(1, math.ceil(math.sqrt(resolved) / session.sample_time))
     asked = f"{parameters.name}: hands off. A shake of {session.shown(axis, torque)}, now?"
     if not session.agreed(asked, item, [axis]):
         return found
-    signs = np.random.default_rng(1).choice([-1.0, 1.0], _SHAKES)
-    law = session.play_within(
-        axis, item, lambda most: [part for sign in signs for part in doublet(float(sign) * most, holds)], torque
-    )
+    signs = np.random.default_rng(1).choice([-1.0, 1.0], 64)
+
+    def shakes(most: float) -> list[float]:
+        return [part for sign in signs for part in doublet(float(sign) * most, holds)]
+
+    law = session.play_within(axis, item, shakes, torque)
     positions = np.array(law.positions) / session.encoder_ratios[axis]
     within = mass_within(positions, np.array(law.applied), session.sample_time, holds)
     if within is None or law.tripped:
@@ -222,7 +213,7 @@ def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
         return found
     (mass, error), fastest = within, 0.25 / (holds * session.sample_time)
     seen = f"{mass:.3g} {unit} at {fastest:.3g} Hz, {found.mass:.3g} slowly"
-    if abs(mass / found.mass - 1.0) <= _RIGID:
+    if abs(mass / found.mass - 1.0) <= 0.1:  # of a fast and of a slow motion on a stiff axis
         session.found(axis, item, "", f"none: {seen}", StepVerdict.AGREES, f"no resonance below {fastest:.3g} Hz")
         return found
     if SURE * error < mass < found.mass:
@@ -237,16 +228,10 @@ def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
 def _report_mass(session: Session, axis: int, found: Dynamics) -> None:
     mass_unit = MASS_UNITS[session.axes[axis].parameters.unit]
     declared = session.axes[axis].loop.moving_mass
-    text = f"+- {found.mass_error:.2g}"
-    if declared is None:
-        verdict = StepVerdict.MEASURED
-    elif declared <= found.mass + SURE * found.mass_error:
-        verdict = StepVerdict.AGREES
-    else:
-        verdict, text = (
-            StepVerdict.FAILED,
-            f"{text}; moving_mass must not exceed the real value, or guarded is not passive",
-        )
+    verdict, text = StepVerdict.MEASURED if declared is None else StepVerdict.AGREES, f"+- {found.mass_error:.2g}"
+    if declared is not None and declared > found.mass + SURE * found.mass_error:
+        verdict = StepVerdict.FAILED
+        text = f"{text}; moving_mass must not exceed the real value, or guarded is not passive"
     configured = "" if declared is None else f"at most {declared:.4g} {mass_unit}"
     session.found(axis, "moving mass", configured, f"{found.mass:.4g} {mass_unit}", verdict, text)
 
@@ -254,10 +239,8 @@ def _report_mass(session: Session, axis: int, found: Dynamics) -> None:
 def _report_friction(session: Session, axis: int, found: Dynamics) -> None:
     motion = session.axes[axis].parameters.unit
     unit = effort_unit(motion)
-    text = f"+- {found.damping_error:.2g}"
-    session.found(
-        axis, "viscous friction", "", f"{found.damping:.3g} {damping_unit(motion)}", StepVerdict.MEASURED, text
-    )
+    text, seen = f"+- {found.damping_error:.2g}", f"{found.damping:.3g} {damping_unit(motion)}"
+    session.found(axis, "viscous friction", "", seen, StepVerdict.MEASURED, text)
     text = f"+- {found.friction_error:.2g}; constant load {found.offset:.2g} {unit}, rest {found.residual:.2g} {unit}"
     session.found(axis, "dry friction", "", f"{found.friction:.3g} {unit}", StepVerdict.MEASURED, text)
 
@@ -277,8 +260,7 @@ def _report_least_friction(session: Session, axis: int, found: Dynamics, curve: 
     item, motion = "dry friction, least", session.axes[axis].parameters.unit
     if curve is None or curve.falls_at_its_end(SURE):
         text = "too little motion in both directions" if curve is None else "it falls up to the fastest speed"
-        session.found(axis, item, "", "unclear", StepVerdict.UNKNOWN, f"{text}; raise --torque or --travel")
-        return
+        return session.found(axis, item, "", "unclear", StepVerdict.UNKNOWN, f"{text}; raise --torque or --travel")
     least, unit = curve.least(_sure_damping(found), SURE), effort_unit(motion)
     seen = f"at {curve.speeds[0]:.2g} to {curve.speeds[-1]:.2g} {motion}/s, certain to two deviations (98 %)"
     declared = session.axes[axis].loop.device_friction

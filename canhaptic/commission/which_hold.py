@@ -16,6 +16,7 @@ and one that reports its torque a hold early look the same in the torques alone.
 
 import math
 from collections.abc import Iterable
+from itertools import product
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -31,16 +32,10 @@ _FEWEST: Final = 8  # windows
 _BEFORE: Final = 8  # sample times before a window in which a change of torque still counts
 _SURE: Final = 5.0  # standard deviations
 _UNEXPLAINED: Final = 2.0  # of the noise of a mean: more is not noise
-_ODD: Final = 40.0  # the same where nearly one delay is left even if all of it is counted as noise
 _DELAYS: Final = np.arange(-13, 29) * 0.1  # [sample times]
-_WIDEST: Final = 0.95  # [sample times] of what a delay may be
 _NARROW: Final = 0.6  # [sample times] from which on no better model is tried
-_SLOWEST_LAG: Final = 1.5e-3  # [s] of a current loop
-_PROCESSING: Final = 0.2  # [sample times] that a drive may take after its SYNC
 _MARGIN: Final = 0.05  # [sample times]
 _LATEST: Final = 2  # SYNCs late
-_RESONANCES: Final = np.geomspace(0.12, 2.6, 36)  # [rad / sample time]
-_DAMPINGS: Final = (0.01, 0.06, 0.2)
 _GOLDEN: Final = 0.382
 
 
@@ -59,16 +54,14 @@ class TorqueDelay(NamedTuple):
         Args:
             reaction: Longest time from a SYNC to the arrival of its RPDO [sample times].
         """
-        if not self.is_explained or self.high - self.low > _WIDEST:
+        if not self.is_explained or self.high - self.low > 0.95:
             return None
-        begins = {-1: min(reaction, 1.0), **dict.fromkeys(range(_LATEST + 1), _PROCESSING)}
+        begins = {-1: min(reaction, 1.0), **dict.fromkeys(range(_LATEST + 1), 0.2)}  # the drive's processing
         possible = [
             hold for hold, after in begins.items() if self.low <= hold + after + _MARGIN and self.high >= hold - _MARGIN
         ]
-        if possible:
-            return possible[0] if len(possible) == 1 else None
-        within = {math.floor(end + _MARGIN) for end in (self.low, self.high)}
-        return within.pop() if len(within) == 1 else None
+        within = possible or {math.floor(end + _MARGIN) for end in (self.low, self.high)}
+        return next(iter(within)) if len(within) == 1 else None
 
 
 class _Windows(NamedTuple):
@@ -103,7 +96,7 @@ def estimate_delay(positions: _Array, torques: _Array, sample_time: float, half_
     windows = _windows(positions, torques, half_base)
     if windows is None:
         return None
-    most = _SLOWEST_LAG / sample_time
+    most = 1.5e-3 / sample_time  # slowest current loop
     found, score = _profile(windows, _model(half_base, None), most)
     if score <= _UNEXPLAINED and found.high - found.low <= _NARROW:
         return found
@@ -197,23 +190,22 @@ def _profile(windows: _Windows, model: _Model, most: float) -> tuple[TorqueDelay
     score = max(1.0, windows.number * float(mean @ mean) / (variance * model.freedom))
     possible = _DELAYS[[value - least <= _SURE**2 * variance * score for value, _ in found]]
     low, high = float(possible.min()) - _MARGIN, float(possible.max()) + _MARGIN
-    is_explained = score <= (_UNEXPLAINED if high - low > _NARROW else _ODD)
+    is_explained = score <= (_UNEXPLAINED if high - low > _NARROW else 40.0)  # one delay is left, were it noise
     return TorqueDelay(float(_DELAYS[place]), low, high, lag, is_explained), score
 
 
 def _resonant(windows: _Windows, most: float) -> _Model:
     """Return the model with the resonance that explains the motion best."""
-    models = [_model(windows.half, (float(root), damping)) for root in _RESONANCES for damping in _DAMPINGS]
+    roots = np.geomspace(0.12, 2.6, 36)  # [rad / sample time]
+    models = [_model(windows.half, (float(root), damping)) for root in roots for damping in (0.01, 0.06, 0.2)]
     starts = [(float(delay), lag) for delay in range(-1, _LATEST + 1) for lag in (0.05, 0.4 * most)]
     best, at = _best_of(windows, models, starts)
     for width in (0.03, 0.01, 0.003):
         root, damping = best.mode or (0.0, 0.0)
-        near = [
-            (root * (1.0 + step * width), min(0.9, damping * factor))
-            for step in (-2, -1, 0, 1, 2)
-            for factor in (0.6, 0.8, 1.0, 1.25, 1.6)
-        ]
-        best, at = _best_of(windows, [_model(windows.half, mode) for mode in near], [at])
+        around = [root * (1.0 + step * width) for step in (-2, -1, 0, 1, 2)]
+        dampings = [min(0.9, damping * factor) for factor in (0.6, 0.8, 1.0, 1.25, 1.6)]
+        models = [_model(windows.half, mode) for mode in product(around, dampings)]
+        best, at = _best_of(windows, models, [at])
         lags = [(_best_lag(windows, best, at[0] + step, most), at[0] + step) for step in (-0.4, -0.2, 0.0, 0.2, 0.4)]
         (_, lag), delay = min(lags)
         at = delay, lag
@@ -223,14 +215,9 @@ def _resonant(windows: _Windows, most: float) -> _Model:
 def _best_of(
     windows: _Windows, models: Iterable[_Model], starts: Iterable[tuple[float, float]]
 ) -> tuple[_Model, tuple[float, float]]:
-    tried = [(_left(windows, model, *start)[0], model, start) for model in models for start in starts]
-    _, model, start = min(tried, key=lambda one: one[0])
-    return model, start
+    return min(product(models, starts), key=lambda tried: _left(windows, tried[0], *tried[1])[0])
 
 
-_SHARP: Final = 0.65  # [sample times]
-_OLDEST: Final = 5  # SYNCs from a command to the sample that ends its hold
-_CLEAR: Final = 0.25  # of the changes of torque: the right age must explain all but this part of them
 _LATE: Final = "acts_a_sync_late"
 _MOTION, _SHOWN, _BOOKED = "command to motion", "command to read-back", "read-back to motion"
 
@@ -247,7 +234,7 @@ class HoldTimes(NamedTuple):
     @property
     def is_sure(self) -> bool:
         """Whether one test is enough to determine the hold."""
-        return self.hold is not None and self.motion is not None and self.motion.high - self.motion.low <= _SHARP
+        return self.hold is not None and self.motion is not None and self.motion.high - self.motion.low <= 0.65
 
     @property
     def closes(self) -> bool:
@@ -290,9 +277,9 @@ def as_declared(session: Session, axis: int, law: OpenLoop) -> _Array:
 def _age(commands: _Array, shown: _Array) -> int | None:
     """Return how many samples after its command a torque is shown; None: unclear."""
     changes, steps = np.diff(commands, prepend=0.0), np.diff(shown, prepend=0.0)
-    shifted = [np.concatenate([np.zeros(age), changes])[: len(steps)] for age in range(_OLDEST + 1)]
+    shifted = [np.concatenate([np.zeros(age), changes])[: len(steps)] for age in range(6)]
     errors = [float(np.abs(steps - older).sum()) for older in shifted]
-    is_clear = min(errors) <= _CLEAR * float(np.abs(changes).sum())
+    is_clear = min(errors) <= 0.25 * float(np.abs(changes).sum())  # the right age explains all but this part
     return errors.index(min(errors)) if is_clear else None
 
 
@@ -301,8 +288,7 @@ def report_hold(session: Session, axis: int, times: HoldTimes) -> None:
     begin = session.axes[axis].loop.delay
     _report_motion(session, axis, begin, times)
     if not times.is_read_back:
-        session.found(axis, _SHOWN, "", "none", StepVerdict.UNKNOWN, "no torque is read back")
-        return
+        return session.found(axis, _SHOWN, "", "none", StepVerdict.UNKNOWN, "no torque is read back")
     if times.shown is None:
         text = "the torque is filtered, noisy or not followed; ask the vendor"
         session.found(axis, _SHOWN, f"{begin} SYNC", "unclear", StepVerdict.UNKNOWN, text)

@@ -38,8 +38,6 @@ _HALT: Final = int(od.Controlword.ENABLE_OPERATION) | 1 << 8
 _ATTAINED: Final = 1 << 12 | int(StatusBit.TARGET_REACHED)  # in homing mode
 _ERROR: Final = 1 << 13
 _SETTLED: Final = 100_000_000  # [ns] after which a drive has taken an older result out of its statusword, or halted
-_TOO_FAST: Final = 2.0  # times the speed asked for; a drive may overshoot
-_FAST_SYNCS: Final = 5  # in a row: the new zero makes one step
 
 
 class HomingOrder(NamedTuple):
@@ -165,16 +163,15 @@ def home(drive: HomingDrive, stopped: Callable[[], bool]) -> tuple[int, int] | N
 def _await_home(rig: Rig, drive: HomingDrive, stopped: Callable[[], bool]) -> str | None:
     """Start the homing, and return its problem; "" where the home was attained, None where it was stopped."""
     order, rate = drive.order, drive.axis.counts_per_unit
-    most = _TOO_FAST * max(order.speeds) * rig.bus.sample_time + 2.0 / rate
-    is_new = order.method in _STILL  # these may show the result of an older homing again
+    most = 2.0 * max(order.speeds) * rig.bus.sample_time + 2.0 / rate
     last, fast = _cycle(rig), 0
-    is_new = is_new or drive.statusword & _ATTAINED != _ATTAINED
+    is_new = order.method in _STILL or drive.statusword & _ATTAINED != _ATTAINED  # an older result may show again
     begin = rig.clock.now()
     drive.controlword = _START
     while not stopped():
         position = _cycle(rig)
         fast, last = fast + 1 if abs(position - last) > most * rig.periods else 0, position
-        if fast >= _FAST_SYNCS:
+        if fast >= 5:  # in a row: the new zero makes one step
             return "it moved more than twice as fast as asked: 0x6099 is not in counts per second, or a force moves it"
         is_attained, elapsed = drive.statusword & _ATTAINED == _ATTAINED, rig.clock.now() - begin
         is_new = is_new or not is_attained

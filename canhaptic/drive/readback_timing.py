@@ -20,8 +20,6 @@ Reported = Literal["before", "after"]
 _CLEAR: Final = 0.25  # of the changes of torque: the right alignment must explain all but this part of them
 _LEAST_CHANGES: Final = 8
 _LEAST_COUNTS: Final = 3  # amplitude of the probe in counts of 0x6071, so that rounding does not hide it
-_REGISTER_SEED: Final = 0b1011
-_REGISTER_TAPS: Final = 0b110000  # of x^6 + x^5 + 1: 63 steps until it repeats
 
 
 class ReadBackTiming(NamedTuple):
@@ -56,32 +54,26 @@ def detect_read_back(
     if changes < _LEAST_CHANGES:
         text = f"got {changes} changes of torque with an answer, expected at least {_LEAST_CHANGES}; probe longer"
         return ReadBackTiming(None, 0.0, 0.0, changes, text)
-    errors = before / change, after / change
-    return ReadBackTiming(*_judged(errors[0], errors[1], rpdo), changes, _text(errors, rpdo))
+    before, after = before / change, after / change
+    return ReadBackTiming(*_judged(before, after, rpdo), changes, _text(before, after, rpdo))
 
 
 def _judged(before: float, after: float, rpdo: str) -> tuple[Reported | None, float, float]:
     """Return the alignment that explains the torques, and both errors."""
     if after <= _CLEAR:
         return ("after" if rpdo == "synchronous" else "before"), before, after
-    if before <= _CLEAR and rpdo == "synchronous":
-        return "before", before, after
-    return None, before, after
+    return "before" if before <= _CLEAR and rpdo == "synchronous" else None, before, after
 
 
-def _text(errors: tuple[float, float], rpdo: str) -> str:
-    before, after = errors
+def _text(before: float, after: float, rpdo: str) -> str:
     seen = f"error {before:.3g} of the changes against the torque two SYNCs old, {after:.3g} against the last"
-    if min(errors) > _CLEAR:
-        return (
-            f"{seen}, expected one at most {_CLEAR:g}; the torque is filtered, noisy or not followed: a larger probe "
-            "or a lower rate may help, else ask the vendor"
-        )
-    if rpdo == "event":
-        if after <= _CLEAR:
-            return f"{seen}; with an event-driven RPDO before and after are the same"
-        return f"{seen}; with an event-driven RPDO the last is expected, the drive is one SYNC late"
-    return seen
+    if min(before, after) > _CLEAR:
+        remedy = "a larger probe or a lower rate may help, else ask the vendor"
+        return f"{seen}, expected one at most {_CLEAR:g}; the torque is filtered, noisy or not followed: {remedy}"
+    if rpdo == "synchronous":
+        return seen
+    is_last = "before and after are the same" if after <= _CLEAR else "the last is expected, the drive is one SYNC late"
+    return f"{seen}; with an event-driven RPDO {is_last}"
 
 
 def probe_torques(amplitude: float, cycles: int) -> list[float]:
@@ -91,9 +83,9 @@ def probe_torques(amplitude: float, cycles: int) -> list[float]:
     mistaken for another and the momentum never exceeds a times two sample times.
     """
     torques: list[float] = []
-    register = _REGISTER_SEED
+    register = 0b1011
     while len(torques) < cycles:
-        bit = bin(register & _REGISTER_TAPS).count("1") & 1
+        bit = (register & 0b110000).bit_count() & 1  # of x^6 + x^5 + 1: 63 steps until it repeats
         register = (register << 1 | bit) & 0x3F
         sign = 1.0 if bit else -1.0
         torques += [sign * amplitude, -sign * amplitude]
@@ -117,10 +109,8 @@ def measure_read_back(rig: Rig, amplitude: float, cycles: int = 64) -> list[Read
     for drive in rig.drives:
         least = _LEAST_COUNTS * drive.scaling.torque_quantum
         if amplitude < least:
-            raise ParameterError(
-                f"{drive.axis.name}: amplitude: got {amplitude:g}, expected at least {least:g} ({_LEAST_COUNTS} counts "
-                "of 0x6071)"
-            )
+            expected = f"expected at least {least:g} ({_LEAST_COUNTS} counts of 0x6071)"
+            raise ParameterError(f"{drive.axis.name}: amplitude: got {amplitude:g}, {expected}")
         if drive.map.read_back == "none":
             raise ParameterError(f"{drive.axis.name}: read_back is none, so there is no timing; map 0x6074 or 0x6077")
     commanded: list[list[int]] = [[] for _ in rig.drives]

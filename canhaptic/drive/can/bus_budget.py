@@ -18,11 +18,7 @@ from canhaptic.drive.can.pdo_map import TORQUE_DEMAND, AxisMap
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.errors import BusBudgetError, InputError
 
-_LONGEST_DATA: Final = 8
 _FRAME_BITS: Final = 47  # without data and stuff bits, with the interframe space
-_HEARTBEAT_LENGTH: Final = 1
-_BIT_RATES: Final = (125_000, 250_000, 500_000, 800_000, 1_000_000)
-_ROUND_RATES: Final = tuple(m * 10**e for e in range(5) for m in (1, 1.25, 2, 2.5, 4, 5, 8))
 
 
 def _worst_case_bits(length: int) -> int:
@@ -32,7 +28,7 @@ def _worst_case_bits(length: int) -> int:
 
 def worst_frame() -> int:
     """Return the most bits that any data frame can take on the wire, interframe space included."""
-    return _worst_case_bits(_LONGEST_DATA)
+    return _worst_case_bits(8)
 
 
 class _BudgetRow(NamedTuple):
@@ -77,24 +73,20 @@ class BusBudget:
         """Return the sum, written out."""
         terms = " + ".join(f"{row.frames} {row.what} x {row.bits_each}" for row in self.rows if row.frames)
         bits = sum(row.bits for row in self.rows)
-        return (
-            f"{terms} = {bits} bits at {self.bitrate / 1000:g} kbit/s = {bits / self.bitrate * 1e6:.0f} us, "
-            f"+ {self.compute_latency * 1e6:.0f} us host = {self.worst_cycle * 1e6:.0f} us "
-            f"of {self.sample_time * 1e6:.0f} us"
-        )
+        on_wire = f"{bits} bits at {self.bitrate / 1000:g} kbit/s = {bits / self.bitrate * 1e6:.0f} us"
+        worst = f"{self.worst_cycle * 1e6:.0f} us of {self.sample_time * 1e6:.0f} us"
+        return f"{terms} = {on_wire}, + {self.compute_latency * 1e6:.0f} us host = {worst}"
 
 
 def bus_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
     """Return the worst cycle of a bus that carries these axes."""
     rows = [_BudgetRow("SYNC", 1, _worst_case_bits(0))]
-    for what, lengths in (
-        ("TPDO", [length for axis in maps for length in (*axis.awaited, *(tpdo.length for tpdo in axis.tpdos))]),
-        ("RPDO", [axis.rpdo.length for axis in maps]),
-    ):
+    answers = [length for axis in maps for length in (*axis.awaited, *(tpdo.length for tpdo in axis.tpdos))]
+    for what, lengths in (("TPDO", answers), ("RPDO", [axis.rpdo.length for axis in maps])):
         rows += [_BudgetRow(what, lengths.count(n), _worst_case_bits(n)) for n in sorted(set(lengths), reverse=True)]
-    rows.append(_BudgetRow("blocking frame", 1, _worst_case_bits(_LONGEST_DATA)))
-    rows.append(_BudgetRow("heartbeat", len(maps) + 1, _worst_case_bits(_HEARTBEAT_LENGTH)))
-    rows.append(_BudgetRow("EMCY", bus.emcy_reserve, _worst_case_bits(_LONGEST_DATA)))
+    rows.append(_BudgetRow("blocking frame", 1, worst_frame()))
+    rows.append(_BudgetRow("heartbeat", len(maps) + 1, _worst_case_bits(1)))
+    rows.append(_BudgetRow("EMCY", bus.emcy_reserve, worst_frame()))
     return BusBudget(tuple(rows), bus.bitrate, bus.compute_latency, bus.sample_time)
 
 
@@ -118,7 +110,8 @@ def shortest_answer(bitrate: float, axis: AxisMap) -> float:
 
 def round_rate(limit: float) -> float:
     """Return the highest round rate [Hz] that is not above `limit`; 1 Hz at least."""
-    return float(max((rate for rate in _ROUND_RATES if rate <= limit), default=1))
+    rates = (mantissa * 10**exponent for exponent in range(5) for mantissa in (1, 1.25, 2, 2.5, 4, 5, 8))
+    return float(max((rate for rate in rates if rate <= limit), default=1))
 
 
 def has_room_for_sdo(budget: BusBudget, bus: BusParameters) -> bool:
@@ -127,7 +120,7 @@ def has_room_for_sdo(budget: BusBudget, bus: BusParameters) -> bool:
     The request takes the place of one EMCY, which would end the run, or needs room of its own. The answer has a lower
     priority than every PDO: it is the blocking frame that each cycle reserves.
     """
-    request = 0 if bus.emcy_reserve else _worst_case_bits(_LONGEST_DATA)
+    request = 0 if bus.emcy_reserve else worst_frame()
     return budget.worst_cycle + request / budget.bitrate <= budget.sample_time * (1.0 + 1e-12)
 
 
@@ -139,9 +132,8 @@ def require_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
     """
     budget = bus_budget(bus, maps)
     if not budget.fits:
-        raise BusBudgetError(
-            f"the cycle does not fit the bus: {budget.arithmetic()}; what fits: {'; '.join(_ways_out(bus, maps))}"
-        )
+        fits = "; ".join(_ways_out(bus, maps))
+        raise BusBudgetError(f"the cycle does not fit the bus: {budget.arithmetic()}; what fits: {fits}")
     return budget
 
 
@@ -152,10 +144,9 @@ def _ways_out(bus: BusParameters, maps: Sequence[AxisMap]) -> list[str]:
     ways = [f"rate: {round_rate(most):g} (at most {most:.0f} Hz)"]
     smaller = _without_read_back(budget, maps)
     if smaller is not None and smaller <= budget.sample_time:
-        ways.append(
-            f"read_back: none on every axis ({smaller * 1e6:.0f} us; the energy is then as commanded, not exact)"
-        )
-    for bitrate in _BIT_RATES:
+        cost = f"{smaller * 1e6:.0f} us; the energy is then as commanded, not exact"
+        ways.append(f"read_back: none on every axis ({cost})")
+    for bitrate in (125_000, 250_000, 500_000, 800_000, 1_000_000):
         if bitrate > bus.bitrate and bus_budget(bus.model_copy(update={"bitrate": bitrate}), maps).fits:
             ways.append(f"bitrate: {bitrate}")
             break
@@ -184,11 +175,8 @@ def own_frames(link: Link, drives: Sequence[ServoDrive], bus: BusParameters) -> 
         drives: Drives of the rig; those on other buses are left out.
         bus: Bus with the node ID of the master.
     """
-    names = {
-        od.NMT_COB_ID: "NMT",
-        od.SYNC_FRAME_COB_ID: "SYNC",
-        od.HEARTBEAT_BASE + bus.master_id: "heartbeat of the master",
-    }
+    names = {od.NMT_COB_ID: "NMT", od.SYNC_FRAME_COB_ID: "SYNC"}
+    names[od.HEARTBEAT_BASE + bus.master_id] = "heartbeat of the master"
     for drive in drives:
         if drive.link is link:
             names[drive.map.rpdo.cob_id] = f"RPDO of {drive.axis.name}"

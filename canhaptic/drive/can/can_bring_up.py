@@ -1,7 +1,6 @@
 """CANopen part of the start of a drive: NMT, heartbeats, the watchdog of the master, the PDO map."""
 
 from functools import partial
-from typing import Final
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import NmtCommand, NmtState
@@ -10,8 +9,6 @@ from canhaptic.drive.can.pdo_map import rpdo_transmission_type, write_map
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
 from canhaptic.errors import StartError
-
-_NO_NODE_ID: Final = "give it its node ID (canhaptic lss, or the vendor's tool), and store it"
 
 
 class CanBringUp(BringUp):
@@ -35,8 +32,8 @@ class CanBringUp(BringUp):
         from canhaptic.drive.can.lss import LssMaster
 
         if LssMaster(self._drive.link).has_unconfigured():
-            wanted = f"node {self._drive.axis.node_id}"
-            raise self.refusal("presence", "a node without a node ID (LSS)", wanted, _NO_NODE_ID)
+            wanted, remedy = f"node {self._drive.axis.node_id}", "give it its node ID (canhaptic lss, or the vendor's "
+            raise self.refusal("presence", "a node without a node ID (LSS)", wanted, f"{remedy}tool), and store it")
 
     def _monitor(self) -> None:
         """Request heartbeats."""
@@ -91,9 +88,8 @@ class CanBringUp(BringUp):
     def _rpdo_deadline(self) -> int | None:
         """Return how long the drive itself tolerates lost RPDOs [ms], where no read-back shows them to the master."""
         milliseconds = self._drive.bus.master_silence_ns // 1_000_000
-        if self._drive.read_back != "none" or not self._drive.axis.watchdog or milliseconds > LARGEST_U16:
-            return None
-        return milliseconds
+        is_needed = self._drive.read_back == "none" and self._drive.axis.watchdog
+        return milliseconds if is_needed and milliseconds <= LARGEST_U16 else None
 
     def command_operational(self) -> None:
         """Send NMT start; raise StartError."""

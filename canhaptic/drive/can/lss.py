@@ -11,16 +11,12 @@ from canhaptic.canopen.objects import HEARTBEAT_BASE, NMT_COB_ID, NmtCommand
 from canhaptic.drive.can.link import Link
 from canhaptic.errors import LinkError
 
-REQUEST, ANSWER = 0x7E5, 0x7E4
+ANSWER = 0x7E4
 _SWITCH_GLOBAL, _CONFIGURE_NODE_ID, _STORE = 0x04, 0x11, 0x17
 _SELECT, _SELECTED = 0x40, 0x44  # vendor ID, product code, revision, serial number: 0x40 to 0x43
 _IDENTIFY, _UNCONFIGURED = 0x4C, 0x50  # nodes without a node ID
 _INQUIRE_IDENTITY, _INQUIRE_NODE_ID = 0x5A, 0x5E
-_WAITING, _CONFIGURING = 0, 1
 _PARTS: Final = 4
-_NONE: Final = 255  # node ID of a node without one
-_PATIENCE: Final = 100_000_000  # [ns] for an answer
-_BOOT: Final = 5_000_000_000  # [ns] for a boot-up
 _ERRORS: Final = {  # by service and error code
     (_CONFIGURE_NODE_ID, 1): "the node ID is out of its range",
     (_STORE, 1): "it cannot store",
@@ -39,14 +35,14 @@ class LssMaster:
         self._link = link
 
     def _send(self, service: int, data: bytes) -> None:
-        self._link.send(REQUEST, (bytes([service]) + data).ljust(8, b"\0"))
+        self._link.send(0x7E5, (bytes([service]) + data).ljust(8, b"\0"))
 
     def _ask(self, service: int, data: bytes = b"", awaited: int | None = None) -> list[bytes]:
         """Send a request; return all answers to it that come in time."""
         answers: list[bytes] = []
         self._link.subscribe(ANSWER, lambda frame: answers.append(bytes(frame)))
         self._send(service, data)
-        self._link.pump(self._link.clock.now() + _PATIENCE)
+        self._link.pump(self._link.clock.now() + 100_000_000)
         self._link.unsubscribe(ANSWER)
         return [answer for answer in answers if len(answer) == 8 and answer[0] == (awaited or service)]
 
@@ -66,7 +62,7 @@ class LssMaster:
         self._link.send(NMT_COB_ID, bytes([NmtCommand.STOP, 0]))
         self.release()
         if identity is None:
-            self._send(_SWITCH_GLOBAL, bytes([_CONFIGURING]))
+            self._send(_SWITCH_GLOBAL, bytes([1]))
         else:
             for part, value in enumerate(identity[:-1]):
                 self._send(_SELECT + part, value.to_bytes(4, "little"))
@@ -75,7 +71,7 @@ class LssMaster:
                 raise LinkError(f"LSS: no node has the identity {text}; compare all four numbers of its 0x1018")
         node_id = self._only(self._ask(_INQUIRE_NODE_ID))[1]
         parts = [self._only(self._ask(_INQUIRE_IDENTITY + part)) for part in range(_PARTS)]
-        return [int.from_bytes(answer[1:5], "little") for answer in parts], None if node_id == _NONE else node_id
+        return [int.from_bytes(answer[1:5], "little") for answer in parts], None if node_id == 255 else node_id
 
     @staticmethod
     def _only(answers: list[bytes]) -> bytes:
@@ -86,13 +82,13 @@ class LssMaster:
 
     def configure(self, node_id: int) -> None:
         """Give the selected node a node ID; raise LinkError where it refuses."""
-        self._confirmed(_CONFIGURE_NODE_ID, bytes([node_id]))
+        self._confirm(_CONFIGURE_NODE_ID, bytes([node_id]))
 
     def store(self) -> None:
         """Store the selected node's ID so that it survives power-off; raise LinkError where it refuses."""
-        self._confirmed(_STORE, b"")
+        self._confirm(_STORE)
 
-    def _confirmed(self, service: int, data: bytes) -> None:
+    def _confirm(self, service: int, data: bytes = b"") -> None:
         code = self._only(self._ask(service, data))[1]
         if code:
             text = _ERRORS.get((service, code), f"error code {code}")
@@ -100,14 +96,14 @@ class LssMaster:
 
     def release(self) -> None:
         """Switch all nodes back to waiting; raise LinkError."""
-        self._send(_SWITCH_GLOBAL, bytes([_WAITING]))
+        self._send(_SWITCH_GLOBAL, bytes([0]))
 
     def restart(self, node_id: int) -> bool:
         """Reset the communication of all nodes; return whether one boots with this node ID; raise LinkError."""
         seen: list[object] = []
         self._link.subscribe(HEARTBEAT_BASE + node_id, seen.append)
         self._link.send(NMT_COB_ID, bytes([NmtCommand.RESET_COMMUNICATION, 0]))
-        return self._link.wait_for(lambda: bool(seen), _BOOT)
+        return self._link.wait_for(lambda: bool(seen), 5_000_000_000)
 
 
 def give_node_id(
@@ -143,7 +139,5 @@ def give_node_id(
     finally:
         master.release()
     has_booted = master.restart(node_id)
-    tell(
-        f"  node {node_id} has booted" if has_booted else f"  node {node_id} did not boot: switch its power off and on"
-    )
+    tell(f"  node {node_id} " + ("has booted" if has_booted else "did not boot: switch its power off and on"))
     return has_booted

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import Controlword, is_writable
-from canhaptic.drive.profile.fitness import agreed_rated_torque, decimal_period
+from canhaptic.drive.profile.fitness import MODES, agreed_rated_torque, decimal_period
 from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, PowerState, drive_state
 from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.profile.torque_axis import TorqueAxis
@@ -20,12 +20,6 @@ from canhaptic.errors import DictionaryError, LinkError, SdoError, StartError
 
 _REMEDIES: Final = tomllib.loads(Path(__file__).parents[1].joinpath("remedies.toml").read_text(encoding="utf-8"))
 
-_MODE_NAMES: Final = {
-    od.HOMING: "homing",
-    od.CYCLIC_SYNC_POSITION: "cyclic synchronous position",
-    od.CYCLIC_SYNC_VELOCITY: "cyclic synchronous velocity",
-    od.CYCLIC_SYNC_TORQUE: "cyclic synchronous torque",
-}
 _POWERED: Final = (PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
 _POLL_PERIOD: Final = 2_000_000  # [ns] between two of them
 
@@ -211,20 +205,20 @@ class BringUp(ABC):
             modes = self._sdo.read(od.SUPPORTED_DRIVE_MODES)
         bit = self._drive.mode_code - 1
         if not modes >> bit & 1:
-            name = _MODE_NAMES[self._drive.mode_code]
+            name = "homing" if bit == od.HOMING - 1 else f"cyclic synchronous {MODES[bit + 1]}"
             raise self.refusal("drive modes", f"0x6502 = {modes:#x}", f"bit {bit} ({name}) set")
 
     def _drive_state(self) -> None:
         """Leave the drive without torque; a fault is reset only if the configuration says so."""
         with self.step("drive state"):
-            if self._state() in FAULTED:
+            if self._drive.read_state() in FAULTED:
                 if not self._drive.axis.reset_fault:
                     raise self.refusal("drive state", self.fault_text(), "a drive without fault")
                 self.reset_fault()
-            if self._state() in _POWERED:
+            if self._drive.read_state() in _POWERED:
                 self._sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
-            if not self._await(lambda: self._state() in TORQUE_FREE):
-                raise self.refusal("drive state", self._state().value, "a state without torque")
+            if not self._await(lambda: self._drive.read_state() in TORQUE_FREE):
+                raise self.refusal("drive state", self._drive.read_state().value, "a state without torque")
 
     def reset_fault(self) -> None:
         """Reset a fault by the rising edge of bit 7 and leave the drive disabled; never enables it.
@@ -233,23 +227,20 @@ class BringUp(ABC):
             StartError: The fault stays.
         """
         with self.step("drive state"):
-            if self._state() not in FAULTED:
+            if self._drive.read_state() not in FAULTED:
                 return
             self._sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
-            self._await(lambda: self._state() is PowerState.FAULT)
+            self._await(lambda: self._drive.read_state() is PowerState.FAULT)
             self._sdo.write(od.CONTROLWORD, 0, Controlword.FAULT_RESET)
-            gone = self._await(lambda: self._state() is not PowerState.FAULT)
+            gone = self._await(lambda: self._drive.read_state() is not PowerState.FAULT)
             self._sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
         if not gone:
             raise self.refusal("drive state", f"{self.fault_text()} after a fault reset", "the fault gone")
         self._drive.emergency = None
 
-    def _state(self) -> PowerState:
-        return self._drive.read_state()
-
     def fault_text(self) -> str:
         """Return the state with the drive's own error code, if there is one."""
-        text = self._state().value
+        text = self._drive.read_state().value
         if od.ERROR_CODE in self._drive.dictionary:
             try:
                 text += f" with error code 0x603F = {self._sdo.read(od.ERROR_CODE):#06x}"
@@ -356,7 +347,6 @@ class BringUp(ABC):
         with self.step("mode of operation"):
             mode = self._drive.mode_code
             self._sdo.write(od.MODES_OF_OPERATION, 0, mode)
-            confirmed = self._await(lambda: self._sdo.read(od.MODES_OF_OPERATION_DISPLAY) == mode)
-            if not confirmed:
+            if not self._await(lambda: self._sdo.read(od.MODES_OF_OPERATION_DISPLAY) == mode):
                 seen = self._sdo.read(od.MODES_OF_OPERATION_DISPLAY)
                 raise self.refusal("mode of operation", f"0x6061 = {seen}", f"{mode}")

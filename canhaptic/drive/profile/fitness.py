@@ -109,7 +109,7 @@ _ALWAYS_USED: Final = (
     (ObjectUse(od.POSITION_ACTUAL, 0, DataType.INTEGER32, reads=True), "position"),
     (ObjectUse(od.MODES_OF_OPERATION_DISPLAY, 0, DataType.INTEGER8, reads=True), "modes of operation display"),
 )
-_MODES: Final = {
+MODES: Final = {
     od.CYCLIC_SYNC_POSITION: "position",
     od.CYCLIC_SYNC_VELOCITY: "velocity",
     od.CYCLIC_SYNC_TORQUE: "torque",
@@ -214,7 +214,7 @@ def _used(dictionary: Dictionary, use: ObjectUse, name: str) -> Finding:
 
 def _target(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
     if axis.admittance is not None:
-        name = f"target {_MODES[axis.mode_code]}"
+        name = f"target {MODES[axis.mode_code]}"
         return _used(dictionary, ObjectUse(axis.target, 0, DataType.INTEGER32, reads=True, writes=True), name)
     limit = _max_torque_value(axis) or 0
     use = ObjectUse(od.TARGET_TORQUE, 0, DataType.INTEGER16, reads=True, writes=True, values=(0, limit, -limit))
@@ -250,7 +250,7 @@ def _drive_modes(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
     if stated is None:
         text = f"not stated; read from the drive, and 0x6061 must confirm mode {axis.mode_code}"
         return Finding(item, Verdict.UNKNOWN, text)
-    bit, name = axis.mode_code - 1, _MODES[axis.mode_code]
+    bit, name = axis.mode_code - 1, MODES[axis.mode_code]
     if not stated >> bit & 1:
         return Finding(item, Verdict.REFUSED, f"got {stated:#06x}, expected bit {bit} (cyclic synchronous {name}) set")
     return Finding(item, Verdict.FIT, f"{stated:#06x}, bit {bit} is set")

@@ -4,15 +4,11 @@ A drive in a fault, or a silent one, is left as it is. Commands are not settings
 """
 
 from collections.abc import Iterator
-from typing import Final
 
 from canhaptic.canopen import objects as od
 from canhaptic.drive.profile.power_states import PowerState
 from canhaptic.drive.profile.torque_axis import TorqueAxis, Written
 from canhaptic.errors import SdoError
-
-_LIMITS: Final = (od.MAX_TORQUE, od.MAX_PROFILE_VELOCITY, od.MAX_MOTOR_SPEED)
-_KEPT: Final = "a limit, left as the run set it (restore_limits: true restores it)"
 
 
 def restore(drive: TorqueAxis, problem: str = "") -> None:
@@ -40,7 +36,8 @@ def restore(drive: TorqueAxis, problem: str = "") -> None:
 
 
 def _is_kept(drive: TorqueAxis, change: Written) -> bool:
-    return change.place[0] in _LIMITS and not drive.axis.restore_limits
+    is_limit = change.place[0] in (od.MAX_TORQUE, od.MAX_PROFILE_VELOCITY, od.MAX_MOTOR_SPEED)
+    return is_limit and not drive.axis.restore_limits
 
 
 def _write(drive: TorqueAxis, change: Written) -> None:
@@ -58,4 +55,5 @@ def _differences(drive: TorqueAxis, first: Written) -> Iterator[str]:
     if first.before is None:
         yield f"{name} = {first.after}, unknown before"
     elif (now := drive.sdo.read(*first.place)) != first.before:
-        yield f"{name} = {now}, {first.before} before" + (f": {_KEPT}" if _is_kept(drive, first) else "")
+        kept = ": a limit, left as the run set it (restore_limits: true restores it)" if _is_kept(drive, first) else ""
+        yield f"{name} = {now}, {first.before} before{kept}"

@@ -27,29 +27,20 @@ from canhaptic.errors import LinkError, RigError
 class CyclicExchange(Protocol):
     """Runs the cycle of several drives."""
 
+    periods: int
+    """Sample times between the last two SYNCs."""
+    skipped: int
+    """SYNCs missed and skipped since `begin`."""
+    sample_time_ns: int
+    """The sample time [ns]."""
+    beat_cycles: int
+    """Sample times between signs of life of the master."""
+    silence: int
+    """Silence of the master that a drive tolerates [ns]."""
+
     @property
     def drives(self) -> Sequence[TorqueAxis]:
         """All drives."""
-
-    @property
-    def periods(self) -> int:
-        """Sample times between the last two SYNCs."""
-
-    @property
-    def skipped(self) -> int:
-        """SYNCs missed and skipped since `begin`."""
-
-    @property
-    def sample_time_ns(self) -> int:
-        """The sample time [ns]."""
-
-    @property
-    def beat_cycles(self) -> int:
-        """Sample times between signs of life of the master."""
-
-    @property
-    def silence(self) -> int:
-        """Silence of the master that a drive tolerates [ns]."""
 
     def now(self) -> int:
         """Return the time [ns]."""
@@ -73,11 +64,12 @@ class CyclicExchange(Protocol):
         """Send the master's sign of life, when due or at once; raise LinkError."""
 
 
-_PLAUSIBLE_COUNTS: Final = 1 << 15  # a shifted map is wrong by 2^16 and more; a hand moves less between two frames
 _WRAP: Final = 1 << 32
-_ORDER: Final = (
-    "set transmission type 1, inhibit time 0 and event timer 0 of that TPDO (0x1800 and up), or lower bus.rate"
-)
+_AFTER: Final[dict[int, PowerState]] = {  # state after a controlword
+    Controlword.SHUTDOWN: PowerState.READY_TO_SWITCH_ON,
+    Controlword.SWITCH_ON: PowerState.SWITCHED_ON,
+    Controlword.ENABLE_OPERATION: PowerState.OPERATION_ENABLED,
+}
 _PATIENCE: Final = 3  # heartbeats after which a drive that has not confirmed is asked again
 
 
@@ -100,7 +92,10 @@ def start(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
     for bring_up in bring_ups:
         bring_up.configure()
     exchange.begin()
-    _enter_operational(exchange, bring_ups)
+    for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
+        drive.controlword = int(Controlword.DISABLE_VOLTAGE)
+        bring_up.command_operational()
+    _cycle_until(exchange, bring_ups, lambda bring_up: bring_up.operational())
     _exchange_zero_torque(exchange, bring_ups)
     _check_positions(exchange, bring_ups)
     for bring_up in bring_ups:
@@ -138,13 +133,6 @@ def _cycle_until(
                 raise bring_up.refusal(wanted.step, wanted.seen(), wanted.expected)
 
 
-def _enter_operational(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
-    for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
-        drive.controlword = int(Controlword.DISABLE_VOLTAGE)
-        bring_up.command_operational()
-    _cycle_until(exchange, bring_ups, lambda bring_up: bring_up.operational())
-
-
 def _exchange_zero_torque(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
     """Cycle until every drive answers SYNC, then read back its target torque and its torque demand."""
     _require_order(exchange, bring_ups)
@@ -178,7 +166,8 @@ def _require_order(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> No
             is_late = drive.unasked > before[wrong[0]]
             seen = "process data that answer no SYNC, or an older one" if is_late else "no answer to one of two SYNCs"
             wanted = "each SYNC answered within the fraction tpdo_timeout of its cycle, and nothing sent in between"
-            raise bring_up.refusal("PDO exchange", f"{drive.culprit}: {seen}", wanted, _ORDER)
+            remedy = "set transmission type 1, inhibit time 0 and event timer 0 of that TPDO (0x1800 and up), or lower "
+            raise bring_up.refusal("PDO exchange", f"{drive.culprit}: {seen}", wanted, f"{remedy}bus.rate")
 
 
 def _read(exchange: CyclicExchange, drive: TorqueAxis, index: int, subindex: int = 0) -> int:
@@ -196,7 +185,7 @@ def _check_positions(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> 
             by_sdo = _read(exchange, drive, POSITION_ACTUAL)
         by_tpdo = drive.position_counts
         distance = (by_tpdo - by_sdo + _WRAP // 2) % _WRAP - _WRAP // 2
-        if abs(distance) >= _PLAUSIBLE_COUNTS:
+        if abs(distance) >= 1 << 15:  # a shifted map is wrong by 2^16 and more; a hand moves less between two frames
             seen = f"{by_tpdo} counts in the TPDO"
             raise bring_up.refusal("position", seen, f"{by_sdo} counts, as read by SDO (0x6064)")
 
@@ -212,8 +201,11 @@ def _enable(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
             state, now = drive.state, exchange.now()
             if state is not states[drive]:
                 states[drive], begin[drive] = state, now
-            if not _is_enabled(drive) and now - begin[drive] > _enable_time(drive):
-                raise bring_up.refusal("enable", _state_text(drive), _expected_after(drive))
+            patience = max(drive.axis.step_timeout, drive.quirks.enable_time)  # for one step of the enabling
+            if not _is_enabled(drive) and now - begin[drive] > round(patience * 1e9):
+                seen = f"{state.value} (statusword {drive.statusword:#06x}) after controlword {drive.controlword:#04x}"
+                expected = _AFTER.get(drive.controlword, PowerState.SWITCH_ON_DISABLED)
+                raise bring_up.refusal("enable", seen, expected.value)
             drive.controlword = int(next_controlword(state) or Controlword.DISABLE_VOLTAGE)
         if all(_is_enabled(drive) and drive.is_complete for drive in exchange.drives):
             opening = _open_brakes(exchange, bring_ups) if opening < 0 else opening
@@ -245,11 +237,6 @@ def _is_enabled(drive: TorqueAxis) -> bool:
     return drive.state is PowerState.OPERATION_ENABLED and bool(follows)
 
 
-def _enable_time(drive: TorqueAxis) -> int:
-    """Return how long one step of the enabling may take [ns]."""
-    return round(max(drive.axis.step_timeout, drive.quirks.enable_time) * 1e9)
-
-
 def _refuse_fault(exchange: CyclicExchange, drive: TorqueAxis, bring_up: BringUp) -> None:
     if drive.state in FAULTED or drive.emergency is not None:
         code = 0 if drive.emergency is None else drive.emergency.code
@@ -259,21 +246,6 @@ def _refuse_fault(exchange: CyclicExchange, drive: TorqueAxis, bring_up: BringUp
         raise bring_up.refusal("enable", bring_up.fault_text(), PowerState.OPERATION_ENABLED.value, remedy)
 
 
-def _state_text(drive: TorqueAxis) -> str:
-    return f"{drive.state.value} (statusword {drive.statusword:#06x}) after controlword {drive.controlword:#04x}"
-
-
-def _expected_after(drive: TorqueAxis) -> str:
-    after = {
-        Controlword.SHUTDOWN: PowerState.READY_TO_SWITCH_ON,
-        Controlword.SWITCH_ON: PowerState.SWITCHED_ON,
-        Controlword.ENABLE_OPERATION: PowerState.OPERATION_ENABLED,
-    }
-    return after.get(Controlword(drive.controlword), PowerState.SWITCH_ON_DISABLED).value
-
-
-_LONGEST_RAMP: Final = 50_000_000  # [ns]
-_CONFIRMATION: Final = 100_000_000  # [ns] that a drive may take for one step of the stop
 _FEWEST_CYCLES: Final = 4  # a synchronous RPDO acts one SYNC later and shows in the TPDO one later still
 _ROUNDS: Final = 2  # of SDO and NMT before the loop of PDOs is given up
 
@@ -297,8 +269,7 @@ def ramp_down(exchange: CyclicExchange, duration: float) -> None:
         LinkError: The bus failed on the way.
         ControlError: Never in practice: the torques are our own.
     """
-    ramp = min(round(duration * 1e9), _LONGEST_RAMP)
-    cycles = max(1, ramp // exchange.sample_time_ns)
+    cycles = max(1, min(round(duration * 1e9), 50_000_000) // exchange.sample_time_ns)
     begin = [(drive, drive.limiter.last, _set_brake(drive, exchange.sample_time_ns)) for drive in exchange.drives]
     for cycle in range(1, cycles + max(wait for _, _, wait in begin) + 1):
         exchange.sync()
@@ -380,7 +351,7 @@ def _cycle_until_disabled(exchange: CyclicExchange, drives: Sequence[TorqueAxis]
     period, now = exchange.sample_time_ns, exchange.now
     stopping = max([drive.stop_time for drive in drives])  # until then a drive that brakes is left to brake
     patience = now() + stopping
-    end = now() + max(_CONFIRMATION, _FEWEST_CYCLES * period, exchange.silence) + stopping
+    end = now() + max(100_000_000, _FEWEST_CYCLES * period, exchange.silence) + stopping
     cycles = rounds = 0
     while now() < end:
         parts = [_try(partial(_write_zero, exchange.drives)), _try(exchange.beat), _try(exchange.sync)]
