@@ -22,8 +22,7 @@ from canhaptic.cli.check_eds import WORDS
 from canhaptic.cli.options import scene_of
 from canhaptic.cli.output import write_json
 from canhaptic.drive.can.bus_budget import BusBudget, require_budget
-from canhaptic.drive.can.dictionary_check import check_dictionary
-from canhaptic.drive.can.pdo_map import choose_map
+from canhaptic.drive.can.pdo_map import check_dictionary, choose_map
 from canhaptic.drive.profile.fitness import Finding, Verdict
 from canhaptic.drive.survey import survey
 from canhaptic.host.realtime import GRANTED, Realtime

@@ -14,8 +14,7 @@ from typing import Final
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen import objects as od
 from canhaptic.commission.session import OpenLoop, Session, StepVerdict
-from canhaptic.commission.torque_scale import SCALE, verified_axes
-from canhaptic.commission.torque_tests import identify_dynamics
+from canhaptic.commission.torque_tests import SCALE, identify_dynamics, verified_axes
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.power_states import TORQUE_FREE

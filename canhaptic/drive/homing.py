@@ -12,9 +12,8 @@ from canopen import ObjectDictionary
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import StatusBit, is_writable
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
-from canhaptic.drive.can.can_bring_up import CanBringUp
 from canhaptic.drive.can.link import Link
-from canhaptic.drive.can.servo_drive import ServoDrive
+from canhaptic.drive.can.servo_drive import CanBringUp, ServoDrive
 from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.drive.profile.power_states import ENABLED_MASK, ENABLED_VALUE
 from canhaptic.drive.rig import Rig
@@ -72,7 +71,7 @@ class HomingDrive(ServoDrive):
         """Value of 0x6060 for the drive's mode."""
         return od.HOMING
 
-    def own_bring_up(self) -> CanBringUp:
+    def bring_up(self) -> CanBringUp:
         """Return the start in homing mode."""
         return _HomingBringUp(self)
 

@@ -17,13 +17,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.bus_budget import budget_of, has_room_for_sdo, own_frames
-from canhaptic.drive.can.can_bring_up import CanBringUp
 from canhaptic.drive.can.exchange import Exchange
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.profile import start_and_stop
-from canhaptic.drive.profile.bring_up import BringUp
 from canhaptic.drive.profile.link_policy import STOP_TABLE, StopReason
 from canhaptic.drive.profile.start_and_stop import Trust
 from canhaptic.errors import ControlError, InputError, LinkError, RigError
@@ -116,7 +114,7 @@ class Rig:
             link.reserve(own_frames(link, self.drives, self.bus))
         self.realtime.begin()
         try:
-            start_and_stop.start(self._exchange, [_bring_up(drive) for drive in self.drives])
+            start_and_stop.start(self._exchange, [drive.bring_up() for drive in self.drives])
         except BaseException as error:
             self.stop_reason = StopReason.EXCEPTION
             self._disable(Trust.FULL)  # it was never given a torque
@@ -356,7 +354,7 @@ class Rig:
         if self._is_running:
             raise RigError("faults are not reset while the rig runs; call stop() first", self.records)
         for drive in self.drives:
-            _bring_up(drive).reset_fault()
+            drive.bring_up().reset_fault()
 
     def read_objects(self, axis: int) -> "list[Finding]":
         """Return the limits, ramps and reactions stored in the drive of an axis; raise SdoError without an answer."""
@@ -399,7 +397,3 @@ class Rig:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.stop(ramp=kind is None or not issubclass(kind, Exception))
-
-
-def _bring_up(drive: ServoDrive) -> BringUp:
-    return drive.own_bring_up() or CanBringUp(drive)

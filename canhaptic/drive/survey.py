@@ -1,6 +1,6 @@
 """Judges one object dictionary before there is a configuration: fit, fit with conditions, or unfit.
 
-`dictionary_check` judges a dictionary for a configured axis. Here nothing is configured: a value that the configuration
+`check_dictionary` judges a dictionary for a configured axis. Here nothing is configured: a value that the configuration
 must supply is a condition, not a refusal. A refusal rests only on what the dictionary states.
 
 Judgement of a dictionary for an admittance display: source of its force, and its limits.
@@ -20,8 +20,7 @@ from canhaptic.canopen.force_node import ForceNode
 from canhaptic.canopen.objects import DataType, is_writable
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.bus_budget import bus_budget
-from canhaptic.drive.can.dictionary_check import check_dictionary
-from canhaptic.drive.can.pdo_map import AxisMap, PdoCapability, choose_map, pdo_capabilities
+from canhaptic.drive.can.pdo_map import AxisMap, PdoCapability, check_dictionary, choose_map, pdo_capabilities
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceParameters, Mode
 from canhaptic.drive.profile.fitness import (
     Finding,

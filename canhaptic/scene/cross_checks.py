@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, cast
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.can.bus_budget import require_budget, shortest_answer
-from canhaptic.drive.can.dictionary_check import check_dictionary
-from canhaptic.drive.can.pdo_map import AxisMap, choose_map
+from canhaptic.drive.can.pdo_map import AxisMap, check_dictionary, choose_map
 from canhaptic.drive.profile.fitness import Verdict, limit_objection
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError

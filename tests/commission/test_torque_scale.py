@@ -8,7 +8,7 @@ import pytest
 
 from canhaptic.commission.sequence import commission
 from canhaptic.commission.session import CommissioningLimits, Report, Session, StepVerdict, Unattended
-from canhaptic.commission.torque_scale import RisingTorque
+from canhaptic.commission.torque_tests import RisingTorque
 from canhaptic.scene.load import load_scene
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"

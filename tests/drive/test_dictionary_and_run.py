@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from canhaptic.drive.axis_parameters import BusParameters
-from canhaptic.drive.can.dictionary_check import check_dictionary
+from canhaptic.drive.can.pdo_map import check_dictionary
 from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.drive.survey import Suitability, survey
 from canhaptic.errors import CanHapticError

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from canhaptic.drive.can.dictionary_check import check_dictionary
-from canhaptic.drive.can.pdo_map import choose_map
+from canhaptic.drive.can.pdo_map import check_dictionary, choose_map
 from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.drive.profile.quirks import _QUIRKS, TWINS
 from canhaptic.errors import CommandLostError, DictionaryError, StartError

@@ -7,7 +7,7 @@ from typing import Any
 import can
 import pytest
 
-from canhaptic.drive.can.dictionary_check import check_dictionary, require_fit
+from canhaptic.drive.can.pdo_map import check_dictionary, require_fit
 from canhaptic.drive.profile.fitness import Verdict, agreed_rated_torque
 from canhaptic.errors import BusBudgetError, DictionaryError, InputError, StartError
 from canhaptic.sim.drive.profile.state_machine import DriveState

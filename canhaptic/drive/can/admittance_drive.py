@@ -15,10 +15,9 @@ from canopen import ObjectDictionary
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import is_writable
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
-from canhaptic.drive.can.can_bring_up import CanBringUp
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.sdo import SdoChannel
-from canhaptic.drive.can.servo_drive import ServoDrive
+from canhaptic.drive.can.servo_drive import CanBringUp, ServoDrive
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceChannel
 from canhaptic.drive.profile.bring_up import Confirmation
 from canhaptic.drive.profile.fitness import RAMPS, largest_value
@@ -76,7 +75,7 @@ class AdmittanceDrive(ServoDrive):
         if self._is_position:
             self.rest_text = "the position of the axis"
 
-    def own_bring_up(self) -> "AdmittanceBringUp":
+    def bring_up(self) -> "AdmittanceBringUp":
         """Return the start of an admittance display."""
         return AdmittanceBringUp(self)
 

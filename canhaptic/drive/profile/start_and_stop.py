@@ -6,22 +6,25 @@ The start of a rig after the configuration of each drive: SYNC, operational, zer
 
 Stop of a rig: zero torque first, then disabled, then pre-operational; confirmed, and without trusting the bus.
 
+The values that a start wrote into a drive are restored, last written first, once the drive reports that it is
+disabled. A drive in a fault, or a silent one, is left as it is. Commands are not settings, and stay at rest.
+
 None of this raises for a bus or drive that is already failing: each part is tried, and what was not confirmed is
 returned as text.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from enum import Enum
 from functools import partial
 from itertools import count
 from typing import Final, Protocol
 
-from canhaptic.canopen.objects import CONTROLWORD, DIGITAL_OUTPUTS, POSITION_ACTUAL, Controlword, StatusBit
+from canhaptic.canopen import objects as od
+from canhaptic.canopen.objects import Controlword, StatusBit
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
 from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, PowerState, next_controlword
-from canhaptic.drive.profile.restore import restore
-from canhaptic.drive.profile.torque_axis import TorqueAxis
-from canhaptic.errors import LinkError, RigError
+from canhaptic.drive.profile.torque_axis import TorqueAxis, Written
+from canhaptic.errors import LinkError, RigError, SdoError
 
 
 class CyclicExchange(Protocol):
@@ -182,7 +185,7 @@ def _check_positions(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> 
     """Compare the position in the TPDO with the one by SDO: a map that is shifted shows here, before any torque."""
     for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
         with bring_up.step("position"):
-            by_sdo = _read(exchange, drive, POSITION_ACTUAL)
+            by_sdo = _read(exchange, drive, od.POSITION_ACTUAL)
         by_tpdo = drive.position_counts
         distance = (by_tpdo - by_sdo + _WRAP // 2) % _WRAP - _WRAP // 2
         if abs(distance) >= 1 << 15:  # a shifted map is wrong by 2^16 and more; a hand moves less between two frames
@@ -225,7 +228,7 @@ def _open_brakes(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> int:
             with bring_up.step("brake"):
                 drive.command_brake(is_open=True)
                 if brake.output is not None:
-                    seen = _read(exchange, drive, DIGITAL_OUTPUTS, 1)
+                    seen = _read(exchange, drive, od.DIGITAL_OUTPUTS, 1)
                     bring_up.expect("brake", "0x60FE:01", seen, drive.outputs | 1 << brake.output)
             longest = max(longest, brake.release_time)
     return exchange.now() + round(longest * 1e9)
@@ -325,7 +328,7 @@ def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
     _leave_operational([drive for drive in others if not problems[drive]])
     for drive in reachable:
         if drive.sdo.changes:
-            restore(drive, problems.get(drive, ""))
+            _restore(drive, problems.get(drive, ""))
             drive.unrestored += drive.elsewhere
     return [f"{drive.axis.name}: {problem}" for drive, problem in problems.items() if problem]
 
@@ -384,7 +387,7 @@ def _demands_no_torque(drive: TorqueAxis) -> bool:
 def _confirm_disabled(drive: TorqueAxis) -> str:
     """Error of a drive that should be disabled; asks by SDO, for its TPDO did not show it."""
     try:
-        drive.sdo.write(CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
+        drive.sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
         state = drive.read_state()
     except RigError as error:
         return str(error)
@@ -411,3 +414,51 @@ def _try(action: Callable[[], object]) -> bool:
 def _try_each(actions: Iterable[Callable[[], object]]) -> None:
     for action in actions:
         _try(action)
+
+
+def _restore(drive: TorqueAxis, problem: str = "") -> None:
+    """Restore what the start wrote; objects that could not be restored are listed in `drive.unrestored`.
+
+    Args:
+        drive: Drive that is no longer in operation.
+        problem: Reason why it is not known to be disabled; "" where it is disabled.
+    """
+    changes, drive.sdo.changes = drive.sdo.changes or [], None
+    firsts: dict[tuple[int, int], Written] = {}
+    for change in changes:
+        firsts.setdefault(change.place, change)
+    try:
+        state = problem or drive.read_state().value
+        if state != PowerState.SWITCH_ON_DISABLED.value:
+            raise SdoError(f"left as it is, the drive shows {state}", od.STATUSWORD, 0)
+        for change in reversed(changes):
+            if change.before not in (None, change.after) and not _is_kept(drive, change):
+                _put_back(drive, change)
+        drive.unrestored = [text for first in firsts.values() if (text := "; ".join(_differences(drive, first)))]
+    except SdoError as error:
+        why = str(error).removeprefix(f"{drive.axis.name}: ")
+        drive.unrestored = [f"{drive.sdo.describe(*place)}: {why}" for place in firsts]
+
+
+def _is_kept(drive: TorqueAxis, change: Written) -> bool:
+    is_limit = change.place[0] in (od.MAX_TORQUE, od.MAX_PROFILE_VELOCITY, od.MAX_MOTOR_SPEED)
+    return is_limit and not drive.axis.restore_limits
+
+
+def _put_back(drive: TorqueAxis, change: Written) -> None:
+    """Put one value back; an abort shows when all are compared; raise SdoError without an answer."""
+    try:
+        drive.sdo.write(*change.place, change.before or 0, change.size)
+    except SdoError as error:
+        if error.code is None:
+            raise
+
+
+def _differences(drive: TorqueAxis, first: Written) -> Iterator[str]:
+    """Yield the values of an object now and before the start, where they differ; raise SdoError."""
+    name = drive.sdo.describe(*first.place)
+    if first.before is None:
+        yield f"{name} = {first.after}, unknown before"
+    elif (now := drive.sdo.read(*first.place)) != first.before:
+        kept = ": a limit, left as the run set it (restore_limits: true restores it)" if _is_kept(drive, first) else ""
+        yield f"{name} = {now}, {first.before} before{kept}"
