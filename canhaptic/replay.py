@@ -377,7 +377,7 @@ class JoinedRig(Rig):
         exchange.begin()
         exchange.sync()
         self.sync_index = 0
-        self._is_running = True
+        self.is_running = True
         self._first_samples = [drive.sample(0) for drive in self.drives]
         for drive in self.drives:
             drive.watch_statusword()

@@ -11,7 +11,6 @@ _TEXTS: Final[dict[str, dict[int, str]]] = {
 }
 NMT_COMMAND_TEXTS: Final = _TEXTS["nmt_command"]
 NMT_STATE_TEXTS: Final = _TEXTS["nmt_state"]
-_EMCY_MASKS: Final = (0xFFFF, 0xFFF0, 0xFF00, 0xF000)  # of an error code: itself, then ever wider groups
 _CONTROLWORD_TEXTS: Final = (  # (mask, value, command), IEC 61800-7-201, table 28
     (0x80, 0x80, "fault reset"),
     (0x87, 0x06, "shutdown"),
@@ -40,7 +39,7 @@ def emcy_remedy(code: int, silence: float, skipped: int) -> str:
 
 def _of_code_or_group(texts: Mapping[int, str], code: int) -> str:
     """Return the text of a code, else of the narrowest group that has one, else ""; 0 is a code of its own."""
-    groups = (code & mask for mask in _EMCY_MASKS)
+    groups = (code & mask for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000))  # itself, then wider
     return next((texts[group] for group in groups if group in texts and (group or not code)), "")
 
 
@@ -51,7 +50,5 @@ def sdo_abort_text(code: int) -> str:
 
 def controlword_text(controlword: int) -> str:
     """Return the command that a controlword (0x6040) gives."""
-    for mask, value, command in _CONTROLWORD_TEXTS:
-        if controlword & mask == value:
-            return command
-    return "no command"
+    texts = (command for mask, value, command in _CONTROLWORD_TEXTS if controlword & mask == value)
+    return next(texts, "no command")

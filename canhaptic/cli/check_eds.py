@@ -45,7 +45,7 @@ def _statuses(found: Survey, profile: str | None) -> str:
     """Return the statuses of the scene that `new` writes for the drive."""
     if found.suitability is Suitability.UNFIT:
         return f"Simulation: {Suitability.UNFIT.value}. Hardware: {Suitability.UNFIT.value}"
-    return status_text(scene_from_text(starter_scene(found, simulate=True, drive=profile), str(found.path)))
+    return status_text(scene_from_text(starter_scene(found, simulate=True, drive=profile), str(found.axis.eds)))
 
 
 def survey_of(path: Path, mode: Mode | None = None, force_object: str | None = None) -> tuple[Survey, str | None]:
@@ -78,7 +78,7 @@ def survey_of(path: Path, mode: Mode | None = None, force_object: str | None = N
 def _as_json(found: Survey) -> dict[str, Any]:
     return {
         "status": "ok",
-        "file": str(found.path),
+        "file": str(found.axis.eds),
         "verdict": found.suitability.value,
         "reasons": [f"{row.item}: {row.text}" for row in found.reasons],
         "conditions": [f"{row.item}: {row.text}" for row in found.conditions],
@@ -114,7 +114,7 @@ def _map_as_json(axis_map: AxisMap) -> dict[str, Any]:
 
 def _print(console: Console, found: Survey, profile: str | None, *, full: bool) -> None:
     name = " ".join(part for part in (found.vendor, found.product) if part) or "a drive without a name"
-    console.print(f"{found.path}: {name}", markup=False, style="bold")
+    console.print(f"{found.axis.eds}: {name}", markup=False, style="bold")
     if profile is not None:
         console.print(f"judged with the drive profile of this vendor, drive: {profile}", markup=False)
     console.print(f"[bold {_COLOURS[found.suitability]}]{found.suitability.value}[/]")

@@ -16,7 +16,7 @@ _COLOURS: Final = {"well": "green", "note": "yellow", "refused": "red"}
 def execute(arguments: argparse.Namespace) -> int:
     """Print the kernel's report on each interface; return 1 when a run would be refused."""
     scene = scene_of(arguments)
-    findings = preflight(scene)
+    findings = preflight(scene.loaded_buses)
     is_refused = any(finding.severity == "refused" for finding in findings)
     if arguments.json:
         verdict = "refused" if is_refused else "well"

@@ -65,7 +65,7 @@ def _preflight(scene: Scene) -> Iterator[str]:
     if any(bus.parameters.interface == "socketcan" for bus in scene.buses):
         from canhaptic.host.socketcan_state import require_preflight
 
-        for note in require_preflight(scene):
+        for note in require_preflight(scene.loaded_buses):
             yield f"{note.interface}: {note.item}: {note.seen}: {note.text}"
 
 

@@ -344,6 +344,7 @@ class Session:
         stop_requested: The operator's stop.
 
     Attributes:
+        axes: Axes of the scene.
         report: Findings so far.
         encoder_ratios: Displacement by the configured encoder over the measured one, per axis.
         quanta: Torque of one count of 0x6071 in the master's scaling, per axis; 0 until a drive reports it [N or N*m].
@@ -356,8 +357,8 @@ class Session:
         whole = (
             (axis, axis.loop.model_copy(update={"torque_limit": axis.parameters.torque_limit})) for axis in scene.axes
         )
-        axes = tuple(dataclasses.replace(axis, loop=loop) for axis, loop in whole)
-        self.scene = dataclasses.replace(scene, axes=axes)  # a torque that is not verified is bounded by each step
+        self.axes = tuple(dataclasses.replace(axis, loop=loop) for axis, loop in whole)
+        self.scene = dataclasses.replace(scene, axes=self.axes)  # a torque that is not verified is bounded by each step
         self.dialogue, self.limits, self.stop_requested = dialogue, limits, stop_requested
         self.report = Report()
         self.sample_time = scene.bus.sample_time
@@ -407,11 +408,6 @@ class Session:
     def drives(self) -> Sequence[ServoDrive]:
         """Drives, one per axis."""
         return self.rig.drives
-
-    @property
-    def axes(self) -> Sequence[AxisScene]:
-        """Axes of the scene."""
-        return self.scene.axes
 
     def coast(self, axis: int) -> None:
         """Wait without torque until an axis is at rest, at most as long as a nearly frictionless bearing may take.

@@ -326,9 +326,7 @@ class RisingTorque(OpenLoop):
             self.down = max(self._present, self._quantum)
         if (len(self.positions) - 1) % self._holds == 0:
             self._present += -self._quantum if self.up else self._quantum
-        if self.has_ended:
-            return 0.0
-        return max(0.0, min(self._present, self._most))
+        return 0.0 if self.has_ended else max(0.0, min(self._present, self._most))
 
 
 def verified_axes(session: Session) -> dict[int, Pulse]:

@@ -9,7 +9,6 @@ from canhaptic.drive.profile.torque_axis_parameters import TorqueAxisParameters
 from canhaptic.host.realtime import RealtimeParameters
 from canhaptic.units import Parameters, PrintableText, quantity
 
-_LOWEST_PDO_COB_ID, _HIGHEST_PDO_COB_ID = 0x101, 0x57F  # free of NMT, SYNC, EMCY, SDO and heartbeat
 LARGEST_U16: Final = 0xFFFF
 
 _NodeId = Annotated[int, quantity("1", ge=1, le=127)]
@@ -129,12 +128,9 @@ class AxisParameters(TorqueAxisParameters):
     @model_validator(mode="after")
     def _check_cob_ids(self) -> "AxisParameters":
         for index, cob_id in self.pdo_cob_ids.items():
-            is_rpdo = RPDO_COMMUNICATION <= index < RPDO_COMMUNICATION + PDO_COUNT
-            is_tpdo = TPDO_COMMUNICATION <= index < TPDO_COMMUNICATION + PDO_COUNT
-            if not (is_rpdo or is_tpdo):
-                raise ValueError(
-                    f"pdo_cob_ids: {index:#06x} is no PDO communication object; use 0x1400..0x15FF or 0x1800..0x19FF"
-                )
-            if not _LOWEST_PDO_COB_ID <= cob_id <= _HIGHEST_PDO_COB_ID:
+            if not any(0 <= index - first < PDO_COUNT for first in (RPDO_COMMUNICATION, TPDO_COMMUNICATION)):
+                text = f"{index:#06x} is no PDO communication object; use 0x1400..0x15FF or 0x1800..0x19FF"
+                raise ValueError(f"pdo_cob_ids: {text}")
+            if not 0x101 <= cob_id <= 0x57F:  # free of NMT, SYNC, EMCY, SDO and heartbeat
                 raise ValueError(f"pdo_cob_ids: {index:#06x}: got {cob_id:#x}, expected a free COB-ID 0x101..0x57F")
         return self

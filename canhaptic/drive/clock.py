@@ -144,8 +144,7 @@ class DurationHistogram:
 
     def __init__(self) -> None:
         self._counts = [0] * (_BINS + 1)
-        self.total = 0
-        self.maximum = 0
+        self.total = self.maximum = 0
 
     def add(self, duration: int) -> None:
         """Count one duration [ns]; a negative one counts as zero."""

@@ -54,6 +54,7 @@ class Rig:
 
     Attributes:
         budgets: Worst cycle of each bus.
+        is_running: Whether the drives are enabled and the cycle may continue.
         sync_index: Index of the last SYNC; 0 is the first that found every drive enabled, -1 before it.
         deadline_index: Sample times since SYNC 0: ahead of `sync_index` where SYNCs were skipped.
         periods: Sample times between the last two SYNCs; more than 1 where some were skipped.
@@ -79,8 +80,7 @@ class Rig:
         self.drives = tuple(drives)
         together = {axis: tuple(self.drives[other] for other in group) for group in groups for axis in group}
         self._needed = [(drive, together.get(axis, ())) for axis, drive in enumerate(self.drives)] if groups else []
-        self.bus = bus
-        self.clock = self.links[0].clock
+        self.bus, self.clock = bus, self.links[0].clock
         self.budgets = [budget_of([d for d in self.drives if d.link is link], bus) for link in self.links]
         self._period = bus.sample_time_ns
         self._exchange = Exchange(self.links, self.drives, bus)
@@ -95,7 +95,7 @@ class Rig:
         self.deadline_index = self._first_deadline = 0
         self.stop_reason = StopReason.NONE
         self.records: deque[_CycleRecord] = deque(maxlen=1000)
-        self._is_running = False
+        self.is_running = False
         self.periods, self.uneven = 1, 0
         self._behind = 0  # SYNCs skipped, less those sent since; not below 0
         self._first_samples: list[Sample] | None = None
@@ -125,7 +125,7 @@ class Rig:
         self._exchange.skipped = 0
         self._first_deadline = self._exchange.deadline
         self.sync_index = 0
-        self._is_running = True
+        self.is_running = True
         self._first_samples = [drive.sample(0) for drive in self.drives]
         for drive in self.drives:
             drive.watch_statusword()
@@ -143,7 +143,7 @@ class Rig:
             LinkError: More TPDOs were missed than the link policy allows, or the bus failed; the rig has stopped.
             DriveFaultError: A drive reported a fault or left its state; the rig has stopped.
         """
-        if not self._is_running:
+        if not self.is_running:
             raise self._not_running()
         exchange = self._exchange
         if self._first_samples is not None:
@@ -200,7 +200,7 @@ class Rig:
             InputError: There is not one torque for each axis; the rig has stopped.
             LinkError: A frame could not be sent; the rig has stopped.
         """
-        if not self._is_running:
+        if not self.is_running:
             raise self._not_running()
         drives, exchange = self.drives, self._exchange
         computed = exchange.now()
@@ -248,9 +248,9 @@ class Rig:
                     SdoLine(link, has_room=has_room_for_sdo(budget, self.bus))
                     for link, budget in zip(self.links, self.budgets, strict=True)
                 )
-                for line in self._sdo_lines if self._is_running else ():
+                for line in self._sdo_lines if self.is_running else ():
                     line.open()
-                for line in () if self._is_running else self._sdo_lines:  # stopped in between
+                for line in () if self.is_running else self._sdo_lines:  # stopped in between
                     line.close()
         drive = self.drives[place]
         return BackgroundSdo(drive, self._sdo_lines[self.links.index(drive.link)])
@@ -271,9 +271,9 @@ class Rig:
         Raises:
             RigError: A drive did not confirm that it is disabled.
         """
-        if not self._is_running:
+        if not self.is_running:
             return
-        self._is_running = False
+        self.is_running = False
         self.stop_reason = StopReason.OPERATOR if ramp else reason
         trust = Trust.SOME
         try:
@@ -303,7 +303,7 @@ class Rig:
     def _stopped(self, reason: StopReason, text: str, axis: str = "") -> RigError:
         """Stop at once and return the exception with the reason."""
         self.stop_reason = reason
-        self._is_running = False
+        self.is_running = False
         error = STOP_TABLE[reason].error
         unconfirmed = self._disable(Trust.NONE if issubclass(error, LinkError) else Trust.SOME)
         if unconfirmed:
@@ -351,7 +351,7 @@ class Rig:
             RigError: The rig is running.
             StartError: A fault stays.
         """
-        if self._is_running:
+        if self.is_running:
             raise RigError("faults are not reset while the rig runs; call stop() first", self.records)
         for drive in self.drives:
             drive.bring_up().reset_fault()
@@ -363,11 +363,6 @@ class Rig:
         return list(read_objects(self.drives[axis]))
 
     # --- what happened ------------------------------------------------------------------------------------------------
-
-    @property
-    def is_running(self) -> bool:
-        """Whether the drives are enabled and the cycle may continue."""
-        return self._is_running
 
     @property
     def dry_run(self) -> bool:

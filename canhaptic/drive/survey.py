@@ -141,11 +141,6 @@ class Survey(NamedTuple):
     loads: tuple[LoadRow, ...]
 
     @property
-    def path(self) -> Path:
-        """Path of the dictionary."""
-        return self.axis.eds
-
-    @property
     def reasons(self) -> list[SurveyRow]:
         """Reasons for rejecting the drive."""
         return [row for row in self.rows if row.verdict is Verdict.REFUSED]

@@ -3,14 +3,14 @@
 Most backends take `**kwargs` and drop what they do not know, so that a misspelt option would vanish. The options are
 therefore read from the source of the backend, which needs neither its driver nor its device.
 
-Settings of a scene for this computer: its buses and the number of drives on each. The models of a scene fit.
+Settings of a bus for this computer. The model of a scene fits.
 """
 
 import ast
 import importlib.util
 import logging
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -48,38 +48,6 @@ class BusSettings(Protocol):
     @property
     def stop_cycles(self) -> int:
         """Missed cycles after which the rig stops."""
-
-
-class _NamedBusSettings(Protocol):
-    """A bus with the name that axes use for it."""
-
-    @property
-    def name(self) -> str:
-        """Empty where the rig has one bus only."""
-
-    @property
-    def parameters(self) -> BusSettings:
-        """Its settings."""
-
-
-class _AxisPlace(Protocol):
-    """The bus of one axis."""
-
-    @property
-    def bus(self) -> str:
-        """Name of the bus."""
-
-
-class RigSettings(Protocol):
-    """All buses of a rig and the axes on them."""
-
-    @property
-    def buses(self) -> Sequence[_NamedBusSettings]:
-        """All buses."""
-
-    @property
-    def axes(self) -> Sequence[_AxisPlace]:
-        """All axes."""
 
 
 _OF_THE_SCENE: Final = ("interface", "channel", "bitrate")

@@ -12,11 +12,11 @@ continue unnoticed, and is refused.
 import json
 import math
 import subprocess
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Final, Literal, NamedTuple
 
 from canhaptic.errors import LinkError
-from canhaptic.host.interfaces import BusSettings, RigSettings
+from canhaptic.host.interfaces import BusSettings
 
 _Severity = Literal["well", "note", "refused"]
 _Row = tuple[str, object, _Severity, str]  # item, what is seen, severity, text
@@ -35,32 +35,31 @@ class PreflightFinding(NamedTuple):
     text: str  # expected value and remedy; empty when all is well
 
 
-def preflight(scene: RigSettings, run: Runner | None = None) -> list[PreflightFinding]:
+def preflight(buses: Iterable[tuple[BusSettings, int]], run: Runner | None = None) -> list[PreflightFinding]:
     """The kernel's report on every SocketCAN interface of a scene; none for other interfaces.
 
     Args:
-        scene: Scene that names the interfaces.
+        buses: Buses of the scene, and the number of drives on each.
         run: Runs a command and returns what it printed; `ip` itself by default.
     """
     findings = []
-    for bus in scene.buses:
-        if bus.parameters.interface == "socketcan":
-            axes = sum(axis.bus == bus.name for axis in scene.axes)
-            findings += _inspect_interface(str(bus.parameters.channel), bus.parameters, axes, run or _run)
+    for bus, axes in buses:
+        if bus.interface == "socketcan":
+            findings += _inspect_interface(str(bus.channel), bus, axes, run or _run)
     return findings
 
 
-def all_links_are_virtual(scene: RigSettings, run: Runner | None = None) -> bool:
+def all_links_are_virtual(buses: Iterable[tuple[BusSettings, int]], run: Runner | None = None) -> bool:
     """Whether no bus of a scene can have a real drive, according to the kernel.
 
     That is so for the virtual bus of this process and for SocketCAN interfaces of the kinds vcan and vxcan. The name of
     an interface is not considered. An interface unknown to the kernel counts as real.
 
     Args:
-        scene: Scene that names the interfaces.
+        buses: Buses of the scene, and the number of drives on each.
         run: Runs a command and returns what it printed; `ip` itself by default.
     """
-    return all(_is_virtual(bus.parameters, run or _run) for bus in scene.buses)
+    return all(_is_virtual(bus, run or _run) for bus, _ in buses)
 
 
 def _is_virtual(bus: BusSettings, run: Runner) -> bool:
@@ -77,13 +76,13 @@ def _question(channel: str) -> list[str]:
     return ["ip", "-details", "-statistics", "-json", "link", "show", "dev", channel]
 
 
-def require_preflight(scene: RigSettings, run: Runner | None = None) -> list[PreflightFinding]:
+def require_preflight(buses: Iterable[tuple[BusSettings, int]], run: Runner | None = None) -> list[PreflightFinding]:
     """Return the notes of a preflight; raise where one forbids a run.
 
     Raises:
         LinkError: There is such a reason; lists every one.
     """
-    findings = preflight(scene, run)
+    findings = preflight(buses, run)
     refused = [f for f in findings if f.severity == "refused"]
     if refused:
         raise LinkError("; ".join(f"{f.interface}: {f.item}: got {f.seen}, {f.text}" for f in refused))

@@ -385,6 +385,11 @@ class Scene:
         return self.auto_accuracy.auto if self.auto_accuracy else None
 
     @property
+    def loaded_buses(self) -> list[tuple[BusParameters, int]]:
+        """The parameters of each bus, and the number of drives on it."""
+        return [(bus.parameters, sum(axis.bus == bus.name for axis in self.axes)) for bus in self.buses]
+
+    @property
     def buses(self) -> tuple[NamedBus, ...]:
         """All buses of the rig; rate, link policy and the rest come from the first."""
         further = (NamedBus(bus.name, bus.over(self.bus)) for bus in self.further_buses)
@@ -558,7 +563,7 @@ def refused_values(scene: Scene) -> list[Guess]:
         return []
     from canhaptic.host.socketcan_state import all_links_are_virtual
 
-    return [] if all_links_are_virtual(scene) else unset
+    return [] if all_links_are_virtual(scene.loaded_buses) else unset
 
 
 def status_text(scene: Scene) -> str:

@@ -154,7 +154,7 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
     if found.suitability is Suitability.UNFIT:
         reasons = "; ".join(f"{row.item}: {row.text}" for row in found.reasons)
         kind = "cyclic torque" if found.axis.admittance is None else "an admittance display"
-        raise DictionaryError(f"{found.path} is not fit for {kind}: {reasons}")
+        raise DictionaryError(f"{found.axis.eds} is not fit for {kind}: {reasons}")
     dictionary, rate = found.dictionary, _rate(found)
     quirks = () if drive is None else tuple(profile_values(drive).get("quirks", ()))
     stated, resolution = stated_value(dictionary, od.RATED_TORQUE), quirks_of(quirks).rated_torque_resolution
@@ -163,7 +163,7 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
     text = _text(
         "scene",
         title=_plain(f"{found.vendor} {found.product}".strip() or "A CiA 402 drive"),
-        eds=_plain(str(found.path)),
+        eds=_plain(str(found.axis.eds)),
         eds_quoted=_EDS_TOKEN,
         scene=_plain(str(out or "rig.yaml")),
         hint="      needs no hardware: drive, motor and hand are simulated" if simulate else "",
@@ -183,7 +183,7 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
         **_count_values(dictionary),
     )
     aligned = _TRAILING_COMMENT.sub(lambda line: f"{line.group(1):<{_COMMENT_COLUMN - 2}}  # ", text)
-    return aligned.replace(_EDS_TOKEN, json.dumps(path_for_scene(found.path, out), ensure_ascii=False))
+    return aligned.replace(_EDS_TOKEN, json.dumps(path_for_scene(found.axis.eds, out), ensure_ascii=False))
 
 
 def _rendered(found: Survey, limit: float, *, simulate: bool) -> str:

@@ -59,7 +59,7 @@ def answers(stdout: str, returncode: int = 0, stderr: str = "") -> preflight_mod
 
 
 def judged(stdout: str, *overrides: str) -> dict[str, PreflightFinding]:
-    return {finding.item: finding for finding in preflight(scene(*overrides), answers(stdout))}
+    return {finding.item: finding for finding in preflight(scene(*overrides).loaded_buses, answers(stdout))}
 
 
 def changed(old: str, new: str) -> str:
@@ -71,7 +71,7 @@ def test_an_interface_in_order_passes_without_a_note() -> None:
     found = judged(WELL)
     assert {finding.severity for finding in found.values()} == {"well"}
     assert set(found) == {"link", "txqueuelen", "bit rate", "state", "restart-ms", "error counters"}
-    assert require_preflight(scene(), answers(WELL)) == []
+    assert require_preflight(scene().loaded_buses, answers(WELL)) == []
 
 
 def test_a_virtual_can_interface_has_no_controller_to_judge() -> None:
@@ -98,7 +98,7 @@ def test_what_would_fail_or_harm_refuses_the_run(stdout: str, item: str, words: 
     assert finding.severity == "refused"
     assert words in finding.text
     with pytest.raises(LinkError) as caught:
-        require_preflight(scene(), answers(stdout))
+        require_preflight(scene().loaded_buses, answers(stdout))
     assert f"can0: {item}: got {finding.seen}" in str(caught.value)
     assert words in str(caught.value)
 
@@ -118,7 +118,7 @@ def test_what_is_only_unwise_is_a_note(stdout: str, item: str, words: str) -> No
     finding = judged(stdout)[item]
     assert finding.severity == "note"
     assert words in finding.text
-    assert require_preflight(scene(), answers(stdout)) == [finding]
+    assert require_preflight(scene().loaded_buses, answers(stdout)) == [finding]
 
 
 def test_the_fixed_bit_rate_of_a_controller_is_compared_too() -> None:
@@ -137,12 +137,12 @@ def test_the_default_queue_is_too_short_for_three_axes_and_not_for_one() -> None
 def test_several_faults_are_told_at_once() -> None:
     stdout = changed('"bitrate":1000000', '"bitrate":125000').replace("ERROR-ACTIVE", "BUS-OFF")
     with pytest.raises(LinkError, match=r"bit rate: got 125000.*state: got BUS-OFF"):
-        require_preflight(scene(), answers(stdout))
+        require_preflight(scene().loaded_buses, answers(stdout))
 
 
 def test_an_interface_that_is_not_there_refuses_the_run() -> None:
     with pytest.raises(LinkError, match="can0: interface: got none"):
-        require_preflight(scene(), answers("", 1, 'Device "can0" does not exist.\n'))
+        require_preflight(scene().loaded_buses, answers("", 1, 'Device "can0" does not exist.\n'))
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ def test_an_interface_that_is_not_there_refuses_the_run() -> None:
     ],
 )
 def test_an_ip_that_cannot_tell_is_a_note_and_no_refusal(stdout: str, code: int, stderr: str) -> None:
-    [note] = require_preflight(scene(), answers(stdout, code, stderr))
+    [note] = require_preflight(scene().loaded_buses, answers(stdout, code, stderr))
     assert (note.item, note.severity) == ("ip", "note")
     assert "install iproute2" in note.text
 
@@ -165,7 +165,7 @@ def test_without_ip_nothing_is_refused_and_that_is_said(error: Exception) -> Non
     def run_ip(command: list[str]) -> "subprocess.CompletedProcess[str]":
         raise error
 
-    [note] = require_preflight(scene(), run_ip)
+    [note] = require_preflight(scene().loaded_buses, run_ip)
     assert "cannot be checked" in note.text
 
 
@@ -173,7 +173,7 @@ def test_other_interfaces_are_not_looked_at() -> None:
     def run_ip(command: list[str]) -> "subprocess.CompletedProcess[str]":
         raise AssertionError(command)
 
-    assert preflight(load_scene(DEMO), run_ip) == []
+    assert preflight(load_scene(DEMO).loaded_buses, run_ip) == []
 
 
 # --- real drives or simulated ones ------------------------------------------------------------------------------------
@@ -193,24 +193,24 @@ def test_other_interfaces_are_not_looked_at() -> None:
     ],
 )
 def test_a_bus_without_a_controller_is_told_by_the_kernel(stdout: str, is_virtual: bool) -> None:
-    assert all_links_are_virtual(scene(), answers(stdout)) is is_virtual
+    assert all_links_are_virtual(scene().loaded_buses, answers(stdout)) is is_virtual
 
 
 def test_the_name_of_an_interface_says_nothing() -> None:
     def run_ip(command: list[str]) -> "subprocess.CompletedProcess[str]":
         return subprocess.CompletedProcess(command, 0, WELL.replace("can0", "vcan0"), "")
 
-    assert not all_links_are_virtual(scene("bus.channel=vcan0"), run_ip)
+    assert not all_links_are_virtual(scene("bus.channel=vcan0").loaded_buses, run_ip)
 
 
 def test_a_bus_that_the_kernel_does_not_know_counts_as_real() -> None:
     def no_ip(command: list[str]) -> "subprocess.CompletedProcess[str]":
         raise FileNotFoundError("ip")
 
-    assert not all_links_are_virtual(scene(), no_ip)
-    assert not all_links_are_virtual(scene(), answers("", 1, 'Device "can0" does not exist.'))
-    assert not all_links_are_virtual(scene("bus.interface=pcan"), answers(VIRTUAL))
-    assert all_links_are_virtual(load_scene(DEMO), no_ip)  # the virtual bus of this process
+    assert not all_links_are_virtual(scene().loaded_buses, no_ip)
+    assert not all_links_are_virtual(scene().loaded_buses, answers("", 1, 'Device "can0" does not exist.'))
+    assert not all_links_are_virtual(scene("bus.interface=pcan").loaded_buses, answers(VIRTUAL))
+    assert all_links_are_virtual(load_scene(DEMO).loaded_buses, no_ip)  # the virtual bus of this process
 
 
 def test_a_marked_scene_runs_on_a_virtual_interface_alone(
@@ -304,6 +304,6 @@ def test_the_command_says_when_there_is_nothing_to_look_at(capsys: pytest.Captur
 
 def test_the_ip_of_this_machine_is_asked_for_real() -> None:
     """On any host: an interface that is judged, one that is missing, or no answer, each reported."""
-    found = preflight(scene("bus.channel=can99"))
+    found = preflight(scene("bus.channel=can99").loaded_buses)
     assert {finding.interface for finding in found} == {"can99"}
     assert all(finding.seen and (finding.text or finding.severity == "well") for finding in found)

@@ -211,12 +211,9 @@ class AdmittanceBringUp(CanBringUp):
 
     def _zero_torque(self) -> None:
         """Write a target at rest, the steepest ramps of the drive, zero offsets, and the quick stop."""
-        if self._drive.display.mode == "position":
-            with self.step("zero torque"):
-                position = self._sdo.read(od.POSITION_ACTUAL)
-            self._write_confirmed("zero torque", od.TARGET_POSITION, 0, position)
-        else:
-            self._write_confirmed("zero torque", od.TARGET_VELOCITY, 0, 0)
+        with self.step("zero torque"):
+            rest = self._sdo.read(od.POSITION_ACTUAL) if self._drive.display.mode == "position" else 0
+        self._write_confirmed("zero torque", self._drive.axis.target, 0, rest)
         for index in RAMPS:  # a ramp inside the drive changes the command behind the certificate's back
             self._write_unless_asked("ramps", index, largest_value(self._drive.dictionary, index))
         self._zero_offsets()
@@ -265,10 +262,8 @@ class AdmittanceBringUp(CanBringUp):
         force, declared = drive.force, drive.display.force
         shown, unit = force.of(drive.reported_per_mille), "N" if drive.axis.unit == "m" else "N*m"
         if not -declared.error <= shown <= declared.error:
-            raise self.refusal(
-                "force at rest", f"{shown:.4g} {unit} before the drive is enabled",
-                f"at most force.error ({declared.error:g} {unit}), with no hand on the handle",
-            )  # fmt: skip
+            wanted = f"at most force.error ({declared.error:g} {unit}), with no hand on the handle"
+            raise self.refusal("force at rest", f"{shown:.4g} {unit} before the drive is enabled", wanted)
 
     def process_data(self) -> Confirmation:
         """Confirmation by every TPDO after a SYNC, and the frame of the sensor."""

@@ -64,8 +64,7 @@ class BackgroundSdo:
     """The objects of one drive while the rig runs; may be used from any thread."""
 
     def __init__(self, drive: ServoDrive, line: "SdoLine") -> None:
-        self._drive = drive
-        self._line = line
+        self._drive, self._line = drive, line
 
     def upload(self, index: int, subindex: int = 0) -> "Future[bytes]":
         """Read an object and return the future of its bytes.
@@ -125,10 +124,8 @@ class SdoLine:
     """
 
     def __init__(self, link: Link, *, has_room: bool) -> None:
-        self.busy = False
-        self._link = link
-        self._has_room = has_room
-        self._is_open = False
+        self._link, self._has_room = link, has_room
+        self.busy = self._is_open = False
         self._waiting: deque[_Request] = deque()
         self._answers: deque[bytes] = deque(maxlen=16)  # kept between two looks
         self._under_way: _Request | None = None

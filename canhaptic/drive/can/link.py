@@ -53,9 +53,7 @@ class Link:
     ) -> None:
         self.clock = clock
         self.statistics = _LinkStatistics()
-        self._bus = bus
-        self._recorder = recorder
-        self._echoes = echoes
+        self._bus, self._recorder, self._echoes = bus, recorder, echoes
         self._handlers: dict[int, _Handler] = {}
         self._now, self._receive = clock.now, clock.receive
         self._channel = getattr(bus, "channel_id", None)
@@ -65,8 +63,7 @@ class Link:
 
     def reserve(self, names: Mapping[int, str]) -> None:
         """Set the COB-IDs that only this master may send, and clear the intruder."""
-        self._own = names
-        self.intruder = ""
+        self._own, self.intruder = names, ""
 
     def subscribe(self, can_id: int, handler: _Handler) -> None:
         """Call `handler(data)` for each frame of this COB-ID from now on, replacing any earlier handler."""

@@ -207,14 +207,10 @@ def _read_back(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Read
         return "actual", _TORQUE_ACTUAL
     if asked in ("auto", "none"):
         return "none", None
-    wanted = TORQUE_DEMAND if asked == "demand" else _TORQUE_ACTUAL
+    asks, wanted = f"{axis.name}: read_back is {asked!r}, but", TORQUE_DEMAND if asked == "demand" else _TORQUE_ACTUAL
     if asked == "demand" and not has_demand:
-        raise DictionaryError(
-            f"{axis.name}: read_back is 'demand', but its quirks have demand_absent; use read_back: auto"
-        )
-    raise DictionaryError(
-        f"{axis.name}: read_back is {asked!r}, but {axis.eds} does not let {wanted} be mapped; use read_back: auto"
-    )
+        raise DictionaryError(f"{asks} its quirks have demand_absent; use read_back: auto")
+    raise DictionaryError(f"{asks} {axis.eds} does not let {wanted} be mapped; use read_back: auto")
 
 
 def _force(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[ReadBack, MappedObject | None]:
@@ -284,17 +280,14 @@ def _choose_rpdo(
     dictionary: ObjectDictionary, axis: AxisParameters, wanted: tuple[MappedObject, MappedObject]
 ) -> PdoCapability:
     candidates = [c for c in pdo_capabilities(dictionary, "RPDO") if axis.rpdo_number in (None, c.number)]
-    unmappable = _unmappable(dictionary, "RPDO", wanted)
-    for candidate in candidates:
-        if candidate.fixed is None and candidate.room >= len(wanted) and not unmappable:
-            return candidate
-    for candidate in candidates:
-        if {entry.entry for entry in candidate.fixed or ()} == {entry.entry for entry in wanted}:
-            return candidate
-    raise DictionaryError(
-        f"{axis.name}: {axis.eds}: no RPDO{axis.rpdo_number or ''} can carry {wanted[0]} and {wanted[1]}; "
-        "the drive needs a writable mapping (0x1600..) or a fixed one with exactly these two" + unmappable
-    )
+    unmappable, needed = _unmappable(dictionary, "RPDO", wanted), {entry.entry for entry in wanted}
+    fits = [c for c in candidates if c.fixed is None and c.room >= len(wanted) and not unmappable]
+    fits += [c for c in candidates if {entry.entry for entry in c.fixed or ()} == needed]
+    if not fits:
+        text = f"no RPDO{axis.rpdo_number or ''} can carry {wanted[0]} and {wanted[1]}"
+        remedy = "the drive needs a writable mapping (0x1600..) or a fixed one with exactly these two"
+        raise DictionaryError(f"{axis.name}: {axis.eds}: {text}; {remedy}{unmappable}")
+    return fits[0]
 
 
 def _choose_tpdos(
@@ -312,19 +305,14 @@ def _choose_tpdos(
         if covers:
             best = min(covers, key=lambda group: sum(e.bits for c in group for e in c.fixed or ()))
             return [(candidate, ()) for candidate in best]
-    names = ", ".join(str(entry) for entry in wanted)
-    raise DictionaryError(
-        f"{axis.name}: {axis.eds}: no writable or fixed TPDO carries {names}; set tpdo_numbers or read_back: none"
-        + unmappable
-    )
+    text = f"no writable or fixed TPDO carries {', '.join(map(str, wanted))}"
+    raise DictionaryError(f"{axis.name}: {axis.eds}: {text}; set tpdo_numbers or read_back: none{unmappable}")
 
 
 def _unmappable(dictionary: ObjectDictionary, kind: _Kind, wanted: Sequence[MappedObject]) -> str:
     """Objects that cannot be part of a written map, and why; empty where all can."""
-    texts = (
-        (entry, mapping_objection(dictionary, kind, entry.index, entry.data_type, entry.subindex)) for entry in wanted
-    )
-    return "".join(f"; {entry} is {text}" for entry, text in texts if text is not None)
+    texts = [mapping_objection(dictionary, kind, entry.index, entry.data_type, entry.subindex) for entry in wanted]
+    return "".join(f"; {entry} is {text}" for entry, text in zip(wanted, texts, strict=True) if text is not None)
 
 
 # --- the COB-IDs --------------------------------------------------------------------------------------------------

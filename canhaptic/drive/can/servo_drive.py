@@ -84,7 +84,9 @@ class ServoDrive(TorqueAxis):
         self.window = SyncWindow()
         self._statistics = link.statistics
         self._rpdo_cob_id = self.map.rpdo.cob_id
-        pack = self._packer(self.map.rpdo, axis.target)
+        image = codec(self.map.rpdo.entries, [od.CONTROLWORD, axis.target])
+        is_first = self.map.rpdo.entries[0].index == od.CONTROLWORD
+        pack: Callable[[int, int], bytes] = image.pack if is_first else lambda word, torque: image.pack(torque, word)
         self._pack = (lambda controlword, _torque: pack(controlword, 0)) if dry_run else pack  # behind the limiter's 0
         place = axis.admittance.force.place if axis.admittance else None
         self._listen({**_SLOTS, **({place[0]: 2} if place else {})})
@@ -199,13 +201,6 @@ class ServoDrive(TorqueAxis):
         """Switch the drive's watchdog (0x1016) off, so that no heartbeat is missed; raise SdoError."""
         if self.axis.watchdog:
             self.sdo.write(od.CONSUMER_HEARTBEAT_TIME, 1, 0)
-
-    @staticmethod
-    def _packer(rpdo: PdoPlan, target: int) -> Callable[[int, int], bytes]:
-        image = codec(rpdo.entries, [od.CONTROLWORD, target])
-        if rpdo.entries[0].index == od.CONTROLWORD:
-            return image.pack
-        return lambda controlword, torque: image.pack(torque, controlword)
 
     # --- what the link hands in ---------------------------------------------------------------------------------
 

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 else:  # a sensor that is no node of its own loads nothing of it
     ForceNode = Any
 
-_LARGEST_BITS: Final = 32
 _OBJECT: Final = re.compile(r"0x([0-9a-fA-F]{4})(?:\.([0-9a-fA-F]{1,2}))?")
 
 Mode = Literal["velocity", "position"]
@@ -76,15 +75,13 @@ class ForceParameters(Parameters):
     @property
     def bits(self) -> int:
         """Width of a counter that wraps."""
-        return _LARGEST_BITS if self.node is None else self.node.bits
+        return 32 if self.node is None else self.node.bits
 
     @property
     def place(self) -> tuple[int, int] | None:
         """(index, subindex) of the object; None for a sensor with its own node."""
         match = _OBJECT.fullmatch(self.object or "")
-        if match is None:
-            return None
-        return int(match.group(1), 16), int(match.group(2) or "0", 16)
+        return None if match is None else (int(match.group(1), 16), int(match.group(2) or "0", 16))
 
 
 class AdmittanceParameters(Parameters):

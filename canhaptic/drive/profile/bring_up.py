@@ -42,8 +42,7 @@ class BringUp(ABC):
     """
 
     def __init__(self, drive: TorqueAxis) -> None:
-        self._drive = drive
-        self._sdo = drive.sdo
+        self._drive, self._sdo = drive, drive.sdo
 
     def call(self) -> None:
         """Take the drive from any state to pre-operational and request its state reports; `configure` follows.
@@ -123,14 +122,13 @@ class BringUp(ABC):
         """Turn an error inside into a StartError of this step."""
         try:
             yield
-        except SdoError as error:
+        except (SdoError, DictionaryError, LinkError) as error:
+            if isinstance(error, SdoError):
+                expected = expected if error.code is not None else "an answer"
+            elif isinstance(error, LinkError):
+                expected = "a working bus"
             seen = str(error).removeprefix(f"{self._drive.axis.name}: ")
-            raise self.refusal(name, seen, expected if error.code is not None else "an answer") from error
-        except DictionaryError as error:
-            raise self.refusal(name, str(error).removeprefix(f"{self._drive.axis.name}: "), expected) from error
-        except LinkError as error:
-            seen = str(error).removeprefix(f"{self._drive.axis.name}: ")
-            raise self.refusal(name, seen, "a working bus") from error
+            raise self.refusal(name, seen, expected) from error
 
     def refusal(self, name: str, seen: str, expected: str, remedy: str = "") -> StartError:
         """Return the error of a step, by default with the remedy of that step."""

@@ -93,15 +93,12 @@ class LinkPolicy:
     __slots__ = ("_hold_cycles", "_stop_cycles", "cycles", "missed", "missed_total")
 
     def __init__(self, hold_cycles: int, stop_cycles: int) -> None:
-        self._hold_cycles = hold_cycles
-        self._stop_cycles = stop_cycles
+        self._hold_cycles, self._stop_cycles = hold_cycles, stop_cycles
         self.reset()
 
     def reset(self) -> None:
         """Start counting again."""
-        self.missed = 0
-        self.missed_total = 0
-        self.cycles = 0
+        self.missed = self.missed_total = self.cycles = 0
 
     def on_tpdo(self) -> None:
         """Count a SYNC that was answered."""

@@ -100,6 +100,7 @@ class TorqueAxis(ABC):
         dry_run: Whether the torque sent is always 0.
 
     Attributes:
+        dry_run: Whether the torque sent is always 0.
         statusword: Statusword of the last complete process data.
         is_complete: Whether all process data of the last SYNC arrived in their window.
         is_operational: Whether the drive exchanges process data, by its last report.
@@ -147,7 +148,7 @@ class TorqueAxis(ABC):
         self, axis: TorqueAxisParameters, dictionary: Dictionary, sdo: ObjectAccess, rules: CycleRules,
         read_back: ReadBack, dry_run: bool = False,
     ) -> None:  # fmt: skip
-        self.axis, self.dictionary, self.sdo = axis, dictionary, sdo
+        self.axis, self.dictionary, self.sdo, self.dry_run = axis, dictionary, sdo, dry_run
         self.quirks = quirks_of(axis.quirks)
         self.read_back: ReadBack = read_back
         self.scaling = axis_scaling(axis, axis.rated_torque or 1.0)
@@ -160,8 +161,7 @@ class TorqueAxis(ABC):
         self.unrestored: list[str] = []
         self.hold = ""
         self.elsewhere: list[str] = []
-        self.outputs = 0
-        self.is_foreign = False
+        self.outputs, self.is_foreign = 0, False
         self.sample_time_ns = rules.sample_time_ns
         self._is_synchronous, self._silence = rules.is_synchronous, rules.silence
         self._sample_time, self._stop_cycles = rules.sample_time, rules.stop_cycles
@@ -250,11 +250,6 @@ class TorqueAxis(ABC):
     def mode_code(self) -> int:
         """Value of 0x6060 for the drive's mode."""
         return self.axis.mode_code
-
-    @property
-    def dry_run(self) -> bool:
-        """Whether the torque sent is always 0."""
-        return isinstance(self.limiter, DryRunLimiter)
 
     @property
     def withheld(self) -> float:
@@ -438,9 +433,7 @@ class TorqueAxis(ABC):
             return StopReason.POSITION_JUMP
         if self.policy.missed >= self._stop_cycles:
             return StopReason.TPDO_LOST
-        if self._stale_holds >= self._stop_cycles:
-            return StopReason.COMMAND_LOST
-        return _NO_REASON
+        return StopReason.COMMAND_LOST if self._stale_holds >= self._stop_cycles else _NO_REASON
 
     def _state_fault(self) -> StopReason:
         if self.emergency is not None:

@@ -1,6 +1,6 @@
 """Parameters of one axis, for any fieldbus: every value in SI, with unit and range."""
 
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 
@@ -16,7 +16,6 @@ else:  # an impedance display without a brake loads nothing of them
     Brake = Any
     AdmittanceParameters = Any
 
-_LARGEST_SPEED: Final = {"m": 10.0, "rad": 100.0}  # [m/s or rad/s]
 ReadBack = Literal["demand", "actual", "none"]
 """Torque in the process data of a drive: 0x6074, 0x6077, or none."""
 
@@ -115,7 +114,7 @@ class TorqueAxisParameters(Parameters):
     @property
     def largest_speed(self) -> float:
         """`speed_limit`, or its default [m/s or rad/s]."""
-        return self.speed_limit or _LARGEST_SPEED[self.unit]
+        return self.speed_limit or {"m": 10.0, "rad": 100.0}[self.unit]
 
     @field_validator("quirks")
     @classmethod
