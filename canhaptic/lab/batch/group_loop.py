@@ -548,6 +548,7 @@ class GroupCase(NamedTuple):
         """Return the same group with plants as objects, which have their effects themselves."""
         axes = [scene.axis(name) for name in scene.groups[0].axes]
         bare = [replace(loop, signals=Signals()) for loop in self.rig.loops]
+        Motors(scene, axes)  # refuses what cannot be built before a run would count it as diverged
         motors = GroupPlant(lambda _listed: Motors(scene, axes), {move_motors: move_objects})
         return self._replace(motors=motors, rig=self.rig._replace(loops=bare))
 

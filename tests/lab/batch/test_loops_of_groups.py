@@ -1,6 +1,6 @@
 """The loop of a group as a kernel: against the loop with the plants themselves, and compiled."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from canhaptic.control.mechanisms.kinematics import PoseAsked
 from canhaptic.control.mechanisms.transmission import Transmission
 from canhaptic.control.multi_axis.group_kernel import GroupHold
 from canhaptic.control.multi_axis.group_motion import why_not_world
+from canhaptic.errors import ParameterError
 from canhaptic.lab.batch.group_loop import GroupMeter, LinearMotors, group_case, shares
 from canhaptic.lab.batch.scalar import group_meter, render_group
 from canhaptic.lab.loop.axis_loop import Recorder
@@ -17,8 +18,11 @@ from canhaptic.lab.studies.compare import compare
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.sweep.chunk import ENGINES
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
+from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import load_scene
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import Scene
+from canhaptic.sim.plant.effects.backlash import Backlash
 from tests.lab.sweep.conftest_sweep import REPOSITORY
 
 _SCALING = "groups.0.passivity={algorithm: step_scaling}"
@@ -122,6 +126,13 @@ def test_what_is_held_is_explained_by_spring_and_damper() -> None:
 def test_nothing_felt_has_no_share() -> None:
     away = scene_of("xy_box", "groups.0.network.lower=[-1, -1]", "groups.0.network.upper=[1, 1]")
     assert np.isnan(shares(group_meter(group_case(away, explains=True), 100))).all()
+
+
+def test_a_plant_that_cannot_be_built_is_refused_and_not_counted_as_diverged() -> None:
+    scene, loose = scene_of("two_handles"), ComponentSpec("backlash", Backlash(gap=1e-4))
+    axes = tuple(replace(axis, simulation=replace(simulation_of(axis), effects=(loose,))) for axis in scene.axes)
+    with pytest.raises(ParameterError, match="shaft_compliance"):
+        group_case(replace(scene, axes=axes))
 
 
 def test_a_number_that_is_not_finite_ends_the_loop() -> None:
