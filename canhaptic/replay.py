@@ -44,15 +44,9 @@ from canhaptic.errors import InputError, LogFormatError, RigError
 from canhaptic.logs.bus_reader import Frame, SkippedKind, read_bus_log
 from canhaptic.logs.decoder import BusDecoder
 from canhaptic.result import RunResult, run_result
+from canhaptic.scene import parts
 from canhaptic.scene.build import build_loss_meters, open_bus, private_channel
 from canhaptic.scene.models import Scene
-from canhaptic.scene.parts import (
-    build_axis_controllers,
-    build_axis_groups,
-    build_axis_meters,
-    build_servo_drive,
-    group_places,
-)
 from canhaptic.scene.recorded_names import Channels, describe_nodes
 
 _ENABLE_BITS: Final = int(od.Controlword.ENABLE_OPERATION)
@@ -95,11 +89,9 @@ def roles_of(scene: Scene) -> Roles:
     axes = [axis.parameters for axis in scene.axes]
     on = [places[axis.bus] for axis in scene.axes]
     maps = [choose_map(read_dictionary(axis.eds, axis.node_id), axis) for axis in axes]
-    nodes = list(zip(on, (axis.node_id for axis in axes), strict=True))
-    for bus, axis in zip(on, axes, strict=True):
-        sensor = axis.admittance.force.node if axis.admittance else None
-        nodes += [(bus, sensor.node_id)] if sensor and sensor.node_id else []
-    sdo_requests = frozenset((bus, od.SDO_REQUEST_BASE + node_id) for bus, node_id in nodes)
+    sensors = [axis.admittance.force.node if axis.admittance else None for axis in axes]
+    nodes = zip(on * 2, [*axes, *sensors], strict=True)
+    sdo_requests = frozenset((bus, od.SDO_REQUEST_BASE + of.node_id) for bus, of in nodes if of and of.node_id)
     rpdos = [(bus, plan.rpdo.cob_id) for bus, plan in zip(on, maps, strict=True)]
     heartbeat = od.HEARTBEAT_BASE + scene.bus.master_id
     on_every_bus = {(bus, cob_id) for bus in on for cob_id in (od.NMT_COB_ID, od.SYNC_FRAME_COB_ID, heartbeat)}
@@ -563,9 +555,11 @@ class OpenReplay:
         self._side = RecordedSide(far_buses, self._recording, first)
         clock = RecordedClock(self._side, self._start, self._wall if realtime else None)
         rig = self._rig([Link(bus, clock) for bus in near_buses], dry_run)
-        groups, known = build_axis_groups(scene), build_axis_meters(scene)
+        groups, known = parts.build_axis_groups(scene), parts.build_axis_meters(scene)
         meters = build_loss_meters(scene)
-        self.cycle = Cycle(rig, build_axis_controllers(scene), groups=groups, axis_meters=known, loss_meters=meters)
+        self.cycle = Cycle(
+            rig, parts.build_axis_controllers(scene), groups=groups, axis_meters=known, loss_meters=meters
+        )
         if scene.run.code_runs_in == "process":
             from canhaptic.scene.code_process import ask_in_cycle
 
@@ -574,9 +568,9 @@ class OpenReplay:
     def _rig(self, links: list[Link], dry_run: bool) -> Rig:
         scene = self._scene
         by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
-        drives = [build_servo_drive(axis, *by_name[axis.bus], dry_run=dry_run) for axis in scene.axes]
+        drives = [parts.build_servo_drive(axis, *by_name[axis.bus], dry_run=dry_run) for axis in scene.axes]
         self._follow_older_master(drives)
-        return (JoinedRig if self._joins else Rig)(links, drives, scene.bus, group_places(scene))
+        return (JoinedRig if self._joins else Rig)(links, drives, scene.bus, parts.group_places(scene))
 
     def _follow_older_master(self, drives: list[ServoDrive]) -> None:
         """Leave out what no recorded drive answers: older masters wrote no 0x1006, no offsets, and put nothing back."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypedDict
 
 import numpy as np
 
-from canhaptic.audit.port_record import limits_of
+from canhaptic.audit.inspection import limits_of
 from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.multi_axis.group_controller import GroupedControllers
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR
@@ -78,7 +78,8 @@ def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControlle
             if logged[_CERTIFICATE] == _NONE:  # withdrawn for the length of a hold, which is no input
                 balance = balance._replace(certificate=_NONE)
             if name not in found and _ALL.pack(*balance) != _ALL.pack(*logged):
-                number = next(n for n, values in enumerate(zip(balance, logged, strict=True)) if _differ(*values))
+                pairs = enumerate(zip(balance, logged, strict=True))
+                number = next(n for n, (now, was) in pairs if _ONE.pack(now) != _ONE.pack(was))
                 cycle = int(log.timing["sync_index"][row])
                 found[name] = Mismatch(name, cycle, _OUTPUTS[number], logged[number], balance[number])
     return list(found.values())
@@ -133,10 +134,6 @@ def logged_rows(log: EnergyLog, port: str, columns: Sequence[str]) -> Iterator[t
 def efforts_asked(log: EnergyLog, axis: str) -> Iterator[float]:
     """Yield the effort requested on an axis, row by row [N or N*m]: the inverse of the torque."""
     return (effort for (effort,) in logged_rows(log, axis, ("effort_asked",)))
-
-
-def _differ(left: float, right: float) -> bool:
-    return _ONE.pack(left) != _ONE.pack(right)
 
 
 def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: bool = False) -> list[Recomputed]:

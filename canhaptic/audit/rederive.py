@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from math import inf
 from pathlib import Path
-from typing import Any, Final, NotRequired, TypedDict, cast
+from typing import Any, Final, NotRequired, cast
 
 from canhaptic.audit.listened_axis import OF_A_NODE, DeclaredDrive, DeclaredForce, ListenedAxis
 from canhaptic.audit.recompute import efforts_asked, logged_rows
@@ -104,23 +104,13 @@ def _declared(axis: AxisScene) -> DeclaredDrive:
     return DeclaredDrive(**named, force=force)
 
 
-class Departure(TypedDict):
-    """First value of a port that differs from the logged one."""
-
-    port: str
-    cycle: int
-    quantity: str
-    logged: float
-    rederived: float
-
-
 class Rederived(Verdicts):
     """The account of a run from its frames, by the names of `run --json`."""
 
     status: NotRequired[str]
     cycles: int
     ports: dict[str, PortResult]
-    differences: NotRequired[list[Departure]]  # with a log: the first of each port
+    differences: NotRequired[list[dict[str, str | int | float]]]  # with a log: the first of each port
     checks: NotRequired[list[Outcome]]
 
 
@@ -140,7 +130,7 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     """
     derived = _Derivation(scene, dry_run=log is not None and log.dry_run)
     logged = {} if log is None else {name: _logged(log, name) for name in derived.units}
-    differences: dict[str, Departure] = {}
+    differences: dict[str, dict[str, str | int | float]] = {}
     asked = _asked(derived.programs, scene, log, bus_log)
     for periods, samples, shown in _samples_of(bus_log, scene):
         if log is not None and derived.cycles == log.rows:
@@ -152,9 +142,7 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
             found = (sample.position, sample.torque_applied, *balance[1:])
             for quantity, was, now in zip(_COMPARED, next(columns), found, strict=False):
                 if was != now and name not in differences:
-                    differences[name] = Departure(
-                        port=name, cycle=derived.cycles - 1, quantity=quantity, logged=was, rederived=now
-                    )
+                    differences[name] = _difference(name, derived.cycles - 1, quantity, was, now)
     cycles = derived.cycles
     if not cycles:
         raise InputError(f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}")
@@ -163,9 +151,12 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     if log is not None:
         result["differences"] = list(differences.values())
         if cycles < log.rows:  # the frames end early: of the rows behind nothing was derived
-            short = Departure(port="", cycle=cycles, quantity="cycles", logged=log.rows, rederived=cycles)
-            result["differences"].append(short)
+            result["differences"].append(_difference("", cycles, "cycles", log.rows, cycles))
     return result
+
+
+def _difference(port: str, cycle: int, quantity: str, logged: float, rederived: float) -> dict[str, str | int | float]:
+    return {"port": port, "cycle": cycle, "quantity": quantity, "logged": logged, "rederived": rederived}
 
 
 def _logged(log: EnergyLog, port: str) -> Iterator[tuple[float, ...]]:

@@ -65,7 +65,8 @@ def check(result: Checked, expression: str) -> list[Outcome]:
         raise InputError(f"check {expression!r}: expected NAME >= NUMBER, such as 'margin >= -1e-6'")
     name, comparison, number, unit = match.groups()
     values = dict(_numbers(result, ""))
-    wanted = _wanted(name)
+    head, dot, last = name.rpartition(".")
+    wanted = head + dot + _SHORT.get(last, last)
     found: dict[str, float] = {}
     for sign in ("_", "."):  # as written, else with either sign for the other
         found = found or {
@@ -158,11 +159,6 @@ def _unit_of(path: str, result: Checked) -> str:
     if section == "timing":
         return {"cycles_per_second": "1/s", "deadlines_missed": "1"}.get(name, "s")
     return {"duration": "s", "from": "s", "to": "s", "rate": "Hz"}.get(path, "1")
-
-
-def _wanted(name: str) -> str:
-    head, dot, last = name.rpartition(".")
-    return head + dot + _SHORT.get(last, last)
 
 
 def _numbers(value: object, path: str) -> Iterator[tuple[str, float]]:

@@ -6,8 +6,7 @@ from typing import Final
 
 from rich.console import Console
 
-from canhaptic.audit.inspection import Inspection, compare, inspect
-from canhaptic.audit.port_record import CHANGED
+from canhaptic.audit.inspection import CHANGED, Inspection, compare, inspect
 from canhaptic.audit.recompute import recompute_all, scene_of
 from canhaptic.audit.user_checks import Checked, Outcome, check
 from canhaptic.cli.options import check_page, check_picture, check_place, require_new

@@ -25,8 +25,7 @@ _LINE: Final = re.compile(
 )
 
 
-_FD_LINE: Final = re.compile(r"\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]{3,8}##[0-9A-Fa-f]+(?:\s+[RTrt])?\s*")
-_REMOTE_LINE: Final = re.compile(r"\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]{3,8}#[Rr]\d?(?:\s+[RTrt])?\s*")
+_SKIPPED: Final = re.compile(r"\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]{3,8}#(?:(#[0-9A-Fa-f]+)|[Rr]\d?)(?:\s+[RTrt])?\s*")
 SkippedKind = Literal["CAN FD", "error", "remote"]
 
 
@@ -124,10 +123,8 @@ def _require_time(path: Path, number: int, nanoseconds: int) -> None:
 
 def _skipped_kind(path: Path, number: int, line: str) -> SkippedKind:
     """Kind of a line that is not a data frame of classic CAN; raises LogFormatError where it is not a frame."""
-    if _FD_LINE.fullmatch(line):
-        return "CAN FD"
-    if _REMOTE_LINE.fullmatch(line):
-        return "remote"
+    if found := _SKIPPED.fullmatch(line):
+        return "CAN FD" if found[1] else "remote"
     raise LogFormatError(f"{path}:{number}: {line.strip()[:60]!r} is not a frame of candump -L, expected a bus log")
 
 

@@ -73,14 +73,9 @@ class _LogColumn(NamedTuple):
     dtype: str  # in the file, NumPy notation
 
     @property
-    def name(self) -> str:
-        """Last part of the path."""
-        return self.path.rpartition("/")[2]
-
-    @property
     def meaning(self) -> str:
         """Words for a quantity that is not self-evident; empty otherwise."""
-        return _MEANINGS.get(self.name, "")
+        return _MEANINGS.get(self.path.rpartition("/")[2], "")
 
 
 class Event(NamedTuple):
@@ -140,7 +135,7 @@ def _port_columns(port: PortDescription, version: int) -> list[_LogColumn]:
     """Columns of a port; older versions have fewer of the quantities measured at the ports."""
     effort = effort_unit(port.unit)
     units = {
-        **dict.fromkeys(("statusword", "fresh", "branch", "certificate", "longest_hold", "uncommanded", "active"), "1"),
+        **dict.fromkeys(_INTEGERS, "1"),
         "position": port.unit,
         "torque_applied": effort,
         "torque": f"{port.unit}/s" if port.commands_velocity else effort,

@@ -19,17 +19,7 @@ from typing import Any, Final, NamedTuple, Self, TypeVar
 import numpy as np
 
 from canhaptic.errors import InputError, LogFormatError
-from canhaptic.logs.columns import (
-    DIGEST,
-    DRY_RUN,
-    EVENT_COLUMNS,
-    FORMAT_NAME,
-    FORMAT_VERSION,
-    GROUP_AXES,
-    Event,
-    LogSchema,
-    PortDescription,
-)
+from canhaptic.logs import columns as log_format
 from canhaptic.logs.hdf5 import Array, Attribute, Dataset, Hdf5File, failure_of, row_digests
 from canhaptic.logs.log_file import log_file
 
@@ -39,7 +29,7 @@ _RUNNING: Final = "running"
 DAMAGE: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError, OverflowError)
 """Exceptions of h5py and NumPy for damaged files."""
 _SAVES: Final = "; `inspect --repair` saves the rest"
-FoundColumns = Mapping[str, Dataset]
+Columns = Mapping[str, Dataset]
 
 
 @contextmanager
@@ -74,11 +64,21 @@ def checked_rows(path: Path, file: Hdf5File, ports: Sequence[str], status: str) 
     """
     rows, events = found_columns(path, file, ports)
     for columns in (rows, events):
-        _require_one_length(path, columns, status == _RUNNING)
+        lengths, expected = {name: len(dataset) for name, dataset in columns.items()}, usual_length(columns)
+        odd = [name for name, length in lengths.items() if length != expected]
+        if status == _RUNNING:  # it may also have grown from one column to the next
+            least = expected - max(dataset.chunk for dataset in columns.values())
+            odd = [name for name in odd if lengths[name] < least and columns[name].refreshed_length() < least]
+        if odd:
+            more = f" ({len(odd)} columns are of another length)" if len(odd) > 1 else ""
+            raise LogFormatError(
+                f"{path}: {odd[0]} has {lengths[odd[0]]} rows, expected {expected} like the other columns{more}; "
+                "the file is damaged; `inspect --repair` saves the rows that every column has"
+            )
     return min(len(dataset) for dataset in rows.values())
 
 
-def found_columns(path: Path, file: Hdf5File, ports: Sequence[str]) -> tuple[FoundColumns, FoundColumns]:
+def found_columns(path: Path, file: Hdf5File, ports: Sequence[str]) -> tuple[Columns, Columns]:
     """Return the columns of the rows and of the events, by path.
 
     The format of an older version has fewer columns.
@@ -86,11 +86,11 @@ def found_columns(path: Path, file: Hdf5File, ports: Sequence[str]) -> tuple[Fou
     Raises:
         LogFormatError: One is missing or of another type.
     """
-    version = int(file.attributes.get("format_version", FORMAT_VERSION))
-    described = tuple(PortDescription(name, "m") for name in ports)
-    schema = LogSchema(described, 1, bool(file.names("truth")), 1, False, {}, version)
+    version = int(file.attributes.get("format_version", log_format.FORMAT_VERSION))
+    described = tuple(log_format.PortDescription(name, "m") for name in ports)
+    schema = log_format.LogSchema(described, 1, bool(file.names("truth")), 1, False, {}, version)
     rows = {column.path: _column(path, file, column.path, column.dtype) for column in schema.stored()}
-    return rows, {name: _column(path, file, name, dtype) for name, dtype in EVENT_COLUMNS.items()}
+    return rows, {name: _column(path, file, name, dtype) for name, dtype in log_format.EVENT_COLUMNS.items()}
 
 
 def _column(path: Path, file: Hdf5File, name: str, dtype: str) -> Dataset:
@@ -104,23 +104,7 @@ def _column(path: Path, file: Hdf5File, name: str, dtype: str) -> Dataset:
     return dataset
 
 
-def _require_one_length(path: Path, columns: FoundColumns, grows: bool) -> None:
-    lengths = {name: len(dataset) for name, dataset in columns.items()}
-    expected = usual_length(columns)
-    if grows:  # it may also have grown from one column to the next
-        least = expected - max(dataset.chunk for dataset in columns.values())
-        odd = [name for name in lengths if lengths[name] < least and columns[name].refreshed_length() < least]
-    else:
-        odd = [name for name in lengths if lengths[name] != expected]
-    if odd:
-        more = f" ({len(odd)} columns are of another length)" if len(odd) > 1 else ""
-        raise LogFormatError(
-            f"{path}: {odd[0]} has {lengths[odd[0]]} rows, expected {expected} like the other columns{more}; "
-            "the file is damaged; `inspect --repair` saves the rows that every column has"
-        )
-
-
-def usual_length(columns: FoundColumns) -> int:
+def usual_length(columns: Columns) -> int:
     """Length that most columns have; of two equally common lengths the longer."""
     counts = Counter(len(dataset) for dataset in columns.values())
     return max(counts, key=lambda length: (counts[length], length))
@@ -260,7 +244,7 @@ class EnergyLog:
         return value
 
     def _groups(self) -> dict[str, tuple[str, ...]]:
-        suffix = f".{GROUP_AXES}"
+        suffix = f".{log_format.GROUP_AXES}"
         names = [name.removesuffix(suffix) for name in self.attributes if name.endswith(suffix)]
         groups = {name: tuple(self.decoded(f"{name}{suffix}", list[str]())) for name in names}
         unknown = {*groups, *(axis for axes in groups.values() for axis in axes)} - set(self.ports)
@@ -285,7 +269,7 @@ class EnergyLog:
     @property
     def dry_run(self) -> bool:
         """Whether no torque was sent."""
-        return DRY_RUN in self.attributes
+        return log_format.DRY_RUN in self.attributes
 
     @property
     def sample_time(self) -> float:
@@ -320,7 +304,7 @@ class EnergyLog:
         Raises:
             LogFormatError: A column cannot be read.
         """
-        if DIGEST not in self._file.names("/"):
+        if log_format.DIGEST not in self._file.names("/"):
             return []
         columns = list(found_columns(self.path, self._file, list(self.ports))[0].values())
         found: list[int] = []
@@ -331,12 +315,12 @@ class EnergyLog:
         return found
 
     @property
-    def events(self) -> list[Event]:
+    def events(self) -> list[log_format.Event]:
         """Every event recorded during the run, in order."""
         with damage_told(self.path, "the events are damaged"):
-            columns = [self._file[path].read() for path in EVENT_COLUMNS]
+            columns = [self._file[path].read() for path in log_format.EVENT_COLUMNS]
         return [
-            Event(int(index), *(bytes(text).decode("utf-8", "replace") for text in texts))
+            log_format.Event(int(index), *(bytes(text).decode("utf-8", "replace") for text in texts))
             for index, *texts in zip(*columns, strict=False)  # a kill can come between two columns
         ]
 
@@ -368,12 +352,12 @@ def open_file(path: str | Path) -> tuple[Hdf5File, LogDescription]:
 
 
 def _description(path: Path, attributes: Mapping[str, Attribute]) -> LogDescription:
-    if attributes.get("format") != FORMAT_NAME:
+    if attributes.get("format") != log_format.FORMAT_NAME:
         raise LogFormatError(f"{path}: an HDF5 file, but not an energy log of canhaptic")
-    version = int(attributes.get("format_version", 0))
-    if not 1 <= version <= FORMAT_VERSION:
+    version, newest = int(attributes.get("format_version", 0)), log_format.FORMAT_VERSION
+    if not 1 <= version <= newest:
         raise LogFormatError(
-            f"{path}: format version {version}, this program reads up to {FORMAT_VERSION}; use a newer canhaptic"
+            f"{path}: format version {version}, this program reads up to {newest}; use a newer canhaptic"
         )
     missing = [name for name in _OURS if name not in attributes]
     if missing:

@@ -19,15 +19,7 @@ from typing import Final, TypeVar
 
 from canhaptic.errors import InputError, LogFormatError
 from canhaptic.host.output_file import require_writable_place
-from canhaptic.logs.energy_reader import (
-    DAMAGE,
-    EnergyLog,
-    FoundColumns,
-    damage_told,
-    found_columns,
-    open_file,
-    usual_length,
-)
+from canhaptic.logs.energy_reader import DAMAGE, Columns, EnergyLog, damage_told, found_columns, open_file, usual_length
 from canhaptic.logs.energy_sink import repack, unfinished
 from canhaptic.logs.hdf5 import Hdf5File
 from canhaptic.logs.log_file import log_file
@@ -179,7 +171,7 @@ def _repair(source: Path, target: Path) -> tuple[int, int]:
     return readable, max(0, expected - readable)
 
 
-def _readable(columns: FoundColumns) -> int:
+def _readable(columns: Columns) -> int:
     """Return how many rows at the start every column has and can be read."""
     rows = min(len(dataset) for dataset in columns.values())  # a damaged column may claim any length
     for dataset in columns.values():

@@ -48,14 +48,12 @@ def picture(draw: Callable[[Path], object], title: str, *, folded: bool = False)
         drawn = _PROLOGUE.sub("", file.read_text(encoding="utf-8"))
     found = _WIDTH.search(drawn)
     least = f"min-width: {_LEAST_SIZE * float(found.group(1)):.0f}pt" if found else ""
-    shaded = _GREY.sub(lambda grey: _shade(int(grey.group(1), 16)), drawn).replace(BLUE.lower(), "var(--blue)")
+    mixed = "color-mix(in srgb, var(--ink) {:.3g}%, var(--paper))".format
+    shaded = _GREY.sub(lambda grey: mixed(100.0 * (1.0 - int(grey.group(1), 16) / 255.0)), drawn)
+    shaded = shaded.replace(BLUE.lower(), "var(--blue)")
     name = html.escape(title, quote=True)
     shown = f'<figure><svg role="img" aria-label="{name}" style="{least}" {shaded}</figure>'
     return f"<details><summary>{name}</summary>{shown}</details>" if folded else shown
-
-
-def _shade(grey: int) -> str:
-    return f"color-mix(in srgb, var(--ink) {100.0 * (1.0 - grey / 255.0):.3g}%, var(--paper))"
 
 
 def write_page(path: Path, title: str, parts: Iterable[str | Table]) -> None:

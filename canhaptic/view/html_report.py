@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from canhaptic.audit.port_record import rows_to_draw
+from canhaptic.audit.inspection import rows_to_draw
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
 from canhaptic.signals import CycleTiming

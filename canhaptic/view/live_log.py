@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.audit.port_record import PortRecord, contacts
+from canhaptic.audit.inspection import PortRecord, contacts
 from canhaptic.control.verdict import PortResult
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.energy_reader import EnergyLog

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from canhaptic.audit.port_record import contacts, rows_between, rows_to_draw
+from canhaptic.audit.inspection import contacts, rows_between, rows_to_draw
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array

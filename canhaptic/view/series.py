@@ -168,9 +168,7 @@ _MARGIN: Final = 0.25  # of the longer span of the path, shown on every side of 
 class TaskPlane(NamedTuple):
     """A path and a surface [m or rad]."""
 
-    name: str  # of the group
     unit: str
-    time: Array  # of each place [s], (n,)
     path: Array  # (n, 2); NaN where the mechanism had no pose
     across: Array  # of the grid, (m,)
     along: Array  # of the grid, (m,)
@@ -208,7 +206,7 @@ def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
     # A path without width has no inside; its line is drawn as wide as one cell of the grid.
     surface = 0.0 if depth.min() < 0.0 else float(across[1] - across[0])
     unit = task_unit(group["kinematics"]["type"], log.ports[axes[0]].unit("position"))
-    return TaskPlane(name, str(unit), log.time[rows][shown], path, across, along, depth, surface)
+    return TaskPlane(str(unit), path, across, along, depth, surface)
 
 
 def _build(table: dict[str, str], section: Mapping[str, str]) -> Any:

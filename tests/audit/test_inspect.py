@@ -8,8 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from canhaptic.audit.inspection import _quantiles, compare, inspect
-from canhaptic.audit.port_record import contacts
+from canhaptic.audit.inspection import _quantiles, compare, contacts, inspect
 from canhaptic.audit.user_checks import check
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.control.ledger import Ledger

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.audit.port_record import contacts
+from canhaptic.audit.inspection import contacts
 from canhaptic.control.balance import AT_REST
 from canhaptic.cycle import run
 from canhaptic.errors import InputError
