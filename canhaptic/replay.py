@@ -124,7 +124,7 @@ class Recording:
         path: The log.
         frames: All other data frames, in the order of the log.
         skipped: Frames that were left out, by kind.
-        buses: Index of each frame's bus in the scene.
+        addresses: Index of each frame's bus in the scene, and its COB-ID.
         heartbeat: COB-ID of the master's heartbeat.
         is_master: Whether the master sent each frame.
         has_boot: Whether the start of the drives is in the log.
@@ -139,37 +139,30 @@ class Recording:
         self.heartbeat = roles.heartbeat
         self.skipped = Counter[SkippedKind]()
         self.frames = [frame for frame in read_bus_log(path, self.skipped) if frame.can_id != roles.heartbeat]
-        self.buses = [channels.place_of(frame) for frame in self.frames]
-        self._addresses = [(bus, frame.can_id) for bus, frame in zip(self.buses, self.frames, strict=True)]
-        self.is_master = [address in roles.master for address in self._addresses]
+        self.addresses = [(channels.place_of(frame), frame.can_id) for frame in self.frames]
+        self.is_master = [address in roles.master for address in self.addresses]
         if not any(self.is_master):
             raise LogFormatError(
                 f"{path}: none of its {len(self.frames)} frames is one that the master of the scene sends; "
                 "is it the log of another scene?"
             )
         self._roles = roles
-        self.first_sync = _first_sync(self._addresses, self.frames, roles)
-        before = self._addresses[: self.first_sync] if self.first_sync >= 0 else self._addresses
+        self.first_sync = _first_sync(self.addresses, self.frames, roles)
+        before = self.addresses[: self.first_sync] if self.first_sync >= 0 else self.addresses
         self.has_boot = any(address in roles.sdo_requests for address in before)
 
-    def has_sdo(self, bus: int, node_id: int, index: int) -> bool:
-        """Return whether a request or an answer of a node names subindex 0 of an object."""
-        named = struct.pack("<HB", index, 0)
-        addresses = {(bus, od.SDO_REQUEST_BASE + node_id), (bus, od.SDO_RESPONSE_BASE + node_id)}
-        pairs = zip(self._addresses, self.frames, strict=True)
-        return any(address in addresses and frame.data[1:4] == named for address, frame in pairs)
-
-    def reads_before_writing(self, bus: int, node_id: int) -> bool:
-        """Return whether the master read a node's heartbeat period before writing it, in order to restore it."""
-        named, address = struct.pack("<HB", od.PRODUCER_HEARTBEAT_TIME, 0), (bus, od.SDO_REQUEST_BASE + node_id)
-        requests = (f.data for a, f in zip(self._addresses, self.frames, strict=True) if a == address)
-        return next((data[0] == _UPLOAD for data in requests if data[1:4] == named), True)
+    def sdo_frames(self, bus: int, node_id: int, index: int) -> list[tuple[int, bytes]]:
+        """Return COB-ID less node ID, and data, of requests and answers of a node that name subindex 0 of an object."""
+        named, bases = struct.pack("<HB", index, 0), (od.SDO_REQUEST_BASE, od.SDO_RESPONSE_BASE)
+        pairs = zip(self.addresses, (frame.data for frame in self.frames), strict=True)
+        found = [(can_id - node_id, data) for (place, can_id), data in pairs if place == bus and data[1:4] == named]
+        return [(base, data) for base, data in found if base in bases]
 
     @property
     def restoring(self) -> int:
         """Index of the frame after the last SYNC that requests a state, before the drives' values are restored."""
         asks = bytes([_UPLOAD]) + struct.pack("<HB", od.STATUSWORD, 0)
-        last = max((n for n, address in enumerate(self._addresses) if address == _SYNC), default=0)
+        last = max((n for n, address in enumerate(self.addresses) if address == _SYNC), default=0)
         after = range(last, len(self.frames))
         return next((n for n in after if self.is_master[n] and self.frames[n].data[:4] == asks), len(self.frames))
 
@@ -184,7 +177,7 @@ class Recording:
         """
         syncs = commands = 0
         first = len(self.frames) if self.first_sync < 0 else self.first_sync
-        for address, frame in zip(self._addresses[first:], self.frames[first:], strict=True):
+        for address, frame in zip(self.addresses[first:], self.frames[first:], strict=True):
             if address == _SYNC:
                 syncs += 1
             elif address == self._roles.rpdo:
@@ -241,7 +234,7 @@ class RecordedSide:
     def __init__(self, buses: Sequence[can.BusABC], recording: Recording, first: int) -> None:
         self._buses = tuple(buses)
         self._sent: list[deque[can.Message]] = [deque() for _ in buses]  # by the master, not compared yet
-        self._places = recording.buses
+        self._addresses = recording.addresses
         self._frames = recording.frames
         self._is_master = recording.is_master
         self._left_out = recording.heartbeat
@@ -251,12 +244,6 @@ class RecordedSide:
         self.compared = self.played = self.reached = 0
         self.departure: tuple[int, int, int, bytes] | None = None
 
-    def _collect(self) -> None:
-        for bus, sent in zip(self._buses, self._sent, strict=True):
-            while (message := bus.recv(0.0)) is not None:
-                if message.arbitration_id != self._left_out:
-                    sent.append(message)
-
     def process(self, now: int) -> None:
         """Compare every frame that the master has sent, and send the frames due up to `now` [ns].
 
@@ -265,7 +252,10 @@ class RecordedSide:
         """
         if self._is_over:  # the rig tries to stop its drives on the way out
             raise ReplayOverError
-        self._collect()
+        for bus, sent in zip(self._buses, self._sent, strict=True):
+            while (message := bus.recv(0.0)) is not None:
+                if message.arbitration_id != self._left_out:
+                    sent.append(message)
         while any(self._sent):
             self._compare()
         while self.next_due() <= now:
@@ -283,7 +273,7 @@ class RecordedSide:
         return next((index for index in range(self._next, self._end) if self._is_master[index]), -1)
 
     def _play(self) -> None:
-        frame, bus = self._frames[self._next], self._buses[self._places[self._next]]
+        frame, bus = self._frames[self._next], self._buses[self._addresses[self._next][0]]
         self._next += 1
         self.played += 1
         bus.send(frame.message())
@@ -294,10 +284,10 @@ class RecordedSide:
             self._play()
         if self._next == self._end:
             raise self._over()
-        frame, place = self._frames[self._next], self._places[self._next]
+        frame, (place, can_id) = self._frames[self._next], self._addresses[self._next]
         bus = place if self._sent[place] else next(n for n, sent in enumerate(self._sent) if sent)
         message = self._sent[bus].popleft()
-        if bus != place or message.arbitration_id != frame.can_id or message.data != frame.data:
+        if bus != place or message.arbitration_id != can_id or message.data != frame.data:
             self.departure = self._next, bus, message.arbitration_id, bytes(message.data)
             raise self._over()
         self.reached = frame.timestamp_ns
@@ -431,12 +421,12 @@ def describe(recording: Recording, side: RecordedSide, scene: Scene) -> FirstDif
     nodes = describe_nodes(scene)
     decoders = [BusDecoder([node for node in nodes if node.bus == place]) for place in range(len(scene.buses))]
     before: list[FrameBefore] = []
-    for number, (frame, bus) in enumerate(zip(frames[:index], recording.buses, strict=False)):
+    for number, (frame, (bus, _)) in enumerate(zip(frames[:index], recording.addresses, strict=False)):
         words = _words(frame, decoders[bus])  # of all of them: the maps are learnt from the start
         if number >= index - _SHOWN_BEFORE:
             direction, time = "T" if recording.is_master[number] else "R", (frame.timestamp_ns - start) * 1e-9
             before.append({"number": frame.number, "time": time, "direction": direction, **words})
-    recorded, bus = frames[index], recording.buses[index]
+    recorded, (bus, _) = frames[index], recording.addresses[index]
     sent = None
     if side.departure is not None:
         _, other, can_id, data = side.departure
@@ -581,10 +571,12 @@ class OpenReplay:
             where = places[axis.bus], drive.axis.node_id
             listed = {od.COMMUNICATION_CYCLE_PERIOD} & drive.dictionary.keys()
             drive.left_out = frozenset(
-                index for index in (*listed, *drive.axis.offsets) if not self._recording.has_sdo(*where, index)
+                index for index in (*listed, *drive.axis.offsets) if not self._recording.sdo_frames(*where, index)
             )
             self._left_out += [f"{drive.axis.name}: 0x{index:04X}" for index in sorted(drive.left_out)]
-            drive.restores = self._recording.reads_before_writing(*where)
+            periods = self._recording.sdo_frames(*where, od.PRODUCER_HEARTBEAT_TIME)
+            requests = (data[0] for base, data in periods if base == od.SDO_REQUEST_BASE)
+            drive.restores = next(requests, _UPLOAD) == _UPLOAD  # who puts it back reads it before writing it
             self._left_out += [] if drive.restores else [f"{drive.axis.name}: values before the start"]
 
     def run(self) -> ReplayResult:

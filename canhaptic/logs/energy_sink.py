@@ -89,15 +89,18 @@ class EnergySink(LogSink):
 
     def open(self, restart: bool) -> None:
         """Make the file; after a restart, continue the one left by a killed writer, from its first missing row."""
-        if restart and self._recover():
-            return
-        self._next_row = self._lost = self._rows.tail
-        self._next_event = self._events.tail
         temporary = unfinished(self._path)
-        self._file = Hdf5File(temporary, "x live")
-        self._create_columns()
+        if not (restart and self._recover(temporary)):
+            self._next_row = self._lost = self._rows.tail
+            self._next_event = self._events.tail
+            self._file = Hdf5File(unfinished(self._path), "x live")
+            self._create_columns()
         os.replace(temporary, self._path)
-        self._start()
+        self._file.start_live()
+        self._datasets = [self._file[column.path] for column in self._schema.stored()]
+        self._event_datasets = [self._file[path] for path in EVENT_COLUMNS]
+        self._descriptor = open_regular(self._path, os.O_RDONLY)
+        self._size = os.fstat(self._descriptor).st_size
 
     def _create_columns(self) -> None:
         schema = self._schema
@@ -118,16 +121,8 @@ class EnergySink(LogSink):
         for path, dtype in EVENT_COLUMNS.items():
             self._file.create(path, dtype, 1, {}, compressed=False)
 
-    def _start(self) -> None:
-        self._file.start_live()
-        self._datasets = [self._file[column.path] for column in self._schema.stored()]
-        self._event_datasets = [self._file[path] for path in EVENT_COLUMNS]
-        self._descriptor = open_regular(self._path, os.O_RDONLY)
-        self._size = os.fstat(self._descriptor).st_size
-
-    def _recover(self) -> bool:
+    def _recover(self, temporary: Path) -> bool:
         """Copy the killed writer's rows into a clean file and continue there; False when nothing can be read."""
-        temporary = unfinished(self._path)
         try:
             with Hdf5File(self._path, "live") as old:
                 self._file = Hdf5File(temporary, "x live")
@@ -141,8 +136,6 @@ class EnergySink(LogSink):
         rows, self._next_event = trim(self._file)
         self._lost = int(self._file.attributes["rows_lost"])
         self._next_row = self._lost + rows
-        os.replace(temporary, self._path)
-        self._start()
         return True
 
     def drain(self, heads: list[int], final: bool) -> None:

@@ -61,21 +61,17 @@ def in_own_process(path: Path, work: Callable[[], _Result]) -> _Result:
         if not content:
             os.kill(child, signal.SIGKILL)  # after an interrupt; of one that has crashed nothing is left to end
         _, status = os.waitpid(child, 0)
-    if not content and _exit(status) == signal.SIGXCPU.name:
-        raise LogFormatError(f"{path}: too damaged: the HDF5 library does not finish reading it (for {seconds} s)")
     if not content:
-        raise LogFormatError(f"{path}: too damaged: the HDF5 library crashes on it (exit status {_exit(status)})")
+        code = os.waitstatus_to_exitcode(status)
+        ending = signal.Signals(-code).name if code < 0 else str(code)
+        what = f"crashes on it (exit status {ending})"
+        what = f"does not finish reading it (for {seconds} s)" if code == -signal.SIGXCPU else what
+        raise LogFormatError(f"{path}: too damaged: the HDF5 library {what}")
     result, error = pickle.loads(content)
     if error is not None:
         raise error
     answer: _Result = result
     return answer
-
-
-def _exit(status: int) -> str:
-    return (
-        signal.Signals(os.WTERMSIG(status)).name if os.WIFSIGNALED(status) else str(os.waitstatus_to_exitcode(status))
-    )
 
 
 def _answer(writer: int, work: Callable[[], object], seconds: int, parent: int) -> None:

@@ -120,9 +120,8 @@ class LiveLog:
         port = log.ports[name]
         rows = {key: port.read(column, start, stop) for key, column in COLUMNS.items()}
         rows["statusword"] = port.read("statusword", start, stop)
-        taken_in = self._summed(name, "taken_in", port.read("h_i", start, stop))
-        dissipated = self._summed(name, "dissipated", port.read("h_r", start, stop))
-        deficit = self._summed(name, "deficit", port.read("deficit", start, stop))
+        summed = {"taken_in": "h_i", "dissipated": "h_r", "deficit": "deficit"}
+        rows |= {key: self._summed(name, key, port.read(column, start, stop)) for key, column in summed.items()}
         if name not in self._records:
             self._records[name] = PortRecord(log, name)
         self._records[name].take(log, start, stop)
@@ -130,5 +129,5 @@ class LiveLog:
             fresh = port.read("fresh", start, stop)
             self._expected += len(fresh)
             self._missed += int((fresh == 0).sum())
-        energies = {"taken_in": taken_in, "dissipated": dissipated, "margin": taken_in - dissipated}
-        return {**rows, **energies, "upper": np.maximum(taken_in, dissipated), "deficit": deficit}
+        taken_in, dissipated = rows["taken_in"], rows["dissipated"]
+        return {**rows, "margin": taken_in - dissipated, "upper": np.maximum(taken_in, dissipated)}

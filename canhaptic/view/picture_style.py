@@ -57,9 +57,8 @@ def require_matplotlib() -> None:
     try:
         if not os.path.isdir(_FOREIGN):
             with suppress(FileNotFoundError):
-                read_regular(
-                    _FOREIGN, _LARGEST
-                )  # which a pipe or a device is not; matplotlib would read it without end
+                # A pipe or a device is refused; matplotlib would read it without end.
+                read_regular(_FOREIGN, _LARGEST)
         import matplotlib.figure  # noqa: F401 - raises where it is not installed
     except ImportError as error:
         raise InputError(f"a picture needs matplotlib; install it with: {install_hint('plot')}") from error

@@ -168,9 +168,7 @@ class ScopePage:
         self._status = Div(text=f"waiting for {html.escape(str(log.path))} ...", name="status")
         self._time = DataRange1d(follow="end", follow_interval=window, range_padding=0.0)
         self._ports: dict[str, _LivePort] = {}
-        self._timing: ColumnDataSource | None = None
-        self._lost: ColumnDataSource | None = None
-        self._common: dict[str, figure] = {}
+        self._common: dict[str, tuple[ColumnDataSource, figure]] = {}
         self._last: News | None = None  # look that found rows
         document.title = f"canhaptic scope: {log.path.name}"
         document.add_root(column(self._status, sizing_mode="stretch_width", name="root"))
@@ -191,27 +189,25 @@ class ScopePage:
             keep = news.time >= news.time[-1] - self._window
             for port in self._ports.values():
                 port.take(news, keep)
-            for source, panel, columns in (
-                (self._timing, self._common["timing"], news.timing),
-                (self._lost, self._common["lost"], news.lost),
-            ):
-                _stream(source, news.time[keep], {name: values[keep] for name, values in columns.items()})
+            for name, columns in (("timing", news.timing), ("lost", news.lost)):
+                source, panel = self._common[name]
+                _stream(source, news.time[keep], {key: values[keep] for key, values in columns.items()})
                 panel.visible = panel.visible or any(values.any() for values in columns.values())
         self._status.text = _status(news, self._last or news)
 
     def _build(self, news: News) -> None:
         groups_first = sorted(news.facts, key=lambda name: name not in news.groups)
         self._ports = {name: _LivePort(news, name, self._time, self._window) for name in groups_first}
-        self._timing = ColumnDataSource({name: [] for name in ("time", *news.timing)})
-        self._lost = ColumnDataSource({name: [] for name in ("time", *news.lost)})
+        timing, lost = (ColumnDataSource({name: [] for name in ("time", *of)}) for of in (news.timing, news.lost))
         self._common = {
-            "timing": _timing_panel(self._time, self._timing, news.sample_time),
-            "lost": _link_panel(self._time, self._lost),
+            "timing": (timing, _timing_panel(self._time, timing, news.sample_time)),
+            "lost": (lost, _link_panel(self._time, lost)),
         }
-        for panel in self._common.values():
+        common = [panel for _, panel in self._common.values()]
+        for panel in common:
             panel.visible = False
         panels = [panel for port in self._ports.values() for panel in port.panels.values()]
-        self._document.roots[0].children = [self._status, *panels, *self._common.values()]
+        self._document.roots[0].children = [self._status, *panels, *common]
 
 
 class _LivePort:
