@@ -5,7 +5,6 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from canhaptic.audit.inspection import LoggedEvent
 from canhaptic.control.verdict import add_verdicts
 from canhaptic.view.energy_table import _events_table, energy_report
 from canhaptic.view.run_lines import brief_report, make_console
@@ -233,7 +232,7 @@ def test_a_quantity_that_no_port_has_is_no_row():
 
 @pytest.mark.parametrize(("count", "title"), [(1, " 1 event"), (20, " 20 events"), (21, " 21 events, the first 20")])
 def test_of_many_events_the_first_are_shown(count: int, title: str) -> None:
-    event: LoggedEvent = {"time": 1.0, "sync_index": 1000, "kind": "fault", "port": "handle", "text": "stopped"}
+    event = {"time": 1.0, "sync_index": 1000, "kind": "fault", "port": "handle", "text": "stopped"}
     table = _events_table([event] * count)
     assert (table.title, len(table.rows)) == (title, min(count, 20))
 
