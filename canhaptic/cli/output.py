@@ -46,13 +46,6 @@ def write_file(path: Path, text: str) -> None:
         raise InputError(f"{path}: cannot be written ({error.strerror}); name another file") from error
 
 
-def print_failure(error: CanHapticError, *, as_json: bool) -> None:
-    """Write an error to standard error, and as an object to standard output when JSON was asked for."""
-    if as_json:
-        write_json(failure(error))
-    write_failure(error)
-
-
 def write_failure(error: CanHapticError) -> None:
     """Write an error to standard error: one line, or one line per fault."""
     text = str(error)

@@ -16,8 +16,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from canhaptic.cli.interrupt import say_interrupted
 from canhaptic.cli.long_command import SHELL_OFFSET
+from canhaptic.cli.main import say_interrupted
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
 from canhaptic.view.run_lines import make_console
