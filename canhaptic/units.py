@@ -10,7 +10,7 @@ A plain number is SI. A string may carry a unit ("100 N/m", "1 kHz", "50 us"), w
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import lru_cache
@@ -372,7 +372,7 @@ class OnDemand:
         model: type[Parameters] = load({"": self._path}, "", "model")
         return model
 
-    def __get_pydantic_core_schema__(self, source: object, handler: Any) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, source: object, handler: object) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(self.read)
 
     def read(self, value: object, info: ValidationInfo[Any]) -> object:
@@ -384,6 +384,7 @@ class OnDemand:
             raise ValueError("expected a mapping of keys and values")
         return model.of_section(value, info.context)
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> JsonSchemaValue:
-        schema_of: JsonSchemaValue = handler(core_schema.chain_schema([self.model_of().__pydantic_core_schema__]))
-        return schema_of
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: Callable[[CoreSchema], JsonSchemaValue]
+    ) -> JsonSchemaValue:
+        return handler(core_schema.chain_schema([self.model_of().__pydantic_core_schema__]))

@@ -198,7 +198,7 @@ class OwnModel(OnDemand):
         super().__init__(path)
         self._kind = kind
 
-    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, source: object, handler: object) -> CoreSchema:
         plain = core_schema.plain_serializer_function_ser_schema(_with_type)
         return core_schema.with_info_plain_validator_function(self.read, serialization=plain)
 
