@@ -96,11 +96,12 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
     word, plant = port["verdict"], port.get("plant_passive")
     found: list[tuple[str, str]] = []
     if word == "yes":
-        allowance, at_handle = port.get("energy_allowance", 0.0), port["passive"] != "yes"
+        allowance = port.get("energy_allowance", 0.0)
+        at_handle = "yes" in (port.get("passive_at_handle"), port.get("plant_passive_at_handle"))
         is_ours = "why" in port and "yes" in (port["passive"], port.get("passive_at_handle"))
         found += [(", ", port["why"])] if is_ours else []
         found += [(", ", f"within {si(allowance, 'J', 3)}")] if allowance else []
-        found += [(", ", "at the handle")] if at_handle and _is_at_handle(port) else []
+        found += [(", ", "at the handle")] if at_handle and port["passive"] != "yes" else []
     said = (port["passive"], port.get("passive_at_handle"))
     if word in ("yes", "no") and plant is not None and word not in said:
         is_misled = word == "no" and "yes" in said
@@ -131,10 +132,6 @@ def guaranteed_for(*certificates: str) -> str:
     if "none" in declared:
         return "nothing"
     return f"declared {', '.join(declared)}" if declared else "any hand"
-
-
-def _is_at_handle(port: PortResult) -> bool:
-    return "yes" in (port.get("passive_at_handle"), port.get("plant_passive_at_handle"))
 
 
 def brief_report(result: Result) -> RenderableType:

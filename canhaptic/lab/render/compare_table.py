@@ -180,7 +180,7 @@ _ROWS: Final = (
     _Row("passive, by the plant", lambda a, _: _verdict(a)),
     *(row_of(name, figure) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.label),
     _Row("damping rendered", _asked_damping, _share, _from_one),
-    _Row("guaranteed for, as declared", lambda a, _: a["certificate"], _guaranteed),
+    _Row("guaranteed for, as declared", lambda a, _: a["certificate"] if a["contact"] else None, _guaranteed),
     _Row("time of a step", lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
 )
 _GROUP_ROWS: Final = (

@@ -115,6 +115,9 @@ def _draw_cells(figure: "Figure", place: "Axes", panel: Cells, limits: tuple[flo
         drawn = place.pcolormesh(*panel.edges(), panel.values, norm=norm, cmap=colours, rasterized=True)
         _draw_contour(place, panel)
     if np.any(panel.untouched):
+        if not panel.dots:
+            grey = np.where(panel.untouched, 0.3, np.nan)
+            place.pcolormesh(*panel.edges(), grey, cmap="Greys", vmin=0.0, vmax=1.0, rasterized=True)
         x, y = (panel.x, panel.y) if panel.dots else np.meshgrid(panel.x, panel.y)
         place.scatter(x[panel.untouched], y[panel.untouched], color=GREY, marker="x", s=14.0, label="no contact")
         place.legend(loc="best", fontsize=8.0)

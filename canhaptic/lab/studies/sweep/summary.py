@@ -104,9 +104,9 @@ def summary_report(found: Row) -> RenderableType:
     lines = [Text(f" computed: {_listed(engines)}"), Text(f" status:   {_listed(found['status'])}")]
     style = {"refused": "yellow", "failed": "red"}
     lines += [
-        Text(f" {of['scenes']} {of['status']} ({of['engine']}): {of['remark']}", style.get(of["status"], ""))
+        Text(f" {of['scenes']} {of['status']} ({_ENGINES[of['engine']]}): {of['remark']}", style.get(of["status"], ""))
         for of in found["remarks"]
-        if (of["status"], of["engine"]) != ("completed", "scalar") or not of["remark"].startswith("only ")
+        if of["engine"] != "scalar" or not of["remark"].startswith("only ")
     ]
     return Group(heading, *lines, _shares_table(found))
 
