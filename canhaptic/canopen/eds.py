@@ -33,7 +33,6 @@ _DOMAIN_OBJECT, _VAR, _ARRAY, _RECORD = _OBJECT_TYPES = 2, 7, 8, 9  # (CiA 301, 
 _BARE_HEXADECIMAL: Final = re.compile(
     r"(?=.*[a-f])\d[0-9a-f]*|(?=.*[a-f])(?:[0-9a-f]{2}|[0-9a-f]{4}|[0-9a-f]{8}|[0-9a-f]{16})|\d[0-9a-f]*h"
 )
-_LARGEST: Final = 4_000_000  # [B]; the largest known has a tenth of it
 
 _Sections = dict[str, dict[str, str]]
 
@@ -112,11 +111,10 @@ def dictionary_content(path: Path) -> bytes:
         DictionaryError: It is no regular file, is larger than any dictionary, or cannot be read.
     """
     try:
-        return read_regular(path, _LARGEST)
+        return read_regular(path, 4_000_000)  # [B]; the largest known has a tenth of it
     except OSError as error:
-        raise DictionaryError(
-            f"{path}: cannot be read ({error.strerror}); give the path of the drive's EDS or DCF"
-        ) from error
+        text = f"cannot be read ({error.strerror}); give the path of the drive's EDS or DCF"
+        raise DictionaryError(f"{path}: {text}") from error
 
 
 def _text(path: Path, content: bytes) -> str:

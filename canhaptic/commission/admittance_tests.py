@@ -20,16 +20,11 @@ from canhaptic.commission.session import OpenLoop, Session, StepVerdict, sweep
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.errors import InputError
 
-_REST: Final = 1.0  # [s] without a hand
 _AMPLITUDE: Final = 0.02  # of the chirp [m/s or rad/s], if the limits allow it
-_TRAVELS: Final = 3.0  # of the limit: it is the hand that pushes the drive away
-_HALF: Final = 5e-3  # half the width of the hat [s]
 _LATEST: Final = 4  # latest a force may be [samples]
 REQUIRED: Final = ("force at rest", "mass of the drive", "gain of the velocity loop")
 """Items that must be verified on every display before its scene may run."""
 _SAFE: Final = 1.1  # over what was measured, for what is to be declared over
-_SLOWEST: Final = 2.0  # [1/s] of an integral that counts as one
-_SURE: Final = 0.1  # largest standard deviation of M and c, as a part of them
 Array = NDArray[np.float64]
 
 
@@ -72,7 +67,7 @@ def commission_displays(session: Session) -> None:
 
 def _rest(session: Session, axis: int) -> None:
     """Measure offset and noise of an unloaded sensor."""
-    law = session.play(axis, (), session.cycles(_REST))
+    law = session.play(axis, (), session.cycles(1.0))  # [s] without a hand
     force = -np.array(law.applied[1:])
     given = session.axes[axis].parameters.admittance
     if given is None or not len(force):
@@ -97,8 +92,7 @@ def _loop(session: Session, axis: int) -> None:
     lowest, highest, seconds = 2.0, 40.0, 8.0
     amplitude = min(_AMPLITUDE, 0.5 * (given.speed_limit or _AMPLITUDE), session.limits.speed)
     speeds = sweep(amplitude, lowest, min(highest, 0.1 / session.sample_time), seconds, session.sample_time)
-    travel = session.limits.model_copy(update={"travel": _TRAVELS * session.limits.travel})
-    law = session.play(axis, speeds, len(speeds) + 2, limits=travel)
+    law = session.play(axis, speeds, len(speeds) + 2, travels=3.0)  # it is the hand that pushes the drive away
     if session.stop_requested():
         return session.not_tried("velocity loop", [axis])
     if law.tripped:
@@ -113,7 +107,7 @@ def _loop(session: Session, axis: int) -> None:
 def _fitted(law: OpenLoop, commands: Array, time: float, *, is_mean: bool) -> _Fit:
     """Best fit; `commands[k]` acts in the hold that ends at SYNC k."""
     position, force = np.array(law.positions), -np.array(law.applied)
-    acted, half = commands[1 : len(position)], max(1, round(_HALF / time))
+    acted, half = commands[1 : len(position)], max(1, round(5e-3 / time))  # half the width of the hat [s]
     holds = np.minimum(np.arange(2 * half) + 0.5, 2 * half - 0.5 - np.arange(2 * half)) / half**2
     syncs = np.minimum(np.arange(2 * half + 1), 2 * half - np.arange(2 * half + 1)) / half**2
     way = np.diff(position)
@@ -148,14 +142,13 @@ def _judge(session: Session, axis: int, fit: _Fit) -> None:
     mass_unit, gain_unit = ("kg", "N*s/m") if linear else ("kg*m^2", "N*m*s/rad")
     if given is None:
         return
-    if fit.doubt > _SURE:
+    if fit.doubt > 0.1:  # of M and c
         text = "push and pull harder and more slowly while it shakes: the hand's forces separate mass from gain"
         return session.found(axis, "velocity loop", "", f"uncertain by {fit.doubt:.0%}", StepVerdict.UNKNOWN, text)
     right = fit.gain > 0.0
-    session.judged(
-        axis, "sign of the force", f"{given.force.per_count:g}", "as configured" if right else "the other way",
-        good=right, text="per_count: the display would push against the hand", otherwise=StepVerdict.FAILED,
-    )  # fmt: skip
+    text, found = "per_count: the display would push against the hand", "as configured" if right else "the other way"
+    stated = f"{given.force.per_count:g}"
+    session.judged(axis, "sign of the force", stated, found, good=right, text=text, fatal=True)
     if not right:
         return session.propose(axis, "admittance.force.per_count", -given.force.per_count, "N" if linear else "N*m")
     late, text = given.force.latency, "the force would be booked with the motion of another hold"
@@ -180,7 +173,8 @@ def _judge_drive(session: Session, axis: int, fit: _Fit, mass_unit: str, gain_un
         ("gain of the velocity loop", fit.gain, "loop_gain", gain_unit),
         ("integral gain", fit.integral, "integral_gain", gain_unit.replace("*s", "")),
     ):
-        if key == "integral_gain" and fit.integral < _SLOWEST * fit.gain and not getattr(declared, key, 0.0):
+        # Less than 2 / s counts as no integral
+        if key == "integral_gain" and fit.integral < 2.0 * fit.gain and not getattr(declared, key, 0.0):
             continue
         stated = None if declared is None else float(getattr(declared, key))
         least = 0.0 if declared is None or key not in ranged else (1.0 - declared.spread) * (stated or 0.0)

@@ -263,8 +263,6 @@ def propose_allowance(session: Session, axis: int, known: Mapping[str, float]) -
 
 _TIMES: Final = ("sync_jitter", "torque_window", "current_lag")
 _ITEM: Final = "torque lag"
-_SHORTEST: Final = 16  # cycles of the first part of the longest doublet
-_LONGEST: Final = 60
 _DOUBLETS: Final = (32, 64, 128, 256, 512)
 """Lengths of the tests, one after the other until the hold is known and the wall can be judged."""
 _OVER: Final = 1.1
@@ -345,7 +343,7 @@ def _reversal(session: Session, axis: int, most: float, mass: float, friction: f
     """Return the torque of the test [N or N*m], and the cycles of its longest part, within half of the limits."""
     travel, speed, time = 0.25 * session.limits.travel, 0.5 * session.limits.speed, session.sample_time
     wanted = min(math.sqrt(travel * mass / most), speed * mass / most) / time
-    cycles = max(_SHORTEST, min(_LONGEST, round(wanted)))
+    cycles = max(16, min(60, round(wanted)))  # of the first part of the longest doublet
     allowed = friction + mass * min(travel / (cycles * time) ** 2, speed / (cycles * time))
     quantum = session.drives[axis].scaling.torque_quantum
     return max(1, math.floor(min(most, allowed) / quantum)) * quantum, cycles

@@ -21,8 +21,6 @@ from canhaptic.drive.profile.power_states import TORQUE_FREE
 from canhaptic.errors import InputError, RigError, SdoError, StartError
 
 _ASK_DEVICE_TYPE: Final = bytes.fromhex("40 00 10 00 00 00 00 00")
-_PAUSE: Final = 500_000  # [ns] between two questions: the answers of a slow drive must not pile up
-_PATIENCE: Final = 300_000_000  # [ns] for the last of them
 
 
 def _note(answered: set[int], node: int, _data: bytearray) -> None:
@@ -48,8 +46,9 @@ def _scan(link: Link, known: Sequence[int], master: int) -> list[int]:
     try:
         for node in asked:
             link.send(od.SDO_REQUEST_BASE + node, _ASK_DEVICE_TYPE)
-            link.pump(link.clock.now() + _PAUSE)
-        link.pump(link.clock.now() + _PATIENCE)
+            # Between two questions: the answers of a slow drive must not pile up
+            link.pump(link.clock.now() + 500_000)
+        link.pump(link.clock.now() + 300_000_000)  # for the last of them
     finally:
         for node in asked:
             link.unsubscribe(od.SDO_RESPONSE_BASE + node)
@@ -85,10 +84,8 @@ def _presence(session: Session, axis: int, drive: ServoDrive) -> None:
         remedy = "check power, node ID, bit rate and cable"
         raise StartError(drive.axis.name, "presence", str(error), "an answer", remedy) from error
     profile = device_type & 0xFFFF
-    session.judged(
-        axis, "device profile", f"{od.CIA402_PROFILE:#06x}", f"{profile:#06x}", good=profile == od.CIA402_PROFILE,
-        text="no CiA 402 drive; check node_id", otherwise=StepVerdict.FAILED,
-    )  # fmt: skip
+    expected, good, text = f"{od.CIA402_PROFILE:#06x}", profile == od.CIA402_PROFILE, "no CiA 402 drive; check node_id"
+    session.judged(axis, "device profile", expected, f"{profile:#06x}", good=good, text=text, fatal=True)
     session.propose(axis, "node_id", None, comment="this drive answered")
 
 
@@ -125,7 +122,7 @@ def _modes(session: Session, axis: int, drive: ServoDrive) -> None:
     names = ", ".join(name for bit, name in enumerate(known) if name and modes >> bit & 1)
     serves = bool(modes & od.CYCLIC_SYNC_TORQUE_BIT)
     text = "no cyclic synchronous torque: other firmware, or another drive"
-    session.judged(axis, "modes (0x6502)", "cst", names, good=serves, text=text, otherwise=StepVerdict.FAILED)
+    session.judged(axis, "modes (0x6502)", "cst", names, good=serves, text=text, fatal=True)
 
 
 def _rated_torque(session: Session, axis: int, drive: ServoDrive) -> None:
@@ -149,12 +146,7 @@ def _rated_torque(session: Session, axis: int, drive: ServoDrive) -> None:
 
 STANDSTILL: Final = "standstill at zero torque"
 """Name of the step in the report."""
-_WATCHED: Final = 1.0  # [s] that an axis must stand still
-_UNATTENDED: Final = 0.4  # [s] of the simulated hand's motion
-_LONGEST: Final = 120.0  # [s] that a person may take
 _FEWEST_COUNTS: Final = 200  # half a per cent
-_TOLERANCE: Final = 0.02  # a hand with a ruler
-_DRIFT: Final = 0.25  # part of the travel that an axis without torque may move by itself
 
 
 def stand_still(session: Session, axis: int) -> bool:
@@ -164,16 +156,16 @@ def stand_still(session: Session, axis: int) -> bool:
         RigError: Drive or link failed.
     """
     name, unit = session.axes[axis].parameters.name, session.axes[axis].parameters.unit
-    law = session.play(axis, (), session.cycles(_WATCHED))
+    law = session.play(axis, (), session.cycles(1.0))  # [s] that an axis must stand still
     if not law.positions:  # the operator stopped it
         session.not_tried(STANDSTILL, [axis])
         return False
     drift = abs(law.positions[-1] - law.positions[0])
     swing = max(law.positions) - min(law.positions)
-    still = drift <= _DRIFT * session.limits.travel
+    still = drift <= 0.25 * session.limits.travel  # an axis without torque may drift
     text = f"{name} moves without torque: gravity, a wrong drive offset, or somebody pushes"
     found = f"{drift:.3g} {unit}, noise {swing:.3g}"
-    session.judged(axis, STANDSTILL, "", found, good=still, text=text, otherwise=StepVerdict.FAILED)
+    session.judged(axis, STANDSTILL, "", found, good=still, text=text, fatal=True)
     return still
 
 
@@ -188,7 +180,7 @@ def move_by_hand(session: Session, axis: int) -> None:
     begin: list[float] = []
     asked = "move the handle a distance that you can measure, in the direction that is to be positive"
     asked = f"{parameters.name}: {asked}; hold it there and press Enter"
-    ready = session.dialogue.until_ready(asked, session.cycles(_UNATTENDED))
+    ready = session.dialogue.until_ready(asked, session.cycles(0.4))  # [s] of the simulated hand's motion
 
     def done() -> bool:
         truth = session.truth(axis)
@@ -197,7 +189,7 @@ def move_by_hand(session: Session, axis: int) -> None:
         return ready()
 
     session.truths = ()
-    law = session.play(axis, (), session.cycles(_LONGEST), done)
+    law = session.play(axis, (), session.cycles(120.0), done)  # [s] that a person may take
     if not law.positions:
         return session.not_tried("encoder", [axis])
     truth = session.truth(axis)
@@ -220,7 +212,7 @@ def _judge(session: Session, axis: int, ratio: float) -> None:
     session.judged(axis, "encoder direction", str(parameters.direction), str(direction), good=right, text=text)
     session.propose(axis, "direction", None if right else direction, comment="from a distance moved by hand")
     counts = parameters.counts_per_unit * abs(ratio)
-    same = abs(abs(ratio) - 1.0) <= _TOLERANCE
+    same = abs(abs(ratio) - 1.0) <= 0.02  # a hand with a ruler
     text = f"every position is wrong by {abs(ratio):.4g}; gear, counts per turn or 0x608F"
     unit = f"count/{parameters.unit}"
     configured, found = f"{parameters.counts_per_unit:g} {unit}", f"{counts:.6g} {unit}"
@@ -268,7 +260,7 @@ def _judge_watchdog(session: Session, axis: int) -> None:
     emergency = f", {drive.emergency}" if drive.emergency is not None else ""
     text = "a killed master leaves its torque on: set axes[].watchdog, 0x1016 and 0x6007, or a relay"
     found = f"{state.value}{emergency}"
-    session.judged(axis, "watchdog", limit, found, good=stopped, text=text, otherwise=StepVerdict.FAILED)
+    session.judged(axis, "watchdog", limit, found, good=stopped, text=text, fatal=True)
 
 
 def _end(session: Session) -> None:

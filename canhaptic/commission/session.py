@@ -323,15 +323,10 @@ def sweep(amplitude: float, lowest: float, highest: float, duration: float, samp
         sample_time: Sample time [s].
     """
     rate = math.log(highest / lowest) / duration
-    torques = amplitude * np.cos(
-        2.0 * np.pi * lowest * np.expm1(rate * np.arange(round(duration / sample_time)) * sample_time) / rate
-    )
+    phases = 2.0 * np.pi * lowest * np.expm1(rate * np.arange(round(duration / sample_time)) * sample_time) / rate
+    torques = amplitude * np.cos(phases)
     turns = np.flatnonzero(np.diff(np.signbit(np.cumsum(torques))))
     return [float(torque) for torque in torques[: turns[-1] + 1 if len(turns) else None]]
-
-
-_AT_REST: Final = 0.1  # [s] in which an axis at rest moves by no more than some counts
-_DRIFT: Final = 0.005  # of the travel in that time: what is left of a motion then takes no test beyond it
 
 
 class Session:
@@ -354,10 +349,8 @@ class Session:
     def __init__(
         self, scene: Scene, dialogue: Dialogue, limits: CommissioningLimits, stop_requested: Callable[[], bool]
     ) -> None:
-        whole = (
-            (axis, axis.loop.model_copy(update={"torque_limit": axis.parameters.torque_limit})) for axis in scene.axes
-        )
-        self.axes = tuple(dataclasses.replace(axis, loop=loop) for axis, loop in whole)
+        loops = [axis.loop.model_copy(update={"torque_limit": axis.parameters.torque_limit}) for axis in scene.axes]
+        self.axes = tuple(dataclasses.replace(axis, loop=loop) for axis, loop in zip(scene.axes, loops, strict=True))
         self.scene = dataclasses.replace(scene, axes=self.axes)  # a torque that is not verified is bounded by each step
         self.dialogue, self.limits, self.stop_requested = dialogue, limits, stop_requested
         self.report = Report()
@@ -415,8 +408,9 @@ class Session:
         Raises:
             RigError: Drive or link failed; torque is zero.
         """
-        law, watched = OpenLoop(), self.cycles(_AT_REST)
-        still = max(2.0 / self.axes[axis].parameters.counts_per_unit, _DRIFT * self.limits.travel)
+        law, watched = OpenLoop(), self.cycles(0.1)
+        # What is left of a motion then takes no test beyond it
+        still = max(2.0 / self.axes[axis].parameters.counts_per_unit, 0.005 * self.limits.travel)
 
         def at_rest() -> bool:
             last = law.positions[-watched:]
@@ -450,12 +444,7 @@ class Session:
         return law
 
     def play(
-        self,
-        axis: int,
-        torques: Sequence[float],
-        cycles: int,
-        ready: Callable[[], bool] = lambda: False,
-        limits: CommissioningLimits | None = None,
+        self, axis: int, torques: Sequence[float], cycles: int, ready: Callable[[], bool] = bool, travels: float = 1.0
     ) -> OpenLoop:
         """Run the rig with torques on one axis and none on the others, stop it, and return the motion of that axis.
 
@@ -463,14 +452,14 @@ class Session:
             axis: Index of the axis.
             torques: One torque per cycle [N or N*m].
             cycles: Largest number of cycles.
-            ready: Function that ends the run early when true.
-            limits: Limits that replace the session's.
+            ready: Function that ends the run early when true; by default it never does.
+            travels: Multiple of the session's limit of travel.
 
         Raises:
             RigError: Drive or link failed; torque is zero.
         """
-        limits, sent = limits or self.limits, list[float]()
-        law = OpenLoop(torques, limits.travel, limits.speed * self.sample_time) if torques else OpenLoop()
+        travel, step, sent = travels * self.limits.travel, self.limits.speed * self.sample_time, list[float]()
+        law = OpenLoop(torques, travel, step) if torques else OpenLoop()
 
         def note() -> bool:
             if self.rig.records:
@@ -529,17 +518,10 @@ class Session:
         self.dialogue.tell(f"  {name}: {item}: {found} ({verdict.value})")
 
     def judged(
-        self,
-        axis: int,
-        item: str,
-        configured: str,
-        found: str,
-        *,
-        good: bool,
-        text: str,
-        otherwise: StepVerdict = StepVerdict.DIFFERS,
+        self, axis: int, item: str, configured: str, found: str, *, good: bool, text: str, fatal: bool = False
     ) -> None:
         """Add a row with the verdict of a check, and a remedy where it does not agree."""
+        otherwise = StepVerdict.FAILED if fatal else StepVerdict.DIFFERS
         self.found(axis, item, configured, found, StepVerdict.AGREES if good else otherwise, "" if good else text)
 
     def note_objects(self, axis: int) -> None:

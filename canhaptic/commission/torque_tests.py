@@ -15,17 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.axis_units import damping_unit, effort_unit
-from canhaptic.commission.mass_and_friction import (
-    SURE,
-    Dynamics,
-    FrictionCurve,
-    estimate,
-    friction_curve,
-    is_dear,
-    mass_within,
-    propose_allowance,
-    time_the_torque,
-)
+from canhaptic.commission import mass_and_friction
+from canhaptic.commission.mass_and_friction import SURE, Dynamics, FrictionCurve, estimate, friction_curve, is_dear
 from canhaptic.commission.session import OpenLoop, Session, StepVerdict, doublet, reversals, sweep
 from canhaptic.scene.models import AxisScene
 
@@ -99,7 +90,7 @@ def pulse(session: Session, axis: int) -> Pulse | None:
     right = moved > 0.0
     text = "torque and encoder disagree: every wall would pull in. Swap two motor phases, or change 0x607E"
     found = f"{moved:+.3g} {parameters.unit} at {session.shown(axis, torque)}"
-    session.judged(axis, "torque sign", "+", found, good=right, text=text, otherwise=StepVerdict.FAILED)
+    session.judged(axis, "torque sign", "+", found, good=right, text=text, fatal=True)
     return Pulse(torque * (cycles * session.sample_time) ** 2 / (2.0 * moved), torque) if right else None
 
 
@@ -150,9 +141,9 @@ def _declare(session: Session, axis: int, rough_mass: float, values: dict[str, f
     """Propose measured values, then time the torque; None: without a mass, the hold alone is timed."""
     for key, value in (values or {}).items():
         session.propose(axis, f"passivity.{key}", value, _unit_of(session, axis, key), _COMMENTS[key])
-    time_the_torque(session, axis, largest_torque(session, axis), rough_mass, values)
+    mass_and_friction.time_the_torque(session, axis, largest_torque(session, axis), rough_mass, values)
     if values is not None:
-        propose_allowance(session, axis, values)
+        mass_and_friction.propose_allowance(session, axis, values)
 
 
 def _swept(
@@ -215,7 +206,7 @@ def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
 
     law = session.play_within(axis, item, shakes, torque)
     positions = np.array(law.positions) / session.encoder_ratios[axis]
-    within = mass_within(positions, np.array(law.applied), session.sample_time, holds)
+    within = mass_and_friction.mass_within(positions, np.array(law.applied), session.sample_time, holds)
     if within is None or law.tripped:
         text = f"{law.tripped or 'too little motion'}; declare the rotor's mass where a shaft or belt is compliant"
         session.found(axis, item, "", "unclear", StepVerdict.UNKNOWN, text)
@@ -282,14 +273,8 @@ def _report_least_friction(session: Session, axis: int, found: Dynamics, curve: 
 
 SCALE: Final = "torque scale"
 """Name of the step in the report."""
-_TOLERANCE: Final = 0.1
-_SHARP: Final = 0.05  # part of a mass that its standard deviations may take, and it still verifies a scale
-_DOUBLETS: Final = 32
 _SHORTEST, _LONGEST = 4, 60  # cycles of their first part
 _PART: Final = 0.4  # of travel and speed that they may use
-_STEP: Final = 0.1  # [s] for which a rising torque keeps each value
-_SEEN: Final = 20  # counts of motion of a weight that was lifted
-_READ_AFTER: Final = 10  # steps after which a simulated balance is read
 
 
 class RisingTorque(OpenLoop):
@@ -392,13 +377,14 @@ def _by_mass(session: Session, axis: int, first: Pulse) -> float | None:
         acceleration = torque / first.mass  # an estimate, so that a part of the limits is used
         wanted = math.sqrt(_PART * session.limits.travel / acceleration), _PART * session.limits.speed / acceleration
         longest = max(_SHORTEST, min(_LONGEST, session.cycles(min(wanted))))
-        torques = reversals(torque, longest, _DOUBLETS)
+        torques = reversals(torque, longest, 32)
         law = session.play(axis, torques, len(torques) + 2)
         if law.tripped or session.stop_requested():
             return None
         positions = np.array(law.positions) / session.encoder_ratios[axis]  # a wrong encoder is not a wrong mass
         found = estimate(positions, np.array(law.applied), session.sample_time, longest)
-        if found is not None and 0.0 < SURE * found.mass_error <= _SHARP * found.mass:
+        # A mass this sharp still verifies a scale
+        if found is not None and 0.0 < SURE * found.mass_error <= 0.05 * found.mass:
             return known / found.mass
         if torque >= most:
             return None
@@ -418,10 +404,11 @@ def _by_force(session: Session, axis: int, means: str) -> float | None:
     asked = f"{name}: {held}. A torque that rises {range_of}, now?"
     if (lifts and not known) or not session.agreed(asked, SCALE, [axis]):
         return None
-    holds, limits = session.cycles(_STEP), session.limits
-    seen = _SEEN / parameters.counts_per_unit
+    holds, limits = session.cycles(0.1), session.limits  # for each value of a rising torque
+    seen = 20 / parameters.counts_per_unit  # a weight was lifted
     law = RisingTorque(quantum, most, holds, limits.travel, limits.speed * session.sample_time, seen, lifts=lifts)
-    asked, steps = f"{name}: press Enter when you can read the balance", _READ_AFTER * holds
+    # A simulated balance is read after ten steps
+    asked, steps = f"{name}: press Enter when you can read the balance", 10 * holds
     pressed = None if lifts else session.dialogue.until_ready(asked, steps)
     cycles = 2 * holds * (2 + math.ceil(most / quantum))
     session.run_alone(axis, law, cycles, lambda: law.has_ended or (pressed is not None and pressed()))
@@ -441,7 +428,7 @@ def _judge_scale(session: Session, axis: int, means: str, ratio: float | None) -
     if ratio is None:
         text = "unclear; use another method, or raise --torque or --travel"
         return session.found(axis, SCALE, "1", "not compared", StepVerdict.UNKNOWN, text)
-    same = abs(ratio - 1.0) <= _TOLERANCE
+    same = abs(ratio - 1.0) <= 0.1
     text = "every torque is wrong by this ratio, torque_limit too; correct it, then commission again"
     session.judged(axis, SCALE, "1", f"{ratio:.4g}", good=same, text=text)
     key = "transmission" if parameters.rated_torque is None else "rated_torque"

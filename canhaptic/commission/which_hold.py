@@ -30,7 +30,6 @@ _Array = NDArray[np.floating[Any]]
 
 _FEWEST: Final = 8  # windows
 _BEFORE: Final = 8  # sample times before a window in which a change of torque still counts
-_SURE: Final = 5.0  # standard deviations
 _UNEXPLAINED: Final = 2.0  # of the noise of a mean: more is not noise
 _DELAYS: Final = np.arange(-13, 29) * 0.1  # [sample times]
 _NARROW: Final = 0.6  # [sample times] from which on no better model is tried
@@ -57,10 +56,9 @@ class TorqueDelay(NamedTuple):
         if not self.is_explained or self.high - self.low > 0.95:
             return None
         begins = {-1: min(reaction, 1.0), **dict.fromkeys(range(_LATEST + 1), 0.2)}  # the drive's processing
-        possible = [
-            hold for hold, after in begins.items() if self.low <= hold + after + _MARGIN and self.high >= hold - _MARGIN
-        ]
-        within = possible or {math.floor(end + _MARGIN) for end in (self.low, self.high)}
+        begun = {hold for hold, after in begins.items() if self.low <= hold + after + _MARGIN}
+        within = {hold for hold in begun if self.high >= hold - _MARGIN}
+        within = within or {math.floor(end + _MARGIN) for end in (self.low, self.high)}
         return next(iter(within)) if len(within) == 1 else None
 
 
@@ -188,7 +186,7 @@ def _profile(windows: _Windows, model: _Model, most: float) -> tuple[TorqueDelay
     variance = least / (windows.number * model.freedom - 8)
     mean = _left(windows, model, float(_DELAYS[place]), lag)[1]
     score = max(1.0, windows.number * float(mean @ mean) / (variance * model.freedom))
-    possible = _DELAYS[[value - least <= _SURE**2 * variance * score for value, _ in found]]
+    possible = _DELAYS[[value - least <= 5.0**2 * variance * score for value, _ in found]]  # five standard deviations
     low, high = float(possible.min()) - _MARGIN, float(possible.max()) + _MARGIN
     is_explained = score <= (_UNEXPLAINED if high - low > _NARROW else 40.0)  # one delay is left, were it noise
     return TorqueDelay(float(_DELAYS[place]), low, high, lag, is_explained), score

@@ -17,8 +17,6 @@ from canhaptic.signals import SimulatedPeer
 if TYPE_CHECKING:
     import can
 
-_NEVER: Final = 1 << 62  # [ns], later than any deadline
-
 
 class Clock(Protocol):
     """Time as the master sees it."""
@@ -132,7 +130,7 @@ class VirtualClock:
         return due if now < due else self._next_after(now)
 
     def _next_after(self, now: int) -> int:
-        return min((due for far_side in self._far_sides if (due := far_side.next_due()) > now), default=_NEVER)
+        return min((due for far_side in self._far_sides if (due := far_side.next_due()) > now), default=1 << 62)
 
 
 _BIN: Final = 1_000  # [ns]

@@ -30,12 +30,10 @@ METHODS: Final = {
     37: "nothing should move, the present position becomes the home position",
 }
 """Methods that are offered, and where each moves the axis."""
-_STILL: Final = (35, 37)
 _COUNTS_PER_SECOND: Final = 0x00B50300  # value of 0x60A9: increments (0xB5) per second (0x03), without a prefix
 _START: Final = int(od.Controlword.ENABLE_OPERATION) | 1 << 4
 _HALT: Final = int(od.Controlword.ENABLE_OPERATION) | 1 << 8
 _ATTAINED: Final = 1 << 12 | int(StatusBit.TARGET_REACHED)  # in homing mode
-_ERROR: Final = 1 << 13
 _SETTLED: Final = 100_000_000  # [ns] after which a drive has taken an older result out of its statusword, or halted
 
 
@@ -164,7 +162,7 @@ def _await_home(rig: Rig, drive: HomingDrive, stopped: Callable[[], bool]) -> st
     order, rate = drive.order, drive.axis.counts_per_unit
     most = 2.0 * max(order.speeds) * rig.bus.sample_time + 2.0 / rate
     last, fast = _cycle(rig), 0
-    is_new = order.method in _STILL or drive.statusword & _ATTAINED != _ATTAINED  # an older result may show again
+    is_new = order.method in (35, 37) or drive.statusword & _ATTAINED != _ATTAINED  # an older result may show again
     begin = rig.clock.now()
     drive.controlword = _START
     while not stopped():
@@ -176,7 +174,7 @@ def _await_home(rig: Rig, drive: HomingDrive, stopped: Callable[[], bool]) -> st
         is_new = is_new or not is_attained
         if elapsed < _SETTLED:
             continue
-        if drive.statusword & _ERROR:
+        if drive.statusword & (1 << 13):
             return f"homing error (bit 13 of the statusword {drive.statusword:#06x}) with method {order.method}"
         if is_attained and is_new:
             return ""

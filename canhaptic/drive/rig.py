@@ -12,7 +12,6 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict
-from types import TracebackType
 from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
 from canhaptic.drive.axis_parameters import BusParameters
@@ -244,10 +243,8 @@ class Rig:
 
         with self._making_lines:
             if not self._sdo_lines:  # one for each bus, made with the first request; open while the rig runs
-                self._sdo_lines = tuple(
-                    SdoLine(link, has_room=has_room_for_sdo(budget, self.bus))
-                    for link, budget in zip(self.links, self.budgets, strict=True)
-                )
+                rooms = [has_room_for_sdo(budget, self.bus) for budget in self.budgets]
+                self._sdo_lines = tuple(map(SdoLine, self.links, rooms))
                 for line in self._sdo_lines if self.is_running else ():
                     line.open()
                 for line in () if self.is_running else self._sdo_lines:  # stopped in between
@@ -388,7 +385,5 @@ class Rig:
         self.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.stop(ramp=kind is None or not issubclass(kind, Exception))

@@ -21,23 +21,21 @@ from canhaptic.canopen.objects import DataType, is_writable
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.drive.can.pdo_map import AxisMap, PdoCapability, check_dictionary, choose_map, pdo_capabilities
+from canhaptic.drive.profile import fitness
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceParameters, Mode
-from canhaptic.drive.profile.fitness import (
-    Finding,
-    ObjectUse,
-    Verdict,
-    limit_objection,
-    listed,
-    mapping_objection,
-    max_torque_unwritten,
-    objection,
-)
+from canhaptic.drive.profile.fitness import Finding, ObjectUse, Verdict, limit_objection, listed, objection
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import DictionaryError
 
 _KINDS: Final[tuple[Literal["RPDO", "TPDO"], ...]] = ("RPDO", "TPDO")
 _TYPES: Final = (DataType.INTEGER16, DataType.INTEGER32)
 
+_KEYS: Final = (
+    ("node_id", "as set in the drive"),
+    ("unit, counts_per_unit", "position counts (0x6064) per radian or metre of the axis, gear included"),
+    ("torque_limit", "the largest torque that may ever reach the hand"),
+    ("direction", "-1 if drive and axis have opposite positive directions"),
+)
 _DISPLAY_KEYS: Final = (
     ("speed_limit, admittance.acceleration_limit", "largest speed and acceleration that may be commanded"),
     ("admittance.position_low, position_high", "lowest and highest position to which a command may lead"),
@@ -46,7 +44,7 @@ _DISPLAY_KEYS: Final = (
     ("admittance.force.per_count, range, error, slew", "scale and limits of the sensor; canhaptic commission measures"),
     ("admittance.force.frozen_after", "SYNCs with one count after which the sensor counts as frozen"),
 )
-"""Keys of an axis that no dictionary supplies, with the reason."""
+"""Keys of an axis, and of a display, that no dictionary supplies, with the reason."""
 
 
 def _analog_input(dictionary: ObjectDictionary) -> str | None:
@@ -57,7 +55,7 @@ def _analog_input(dictionary: ObjectDictionary) -> str | None:
     for place in ("0x3160.1", "0x2205.1", "0x2205.0", "0x207C.1"):  # of maxon EPOS4, Elmo Gold, ZeroErr, maxon EPOS2
         index, _, subindex = place.partition(".")
         uses = (int(index, 16), int(subindex, 16))
-        if any(mapping_objection(dictionary, "TPDO", uses[0], kind, uses[1]) is None for kind in _TYPES):
+        if any(fitness.mapping_objection(dictionary, "TPDO", uses[0], kind, uses[1]) is None for kind in _TYPES):
             return place
     return None
 
@@ -303,7 +301,7 @@ def _force(dictionary: ObjectDictionary, display: AdmittanceParameters) -> Surve
     variable = listed(dictionary, *place)
     kind = _TYPES[1] if variable is not None and variable.data_type == _TYPES[1] else _TYPES[0]
     verdict, text = Verdict.UNKNOWN, "in the TPDO with the position: one SYNC for both; confirm that it is an input"
-    if (refusal := mapping_objection(dictionary, "TPDO", place[0], kind, place[1])) is not None:
+    if (refusal := fitness.mapping_objection(dictionary, "TPDO", place[0], kind, place[1])) is not None:
         verdict, text = Verdict.REFUSED, f"{refusal}; name an INTEGER16 or INTEGER32 that a TPDO can carry"
     item = f"{place[0]:#06x}:{place[1]:02x} force"
     return SurveyRow("force", item, _describe(dictionary, *place), verdict, text)
@@ -339,7 +337,7 @@ def _read_back(dictionary: ObjectDictionary, axis_map: AxisMap | None) -> Survey
 
 
 def _max_torque(dictionary: ObjectDictionary, axis: AxisParameters, found: Finding) -> tuple[Verdict, str]:
-    limit, state = _variable(dictionary, od.MAX_TORQUE), max_torque_unwritten(dictionary, axis)
+    limit, state = _variable(dictionary, od.MAX_TORQUE), fitness.max_torque_unwritten(dictionary, axis)
     if limit is None or state:
         text = f"{state}; torque_limit is kept by the master alone: set a limit in the drive with the vendor's tool"
         return Verdict.UNKNOWN, limit_objection(dictionary, axis) or text
@@ -387,12 +385,6 @@ def _counted(capabilities: list[PdoCapability]) -> str:
 
 
 def _manual_keys(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[ManualKey, ...]:
-    keys = [
-        ManualKey("node_id", "as set in the drive"),
-        ManualKey("unit, counts_per_unit", "position counts (0x6064) per radian or metre of the axis, gear included"),
-        ManualKey("torque_limit", "the largest torque that may ever reach the hand"),
-        ManualKey("direction", "-1 if drive and axis have opposite positive directions"),
-    ]
     knows_rated_torque = axis.rated_torque is not None or stated_value(dictionary, od.RATED_TORQUE)
     has_watchdog = is_writable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1)
     text = "the drive has no 0x1016; accept it knowingly or choose another drive"
@@ -403,8 +395,8 @@ def _manual_keys(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Ma
         (limit_objection(dictionary, axis), "admittance.limit_in_drive: true", "once torque_limit is set in it"),
         (axis.admittance is None, "demand_reported", "before or after: whether the TPDO shows the hold that ended"),
     )
-    keys += [] if axis.admittance is None else [ManualKey(*row) for row in _DISPLAY_KEYS]
-    return (*keys, *(ManualKey(key, reason) for is_needed, key, reason in needs if is_needed))
+    rows = _KEYS if axis.admittance is None else _KEYS + _DISPLAY_KEYS
+    return tuple(ManualKey(*row) for row in (*rows, *(row for is_needed, *row in needs if is_needed)))
 
 
 def _load(axis_map: AxisMap, bitrate: int, rate: float) -> LoadRow:

@@ -5,12 +5,9 @@ import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
 
 from canhaptic.errors import InputError
 from canhaptic.input_file import kind_of
-
-_NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL
 
 
 def why_not_written(path: Path) -> str:
@@ -45,7 +42,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     require_writable_place(path)
     temporary = path.with_name(f".{path.stem}.{secrets.token_hex(8)}{path.suffix}")
-    os.close(os.open(temporary, _NEW, 0o666))
+    os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
     try:
         yield temporary
         os.replace(temporary, path)

@@ -173,11 +173,8 @@ def _of_controller(
 
 def _of_state(channel: str, state: str) -> _Row:
     if state == "BUS-OFF":
-        text = (
-            "expected ERROR-ACTIVE; find the cause (cable, termination, a node with another bit rate), then: "
-            f"ip link set {channel} type can restart"
-        )
-        return _row("state", state, "refused", text)
+        text = "expected ERROR-ACTIVE; find the cause (cable, termination, a node with another bit rate), then"
+        return _row("state", state, "refused", f"{text}: ip link set {channel} type can restart")
     if state in ("STOPPED", "SLEEPING"):
         return _row("state", state, "refused", f"expected ERROR-ACTIVE; ip link set {channel} up")
     text = "expected ERROR-ACTIVE; no node acknowledges, or cable and termination are bad"
@@ -194,12 +191,9 @@ def _of_restart(channel: str, restart: object, bus: BusSettings) -> _Row:
         return _row("restart-ms", "not reported", "note", "cannot be checked; set `restart-ms 0`")
     least = _least_restart(bus)
     if restart and restart < least:
-        text = (
-            f"expected 0, or at least {least} ms ({bus.stop_cycles} sample times, after which the rig "
-            "has stopped), so that a bus-off ends the run and does not go unseen; "
-            f"ip link set {channel} type can restart-ms 0"
-        )
-        return _row("restart-ms", f"{restart} ms", "refused", text)
+        why = f"({bus.stop_cycles} sample times, after which the rig has stopped), so that a bus-off ends the run"
+        text = f"expected 0, or at least {least} ms {why} and does not go unseen"
+        return _row("restart-ms", f"{restart} ms", "refused", f"{text}; ip link set {channel} type can restart-ms 0")
     text = "after a bus-off the interface recovers, the run does not" if restart else ""
     return _row("restart-ms", f"{restart} ms" if restart else "0 (by hand)", "well", text)
 

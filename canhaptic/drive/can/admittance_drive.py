@@ -32,11 +32,8 @@ if TYPE_CHECKING:
     from canhaptic.canopen.force_node import ForceNode
 
 _tuple: Final = tuple.__new__
-_PER_MILLE: Final = 1000.0  # of `AxisScaling`, which here takes counts of the command
 _WRAP: Final = 1 << 32
 _UNLIMITED_SPEED: Final = 1e9  # [m/s or rad/s] where the scene declares none, on the virtual bus only
-_JUMP: Final = 2.0  # of the speed limit: a handle overshoots its command, and the hand moves it besides
-_NEAR: Final = 1 << 10  # counts that a handle may move between two readings of its position
 
 
 class AdmittanceDrive(ServoDrive):
@@ -64,9 +61,11 @@ class AdmittanceDrive(ServoDrive):
         super().__init__(link, axis, dictionary, bus)
         self.stop_time = round(display.stop_time * 1e9)
         self.limiter = TorqueLimiter(axis.speed_limit or _UNLIMITED_SPEED, bus.sample_time, display.acceleration_limit)
-        self._largest_step = _JUMP * (axis.speed_limit or _UNLIMITED_SPEED) * bus.sample_time
+        # A handle overshoots its command, and the hand moves it besides
+        self._largest_step = 2.0 * (axis.speed_limit or _UNLIMITED_SPEED) * bus.sample_time
         counts = axis.counts_per_unit
-        self.command_scaling = AxisScaling(counts, self.command_quantum * _PER_MILLE, axis.direction)
+        # `AxisScaling` takes per mille, and here counts of the command
+        self.command_scaling = AxisScaling(counts, self.command_quantum * 1000.0, axis.direction)
         self._low = -inf if display.position_low is None else display.position_low
         self._high = inf if display.position_high is None else display.position_high
         self._sensor = display.force.node
@@ -193,7 +192,8 @@ class AdmittanceDrive(ServoDrive):
             return target == 0
         if target in self._rest_targets:  # a hand may move the axis meanwhile
             return True
-        return abs((target - self.position_counts + _WRAP // 2) % _WRAP - _WRAP // 2) <= _NEAR
+        # A handle may move by so much between two readings of its position
+        return abs((target - self.position_counts + _WRAP // 2) % _WRAP - _WRAP // 2) <= (1 << 10)
 
 
 def speed_quantum(axis: AxisParameters, bus: BusParameters) -> float:

@@ -123,7 +123,7 @@ class SdoLine:
         busy: Whether `step` must be called in this cycle.
     """
 
-    def __init__(self, link: Link, *, has_room: bool) -> None:
+    def __init__(self, link: Link, has_room: bool) -> None:
         self._link, self._has_room = link, has_room
         self.busy = self._is_open = False
         self._waiting: deque[_Request] = deque()

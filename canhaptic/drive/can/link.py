@@ -106,10 +106,9 @@ class Link:
         try:
             self._bus.send(message)
         except (can.CanError, OSError) as error:
-            raise LinkError(
-                f"frame {message.arbitration_id:#05x} was not sent: {error}; check the cable, the bit rate and the "
-                "length of the interface's queue (ip link set CHANNEL txqueuelen 1000)"
-            ) from error
+            remedy = "check the cable, the bit rate and the length of the interface's queue (ip link set CHANNEL "
+            text = f"frame {message.arbitration_id:#05x} was not sent: {error}; {remedy}txqueuelen 1000)"
+            raise LinkError(text) from error
 
     def poll(self, deadline: int) -> bool:
         """Take the next frame and hand it to its handler; return False when none came until `deadline` [ns].

@@ -12,16 +12,9 @@ from canopen import ObjectDictionary
 
 from canhaptic.canopen import objects as od
 from canhaptic.drive.axis_parameters import LARGEST_U16, AxisParameters, BusParameters
+from canhaptic.drive.can import pdo_map
 from canhaptic.drive.can.link import Link
-from canhaptic.drive.can.pdo_map import (
-    AxisMap,
-    PdoPlan,
-    choose_map,
-    codec,
-    require_fit,
-    rpdo_transmission_type,
-    write_map,
-)
+from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan, codec, require_fit
 from canhaptic.drive.can.sdo import SdoChannel, download
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
 from canhaptic.drive.profile.torque_axis import CycleRules, ReceivedEmergency, TorqueAxis
@@ -76,7 +69,7 @@ class ServoDrive(TorqueAxis):
     ) -> None:  # fmt: skip
         require_fit(dictionary, axis, bus)
         self.link, self.bus = link, bus
-        self.map: AxisMap = choose_map(dictionary, axis)
+        self.map: AxisMap = pdo_map.choose_map(dictionary, axis)
         sdo = SdoChannel(link, axis.node_id, dictionary, axis.name, round(axis.sdo_timeout * 1e9))
         is_synchronous, times = bus.rpdo == "synchronous", (bus.sample_time_ns, bus.sample_time)
         rules = CycleRules(*times, bus.hold_cycles, bus.stop_cycles, is_synchronous, bus.drive_silence_ns)
@@ -357,13 +350,13 @@ class CanBringUp(BringUp):
             raise self.refusal("node ID", "", "")
         self._sync_period()
         drive = self._drive
-        rpdo_type = rpdo_transmission_type(drive.bus, drive.axis)
+        rpdo_type = pdo_map.rpdo_transmission_type(drive.bus, drive.axis)
         if drive.axis.hold_checked:
             with self.step("identity"):
                 if drive.axis.hold_checked == drive.signature():
                     drive.hold = f"checked at {'this start' if drive.axis.check_hold else 'commissioning'}"
         with self.step("PDO map"):
-            write_map(drive.sdo, drive.map, rpdo_type, partial(self.expect, "PDO map"), self._rpdo_deadline())
+            pdo_map.write_map(drive.sdo, drive.map, rpdo_type, partial(self.expect, "PDO map"), self._rpdo_deadline())
 
     def _rpdo_deadline(self) -> int | None:
         """Return how long the drive itself tolerates lost RPDOs [ms], where no read-back shows them to the master."""
@@ -378,25 +371,15 @@ class CanBringUp(BringUp):
 
     def operational(self) -> Confirmation:
         """Confirmation by a heartbeat with OPERATIONAL."""
-        drive = self._drive
-        return Confirmation(
-            "NMT operational",
-            "a heartbeat with OPERATIONAL",
-            lambda: drive.is_operational,
-            lambda: _nmt_name(drive.nmt_state),
-            self.command_operational,
-        )
+        drive, wanted = self._drive, "a heartbeat with OPERATIONAL"
+        is_given, seen = lambda: drive.is_operational, lambda: _nmt_name(drive.nmt_state)
+        return Confirmation("NMT operational", wanted, is_given, seen, self.command_operational)
 
     def process_data(self) -> Confirmation:
         """Confirmation by every TPDO after a SYNC."""
-        drive = self._drive
-        return Confirmation(
-            "PDO exchange",
-            "every TPDO after a SYNC",
-            lambda: drive.is_complete,
-            lambda: f"no {drive.culprit} of the right length",
-            lambda: None,
-        )
+        drive, wanted = self._drive, "every TPDO after a SYNC"
+        is_given, seen = lambda: drive.is_complete, lambda: f"no {drive.culprit} of the right length"
+        return Confirmation("PDO exchange", wanted, is_given, seen, lambda: None)
 
 
 def _nmt_name(state: int | None) -> str:

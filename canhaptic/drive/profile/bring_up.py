@@ -21,7 +21,6 @@ from canhaptic.errors import DictionaryError, LinkError, SdoError, StartError
 _REMEDIES: Final = tomllib.loads(Path(__file__).parents[1].joinpath("remedies.toml").read_text(encoding="utf-8"))
 
 _POWERED: Final = (PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
-_POLL_PERIOD: Final = 2_000_000  # [ns] between two of them
 
 
 class Confirmation(NamedTuple):
@@ -151,7 +150,7 @@ class BringUp(ABC):
         while not read():
             if self._drive.now() >= deadline:
                 return False
-            self._drive.pump(self._drive.now() + _POLL_PERIOD)
+            self._drive.pump(self._drive.now() + 2_000_000)  # [ns]
         return True
 
     # --- the steps --------------------------------------------------------------------------------------------------

@@ -178,18 +178,16 @@ def agreed_rated_torque(axis: TorqueAxisParameters, counts: int | None, resoluti
     if not counts:
         if axis.rated_torque is None:
             seen = "is 0" if counts == 0 else "is not stated"
-            raise DictionaryError(
-                f"{axis.name}: rated torque: 0x6076 {seen} by the drive and the configuration has none; "
-                "set rated_torque (torque of the axis at 1000 per mille)"
-            )
+            text = f"0x6076 {seen} by the drive and the configuration has none"
+            remedy = "set rated_torque (torque of the axis at 1000 per mille)"
+            raise DictionaryError(f"{axis.name}: rated torque: {text}; {remedy}")
         return axis.rated_torque
     stated = counts * resolution * axis.transmission
     configured = axis.rated_torque
     if configured is not None and abs(configured - stated) > 1e-3 * stated:  # more than rounding
-        raise DictionaryError(
-            f"{axis.name}: rated_torque: got {configured:g}, but the drive states 0x6076 = {counts}, which is "
-            f"{stated:g} with transmission {axis.transmission:g}; correct one of them or leave rated_torque out"
-        )
+        text = f"the drive states 0x6076 = {counts}, which is {stated:g} with transmission {axis.transmission:g}"
+        text = f"{axis.name}: rated_torque: got {configured:g}, but {text}"
+        raise DictionaryError(f"{text}; correct one of them or leave rated_torque out")
     return stated
 
 
@@ -301,9 +299,8 @@ def steepest_ramp(dictionary: Dictionary) -> float:
 
 def _drive_objects(dictionary: Dictionary, axis: TorqueAxisParameters) -> Iterator[Finding]:
     """Yield the objects that the scene sets."""
-    uses = [
-        ObjectUse(*place, reads=True, writes=True, values=(value,)) for place, value in axis.written_objects.items()
-    ]
+    written = axis.written_objects.items()
+    uses = [ObjectUse(*place, reads=True, writes=True, values=(value,)) for place, value in written]
     if axis.brake is not None and axis.brake.output is not None:
         uses.append(ObjectUse(od.DIGITAL_OUTPUTS, 1, DataType.UNSIGNED32, reads=True, writes=True))
     for use in uses:
@@ -340,10 +337,8 @@ def limit_objection(dictionary: Dictionary, axis: TorqueAxisParameters) -> str:
     state = max_torque_unwritten(dictionary, axis)
     if not state or axis.admittance is None or axis.admittance.limit_in_drive:
         return ""
-    return (
-        f"{state}; set torque_limit in the drive with the vendor's tool and say so with admittance.limit_in_drive: "
-        "true; an admittance display on a real interface is refused without it"
-    )
+    remedy = "set torque_limit in the drive with the vendor's tool and say so with admittance.limit_in_drive: true"
+    return f"{state}; {remedy}; an admittance display on a real interface is refused without it"
 
 
 def _max_torque_value(axis: TorqueAxisParameters) -> int | None:

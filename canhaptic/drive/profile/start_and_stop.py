@@ -73,7 +73,6 @@ _AFTER: Final[dict[int, PowerState]] = {  # state after a controlword
     Controlword.SWITCH_ON: PowerState.SWITCHED_ON,
     Controlword.ENABLE_OPERATION: PowerState.OPERATION_ENABLED,
 }
-_PATIENCE: Final = 3  # heartbeats after which a drive that has not confirmed is asked again
 
 
 def start(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
@@ -130,7 +129,8 @@ def _cycle_until(
         for drive, bring_up, wanted in zip(exchange.drives, bring_ups, awaited, strict=True):
             if wanted.is_given():
                 continue
-            if (cycle + 1) % (_PATIENCE * exchange.beat_cycles) == 0:
+            # Heartbeats after which a drive that has not confirmed is asked again
+            if (cycle + 1) % (3 * exchange.beat_cycles) == 0:
                 wanted.ask()
             if exchange.now() - begin > round(drive.axis.step_timeout * 1e9):
                 raise bring_up.refusal(wanted.step, wanted.seen(), wanted.expected)
@@ -250,7 +250,6 @@ def _refuse_fault(exchange: CyclicExchange, drive: TorqueAxis, bring_up: BringUp
 
 
 _FEWEST_CYCLES: Final = 4  # a synchronous RPDO acts one SYNC later and shows in the TPDO one later still
-_ROUNDS: Final = 2  # of SDO and NMT before the loop of PDOs is given up
 
 
 class Trust(Enum):
@@ -367,7 +366,7 @@ def _cycle_until_disabled(exchange: CyclicExchange, drives: Sequence[TorqueAxis]
         cycles += 1
         if insists and cycles % _FEWEST_CYCLES == 0 and now() >= patience:
             doubtful = [drive for drive in left if not _demands_no_torque(drive)]
-            if rounds == _ROUNDS and len(doubtful) == len(left):
+            if rounds == 2 and len(doubtful) == len(left):  # of SDO and NMT before the loop of PDOs is given up
                 return
             _try_each(drive.disable_unconfirmed for drive in doubtful)
             _try_each(drive.leave_operational for drive in doubtful)

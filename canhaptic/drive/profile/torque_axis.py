@@ -175,16 +175,13 @@ class TorqueAxis(ABC):
 
     def reset(self) -> None:
         """Clear everything received and commanded; a derived class calls it once constructed."""
-        self.statusword = 0
-        self.is_operational = False
+        self.statusword, self.is_operational, self.is_complete = 0, False, False
         self.alive_at = self.now()
         self.emergency: ReceivedEmergency | None = None
         self.controlword = int(od.Controlword.DISABLE_VOLTAGE)
         self._values: tuple[int, ...] | list[int] = (0, 0, 0)  # statusword, position counts, torque per mille
-        self.is_complete = False
         self.unheard = self.unasked = 0
-        self.culprit = ""
-        self.read_back_bound = 0.0
+        self.culprit, self.read_back_bound = "", 0.0
         self._spread = 0.0  # per mille: how far the torque is from what may have acted instead, see `read_back_bound`
         self._lowest = self._highest = 0  # per mille: of all commands that acted, or should have
         self.scaling.reset()
@@ -282,9 +279,8 @@ class TorqueAxis(ABC):
                 be computed from it, and the link policy counts the SYNC as missed.
         """
         self._periods += periods
-        self._is_late = False
+        self._is_late = periods > 1
         if periods > 1:
-            self._is_late = True
             self.longest_gap = max(self.longest_gap, periods)
         if not (self.is_complete and is_whole):
             return self._missed_sample(sync_index)
@@ -304,8 +300,6 @@ class TorqueAxis(ABC):
                 if self._reads_nothing and self.open_time:
                     farthest += periods * self._largest_step
                 self.read_back_bound += self._spread * scaling.torque_quantum * farthest
-        else:
-            self._step = 0.0
         if position == last_position and torque == last_torque != 0.0 and statusword == last_word:
             self.unchanged += 1
         elif self.unchanged:
