@@ -19,9 +19,14 @@ from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Axis, AxisMemory, Hold, HoldSettings, open_hold
-from canhaptic.control.passivity.internal_dissipation import InternalDissipation, solve
-from canhaptic.control.passivity.stored_model import Storage, StoredModelSettings, solve_balance
+from canhaptic.control.passivity.internal_dissipation import (
+    InternalDissipation,
+    Storage,
+    StoredModelSettings,
+    solve,
+    solve_balance,
+)
+from canhaptic.control.passivity.stepped import Axis, AxisMemory, Hold, HoldSettings, open_hold
 from canhaptic.kernels.records import bound
 from canhaptic.lab.batch.scalar import render
 from tools.bench.standard_cases import (
@@ -91,7 +96,7 @@ def negative_dissipation() -> dict[str, float]:
     wall, given = SpringDamperWall(stiffness=1000.0, damping=50.0), [0.0]
 
     def signed(
-        environment: Environment, settings: StoredModelSettings[Any], storage: Storage, moved: float, damper: float,
+        environment: Environment, settings: StoredModelSettings, storage: Storage, moved: float, damper: float,
         h_m: float,
     ) -> float:  # fmt: skip
         change = solve(environment, settings, storage, moved, damper, h_m)

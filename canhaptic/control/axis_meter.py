@@ -103,32 +103,8 @@ class AxisMeter:
     books_least: ClassVar[bool] = False
     felt: "MassFelt | None" = None
 
-    __slots__ = (
-        "_blur",
-        "_booked_at",
-        "_changes",
-        "_damping",
-        "_environment",
-        "_friction",
-        "_lazy",
-        "_sample_time",
-        "_speed",
-        "_torque",
-        "_uneven",
-        "accuracy",
-        "asked",
-        "damping_asked",
-        "dissipated",
-        "position",
-        "resolution",
-        "watch",
-    )  # fmt: skip
-
     def __init__(
-        self,
-        accuracy: Accuracy = IDEAL,
-        environment: Environment | None = None,
-        watch: "FrictionWatch | None" = None,
+        self, accuracy: Accuracy = IDEAL, environment: Environment | None = None, watch: "FrictionWatch | None" = None
     ) -> None:
         self.accuracy, self.watch = accuracy, watch
         self._environment = None if environment is None or environment.relaxes else environment

@@ -112,37 +112,14 @@ class EnergyBalance(NamedTuple):
 OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value, Branch.HELD.value, Branch.GROUP.value)
 """Branches of holds without a contact of their own; a prolonged hold is booked, and counted, with the next."""
 
-AT_REST: Final = EnergyBalance(
-    torque=0.0,
-    h_i=0.0,
-    h_pas=0.0,
-    h_m=0.0,
-    h_r=0.0,
-    h_s=0.0,
-    h_dis=0.0,
-    gen=0.0,
-    deficit=0.0,
-    leak=0.0,
-    paid=0.0,
-    branch=Branch.FREE.value,
-    damping_rendered=0.0,
-    certificate=Certificate.EXACT.value,
-    state=0.0,
-)
+AT_REST: Final = EnergyBalance(*(0.0,) * 11, Branch.FREE.value, 0.0, Certificate.EXACT.value, 0.0)
 """The balance of the first call after a reset: nothing held, nothing stored."""
 
 
 def residual(balance: EnergyBalance, stored_before: float) -> float:
     """Residual of one step in the identity of this module [J]."""
-    return (
-        (balance.h_s - stored_before)
-        + balance.h_r
-        - balance.h_i
-        - balance.gen
-        + balance.h_pas
-        - balance.deficit
-        + balance.leak
-    )
+    flows_out = (balance.h_s - stored_before) + balance.h_r - balance.h_i - balance.gen + balance.h_pas
+    return flows_out - balance.deficit + balance.leak
 
 
 def certificates_of(bits: int) -> tuple[Certificate, ...]:

@@ -188,12 +188,7 @@ def damping_cap(delay: int, mass: float | None, sample_time: float) -> float:
 
 
 def modulated_damping(
-    alpha: float,
-    surplus: float,
-    model_damping: float,
-    cap: float,
-    displacement: float = 0.0,
-    sample_time: float = 1.0,
+    alpha: float, surplus: float, model_damping: float, cap: float, displacement: float = 0.0, sample_time: float = 1.0
 ) -> float:
     """Return d_pas of eq. 19 [N*s/m or N*m*s/rad]: proportional to the surplus, the total not above the cap.
 

@@ -61,10 +61,6 @@ class FrictionWatch:
         excess: Largest force by which the motion exceeded declared friction [N or N*m]; 0: none.
     """
 
-    __slots__ = (
-        "_asked", "_before", "_deadline", "_declared", "_holds", "_now", "_position", "_taken", "_torque", "excess",
-    )  # fmt: skip
-
     def __init__(self, declared: FrictionDeclared) -> None:
         self._declared = declared
         self._holds = max(2, round(_STRETCH / declared.sample_time))

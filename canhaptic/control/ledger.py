@@ -39,10 +39,6 @@ class EnergyLossMeter:
         energy: Energy received so far; negative where more was given out [J].
     """
 
-    __slots__ = (
-        "_booked_at", "_by_speed", "_is_group", "_positions", "allowance", "axes", "energy", "floor", "limit", "name",
-    )  # fmt: skip
-
     def __init__(
         self,
         name: str,
@@ -163,7 +159,7 @@ class Ledger:
     def reset(self) -> None:
         """Clear all sums."""
         self._interaction, self._in, self._dissipated = RunningSum(), RunningSum(), RunningSum()
-        self._recovered, self._leaked, self._paid, self._deficit, self._generated = (RunningSum() for _ in range(5))
+        self._corrections = tuple(RunningSum() for _ in range(5))  # of h_pas, gen, leak, paid and deficit
         self._branches = [0] * len(Branch)
         self._last = AT_REST
         self.interaction = self._least_interaction = self._least_margin = self._surplus_max = 0.0
@@ -180,7 +176,7 @@ class Ledger:
             cycle: Index of the SYNC.
             deadline: Sample times to that SYNC; None: no SYNC was skipped.
         """
-        torque, h_i, h_pas, _, h_r, _, surplus, gen, deficit, leak, _, branch, rendered, certificate, _ = balance
+        torque, h_i, h_pas, _, h_r, _, surplus, gen, deficit, leak, paid, branch, rendered, certificate, _ = balance
         self._branches[branch] += 1
         self._last = balance
         if surplus > self._surplus_max:
@@ -190,24 +186,14 @@ class Ledger:
         if h_i or h_r:
             self._add_flows(h_i, h_r, cycle, cycle if deadline is None else deadline)
         if h_pas or leak or deficit or gen:
-            self._add_corrections(balance)
+            for total, term in zip(self._corrections, (h_pas, gen, leak, paid, deficit), strict=True):
+                if term:
+                    add(total, term)
         if branch not in OUT_OF_CONTACT:
             if rendered < self._damping_least:
                 self._damping_least = rendered
             if rendered > self._damping_most:
                 self._damping_most = rendered
-
-    def _add_corrections(self, balance: EnergyBalance) -> None:
-        if balance.h_pas:
-            add(self._recovered, balance.h_pas)
-        if balance.leak:
-            add(self._leaked, balance.leak)
-        if balance.paid:
-            add(self._paid, balance.paid)
-        if balance.deficit:
-            add(self._deficit, balance.deficit)
-        if balance.gen:
-            add(self._generated, balance.gen)
 
     def _add_flows(self, h_i: float, h_r: float, cycle: int, deadline: int) -> None:
         self.interaction = interaction = add(self._interaction, h_i)
@@ -225,18 +211,19 @@ class Ledger:
     def summary(self) -> LedgerSummary:
         """Return the account so far."""
         energy_in = self._in.value
+        recovered, generated, leaked, paid, deficit = (total.value for total in self._corrections)
         return LedgerSummary(
             energy_in=energy_in,
             energy_out=energy_in - self._interaction.value,
             stored=self._last.h_s,
             dissipated=self._dissipated.value,
-            generated=self._generated.value,
+            generated=generated,
             surplus_end=self._last.h_dis,
             surplus_max=self._surplus_max,
-            recovered=self._recovered.value,
-            leaked=self._leaked.value,
-            paid=self._paid.value,
-            deficit=self._deficit.value,
+            recovered=recovered,
+            leaked=leaked,
+            paid=paid,
+            deficit=deficit,
             margin_value=self._least_margin,
             margin_cycle=self._least_margin_cycle,
             margin_deadline=self._least_margin_deadline,

@@ -34,7 +34,7 @@ MakeBuffer: TypeAlias = Callable[[int], Buffer]
 _Memory = TypeVar("_Memory")
 GivenT = TypeVar("GivenT")
 SettingsT = TypeVar("SettingsT")
-StateT = TypeVar("StateT")
+StateT = TypeVar("StateT", covariant=True)
 MemoryT = TypeVar("MemoryT")
 
 new: Final = tuple.__new__

@@ -33,7 +33,7 @@ from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMediu
 from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.control.mechanisms.kinematics import Kinematics, Limit
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
-from canhaptic.control.multi_axis.group_motion import GroupModel, world_of
+from canhaptic.control.multi_axis.group_kernel import GroupModel, world_of
 from canhaptic.control.port_hamiltonian.network import extension, gradient
 from canhaptic.control.port_hamiltonian.shapes.geometry import moved_by
 from canhaptic.errors import InputError, ParameterError

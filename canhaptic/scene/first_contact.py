@@ -203,9 +203,9 @@ def _inward(environment: Environment) -> tuple[float, float] | None:
 def kept_through_losses(axis: AxisScene, speed: float) -> list[tuple[float, float]]:
     """Return which part of a wall is felt in a second of pressing, for each of some shares of lost frames.
 
-    A frame takes what the torques under way might have given out unseen (`torque_bound`), which late torques, friction
-    and a fast hand make large; pressing on brings it in again. The declared mass is pushed, with a damping that allows
-    the speed, and either frame of a cycle is lost at random.
+    A frame takes what the torques under way might have given out unseen (`certified_torque`), which late torques,
+    friction and a fast hand make large; pressing on brings it in again. The declared mass is pushed, with a damping
+    that allows the speed, and either frame of a cycle is lost at random.
 
     Args:
         axis: Axis for which `can_be_tried` is true.

@@ -10,7 +10,7 @@ from math import pi, sqrt
 from typing import Final, NamedTuple
 
 from canhaptic.axis_units import damping_unit, effort_unit, mass_unit, stiffness_unit
-from canhaptic.control.admittance.declared_hand import damping_border, declared_hand_settings, lightest
+from canhaptic.control.admittance.declared_hand import DeclaredHand, damping_border
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, loop_settings
 from canhaptic.control.certificates import scalar_bounds as bounds
@@ -418,8 +418,8 @@ def _of_guard(
         text = "of a drive with an integral (mode 8) nothing is certified where holds are uneven: its value is unknown"
         hints.append(Hint(name, "SYNC jitter of a certificate", 0.0, properties.jitter, "", text))
     elif known.hand_stiffness:
-        hand = declared_hand_settings(known, loop_settings(known, properties), properties.latency)
-        carried = lightest(hand, properties.speed_limit)
+        hand = DeclaredHand(known, loop_settings(known, properties), properties)
+        carried = hand.lightest(properties.speed_limit)
         text = "at speed_limit, with a hand as declared (hand_stiffness); heavier at lower speed" + about
         hints.append(Hint(name, "mass carried for the declared hand", carried, None, unit, text))
         if asked is not None and asked < never:

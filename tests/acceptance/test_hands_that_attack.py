@@ -9,7 +9,7 @@ pytest.importorskip("numba")
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.control.passivity.guarded import GuardedParameters
 from tools.attack.climb import Attack
 from tools.attack.holes import HOLES, attack_on, random_attack
 from tools.attack.plant import STRAIN, TAKEN_IN, Hand, Rig, V, X, energy_of, hold

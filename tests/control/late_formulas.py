@@ -4,8 +4,8 @@ import math
 import random
 from typing import NamedTuple
 
+from canhaptic.control.certificates.certified_torque import BoundMemory, Declared, TorqueBound, bound_memory
 from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, displacement_response, hold_timing
-from canhaptic.control.certificates.torque_bound import BoundMemory, Declared, TorqueBound, bound_memory
 from canhaptic.kernels import list_of_zeros
 
 T, MASS = 1e-3, 0.25

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from canhaptic.control.balance import Certificate, residual
 from canhaptic.control.passivity.asked_torque import GuardedProgram, UnguardedProgram
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.control.passivity.unprotected import UnprotectedParameters
 
 T, MASS = 1e-3, 0.25

@@ -16,20 +16,21 @@ from canhaptic.control.environments.damper_wall import DamperWall
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.multi_axis.group_account import Gap, doubt_of, farthest
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded import Guarded
-from canhaptic.control.passivity.guarded_settings import GuardedParameters
-from canhaptic.control.passivity.hold_account import (
+from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
+from canhaptic.control.passivity.stepped import (
     Axis,
     AxisMemory,
+    Commands,
     Hold,
     HoldAccount,
     HoldSettings,
     begin,
+    efforts_inside,
     let_samples_pass,
     open_hold,
+    settle,
     surplus_after,
 )
-from canhaptic.control.passivity.stepped import Commands, efforts_inside, settle
 
 T, MASS, PULL = 1e-3, 0.25, 5.0
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.control.certificates.certified_torque import for_any_hand
+from canhaptic.control.certificates.certified_torque import Declared, for_any_hand
 from canhaptic.control.certificates.scalar_bounds import (
     NO_RESPONSE,
     WINDOW,
@@ -21,7 +21,6 @@ from canhaptic.control.certificates.scalar_bounds import (
     renderable_by_hand_speed,
     start_speed,
 )
-from canhaptic.control.certificates.torque_bound import Declared
 from tests.adversary.users import Mass
 from tests.drawn import examples
 

@@ -22,7 +22,15 @@ from canhaptic.control.multi_axis.group_account import (
     largest_of,
     quotient,
 )
-from canhaptic.control.multi_axis.group_certificates import axes_of, damping_need, path_need, taken_by_mover
+from canhaptic.control.multi_axis.group_certificates import (
+    axes_of,
+    damping_need,
+    path_need,
+    per_axis_limits,
+    per_axis_memory,
+    taken_at_most,
+    taken_by_mover,
+)
 from canhaptic.control.multi_axis.group_kernel import (
     GroupHolds,
     end_holds,
@@ -33,7 +41,6 @@ from canhaptic.control.multi_axis.group_kernel import (
     take_applied,
     torque_held,
 )
-from canhaptic.control.multi_axis.per_axis_certificates import per_axis_limits, per_axis_memory, taken_at_most
 from canhaptic.control.passivity.controller import LoopProperties
 
 T, DELAY = 1e-3, 1

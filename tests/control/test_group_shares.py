@@ -36,11 +36,12 @@ from canhaptic.control.multi_axis.group_certificates import (
     axes_of,
     base_of,
     gain_of,
+    per_axis_limits,
     response_to_late,
     taken_by_mover,
+    write_cells,
 )
 from canhaptic.control.multi_axis.group_kernel import no_group_holds
-from canhaptic.control.multi_axis.per_axis_certificates import per_axis_limits, write_cells
 from canhaptic.control.passivity.controller import LoopProperties
 from tests.control.network.networks import AxesApart
 

@@ -8,9 +8,18 @@ from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded import Guarded, GuardedState, Memory, end, memory_of, relax
-from canhaptic.control.passivity.guarded_settings import GuardedParameters, GuardedSettings, settings_of
-from canhaptic.kernels import list_of_zeros
+from canhaptic.control.passivity.guarded import (
+    Guarded,
+    GuardedParameters,
+    GuardedSettings,
+    GuardedState,
+    Memory,
+    end,
+    memory_of,
+    relax,
+    settings_of,
+)
+from canhaptic.kernels import Run, list_of_zeros
 
 T = 1e-3
 LOOP = LoopProperties(sample_time=T, delay=1, moving_mass=0.25, device_damping_bound=0.0)
@@ -23,7 +32,8 @@ def test_what_a_medium_relaxes_is_dissipated_and_no_more_than_is_stored(stored: 
     settings = settings_of(medium, GuardedParameters(hand_force=1.0), LOOP)
     state = GuardedState(h_s=stored, unrecovered=0.25)
     before = medium.stored_energy(2e-3)
-    relaxed, left, lost = relax(medium, settings, state, 2e-3, share * before, 2)
+    run = Run(settings, state, memory_of(settings, list_of_zeros))
+    relaxed, left, lost = relax(medium, run, 2e-3, share * before, 2)
     assert relaxed == pytest.approx(medium.relaxed(2e-3, 2.0 * T))
     assert left == medium.stored_energy(relaxed)
     assert left < 0.9 * before
@@ -44,7 +54,7 @@ def begun() -> tuple[GuardedSettings, GuardedState, Memory]:
 def test_of_a_hold_that_lasted_longer_the_mean_motion_goes_on_and_the_next_one_is_a_usual_one(lasted: float) -> None:
     settings, state, memory = begun()
     state.axis.lasted = lasted
-    displacement, _, _, _ = end(settings, state, memory, 0.013, 0.5)
+    displacement, _, _, _ = end(Run(settings, state, memory), 0.013, 0.5)
     assert displacement == pytest.approx(0.003)
     assert state.bound.displacement == pytest.approx(0.003 / lasted)
     assert lasted == 1.0 or state.motion.step == pytest.approx(0.003 / lasted)
@@ -55,7 +65,7 @@ def test_of_a_hold_that_lasted_longer_the_mean_motion_goes_on_and_the_next_one_i
 def test_behind_lost_samples_the_newest_torque_acts_and_the_difference_from_the_older_one_is_in_doubt() -> None:
     settings, state, memory = begun()
     state.axis.missed = 1
-    displacement, damper, modulated, uncertainty = end(settings, state, memory, 0.014, 2.0)
+    displacement, damper, modulated, uncertainty = end(Run(settings, state, memory), 0.014, 2.0)
     assert (displacement, damper, modulated) == (pytest.approx(0.004), 0.0, 0.0)
     assert state.bound.displacement == state.motion.step == pytest.approx(0.002)
     assert uncertainty == pytest.approx(state.bound.resolution / 2.0)

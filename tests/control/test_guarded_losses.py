@@ -4,13 +4,12 @@ import random
 
 import pytest
 
+from canhaptic.control.certificates.certified_torque import Declared, TorqueBound, end_gap, hand_along
 from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE
-from canhaptic.control.certificates.torque_bound import Declared, TorqueBound, end_gap, hand_along
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded import Guarded
-from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from tests.adversary.axis import PUSH, Loss, guarded, run
 from tests.adversary.users import USERS
 

@@ -5,7 +5,10 @@ import math
 import pytest
 
 from canhaptic.control.certificates.certified_torque import (
+    Declared,
     LateMotion,
+    TorqueBound,
+    bound_memory,
     by_reach_of_late,
     for_every_hand,
     free_of_late,
@@ -13,7 +16,6 @@ from canhaptic.control.certificates.certified_torque import (
     taken_under_way,
 )
 from canhaptic.control.certificates.scalar_bounds import displacement_response, hold_timing
-from canhaptic.control.certificates.torque_bound import Declared, TorqueBound, bound_memory
 from canhaptic.kernels import list_of_zeros
 from tests.control.late_formulas import (
     ANY,

@@ -23,9 +23,14 @@ from canhaptic.control.multi_axis.group_account import (
     share_of_late,
     shares,
 )
-from canhaptic.control.multi_axis.group_certificates import AxisLimits, axes_of, pass_range, response_to_late
+from canhaptic.control.multi_axis.group_certificates import (
+    AxisLimits,
+    axes_of,
+    pass_range,
+    per_axis_limits,
+    response_to_late,
+)
 from canhaptic.control.multi_axis.group_kernel import no_group_holds
-from canhaptic.control.multi_axis.per_axis_certificates import per_axis_limits
 from canhaptic.control.passivity.controller import LoopProperties
 
 T, MASSES = 1e-3, (0.25, 0.6)

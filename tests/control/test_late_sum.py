@@ -6,13 +6,18 @@ from dataclasses import replace
 
 import pytest
 
-from canhaptic.control.certificates.certified_torque import LateMotion, largest_of_late, taken_in_hold
+from canhaptic.control.certificates.certified_torque import (
+    Declared,
+    LateMotion,
+    TorqueBound,
+    bound_memory,
+    largest_of_late,
+    taken_in_hold,
+)
 from canhaptic.control.certificates.scalar_bounds import displacement_response, hold_timing, next_displacement
-from canhaptic.control.certificates.torque_bound import Declared, TorqueBound, bound_memory
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded import Guarded
-from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from canhaptic.kernels import list_of_zeros
 from tools.attack.plant import DISSIPATED, TAKEN_IN, Rig, V, X, hold
 

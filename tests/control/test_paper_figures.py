@@ -10,8 +10,8 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import open_hold
 from canhaptic.control.passivity.internal_dissipation import InternalDissipation, InternalDissipationParameters
+from canhaptic.control.passivity.stepped import open_hold
 from canhaptic.kernels.records import bound
 from canhaptic.lab.rivals.a_priori_dissipation import APrioriDissipationParameters
 from tests.control.reference_loop import continuous, sampled, user_f, variation

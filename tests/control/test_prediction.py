@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
-from canhaptic.control.passivity.guarded_settings import PredictedMotion, observe, predicted, prediction_settings
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.guarded import PredictedMotion, observe, predicted, prediction_settings
 
 BEYOND = 0.75  # holds, the default of `guarded`
 
 
 def growth(delay: int, stiffness: float, mass: float) -> float:
     """Growth of the fastest motion in a hold: of a true mass, declared as 1 kg, in holds of 1 s without a hand."""
-    settings = prediction_settings(1.0, 0.0, 1.0, delay, BEYOND, 0.0)
+    settings = prediction_settings(LoopProperties(sample_time=1.0, delay=delay, moving_mass=1.0), BEYOND)
 
     def following(state: list[float]) -> list[float]:
         position, velocity, *rest = state

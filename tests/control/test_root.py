@@ -8,7 +8,12 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from canhaptic.control.passivity.stored_model import Balance, discriminant, solve_balance, solve_balance_nonlinear
+from canhaptic.control.passivity.internal_dissipation import (
+    Balance,
+    discriminant,
+    solve_balance,
+    solve_balance_nonlinear,
+)
 from tests.drawn import examples
 
 mpmath.mp.dps = 60

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from canhaptic.control.certificates import torque_bound
+from canhaptic.control.certificates import certified_torque
 from tests.adversary.late_axis import PARTS, Late
 from tests.control.test_late_torque import made
 
@@ -71,8 +71,8 @@ def climb(case: str, seed: int, steps: int) -> float:
 @pytest.mark.parametrize("case", CASES)
 def test_a_skipped_sync_leaves_no_more_open_than_is_stated(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert climb(case, 4, 30) <= 1e-12
-    of_hold: Any = torque_bound.reach_of_late
-    monkeypatch.setattr(torque_bound, "reach_of_late", lambda *known: of_hold(*known[:-1], 1.0))
+    of_hold: Any = certified_torque.reach_of_late
+    monkeypatch.setattr(certified_torque, "reach_of_late", lambda *known: of_hold(*known[:-1], 1.0))
     assert climb(case, 4, 30) > 1e-4  # of a hold of one sample time
 
 

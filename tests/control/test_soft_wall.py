@@ -6,8 +6,7 @@ import pytest
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded import Guarded
-from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from tools.attack.plant import TAKEN_IN, Rig, V, X, hold
 
 T, MASS, FRICTION, COUNT, SUBSTEPS = 1e-3, 0.075, 0.04, 3e-5, 4

@@ -9,6 +9,10 @@ import pytest
 
 from canhaptic.control.balance import AT_REST, Certificate
 from canhaptic.control.certificates.certified_torque import (
+    BoundMemory,
+    Declared,
+    TorqueBound,
+    bound_memory,
     free_energy,
     free_in_sum,
     free_of_late,
@@ -22,12 +26,10 @@ from canhaptic.control.certificates.scalar_bounds import (
     hold_timing,
     next_displacement,
 )
-from canhaptic.control.certificates.torque_bound import BoundMemory, Declared, TorqueBound, bound_memory
 from canhaptic.control.environments.free_space import FreeSpace
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded import Guarded
-from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import list_of_zeros
 from canhaptic.lab.figures.figures import metrics_of

@@ -6,14 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from canhaptic.control.certificates.scalar_bounds import (
-    NO_RESPONSE,
-    WINDOW,
-    HoldTiming,
-    displacement_response,
-    hold_timing,
-)
-from canhaptic.control.certificates.torque_bound import (
+from canhaptic.control.certificates.certified_torque import (
     BoundMemory,
     Declared,
     TorqueBound,
@@ -29,6 +22,13 @@ from canhaptic.control.certificates.torque_bound import (
     reaches_turn,
     shorten,
     take_late,
+)
+from canhaptic.control.certificates.scalar_bounds import (
+    NO_RESPONSE,
+    WINDOW,
+    HoldTiming,
+    displacement_response,
+    hold_timing,
 )
 from canhaptic.kernels import list_of_zeros
 

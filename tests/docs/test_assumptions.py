@@ -7,7 +7,7 @@ import pytest
 
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.control.passivity.guarded import GuardedParameters
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "account_and_truth.md").read_text(encoding="utf-8")

@@ -18,7 +18,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.cycle import Cycle
 from canhaptic.errors import RigError
 from canhaptic.signals import PlantEnergy

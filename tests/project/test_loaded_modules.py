@@ -28,7 +28,7 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
         *("scene.displays", "sim.drive.profile.admittance_", "sim.plant.velocity_drive"),
     ),
     "force node": ("canopen.force_node", "sim.drive.can.sensor_node"),
-    "impedance algorithm": ("control.passivity.guarded", "control.certificates.torque_bound"),
+    "impedance algorithm": ("control.passivity.guarded", "control.certificates.certified_torque"),
     "own code": ("scene.own_code",),
     "log": ("logs.bus_", "logs.columns", "logs.energy_", "logs.ring", "logs.writer", "scene.log_writers"),
     "fault of the bus": ("sim.bus.faulty_bus",),

@@ -1,11 +1,11 @@
 import contextlib
-import importlib
 import json
 import random
 import re
 from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import pytest
@@ -70,23 +70,22 @@ def test_the_master_sends_today_what_it_sent_when_recorded(name: str) -> None:
         ("bound_device_friction", "certificates.certified_torque.for_any_hand"),
         ("bound_sum", "certificates.certified_torque.by_reach"),
         ("bound_drag", "certificates.certified_torque.hand_force_bound"),
-        ("bound_group", "multi_axis.per_axis_certificates.hand_force_bound"),
+        ("bound_group", "multi_axis.group_certificates.hand_force_bound"),
         ("bound_late_group", "multi_axis.group_account.by_hand_force"),
-        ("bound_lossy_group", "multi_axis.per_axis_certificates.largest_share"),
-        ("bound_display", "admittance.guarded_admittance.fastest"),
-        ("bound_display_force", "admittance.guarded_admittance.fastest_for_hand"),
-        ("bound_declared_hand", "admittance.guarded_admittance.fastest_for_declared"),
-        ("bound_late_lossy_group", "multi_axis.per_axis_certificates.largest_share"),
-        ("bound_group_of_handles", "multi_axis.per_axis_certificates.hand_force_bound"),
+        ("bound_lossy_group", "multi_axis.group_certificates.largest_share"),
+        ("bound_display", "admittance.velocity_loop.VelocityLoop.fastest"),
+        ("bound_display_force", "admittance.declared_hand.LargestForce.fastest"),
+        ("bound_declared_hand", "admittance.declared_hand.DeclaredHand.fastest_speed"),
+        ("bound_late_lossy_group", "multi_axis.group_certificates.largest_share"),
+        ("bound_group_of_handles", "multi_axis.group_certificates.hand_force_bound"),
     ],
 )
 def test_a_certificate_that_permits_a_little_more_changes_its_recording(
     name: str, place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each is recorded where its torques are at the bound."""
-    module, _, function = f"canhaptic.control.{place}".rpartition(".")
-    bound = getattr(importlib.import_module(module), function)
-    monkeypatch.setattr(f"{module}.{function}", lambda *arguments: 1.05 * bound(*arguments))
+    bound = resolve_name(f"canhaptic.control.{place}")
+    monkeypatch.setattr(f"canhaptic.control.{place}", lambda *arguments: 1.05 * bound(*arguments))
     assert replay_bus_log(FOLDER / f"{name}.log", scene_of(name))["status"] == "different"
 
 

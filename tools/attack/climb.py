@@ -9,8 +9,7 @@ import numpy as np
 
 from canhaptic.control.environments.environment import Environment, plain, tuple_type
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded import Guarded
-from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from canhaptic.kernels import Buffer, Run
 from canhaptic.kernels.compiler import compiled, fixed_tuple
 from canhaptic.kernels.records import records_of

@@ -12,7 +12,7 @@ from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.control.passivity.guarded import GuardedParameters
 from tools.attack.climb import Attack
 from tools.attack.plant import Hand, Rig
 from tools.chance import EXACT, Chance

@@ -30,7 +30,7 @@ from canhaptic.control.certificates.scalar_bounds import (
 )
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
-from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.loop.axis_loop import Array, LoopCase, LoopRun
 from canhaptic.lab.studies.design.contact_quality import (

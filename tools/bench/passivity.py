@@ -17,7 +17,7 @@ import numpy as np
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
-from canhaptic.control.passivity.stored_model import solve_balance
+from canhaptic.control.passivity.internal_dissipation import solve_balance
 from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.figures.figures import figures
 from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Reach, microseconds_per_step

@@ -10,6 +10,11 @@ Motion of the rendered environment, its limits, and the queued commands.
     m u' = F - b u - k (q - rest),   and no further than the walls
 
 The spring acts at the measured position; a wall limits the position and absorbs the remaining momentum (plastic).
+
+A controller of an admittance display in the cycle; see `canhaptic.control.passivity.stepped`.
+
+It has the interface of an impedance display: `torque_applied` is the force of the display on the hand (minus the
+sensor's reading), and the `torque` of its balance is the commanded velocity [m/s or rad/s].
 """
 
 from math import inf
@@ -18,7 +23,9 @@ from typing import Annotated, ClassVar, Final, Literal, Self
 from pydantic import model_validator
 
 from canhaptic.control.admittance.port import AdmittanceProperties, Port
+from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.control.environments.environment import plain
+from canhaptic.control.passivity.stepped import SteppedController, Wording
 from canhaptic.kernels import Buffer
 from canhaptic.units import Parameters, quantity
 
@@ -195,3 +202,45 @@ class AdmittanceMass(AdmittanceEnvironment):
     def stretch(self, position: float) -> float:
         """Return the displacement of the spring; 0 without one [m or rad]."""
         return position - self.rest if self.stiffness else 0.0
+
+
+class AdmittanceController(SteppedController):
+    """An admittance algorithm on one axis; `_account` is its own."""
+
+    _environment: AdmittanceEnvironment
+    _display: AdmittanceAxis
+    wording: ClassVar[Wording] = Wording(
+        "applied force", "velocity", "encoder, force sensor and their scaling", "mass and damping against the forces"
+    )
+
+    def __init__(
+        self, environment: AdmittanceEnvironment, parameters: Parameters, properties: AdmittanceProperties
+    ) -> None:
+        """Prepare a run; `parameters` is of `parameters_type`.
+
+        Raises:
+            ParameterError: A property that the algorithm needs is unknown.
+        """
+        self._environment, self._given = plain(environment), plain(parameters)
+        self._properties, self._time = properties, properties.sample_time
+        self.reset()
+
+    def reset(self) -> None:
+        """Clear the state: no energy, no queued command, no last position."""
+        self._display = self._begun()
+        self._axis, self._commands = self._display.port, self._display.commands
+        self._inner = [0.0] * self._environment.states
+        self._memory, self._last, self._advance = None, AT_REST, self._account
+
+    def _begun(self) -> AdmittanceAxis:
+        """Return the axis at rest."""
+        return AdmittanceAxis(self._environment, self._properties, self._properties.delay + 1)
+
+    def _account(self, position: float, torque_applied: float) -> EnergyBalance:
+        """Account for the hold that ended; see `Controller.step`. `torque_applied` is minus the force of the sensor."""
+        raise NotImplementedError
+
+    @property
+    def energy_resolution(self) -> float:
+        """Uncertainty of the sum of h_i [J]; the account books its lower end."""
+        return 2.0 * self._display.port.doubt

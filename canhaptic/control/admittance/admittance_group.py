@@ -11,12 +11,11 @@ from math import sqrt
 from typing import ClassVar, Final
 
 from canhaptic.control.admittance.admittance_environment import AdmittanceMass
-from canhaptic.control.admittance.force_evidence import LateMargin
 from canhaptic.control.admittance.group_environment import GroupMass, TaskEnvironment
-from canhaptic.control.admittance.guarded_axis import GuardedAxis
+from canhaptic.control.admittance.guarded_axis import GuardedAxis, LateMargin
 from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold
 from canhaptic.control.admittance.sampled_group import AdmittanceGroup
-from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, may_limit, reserve
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.control.multi_axis.group_controller import GroupBalance
 from canhaptic.control.passivity.stepped import settle
@@ -116,7 +115,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         if self._is_unsure or not holds[0].is_booked:
             return holds, energy
         then, free = self._margin.oldest(), self._h_s - self._surplus
-        kept = [reserve(axis.loop, axis.leads[then], hold.speed) for axis, hold in zip(self._each, holds, strict=True)]
+        kept = [axis.loop.reserve(axis.leads[then], hold.speed) for axis, hold in zip(self._each, holds, strict=True)]
         self._margin.rise(then, free + energy - sum(kept), self._taken)
         proved = self._margin.before[then] - self._taken
         if proved <= free + energy:
@@ -173,7 +172,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         """Determine whether a drive with an integral may reach its torque limit: nothing is certified then."""
         for axis in self._each:
             if axis.loop.integral > 0.0 and not self._is_unsure:
-                self._is_unsure = may_limit(axis.loop, axis.drive, axis.commands.speed, axis.port.missed)
+                self._is_unsure = axis.loop.may_limit(axis.drive, axis.commands.speed, axis.port.missed)
 
     def _settle(self, h_i: float, before: list[float], velocities: Sequence[float], certificate: int) -> EnergyBalance:
         """Dissipate and leak what neither the mass nor the drives can give back; return the account."""

@@ -26,7 +26,7 @@ new command, so that every command between two that fit fits.
 
 A is known from below by E at the sensor less the largest M s^2 / 2, and by (1) from the SYNC before. A force that is
 late makes the sequence longer by as many holds. The two studies of `tools/displays/declared_hands.py` are the cases
-b = m = 0 and l = 0. The drive must not reach its torque limit (`velocity_loop.may_limit`).
+b = m = 0 and l = 0. The drive must not reach its torque limit (`VelocityLoop.may_limit`).
 
 Largest certified speed of a drive without an integral, for a hand of bounded force: abs(F) <= f.
 
@@ -41,7 +41,7 @@ by braking with f until the handle stops. For commands r, with E' = F v and M v'
 Proof. G' = f M v / (f + c v) for v >= 0; for v < 0 turn the signs of v, r and F. Then (E - G)' + f abs(r) is
 F v - f v (c (r - v) + F - friction) / (f + c v) + f abs(r). The terms of r are f (abs(r) - r c v / (f + c v)) >= 0.
 That of friction is not negative. Those of F are F c v^2 / (f + c v), least at F = -f; the rest, f c v^2 / (f + c v),
-makes up for them. At v = 0 both sides have G' = 0. The drive must not reach its torque limit (`may_limit`).
+makes up for them. At v = 0 both sides have G' = 0. The drive must not reach its torque limit, as above.
 
 So commands with f T (sum abs(u_i) under way + n abs(u)) <= E - G + allowance keep E >= -allowance for every hand that
 never pushes or pulls harder than f. The range of a force sensor does not promise that.
@@ -58,94 +58,65 @@ For w tau small, b = K (tau + (M - m) / c). The sampled loop with the mean force
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
 from math import cos, exp, inf, log1p, sin, sqrt
 from typing import Final, NamedTuple
 
 from canhaptic.control.admittance.admittance_environment import Commands
 from canhaptic.control.admittance.port import AdmittanceProperties
-from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, VelocityLoopSettings, largest_square
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, VelocityLoop, largest_square
 from canhaptic.control.environments.environment import plain
 
 
-def held_back(force: float, loop: VelocityLoopSettings, speed: float) -> float:
-    """Return G for a largest force [N or N*m] at the largest possible speed [J]."""
-    gain = loop.gain_least
-    rest = speed - force / gain * log1p(gain * speed / force)
-    return force * loop.mass / gain * rest
+class LargestForce(NamedTuple):
+    """A hand whose force is bounded, at a drive without an integral."""
 
+    force: float  # f [N or N*m]
+    loop: VelocityLoop
 
-def lost_to_hand(force: float, loop: VelocityLoopSettings, commands: Commands) -> float:
-    """Return the largest loss of E - G in the hold that ended [J]."""
-    square = largest_square(commands, loop.delay, loop.delay + loop.losses)
-    return force * loop.sample_time * sqrt(square)
+    def reserve(self, speed: float) -> float:
+        """Return G for a largest force [N or N*m] at the largest possible speed [J]."""
+        gain = self.loop.gain_least
+        rest = speed - self.force / gain * log1p(gain * speed / self.force)
+        return self.force * self.loop.mass / gain * rest
 
+    def lost(self, commands: Commands) -> float:
+        """Return the largest loss of E - G in the hold that ended [J]."""
+        square = largest_square(commands, self.loop.delay, self.loop.delay + self.loop.losses)
+        return self.force * self.loop.sample_time * sqrt(square)
 
-def fastest_for_hand(force: float, loop: VelocityLoopSettings, commands: Commands, budget: float) -> float:
-    """Return the largest speed that may be commanded now [m/s or rad/s].
+    def fastest(self, commands: Commands, budget: float) -> float:
+        """Return the largest speed that may be commanded now [m/s or rad/s].
 
-    In each hold that a lost RPDO may lengthen, the largest command that may act counts: the new one in all its
-    holds where it is the largest of all, else only in its last one, where it is no larger than the one before.
-    """
-    left = budget / (force * loop.sample_time)
-    for age in range(loop.delay):
-        left -= sqrt(largest_square(commands, age, age + loop.losses))
-    if left <= 0.0:
-        return 0.0
-    everywhere = left / (1 + loop.losses)
-    if loop.losses == 0 or everywhere >= sqrt(largest_square(commands, 0, loop.losses - 1)):
-        return everywhere
-    for hold in range(loop.losses):
-        left -= sqrt(largest_square(commands, 0, loop.losses - 1 - hold))
-    last = abs(commands[commands.newest])
-    return max(0.0, min(left, last))
+        In each hold that a lost RPDO may lengthen, the largest command that may act counts: the new one in all its
+        holds where it is the largest of all, else only in its last one, where it is no larger than the one before.
+        """
+        left = budget / (self.force * self.loop.sample_time)
+        for age in range(self.loop.delay):
+            left -= sqrt(largest_square(commands, age, age + self.loop.losses))
+        if left <= 0.0:
+            return 0.0
+        everywhere = left / (1 + self.loop.losses)
+        if self.loop.losses == 0 or everywhere >= sqrt(largest_square(commands, 0, self.loop.losses - 1)):
+            return everywhere
+        for hold in range(self.loop.losses):
+            left -= sqrt(largest_square(commands, 0, self.loop.losses - 1 - hold))
+        last = abs(commands[commands.newest])
+        return max(0.0, min(left, last))
 
-
-def used_by_hand(force: float, loop: VelocityLoopSettings, commands: Commands) -> float:
-    """Return the largest loss of E - G by the commands that can still act, the newest included [J]."""
-    total = 0.0
-    for age in range(1, loop.delay + 1):
-        total += sqrt(largest_square(commands, age, age + loop.losses))
-    for hold in range(loop.losses + 1):
-        total += sqrt(largest_square(commands, 0, loop.losses - hold))
-    return force * loop.sample_time * total
+    def used(self, commands: Commands) -> float:
+        """Return the largest loss of E - G by the commands that can still act, the newest included [J]."""
+        total = 0.0
+        for age in range(1, self.loop.delay + 1):
+            total += sqrt(largest_square(commands, age, age + self.loop.losses))
+        for hold in range(self.loop.losses + 1):
+            total += sqrt(largest_square(commands, 0, self.loop.losses - hold))
+        return self.force * self.loop.sample_time * total
 
 
 _STEPS: Final = 5  # of the search for the largest speed; each halves the remaining gap at least
 _OF_COMMANDS, _OF_WAY = 0.3125, 2.5
 """(x + y)^2 / 4 <= 0.3125 x^2 + 1.25 y^2, and (y + z)^2 <= 2 y^2 + 2 z^2."""
-
-
-@dataclass(frozen=True, slots=True)
-class DeclaredHandSettings:
-    """Declared properties of the hand, and constants that follow from drive and sensor."""
-
-    loop: VelocityLoopSettings
-    given: GuardedAdmittanceParameters  # K_e, w, N and B of the hand, d_d of the drive
-    friction: float  # f_d [N or N*m]
-    holds: int  # from the SYNC of the last force to the one at which a new command acts
-    lag: float  # l [s]
-    decay: float  # part of the difference to the command that remains after a hold
-    moved: float  # least mass of the drive [kg or kg*m^2]
-    uncertainty: float  # largest of abs(c - M / l) [N*s/m or N*m*s/rad]
-
-
-@dataclass(slots=True)
-class DeclaredHand:
-    """State at the SYNC of the last force, and the motion due to the commands alone."""
-
-    speeds: list[float]  # g at the SYNCs whose forces have not come, a ring of shape (latency + 1,) [m/s or rad/s]
-    known: float = 0.0  # A, at least [J]
-    speed: float = 0.0  # g now [m/s or rad/s]
-    before: float = 0.0  # g at that SYNC [m/s or rad/s]
-    place: int = 0  # place of this SYNC in the ring
-    waiting: int = 0  # SYNCs since
-    slowest: float = 0.0  # least v there [m/s or rad/s]
-    fastest: float = 0.0  # largest v there
-    up: float = -inf  # least F where K is alone, in the positive direction [N or N*m]
-    down: float = -inf  # the same of -F
-    up_with_mass: float = -inf  # least F + N a
-    down_with_mass: float = -inf
 
 
 class HeardForce(NamedTuple):
@@ -159,193 +130,193 @@ class HeardForce(NamedTuple):
     at_limit: bool  # whether the torque may have been at its limit in that hold
 
 
-def declared_hand_settings(
-    known: GuardedAdmittanceParameters, loop: VelocityLoopSettings, latency: int
-) -> DeclaredHandSettings:
-    """Constants of a run."""
-    lag = loop.mass / loop.gain
-    return DeclaredHandSettings(
-        loop, plain(known), known.drive_friction or 0.0,
-        loop.delay + latency, lag, exp(-loop.sample_time / lag), loop.mass * (1.0 - known.spread),
-        loop.gain * known.spread,
-    )  # fmt: skip
-
-
-def go_on(settings: DeclaredHandSettings, hand: DeclaredHand, command: float) -> None:
-    """Advance g by the hold that ended, under the command that acted in it [m/s or rad/s]."""
-    hand.speed = command + (hand.speed - command) * settings.decay
-    hand.place = hand.place + 1 if hand.place + 1 < len(hand.speeds) else 0
-    hand.speeds[hand.place] = hand.speed
-    hand.waiting += 1
-
-
-def hear(settings: DeclaredHandSettings, port: AdmittanceProperties, hand: DeclaredHand, heard: HeardForce) -> None:
-    """Update A and the hand force with the force received for an earlier SYNC."""
-    samples, begin, loop = hand.waiting, hand.before, settings.loop
-    hand.waiting = 0
-    hand.before = hand.speeds[hand.place + 1 - len(hand.speeds)]
-    length = samples * loop.sample_time
-    mean, off = heard.moved / length, 0.5 * port.handle_acceleration * length + port.encoder_count / length
-    hand.slowest, hand.fastest = mean - off, mean + off
-    slip = max(hand.fastest - hand.before, hand.before - hand.slowest)
-    least = heard.energy - 0.5 * loop.mass * slip * slip
-    if samples > 1:  # the force in between is unknown
-        hand.known = least
-        hand.up = hand.down = hand.up_with_mass = hand.down_with_mass = -inf
-        return
-    if not heard.at_limit:
-        least = max(least, hand.known + _gained(settings, port, heard, begin, hand.before))
-    hand.known = least
-    error = port.force_error + port.lag * port.force_slew
-    hand.up, hand.up_with_mass = _forces(settings, port, heard, 1.0, error)
-    hand.down, hand.down_with_mass = _forces(settings, port, heard, -1.0, error)
-
-
-def _gained(
-    settings: DeclaredHandSettings, port: AdmittanceProperties, heard: HeardForce, begin: float, end: float
-) -> float:
-    """Least change of A in a hold by (1), with half of c s^2 reserved for D; -inf behind a filter [J]."""
-    if port.lag > 0.0:
-        return -inf
-    loop, time, lead = settings.loop, settings.loop.sample_time, heard.command - begin
-    way = heard.command * time - settings.lag * (end - begin)
-    bend, rise = abs(lead) / settings.lag, abs(heard.change)
-    if port.is_mean:
-        mean, doubt = heard.force, port.force_slew * bend * time * time * time / 12.0
-    else:
-        mean, doubt = heard.force - 0.5 * heard.change, rise * bend * time * time / 12.0
-        room = port.force_slew * port.force_slew * time * time - rise * rise
-        if room > 0.0:
-            doubt += max(abs(begin), abs(end)) * room / (4.0 * port.force_slew)
-    added = max(0.0, abs(heard.moved - way) - port.encoder_count)
-    top = max(abs(begin), abs(end))
-    friction = settings.friction + 0.25 * settings.given.drive_damping * top
-    doubt += port.force_error * abs(way) + friction * top * time
-    doubt += settings.uncertainty * settings.uncertainty / (2.0 * loop.gain_least) * _square(settings, lead)
-    return mean * way + 0.5 * loop.gain_least * added * added / time - doubt
-
-
-def _forces(
-    settings: DeclaredHandSettings, port: AdmittanceProperties, heard: HeardForce, sign: float, error: float
-) -> tuple[float, float]:
-    """Return the least F in a direction at the SYNC without a mass, and the least F + N a with one [N or N*m].
-
-    A mean belongs to the whole hold: by its end the spring may have lost K_e times half the displacement, and the arm
-    moved on. The mean of the acceleration follows from the drive.
-    """
-    loop, time = settings.loop, settings.loop.sample_time
-    along, late = sign * heard.force - error, 0.0
-    uncertainty = port.encoder_count / time
-    if port.is_mean:
-        late = max(0.0, 0.5 * sign * heard.moved + port.handle_acceleration * time * time / 12.0)
-        late = settings.given.hand_stiffness * (late + 0.5 * settings.given.hand_speed * time)
-    else:
-        uncertainty += 0.5 * port.handle_acceleration * time
-    lead = sign * (heard.command - heard.moved / time) - uncertainty
-    push = along + (loop.gain_least if lead > 0.0 else loop.gain) * lead - settings.friction
-    push -= settings.given.drive_damping * (abs(heard.moved) / time + uncertainty)
-    push /= loop.mass if push > 0.0 else settings.moved
-    alone = min(late, 0.5 * port.force_slew * time) if settings.given.hand_mass == 0.0 else late
-    return along - alone, along - late + settings.given.hand_mass * push
-
-
-def _square(settings: DeclaredHandSettings, lead: float) -> float:
-    """Return the integral of (r - g)^2 over a hold that begins with this lead [m^2/s or rad^2/s]."""
-    return 0.5 * settings.lag * lead * lead * (1.0 - settings.decay * settings.decay)
-
-
-def loss(
-    settings: DeclaredHandSettings, hand: DeclaredHand, commands: Sequence[float], newest: int, speed: float
-) -> float:
-    """Largest decrease of A at any time, by the queued commands and a new one [J].
+class DeclaredHand:
+    """The hand as declared: what follows for drive and sensor, and its state at the SYNC of the last force.
 
     Args:
-        settings: Constants of the run.
-        hand: State of the hand at the SYNC of the last force.
-        commands: Ring of the commands sent.
-        newest: Index of the oldest command that differs from the new one.
-        speed: New command [m/s or rad/s].
+        given: K_e, w, N and B of the hand, f_d and d_d of the drive.
+        loop: Velocity loop of the drive.
+        properties: Properties of drive and sensor.
+
+    Attributes:
+        known: A, at least [J].
+        holds: Holds from the SYNC of the last force to the one at which a new command acts.
     """
-    loop, lag, holds, g, given = settings.loop, settings.lag, settings.holds, hand.before, settings.given
-    time, damping, mass, arm = loop.sample_time, given.hand_damping, given.hand_mass, given.hand_speed
-    forth, back, late = lag * max(0.0, g), lag * max(0.0, -g), lag * lag * abs(g)
-    top, square, bent = abs(g), 0.0, g
-    for hold in range(holds + 1):
-        command = commands[newest - (holds - 1 - hold)] if hold < holds else speed
-        size = abs(command)
-        if command > 0.0:
-            forth += time * command
+
+    def __init__(
+        self, given: GuardedAdmittanceParameters, loop: VelocityLoop, properties: AdmittanceProperties
+    ) -> None:
+        self.given, self.loop, self.port = plain(given), loop, plain(properties)
+        self.friction, self.holds = given.drive_friction or 0.0, loop.delay + properties.latency
+        self.lag = loop.mass / loop.gain  # l [s]
+        self.decay = exp(-loop.sample_time / self.lag)  # part of the difference to the command that a hold leaves
+        self.moved = loop.mass * (1.0 - given.spread)  # least mass of the drive [kg or kg*m^2]
+        self.uncertainty = loop.gain * given.spread  # largest of abs(c - M / l) [N*s/m or N*m*s/rad]
+        self.speeds = [0.0] * (properties.latency + 1)  # g at the SYNCs whose forces have not come, a ring
+        self.known = self.speed = self.before = 0.0  # A, at least [J]; g now and at that SYNC [m/s or rad/s]
+        self.place = self.waiting = 0  # place of this SYNC in the ring; SYNCs since the last force
+        self.slowest = self.fastest = 0.0  # range of v there [m/s or rad/s]
+        self.up = self.down = -inf  # least F and -F where K is alone [N or N*m]
+        self.up_with_mass = self.down_with_mass = -inf  # least F + N a, and -(F + N a)
+
+    def go_on(self, command: float) -> None:
+        """Advance g by the hold that ended, under the command that acted in it [m/s or rad/s]."""
+        self.speed = command + (self.speed - command) * self.decay
+        self.place = self.place + 1 if self.place + 1 < len(self.speeds) else 0
+        self.speeds[self.place] = self.speed
+        self.waiting += 1
+
+    def hear(self, heard: HeardForce) -> None:
+        """Update A and the hand force with the force received for an earlier SYNC."""
+        samples, begin, loop, port = self.waiting, self.before, self.loop, self.port
+        self.waiting = 0
+        self.before = self.speeds[self.place + 1 - len(self.speeds)]
+        length = samples * loop.sample_time
+        mean, off = heard.moved / length, 0.5 * port.handle_acceleration * length + port.encoder_count / length
+        self.slowest, self.fastest = mean - off, mean + off
+        slip = max(self.fastest - self.before, self.before - self.slowest)
+        least = heard.energy - 0.5 * loop.mass * slip * slip
+        if samples > 1:  # the force in between is unknown
+            self.known = least
+            self.up = self.down = self.up_with_mass = self.down_with_mass = -inf
+            return
+        if not heard.at_limit:
+            least = max(least, self.known + self._gained(heard, begin))
+        self.known = least
+        error = port.force_error + port.lag * port.force_slew
+        self.up, self.up_with_mass = self._forces(heard, 1.0, error)
+        self.down, self.down_with_mass = self._forces(heard, -1.0, error)
+
+    def _gained(self, heard: HeardForce, begin: float) -> float:
+        """Least change of A in a hold by (1), with half of c s^2 reserved for D; -inf behind a filter [J]."""
+        loop, port, end = self.loop, self.port, self.before
+        if port.lag > 0.0:
+            return -inf
+        time, lead = loop.sample_time, heard.command - begin
+        way = heard.command * time - self.lag * (end - begin)
+        bend, rise = abs(lead) / self.lag, abs(heard.change)
+        if port.is_mean:
+            mean, doubt = heard.force, port.force_slew * bend * time * time * time / 12.0
         else:
-            back -= time * command
-        late += time * size * (lag + time * (hold + 0.5))
-        lead = command - bent
-        square += lead * lead
-        bent = command - lead * settings.decay
-        top = max(top, abs(bent))
-    square = _square(settings, 1.0) * square + 0.5 * lag * bent * bent
-    way, stiffness, share = forth + back, given.hand_stiffness, settings.uncertainty
-    uncertainty = stiffness * stiffness * way * late + damping * damping * top * way
-    fixed = stiffness * arm * late + (2.0 * damping * arm + settings.friction) * way
-    fixed += 0.25 * given.drive_damping * top * way + _OF_WAY * uncertainty / loop.gain_least
-    yielding = damping * (top - hand.slowest), damping * (top + hand.fastest)
-    push = 0.5 * stiffness * forth - hand.up + max(0.0, yielding[0])
-    pull = 0.5 * stiffness * back - hand.down + max(0.0, yielding[1])
-    largest = max(0.0, push * forth) + max(0.0, pull * back)
-    largest += _OF_COMMANDS * share * share / loop.gain_least * square
-    if mass > 0.0:
-        push += hand.up - hand.up_with_mass
-        pull += hand.down - hand.down_with_mass
-        share += mass / lag
-        slip = hand.slowest - g if g > 0.0 else g - hand.fastest
-        heavy = max(0.0, push * forth) + max(0.0, pull * back)
-        heavy += _OF_COMMANDS * share * share / loop.gain_least * square
-        heavy += 0.5 * mass * ((1.0 + mass / settings.moved) * top * top - g * g)
-        heavy -= mass * abs(g) * slip
-        largest = heavy if heavy > largest else largest
-    return fixed + largest
+            mean, doubt = heard.force - 0.5 * heard.change, rise * bend * time * time / 12.0
+            room = port.force_slew * port.force_slew * time * time - rise * rise
+            if room > 0.0:
+                doubt += max(abs(begin), abs(end)) * room / (4.0 * port.force_slew)
+        added = max(0.0, abs(heard.moved - way) - port.encoder_count)
+        top = max(abs(begin), abs(end))
+        friction = self.friction + 0.25 * self.given.drive_damping * top
+        doubt += port.force_error * abs(way) + friction * top * time
+        doubt += self.uncertainty * self.uncertainty / (2.0 * loop.gain_least) * self._square(lead)
+        return mean * way + 0.5 * loop.gain_least * added * added / time - doubt
 
+    def _forces(self, heard: HeardForce, sign: float, error: float) -> tuple[float, float]:
+        """Return the least F in a direction at the SYNC without a mass, and the least F + N a with one [N or N*m].
 
-def fastest_for_declared(
-    settings: DeclaredHandSettings, hand: DeclaredHand, commands: Commands, request: float, allowance: float
-) -> float:
-    """Largest certified speed in the direction of the request, unsigned [m/s or rad/s].
-
-    The loss is convex: a chord between a speed that fits and one that does not meets the budget at one that fits.
-    """
-    budget, newest = hand.known + allowance, commands.newest
-    if hand.waiting > 0 or hand.up == -inf:
-        return 0.0
-    fits, low = 0.0, loss(settings, hand, commands, newest, 0.0)
-    if low > budget:
-        return 0.0
-    fails, high = request, loss(settings, hand, commands, newest, request)
-    if high <= budget:
-        return abs(request)
-    for _ in range(_STEPS):
-        fits += (fails - fits) * (budget - low) / (high - low)
-        low = loss(settings, hand, commands, newest, fits)
-        middle = 0.5 * (fits + fails)
-        value = loss(settings, hand, commands, newest, middle)
-        if value <= budget:
-            fits, low = middle, value
+        A mean belongs to the whole hold: by its end the spring may have lost K_e times half the displacement, and the
+        arm moved on. The mean of the acceleration follows from the drive.
+        """
+        loop, port, time = self.loop, self.port, self.loop.sample_time
+        along, late = sign * heard.force - error, 0.0
+        uncertainty = port.encoder_count / time
+        if port.is_mean:
+            late = max(0.0, 0.5 * sign * heard.moved + port.handle_acceleration * time * time / 12.0)
+            late = self.given.hand_stiffness * (late + 0.5 * self.given.hand_speed * time)
         else:
-            fails, high = middle, value
-    return abs(fits)
+            uncertainty += 0.5 * port.handle_acceleration * time
+        lead = sign * (heard.command - heard.moved / time) - uncertainty
+        push = along + (loop.gain_least if lead > 0.0 else loop.gain) * lead - self.friction
+        push -= self.given.drive_damping * (abs(heard.moved) / time + uncertainty)
+        push /= loop.mass if push > 0.0 else self.moved
+        alone = min(late, 0.5 * port.force_slew * time) if self.given.hand_mass == 0.0 else late
+        return along - alone, along - late + self.given.hand_mass * push
 
+    def _square(self, lead: float) -> float:
+        """Return the integral of (r - g)^2 over a hold that begins with this lead [m^2/s or rad^2/s]."""
+        return 0.5 * self.lag * lead * lead * (1.0 - self.decay * self.decay)
 
-def used_by_declared(settings: DeclaredHandSettings, hand: DeclaredHand, commands: Commands) -> float:
-    """Largest energy that commands still able to act can extract, the newest included [J]; inf if unknown."""
-    if hand.waiting > 0 or hand.up == -inf:
-        return inf
-    return loss(settings, hand, commands, commands.newest - 1, commands[commands.newest])
+    def loss(self, commands: Sequence[float], newest: int, speed: float) -> float:
+        """Largest decrease of A at any time, by the queued commands and a new one [J].
 
+        Args:
+            commands: Ring of the commands sent.
+            newest: Index of the oldest command that differs from the new one.
+            speed: New command [m/s or rad/s].
+        """
+        loop, lag, holds, g, given = self.loop, self.lag, self.holds, self.before, self.given
+        time, damping, mass, arm = loop.sample_time, given.hand_damping, given.hand_mass, given.hand_speed
+        forth, back, late = lag * max(0.0, g), lag * max(0.0, -g), lag * lag * abs(g)
+        top, square, bent = abs(g), 0.0, g
+        for hold in range(holds + 1):
+            command = commands[newest - (holds - 1 - hold)] if hold < holds else speed
+            size = abs(command)
+            if command > 0.0:
+                forth += time * command
+            else:
+                back -= time * command
+            late += time * size * (lag + time * (hold + 0.5))
+            lead = command - bent
+            square += lead * lead
+            bent = command - lead * self.decay
+            top = max(top, abs(bent))
+        square = self._square(1.0) * square + 0.5 * lag * bent * bent
+        way, stiffness, share = forth + back, given.hand_stiffness, self.uncertainty
+        uncertainty = stiffness * stiffness * way * late + damping * damping * top * way
+        fixed = stiffness * arm * late + (2.0 * damping * arm + self.friction) * way
+        fixed += 0.25 * given.drive_damping * top * way + _OF_WAY * uncertainty / loop.gain_least
+        yielding = damping * (top - self.slowest), damping * (top + self.fastest)
+        push = 0.5 * stiffness * forth - self.up + max(0.0, yielding[0])
+        pull = 0.5 * stiffness * back - self.down + max(0.0, yielding[1])
+        largest = max(0.0, push * forth) + max(0.0, pull * back)
+        largest += _OF_COMMANDS * share * share / loop.gain_least * square
+        if mass > 0.0:
+            push += self.up - self.up_with_mass
+            pull += self.down - self.down_with_mass
+            share += mass / lag
+            slip = self.slowest - g if g > 0.0 else g - self.fastest
+            heavy = max(0.0, push * forth) + max(0.0, pull * back)
+            heavy += _OF_COMMANDS * share * share / loop.gain_least * square
+            heavy += 0.5 * mass * ((1.0 + mass / self.moved) * top * top - g * g)
+            heavy -= mass * abs(g) * slip
+            largest = heavy if heavy > largest else largest
+        return fixed + largest
 
-def lightest(settings: DeclaredHandSettings, speed: float) -> float:
-    """Smallest virtual mass that keeps its speed with such a hand when nothing pushes it [kg or kg*m^2]."""
-    steady = DeclaredHand(
-        [], before=speed, slowest=speed, fastest=speed, up=0.0, down=0.0, up_with_mass=0.0, down_with_mass=0.0
-    )
-    return 2.0 * loss(settings, steady, [speed] * (settings.holds + 1), settings.holds, speed) / (speed * speed)
+    def fastest_speed(self, commands: Commands, request: float, allowance: float) -> float:
+        """Largest certified speed in the direction of the request, unsigned [m/s or rad/s].
+
+        The loss is convex: a chord between a speed that fits and one that does not meets the budget at one that fits.
+        """
+        budget, newest = self.known + allowance, commands.newest
+        if self.waiting > 0 or self.up == -inf:
+            return 0.0
+        fits, low = 0.0, self.loss(commands, newest, 0.0)
+        if low > budget:
+            return 0.0
+        fails, high = request, self.loss(commands, newest, request)
+        if high <= budget:
+            return abs(request)
+        for _ in range(_STEPS):
+            fits += (fails - fits) * (budget - low) / (high - low)
+            low = self.loss(commands, newest, fits)
+            middle = 0.5 * (fits + fails)
+            value = self.loss(commands, newest, middle)
+            if value <= budget:
+                fits, low = middle, value
+            else:
+                fails, high = middle, value
+        return abs(fits)
+
+    def used(self, commands: Commands) -> float:
+        """Largest energy that commands still able to act can extract, the newest included [J]; inf if unknown."""
+        if self.waiting > 0 or self.up == -inf:
+            return inf
+        return self.loss(commands, commands.newest - 1, commands[commands.newest])
+
+    def lightest(self, speed: float) -> float:
+        """Smallest virtual mass that keeps its speed with such a hand when nothing pushes it [kg or kg*m^2]."""
+        steady = copy(self)
+        steady.before = steady.slowest = steady.fastest = speed
+        steady.up = steady.down = steady.up_with_mass = steady.down_with_mass = 0.0
+        return 2.0 * steady.loss([speed] * (self.holds + 1), self.holds, speed) / (speed * speed)
 
 
 _ROUNDS: Final = 60

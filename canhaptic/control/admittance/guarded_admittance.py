@@ -20,31 +20,11 @@ Where the mass asked for is lighter than the drive carries safely, the hand feel
 from math import inf
 from typing import ClassVar
 
-from canhaptic.control.admittance.admittance_controller import AdmittanceController
-from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
-from canhaptic.control.admittance.declared_hand import (
-    DeclaredHand,
-    HeardForce,
-    declared_hand_settings,
-    fastest_for_declared,
-    fastest_for_hand,
-    go_on,
-    hear,
-    held_back,
-    lost_to_hand,
-    used_by_declared,
-    used_by_hand,
-)
-from canhaptic.control.admittance.force_evidence import LateMargin
-from canhaptic.control.admittance.guarded_axis import GuardedAxis
+from canhaptic.control.admittance.admittance_environment import AdmittanceController, AdmittanceEnvironment
+from canhaptic.control.admittance.declared_hand import DeclaredHand, HeardForce, LargestForce
+from canhaptic.control.admittance.guarded_axis import GuardedAxis, LateMargin
 from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold
-from canhaptic.control.admittance.velocity_loop import (
-    GuardedAdmittanceParameters,
-    fastest,
-    loss_under_way,
-    may_limit,
-    reserve,
-)
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.passivity.stepped import settle
 from canhaptic.errors import ForceContradictedError
@@ -76,7 +56,6 @@ class GuardedAdmittance(AdmittanceController):
         # a torque at its limit would void the proof
         self._may_be_limited = parameters.integral_gain > 0.0 or self._hand_force > 0.0 or self._is_declared
         super().__init__(environment, parameters, properties)
-        self._declared_settings = declared_hand_settings(parameters, self._display.loop, properties.latency)
 
     def _begun(self) -> GuardedAxis:
         return GuardedAxis(self._environment, self._given, self._properties)
@@ -86,7 +65,8 @@ class GuardedAdmittance(AdmittanceController):
         super().reset()
         latency = self._properties.latency
         self._margin, self._hand = LateMargin(latency), LateMargin(latency)  # E - V, E - G
-        self._declared = DeclaredHand([0.0] * (latency + 1))
+        self._declared = DeclaredHand(self._given, self._display.loop, self._properties)
+        self._force = LargestForce(self._hand_force, self._display.loop)
         self._h_s = self._surplus = 0.0  # [J]
         self._taken = 0.0  # dissipated or leaked so far, and not paid [J]
         self._limited = 0  # SYNCs for which a force may belong to a hold in which the drive was at its torque limit
@@ -128,20 +108,18 @@ class GuardedAdmittance(AdmittanceController):
         """Nearest certified speed [m/s or rad/s], and the certificate that reduced it."""
         loop, commands, budget = self._display.loop, self._commands, self._margin.known + self._allowance
         sign = 1.0 if request >= 0.0 else -1.0
-        most = fastest(loop, self._display.drive.lead, commands, budget, sign)
+        most = loop.fastest(self._display.drive.lead, commands, budget, sign)
         if abs(request) <= most:
             return request, _UNBOUNDED
         certificate = _BY_LOOP
         if self._hand_force > 0.0:
-            by_hand = fastest_for_hand(self._hand_force, loop, commands, self._hand.known + self._allowance)
+            by_hand = self._force.fastest(commands, self._hand.known + self._allowance)
             if abs(request) <= by_hand:
                 return request, _BY_HAND
             if by_hand > most:
                 most, certificate = by_hand, _BY_HAND
         if self._is_declared:
-            by_declared = fastest_for_declared(
-                self._declared_settings, self._declared, commands, request, self._allowance
-            )
+            by_declared = self._declared.fastest_speed(commands, request, self._allowance)
             if by_declared > most:
                 most, certificate = by_declared, _BY_DECLARED
         return sign * most, certificate
@@ -153,13 +131,13 @@ class GuardedAdmittance(AdmittanceController):
         """
         display = self._display
         loop, drive, speed = display.loop, display.drive, self._commands.speed
-        if not self._may_be_limited or not may_limit(loop, drive, speed, display.port.missed):
+        if not self._may_be_limited or not loop.may_limit(drive, speed, display.port.missed):
             return
         self._limited = loop.delay + 1 + loop.losses + display.properties.latency
         if loop.integral > 0.0:
             self._is_unsure = True
         elif not self._is_unsure:
-            under_way = loss_under_way(loop, 0.0, self._commands)
+            under_way = loop.loss_under_way(0.0, self._commands)
             self._is_unsure = under_way > self._margin.known + self._allowance
 
     def _command_unseen(self) -> float:
@@ -204,7 +182,7 @@ class GuardedAdmittance(AdmittanceController):
     def _take(self, position: float, force: float) -> tuple[BookedHold, float]:
         """Book the hold that ended and update the margins; return it and h_i [J]."""
         display, at_limit = self._display, self._limited > 0
-        port, loop, origin, heard = display.port, display.loop, display.port.origin, display.port.force
+        port, origin, heard = display.port, display.port.origin, display.port.force
         hold, change = display.take(position, force)
         self._fall(change)
         if not hold.is_booked:
@@ -214,14 +192,14 @@ class GuardedAdmittance(AdmittanceController):
         if self._is_unsure:
             return hold, hold.energy
         if self._is_declared:
-            acted = self._commands.sent(self._declared_settings.holds)
+            acted = self._commands.sent(self._declared.holds)
             said = new(HeardForce, (late, port.origin - origin, acted, port.force, port.force - heard, at_limit))
-            hear(self._declared_settings, display.properties, self._declared, said)
+            self._declared.hear(said)
         margin, hand = self._margin, self._hand
         then = margin.oldest()
-        margin.rise(then, late - reserve(loop, display.leads[then], hold.speed), self._taken)
+        margin.rise(then, late - display.loop.reserve(display.leads[then], hold.speed), self._taken)
         if self._hand_force > 0.0:
-            hand.rise(hand.oldest(), late - held_back(self._hand_force, loop, hold.speed), self._taken)
+            hand.rise(hand.oldest(), late - self._force.reserve(hold.speed), self._taken)
         proved = margin.before[then] - self._taken
         if proved <= late:
             return hold, late - free
@@ -235,11 +213,11 @@ class GuardedAdmittance(AdmittanceController):
         self._margin.fall(change, self._taken)
         if self._hand_force > 0.0:
             is_in_doubt = self._limited > display.properties.latency
-            lost = inf if is_in_doubt else lost_to_hand(self._hand_force, display.loop, commands)
+            lost = inf if is_in_doubt else self._force.lost(commands)
             self._hand.fall(-lost, self._taken)
         self._limited = max(0, self._limited - 1)
         if self._is_declared:
-            go_on(self._declared_settings, self._declared, commands.sent(display.loop.delay))
+            self._declared.go_on(commands.sent(display.loop.delay))
 
     def _settle(self, h_i: float, before: float, speed: float) -> tuple[float, float, float, float, float]:
         """Dissipate and leak what neither the mass nor the drive can give back; return (h_s, h_r, deficit, leak, paid).
@@ -258,10 +236,9 @@ class GuardedAdmittance(AdmittanceController):
         lost = environment.damping * before * before * self._time
         slack = self._margin.known + allowance - under_way
         if self._hand_force > 0.0:
-            slack = max(slack, self._hand.known + allowance - used_by_hand(self._hand_force, display.loop, commands))
+            slack = max(slack, self._hand.known + allowance - self._force.used(commands))
         if self._is_declared:
-            used = used_by_declared(self._declared_settings, self._declared, commands)
-            slack = max(slack, self._declared.known + allowance - used)
+            slack = max(slack, self._declared.known + allowance - self._declared.used(commands))
         h_s, surplus, h_r, deficit, leak, paid = settle(self._h_s + h_i, self._surplus, lost, ceiling, slack)
         taken = h_r + leak - paid
         for margin in (self._margin, self._hand, self._declared):

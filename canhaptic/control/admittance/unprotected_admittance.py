@@ -6,7 +6,7 @@ account create is booked as `gen`, what they lose as `leak`, so that the account
 
 from typing import ClassVar, NamedTuple
 
-from canhaptic.control.admittance.admittance_controller import AdmittanceController
+from canhaptic.control.admittance.admittance_environment import AdmittanceController
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.kernels import new
 from canhaptic.units import Parameters

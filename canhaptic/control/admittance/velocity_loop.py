@@ -19,24 +19,53 @@ W is known from below in two ways, and the larger counts: from the force, E less
 alone, as (E - V)' >= c v (v - r) - f_I r over a hold of which displacement and command are known.
 
 No friction is counted; it only helps. With a torque limit: without an integral the loss is smaller still, and so is
-what the encoder proves (`_by_damping`). With one the bound holds only where the limit is not reached (`may_limit`).
+what the encoder proves (`VelocityLoop._by_damping`). With one the bound holds only where the limit is not reached
+(`VelocityLoop.may_limit`).
 
 Parameters of `guarded` of an admittance display: its drive and the hand.
 """
 
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import inf, sqrt
 from typing import Annotated
 
 from canhaptic.control.admittance.admittance_environment import Commands
 from canhaptic.control.admittance.port import AdmittanceProperties
+from canhaptic.control.certificates.scalar_bounds import hand_force_bound
 from canhaptic.errors import ParameterError
 from canhaptic.units import Parameters, quantity
 
 
+@dataclass(slots=True)
+class LoopState:
+    """Motion of the drive from encoder and commands."""
+
+    lead: float = 0.0  # commanded less actual displacement: f_I = k lead [m or rad]
+    velocity: float = 0.0  # mean of the hold of the last sample that came [m/s or rad/s]
+    holds: int = 1  # that this mean is taken over
+
+
+def _within(commands: Commands, speed: float, own: int, losses: int) -> float:
+    """The speed if it is the largest command in exactly this number of its holds, else 0."""
+    first = losses + 1 - own  # the first hold in which it is to be the largest
+    if first < losses and speed * speed < largest_square(commands, 0, losses - 1 - first):
+        return 0.0
+    before = largest_square(commands, 0, losses - first) if first else inf
+    return sqrt(before) if speed * speed > before else speed
+
+
+def largest_square(commands: Commands, newest: int, oldest: int) -> float:
+    """Return the largest square of the commands of some ages [m^2/s^2 or rad^2/s^2]."""
+    largest = 0.0
+    for age in range(newest, oldest + 1):
+        command = commands.sent(age)
+        largest = max(largest, command * command)
+    return largest
+
+
 @dataclass(frozen=True, slots=True)
-class VelocityLoopSettings:
-    """Declared properties of the drive."""
+class VelocityLoop:
+    """The velocity loop of a drive as declared."""
 
     sample_time: float  # the longest hold [s]
     delay: int
@@ -51,247 +80,183 @@ class VelocityLoopSettings:
     acceleration: float = 0.0  # largest of the handle [m/s^2 or rad/s^2]
     evenness: float = 1.0  # the shortest hold, as a part of the longest
 
+    def reserve(self, lead: float, speed: float) -> float:
+        """Return the largest V at a largest speed [J]."""
+        value = 0.5 * self.mass * speed * speed
+        if self.integral > 0.0:
+            stretch = abs(lead) + self.count
+            value += 0.5 * self.integral * stretch * stretch
+        return value
 
-@dataclass(slots=True)
-class LoopState:
-    """Motion of the drive from encoder and commands."""
+    def may_limit(self, loop: LoopState, command: float, missed: int) -> bool:
+        """Whether the torque may reach its limit while a command acts: certificates by its braking fail then.
 
-    lead: float = 0.0  # commanded less actual displacement: f_I = k lead [m or rad]
-    velocity: float = 0.0  # mean of the hold of the last sample that came [m/s or rad/s]
-    holds: int = 1  # that this mean is taken over
+        Args:
+            loop: Known velocity and lead; the displacement in lost samples is not subtracted from the lead.
+            command: The new command [m/s or rad/s].
+            missed: Number of samples lost since the velocity was measured.
+        """
+        time, speed = self.sample_time, abs(loop.velocity)
+        span, unseen = (self.delay + 1 + self.losses) * time, missed * time
+        change = self.acceleration * (span + unseen + 0.5 * time * loop.holds)
+        change += speed * (1.0 / self.evenness - 1.0)  # the last hold may have taken less time
+        ahead = (abs(command) + speed + change) * span + (speed + change) * unseen
+        torque = self.gain * (abs(command - loop.velocity) + change)
+        torque += self.integral * (abs(loop.lead) + self.count + ahead)
+        return torque >= self.torque_limit
 
+    def gained(self, lead: float, commands: Commands, moved: float) -> float:
+        """Least change of W over the hold that ended, from encoder and commands [J].
 
-def reserve(settings: VelocityLoopSettings, lead: float, speed: float) -> float:
-    """Return the largest V at a largest speed [J]."""
-    value = 0.5 * settings.mass * speed * speed
-    if settings.integral > 0.0:
-        stretch = abs(lead) + settings.count
-        value += 0.5 * settings.integral * stretch * stretch
-    return value
+        Args:
+            lead: Lead at the beginning of the hold [m or rad].
+            commands: Ring of the commands sent.
+            moved: Displacement in the hold [m or rad].
+        """
+        if self.integral > 0.0:
+            return self._gained_with_integral(lead, commands.sent(self.delay), moved)
+        least = self._by_damping(commands.sent(self.delay), moved)
+        for age in range(self.delay + 1, self.delay + self.losses + 1):
+            least = min(least, self._by_damping(commands.sent(age), moved))
+        return least
 
+    def lost_unseen(self, commands: Commands) -> float:
+        """Largest loss of W in a hold without a sample, for a drive without an integral [J]."""
+        square = largest_square(commands, self.delay, self.delay + self.losses)
+        return 0.25 * self.gain * self.sample_time * square
 
-def may_limit(settings: VelocityLoopSettings, loop: LoopState, command: float, missed: int) -> bool:
-    """Whether the torque may reach its limit while a command acts: certificates that count on its braking fail then.
+    def _by_damping(self, command: float, moved: float) -> float:
+        """Least c D (D / T - r) for D within one count and c within its range [J].
 
-    Args:
-        settings: Declared velocity loop of the drive.
-        loop: Known velocity and lead; the displacement in lost samples is not subtracted from the lead.
-        command: The new command [m/s or rad/s].
-        missed: Number of samples lost since the velocity was measured.
-    """
-    time, speed = settings.sample_time, abs(loop.velocity)
-    span, unseen = (settings.delay + 1 + settings.losses) * time, missed * time
-    change = settings.acceleration * (span + unseen + 0.5 * time * loop.holds)
-    change += speed * (1.0 / settings.evenness - 1.0)  # the last hold may have taken less time
-    ahead = (abs(command) + speed + change) * span + (speed + change) * unseen
-    torque = settings.gain * (abs(command - loop.velocity) + change)
-    torque += settings.integral * (abs(loop.lead) + settings.count + ahead)
-    return torque >= settings.torque_limit
+        Where the torque may be at its limit F, it is that of a gain between F / abs(v - r) and c, which may change
+        within the hold. The integral of v^2 - r v then counts by the smaller one, and its negative part, r^2 T / 4 at
+        most, by c.
+        """
+        time, count = self.sample_time, self.count
+        turn = 0.5 * command * time  # D of the least value
+        nearest = turn if turn > moved - count else moved - count
+        nearest = nearest if nearest < moved + count else moved + count
+        power = nearest * (nearest / time - command)
+        shortest = time * self.evenness
+        apart = max(abs(moved / time - command), abs(moved / shortest - command))
+        apart += 0.5 * self.acceleration * time + count / shortest
+        if apart * self.gain > self.torque_limit:
+            least = self.torque_limit / apart
+            least = least if least < self.gain_least else self.gain_least
+            loss = 0.25 * (self.gain - least) * command * command * time
+            return (least if power > 0.0 else self.gain) * power - loss
+        return (self.gain_least if power > 0.0 else self.gain) * power
 
+    def _gained_with_integral(self, lead: float, command: float, moved: float) -> float:
+        """The same for a drive with an integral, for which no RPDO may be lost.
 
-def gained(settings: VelocityLoopSettings, lead: float, commands: Commands, moved: float) -> float:
-    """Least change of W over the hold that ended, from encoder and commands [J].
+        Minimum over v(t) with int v = D of int [c v^2 - c r v - f_I r], f_I = f_0 + k (r t - x):
+        c D (D / T - r) - f_0 r T - k r^2 T^2 / 2 + k r D T / 2 - k^2 r^2 T^3 / 48c.
+        """
+        time, gain, least = self.sample_time, self.integral, self.gain_least
+        change = self._by_damping(command, moved)
+        change -= self._turned(lead, command * time)
+        lag = 0.5 * command * time * (moved - command * time)
+        change += (self.integral_least if lag > 0.0 else gain) * lag
+        change -= 0.5 * gain * abs(command) * time * self.count
+        return change - gain * gain * command * command * time * time * time / (48.0 * least)
 
-    Args:
-        settings: Declared velocity loop of the drive.
-        lead: Lead at the beginning of the hold [m or rad].
-        commands: Ring of the commands sent.
-        moved: Displacement in the hold [m or rad].
-    """
-    if settings.integral > 0.0:
-        return _gained_with_integral(settings, lead, commands.sent(settings.delay), moved)
-    least = _by_damping(settings, commands.sent(settings.delay), moved)
-    for age in range(settings.delay + 1, settings.delay + settings.losses + 1):
-        least = min(least, _by_damping(settings, commands.sent(age), moved))
-    return least
+    def _turned(self, lead: float, way: float) -> float:
+        """Largest f_0 R for a displacement R [J]."""
+        product = lead * way
+        share = self.integral if product > 0.0 else self.integral_least
+        return share * product + self.integral * self.count * abs(way)
 
+    def sequence_loss(self, lead: float, commands: Commands, holds: int, oldest: int) -> float:
+        """Largest loss of W over consecutive commands, the first of which has the age `oldest` [J]."""
+        time, way, squares, shifts = self.sample_time, 0.0, 0.0, 0.0
+        newest = commands.newest - oldest + holds - 1
+        for place in range(newest, newest - holds, -1):  # from the last to the first; below 0 it wraps
+            command = commands[place]
+            squares += command * command * time
+            step = command * time
+            shifts += time * (way * way + way * step + step * step / 3.0)
+            way += step
+        loss, integral = 0.25 * self.gain * squares, self.integral
+        if integral > 0.0:
+            loss += self._turned(lead, way) + 0.25 * integral * way * way
+            loss += integral * integral * shifts / (4.0 * self.gain_least)
+        return loss
 
-def lost_unseen(settings: VelocityLoopSettings, commands: Commands) -> float:
-    """Largest loss of W in a hold without a sample, for a drive without an integral [J]."""
-    square = largest_square(commands, settings.delay, settings.delay + settings.losses)
-    return 0.25 * settings.gain * settings.sample_time * square
+    def fastest(self, lead: float, commands: Commands, budget: float, sign: float) -> float:
+        """Largest speed in a direction that may be commanded now [m/s or rad/s].
 
+        Args:
+            lead: Lead at this SYNC [m or rad].
+            commands: Ring of the commands sent.
+            budget: W and the energy allowance [J].
+            sign: 1.0 or -1.0.
+        """
+        if self.integral == 0.0:
+            return self._fastest_by_damping(commands, budget)
+        time, gain, least, delay = self.sample_time, self.integral, self.gain_least, self.delay
+        before = self.sequence_loss(lead, commands, delay, delay - 1)
+        way, shift = 0.0, 0.0
+        for age in range(delay):  # from the last under way to the first
+            step = commands[commands.newest - age] * time
+            shift += time * (2.0 * way + step)
+            way += step
+        square = 0.25 * time * self.gain + 0.25 * gain * time * time
+        square += gain * gain * time * time * time * (1.0 / 3.0 + delay) / (4.0 * least)
+        line = self._turned(lead, sign * time)
+        line += sign * time * (0.5 * gain * way + gain * gain * shift / (4.0 * least))
+        room = budget - before
+        return hand_force_bound(room, line, square) if line * line + 4.0 * square * room > 0.0 else 0.0
 
-def _by_damping(settings: VelocityLoopSettings, command: float, moved: float) -> float:
-    """Least c D (D / T - r) for D within one count and c within its range [J].
+    def _fastest_by_damping(self, commands: Commands, budget: float) -> float:
+        """The same without an integral: c T / 4 times the squares of all commands that may act.
 
-    Where the torque may be at its limit F, it is that of a gain between F / abs(v - r) and c, which may change within
-    the hold. The integral of v^2 - r v then counts by the smaller one, and its negative part, r^2 T / 4 at most, by c.
-    """
-    time, count = settings.sample_time, settings.count
-    turn = 0.5 * command * time  # D of the least value
-    nearest = turn if turn > moved - count else moved - count
-    nearest = nearest if nearest < moved + count else moved + count
-    power = nearest * (nearest / time - command)
-    shortest = time * settings.evenness
-    apart = max(abs(moved / time - command), abs(moved / shortest - command))
-    apart += 0.5 * settings.acceleration * time + count / shortest
-    if apart * settings.gain > settings.torque_limit:
-        least = settings.torque_limit / apart
-        least = least if least < settings.gain_least else settings.gain_least
-        loss = 0.25 * (settings.gain - least) * command * command * time
-        return (least if power > 0.0 else settings.gain) * power - loss
-    return (settings.gain_least if power > 0.0 else settings.gain) * power
-
-
-def _gained_with_integral(settings: VelocityLoopSettings, lead: float, command: float, moved: float) -> float:
-    """The same for a drive with an integral, for which no RPDO may be lost.
-
-    Minimum over v(t) with int v = D of int [c v^2 - c r v - f_I r], f_I = f_0 + k (r t - x):
-    c D (D / T - r) - f_0 r T - k r^2 T^2 / 2 + k r D T / 2 - k^2 r^2 T^3 / 48c.
-    """
-    time, gain, least = settings.sample_time, settings.integral, settings.gain_least
-    change = _by_damping(settings, command, moved)
-    change -= _turned(settings, lead, command * time)
-    lag = 0.5 * command * time * (moved - command * time)
-    change += (settings.integral_least if lag > 0.0 else gain) * lag
-    change -= 0.5 * gain * abs(command) * time * settings.count
-    return change - gain * gain * command * command * time * time * time / (48.0 * least)
-
-
-def _turned(settings: VelocityLoopSettings, lead: float, way: float) -> float:
-    """Largest f_0 R for a displacement R [J]."""
-    product = lead * way
-    share = settings.integral if product > 0.0 else settings.integral_least
-    return share * product + settings.integral * settings.count * abs(way)
-
-
-def sequence_loss(settings: VelocityLoopSettings, lead: float, commands: Commands, holds: int, oldest: int) -> float:
-    """Largest loss of W over consecutive commands, the first of which has the age `oldest` [J]."""
-    time, way, squares, shifts = settings.sample_time, 0.0, 0.0, 0.0
-    newest = commands.newest - oldest + holds - 1
-    for place in range(newest, newest - holds, -1):  # from the last to the first; below 0 it wraps
-        command = commands[place]
-        squares += command * command * time
-        step = command * time
-        shifts += time * (way * way + way * step + step * step / 3.0)
-        way += step
-    loss, integral = 0.25 * settings.gain * squares, settings.integral
-    if integral > 0.0:
-        loss += _turned(settings, lead, way) + 0.25 * integral * way * way
-        loss += integral * integral * shifts / (4.0 * settings.gain_least)
-    return loss
-
-
-def fastest(
-    settings: VelocityLoopSettings,
-    lead: float,
-    commands: Commands,
-    budget: float,
-    sign: float,
-) -> float:
-    """Largest speed in a direction that may be commanded now [m/s or rad/s].
-
-    Args:
-        settings: Declared velocity loop of the drive.
-        lead: Lead at this SYNC [m or rad].
-        commands: Ring of the commands sent.
-        budget: W and the energy allowance [J].
-        sign: 1.0 or -1.0.
-    """
-    if settings.integral == 0.0:
-        return _fastest_by_damping(settings, commands, budget)
-    time, gain, least, delay = settings.sample_time, settings.integral, settings.gain_least, settings.delay
-    before = sequence_loss(settings, lead, commands, delay, delay - 1)
-    way, shift = 0.0, 0.0
-    for age in range(delay):  # from the last under way to the first
-        step = commands[commands.newest - age] * time
-        shift += time * (2.0 * way + step)
-        way += step
-    square = 0.25 * time * settings.gain + 0.25 * gain * time * time
-    square += gain * gain * time * time * time * (1.0 / 3.0 + delay) / (4.0 * least)
-    line = _turned(settings, lead, sign * time)
-    line += sign * time * (0.5 * gain * way + gain * gain * shift / (4.0 * least))
-    room = budget - before
-    inside = line * line + 4.0 * square * room
-    if inside <= 0.0:
-        return 0.0
-    root = sqrt(inside)
-    if line <= 0.0:
-        return (root - line) / (2.0 * square)
-    return 2.0 * room / (root + line) if room > 0.0 else 0.0
-
-
-def _fastest_by_damping(settings: VelocityLoopSettings, commands: Commands, budget: float) -> float:
-    """The same without an integral: c T / 4 times the squares of all commands that may act.
-
-    In each queued hold the largest of the commands that may act counts, as up to `losses` RPDOs in a row may be
-    lost. The new one may act in 1 + losses holds; in the first of them an older one may, where it is larger.
-    """
-    delay, losses = settings.delay, settings.losses
-    if losses == 0:
-        left = 4.0 * budget / (settings.gain * settings.sample_time)
+        In each queued hold the largest of the commands that may act counts, as up to `losses` RPDOs in a row may be
+        lost. The new one may act in 1 + losses holds; in the first of them an older one may, where it is larger.
+        """
+        delay, losses = self.delay, self.losses
+        left = 4.0 * budget / (self.gain * self.sample_time)
+        if losses == 0:
+            for age in range(delay):
+                command = commands[commands.newest - age]
+                left -= command * command
+            return sqrt(left) if left > 0.0 else 0.0
         for age in range(delay):
-            command = commands[commands.newest - age]
-            left -= command * command
-        return sqrt(left) if left > 0.0 else 0.0
-    left = 4.0 * budget / (settings.gain * settings.sample_time)
-    for age in range(delay):
-        left -= largest_square(commands, age, age + losses)
-    if left <= 0.0:
-        return 0.0
-    best = 0.0
-    for own in range(1, losses + 2):  # holds in which the new one is the largest: the last `own` of them
-        rest = left
-        for hold in range(losses + 1 - own):
-            rest -= largest_square(commands, 0, losses - 1 - hold)
-        if rest > 0.0:
-            best = max(best, _within(commands, sqrt(rest / own), own, losses))
-    return best
-
-
-def _within(commands: Commands, speed: float, own: int, losses: int) -> float:
-    """The speed if it is the largest command in exactly this number of its holds, else 0."""
-    square = speed * speed
-    if own > 1 or losses > 0:
-        first = losses + 1 - own  # the first hold in which it is to be the largest
-        older = largest_square(commands, 0, losses - 1 - first) if first < losses else 0.0
-        if square < older:
+            left -= largest_square(commands, age, age + losses)
+        if left <= 0.0:
             return 0.0
-        if first > 0:
-            before = largest_square(commands, 0, losses - first)
-            if square > before:
-                return sqrt(before)
-    return speed
+        best = 0.0
+        for own in range(1, losses + 2):  # holds in which the new one is the largest: the last `own` of them
+            rest = left
+            for hold in range(losses + 1 - own):
+                rest -= largest_square(commands, 0, losses - 1 - hold)
+            if rest > 0.0:
+                best = max(best, _within(commands, sqrt(rest / own), own, losses))
+        return best
 
+    def loss_under_way(self, lead: float, commands: Commands) -> float:
+        """Return the largest loss of W by the commands that can still act, the newest included, at any SYNC [J]."""
+        total, oldest = 0.0, self.delay
+        if self.integral > 0.0:
+            return max(0.0, *(self.sequence_loss(lead, commands, holds, oldest) for holds in range(1, oldest + 2)))
+        if self.losses == 0:
+            for age in range(self.delay + 1):
+                command = commands[commands.newest - age]
+                total += command * command
+            return 0.25 * self.gain * self.sample_time * total
+        for age in range(1, self.delay + 1):
+            total += largest_square(commands, age, age + self.losses)
+        for hold in range(self.losses + 1):
+            total += largest_square(commands, 0, self.losses - hold)
+        return 0.25 * self.gain * self.sample_time * total
 
-def largest_square(commands: Commands, newest: int, oldest: int) -> float:
-    """Return the largest square of the commands of some ages [m^2/s^2 or rad^2/s^2]."""
-    largest = 0.0
-    for age in range(newest, oldest + 1):
-        command = commands.sent(age)
-        largest = max(largest, command * command)
-    return largest
-
-
-def loss_under_way(settings: VelocityLoopSettings, lead: float, commands: Commands) -> float:
-    """Return the largest loss of W by the commands that can still act, the newest included, at any SYNC [J]."""
-    total = largest = 0.0
-    if settings.integral > 0.0:
-        for holds in range(1, settings.delay + 2):
-            loss = sequence_loss(settings, lead, commands, holds, settings.delay)
-            if loss > largest:
-                largest = loss
-        return largest
-    if settings.losses == 0:
-        for age in range(settings.delay + 1):
-            command = commands[commands.newest - age]
-            total += command * command
-        return 0.25 * settings.gain * settings.sample_time * total
-    for age in range(1, settings.delay + 1):
-        total += largest_square(commands, age, age + settings.losses)
-    for hold in range(settings.losses + 1):
-        total += largest_square(commands, 0, settings.losses - hold)
-    return 0.25 * settings.gain * settings.sample_time * total
-
-
-def loss_of_skip(settings: VelocityLoopSettings, lead: float, commands: Commands, skipped: int) -> float:
-    """Largest loss of W by all queued commands where SYNCs are skipped and the oldest acts longer [J]."""
-    holds = [settings.delay] * skipped + [*range(settings.delay, -1, -1)]
-    acting = Commands(len(holds))
-    for age in holds:
-        acting.send(commands.sent(age))
-    return loss_under_way(replace(settings, delay=settings.delay + skipped), lead, acting)
+    def loss_of_skip(self, lead: float, commands: Commands, skipped: int) -> float:
+        """Largest loss of W by all queued commands where SYNCs are skipped and the oldest acts longer [J]."""
+        holds = [self.delay] * skipped + [*range(self.delay, -1, -1)]
+        acting = Commands(len(holds))
+        for age in holds:
+            acting.send(commands.sent(age))
+        return replace(self, delay=self.delay + skipped).loss_under_way(lead, acting)
 
 
 class GuardedAdmittanceParameters(Parameters):
@@ -330,7 +295,7 @@ class GuardedAdmittanceParameters(Parameters):
     """Upper bound of the damping of the grip; with hand_stiffness."""
 
 
-def loop_settings(parameters: GuardedAdmittanceParameters, properties: AdmittanceProperties) -> VelocityLoopSettings:
+def loop_settings(parameters: GuardedAdmittanceParameters, properties: AdmittanceProperties) -> VelocityLoop:
     """Declared velocity loop; a hold counts at its longest duration, where it costs most and proves least.
 
     Raises:
@@ -348,7 +313,7 @@ def loop_settings(parameters: GuardedAdmittanceParameters, properties: Admittanc
                 f"guarded: {key}: got {getattr(parameters, key)}, expected 0 with an integral_gain: {why}"
             )
     least, jitter = 1.0 - parameters.spread, properties.jitter
-    return VelocityLoopSettings(
+    return VelocityLoop(
         properties.longest_hold, properties.delay, parameters.max_consecutive_losses, parameters.drive_mass,
         parameters.loop_gain, parameters.loop_gain * least, parameters.integral_gain, parameters.integral_gain * least,
         properties.encoder_count, properties.torque_limit, properties.handle_acceleration,
@@ -371,11 +336,7 @@ def _require_what_a_hand_needs(parameters: GuardedAdmittanceParameters, properti
             "guarded: drive_friction: with hand_stiffness: got none, expected upper bounds of it and drive_damping: "
             "the proof for such a hand needs them"
         )
-    why = "the motion that the commands make must be known"
-    if parameters.max_consecutive_losses:
-        raise ParameterError(
-            f"guarded: max_consecutive_losses: got {parameters.max_consecutive_losses}, expected 0 with "
-            f"hand_stiffness: {why}"
-        )
-    if properties.jitter:
-        raise ParameterError(f"guarded: sync_jitter: got {properties.jitter:g}, expected 0 with hand_stiffness: {why}")
+    why, losses = "the motion that the commands make must be known", parameters.max_consecutive_losses
+    for key, value in {"max_consecutive_losses": losses, "sync_jitter": properties.jitter}.items():
+        if value:
+            raise ParameterError(f"guarded: {key}: got {value:g}, expected 0 with hand_stiffness: {why}")

@@ -300,11 +300,7 @@ def renderable_by_hand_force(response: DisplacementResponse, delay: int, torque:
     At rest every hold has the same torque F and the stored energy F^2 / 2k must cover sum(F D_i) over the holds under
     way and the next one. Undamped: k <= (m / 2T^2) F / (F + F_h) at delay 0 and (m / 6T^2) F / (F + F_h) at delay 1.
     """
-    displacement = extracted = 0.0
-    for _ in range(delay + 1):
-        displacement = next_displacement(displacement, torque, torque, response, response.hand)
-        extracted += torque * displacement
-    extracted += torque * tail_reach(displacement, torque, torque, response, response.hand)
+    extracted = _given_out(response, delay, torque)
     return torque * torque / (2.0 * extracted) if extracted > 0.0 else math.inf
 
 
@@ -324,7 +320,7 @@ def renderable_by_hand_speed(speed: float, sample_time: float, delay: int, torqu
 def sustained_by_friction(friction: float, count: float) -> float:
     """Return the stiffness [N/m or N*m/rad] up to which dry friction covers encoder quantization: f_c / count.
 
-    0 with an ideal encoder, which has no quantization. See `torque_bound`.
+    0 with an ideal encoder, which has no quantization. See `certified_torque`.
     """
     return friction / count if count > 0.0 else 0.0
 

@@ -247,11 +247,6 @@ class StoresNothing(Everywhere):
         return 0.0
 
 
-def is_beyond(position: float, surface: float, is_below: bool) -> bool:
-    """Return True where a position is inside a wall with its surface at `surface` [m or rad] (eq. 12)."""
-    return position < surface if is_below else position > surface
-
-
 def kept_on_side(state: float, true: float) -> float:
     """Return the state [m or rad], or 0 where it lies across the surface from the true one."""
     return state if state * true >= 0.0 else 0.0
@@ -270,7 +265,7 @@ class OneSided(Everywhere):
         return self.side == "below"
 
     def contact(self, position: float) -> int:
-        """Return 1 inside the wall, 0 outside (eq. 12)."""  # not by `is_beyond`: most scenes ask this at every SYNC
+        """Return 1 inside the wall, 0 outside (eq. 12)."""
         if self.is_below:
             return 1 if position < self.position else 0
         return 1 if position > self.position else 0

@@ -20,7 +20,7 @@ from weakref import WeakKeyDictionary
 
 from pydantic import model_validator
 
-from canhaptic.control.environments.environment import Everywhere, is_beyond, kept_on_side
+from canhaptic.control.environments.environment import Everywhere, kept_on_side
 from canhaptic.errors import OwnCodeError
 from canhaptic.own_results import program_of
 from canhaptic.units import Parameters, quantity
@@ -108,7 +108,8 @@ class OwnEnvironment(Everywhere, Parameters):
 
     def contact(self, position: float) -> int:
         """Return 1 where the environment is felt, else 0."""
-        return 1 if self.side == "both" else int(is_beyond(position, self.position, self.side == "below"))
+        beyond = position < self.position if self.side == "below" else position > self.position
+        return int(self.side == "both" or beyond)
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
         """Return x = q - q_w [m or rad] (eq. 14)."""

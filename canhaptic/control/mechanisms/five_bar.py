@@ -5,14 +5,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import model_validator
 
-from canhaptic.control.mechanisms.kinematics import (
-    FromMechanism,
-    Limit,
-    WorkspaceBox,
-    check_box,
-    is_outside,
-    workspace_box,
-)
+from canhaptic.control.mechanisms.kinematics import FromMechanism, Limit, WorkspaceBox, is_outside, workspace_box
 from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import Coordinates, Parameters, quantity
 
@@ -90,7 +83,7 @@ class FiveBar(FromMechanism, Parameters):
 
     @model_validator(mode="after")
     def _closes(self) -> "FiveBar":
-        check_box(self.workspace_lower, self.workspace_upper, 2)
+        workspace_box(self.workspace_lower, self.workspace_upper, 2)
         reach = sum(self.proximal) + sum(self.distal)
         if self.base >= reach:
             raise ValueError(f"base: got {self.base:g} m, expected < {reach:g} m, the length of all links together")
@@ -98,5 +91,5 @@ class FiveBar(FromMechanism, Parameters):
 
     def mechanism(self) -> FiveBarMap:
         """Return the map."""
-        box = workspace_box(self.workspace_lower, self.workspace_upper)
+        box = workspace_box(self.workspace_lower, self.workspace_upper, 2)
         return FiveBarMap(self.base, *self.proximal, *self.distal, self.assembly == "down", self.least_sine, box)

@@ -158,8 +158,19 @@ class WorkspaceBox(NamedTuple):
     upper: Buffer
 
 
-def workspace_box(lower: Sequence[float] | None, upper: Sequence[float] | None) -> WorkspaceBox:
-    """Return the edges of a workspace."""
+def workspace_box(lower: Sequence[float] | None, upper: Sequence[float] | None, dimensions: int) -> WorkspaceBox:
+    """Return the edges of a workspace.
+
+    Raises:
+        ValueError: Another number of entries than dimensions, or a lower edge not below the upper one.
+    """
+    for name, edge in (("workspace_lower", lower), ("workspace_upper", upper)):
+        if edge is not None and len(edge) != dimensions:
+            raise ValueError(f"{name}: got {len(edge)} entries, expected {dimensions}")
+    if lower is not None and upper is not None and any(low >= high for low, high in zip(lower, upper, strict=True)):
+        raise ValueError(
+            f"got workspace_lower {lower} not below workspace_upper {upper} everywhere, expected lower < upper"
+        )
     return WorkspaceBox(list(lower or ()), list(upper or ()))
 
 
@@ -172,21 +183,6 @@ def is_outside(box: WorkspaceBox, place: Buffer) -> bool:
         if place[i] > box.upper[i]:
             return True
     return False
-
-
-def check_box(lower: Sequence[float] | None, upper: Sequence[float] | None, dimensions: int) -> None:
-    """Check the edges of a workspace.
-
-    Raises:
-        ValueError: They have another dimension than task space, or no inside.
-    """
-    for name, edge in (("workspace_lower", lower), ("workspace_upper", upper)):
-        if edge is not None and len(edge) != dimensions:
-            raise ValueError(f"{name}: got {len(edge)} entries, expected {dimensions}")
-    if lower is not None and upper is not None and any(low >= high for low, high in zip(lower, upper, strict=True)):
-        raise ValueError(
-            f"got workspace_lower {lower} not below workspace_upper {upper} everywhere, expected lower < upper"
-        )
 
 
 def check_jacobian(

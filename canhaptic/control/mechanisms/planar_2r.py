@@ -5,14 +5,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import model_validator
 
-from canhaptic.control.mechanisms.kinematics import (
-    FromMechanism,
-    Limit,
-    WorkspaceBox,
-    check_box,
-    is_outside,
-    workspace_box,
-)
+from canhaptic.control.mechanisms.kinematics import FromMechanism, Limit, WorkspaceBox, is_outside, workspace_box
 from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import Coordinates, Parameters, quantity
 
@@ -70,10 +63,10 @@ class Planar2R(FromMechanism, Parameters):
 
     @model_validator(mode="after")
     def _box(self) -> "Planar2R":
-        check_box(self.workspace_lower, self.workspace_upper, 2)
+        workspace_box(self.workspace_lower, self.workspace_upper, 2)
         return self
 
     def mechanism(self) -> LinkMap:
         """Return the map."""
-        box = workspace_box(self.workspace_lower, self.workspace_upper)
+        box = workspace_box(self.workspace_lower, self.workspace_upper, 2)
         return LinkMap(self.first, self.second, *self.base, self.elbow == "relative", self.least_sine, box)

@@ -5,14 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import model_validator
 
-from canhaptic.control.mechanisms.kinematics import (
-    FromMechanism,
-    Limit,
-    WorkspaceBox,
-    check_box,
-    is_outside,
-    workspace_box,
-)
+from canhaptic.control.mechanisms.kinematics import FromMechanism, Limit, WorkspaceBox, is_outside, workspace_box
 from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import Coordinates, Numbers, Parameters
 
@@ -67,7 +60,7 @@ class Transmission(FromMechanism, Parameters):
             )
         if self.offset is not None and len(self.offset) != len(rows):
             raise ValueError(f"offset: got {len(self.offset)} entries, expected {len(rows)}")
-        check_box(self.workspace_lower, self.workspace_upper, len(rows))
+        workspace_box(self.workspace_lower, self.workspace_upper, len(rows))
         return self
 
     @property
@@ -83,5 +76,5 @@ class Transmission(FromMechanism, Parameters):
     def mechanism(self) -> LinearMap:
         """Return the map."""
         offset = self.offset or (0.0,) * len(self.matrix)
-        box = workspace_box(self.workspace_lower, self.workspace_upper)
+        box = workspace_box(self.workspace_lower, self.workspace_upper, len(self.matrix))
         return LinearMap([list(row) for row in self.matrix], list(offset), box)

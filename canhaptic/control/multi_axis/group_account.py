@@ -35,7 +35,7 @@ that hold
                                                                     + max(0, l W_i - lowest_i) X_i-            (1)
 
 with X_i+ and X_i- the most that p_i |v_i| can integrate to along + and -. An axis gains in a time t no more speed than
-t m_i^(-1/2) (N + h), N the largest |f|_P of torques that act and h that of the hand (`per_axis_certificates`), so that
+t m_i^(-1/2) (N + h), N the largest |f|_P of torques that act and h that of the hand (`group_certificates`), so that
 with D_i its displacement along the sign in the hold before, s = theta_i / T and step_i = T^2 m_i^(-1/2) (N + h)
 
     X_i <= s max(0, D_i) + s (1/2 + s) step_i,      D_i in the j-th hold from now <= r D_i0 + j step_i.             (2)
@@ -48,7 +48,7 @@ give out highest' X' and -lowest' X' at most, as if no torque followed. That cou
 at all, then has what the larger one leaves running.
 
 **The share l.** What older torques exceed l W by is convex in l and lies below its chord between l = 0 and l = 1, and
-N <= N_0 + l N_1 as in `per_axis_certificates`, so that all together stay below a parabola a + b l + c l^2, c >= 0, for
+N <= N_0 + l N_1 as in `group_certificates`, so that all together stay below a parabola a + b l + c l^2, c >= 0, for
 every l up to 1; l is the largest for which it stays in the budget. Where even a is not in it, what runs on was
 certified before, and l W adds to that its own energy, l W . D - l sum of integral(p_i W_i v_i) with its tail, and what
 older torques give out over the motion that it adds. As long as that is below zero for certain, it is sent: without it
@@ -65,31 +65,29 @@ from dataclasses import dataclass
 from math import inf, sqrt
 from typing import NamedTuple
 
+from canhaptic.control.certificates.certified_torque import keep
 from canhaptic.control.certificates.scalar_bounds import hand_force_bound
-from canhaptic.control.certificates.torque_bound import keep
 from canhaptic.control.multi_axis.group_certificates import (
     Acting,
     AxisLimits,
+    PerAxisLimits,
+    PerAxisMemory,
     along_last,
     base_of,
     damping_need,
     gain_of,
+    needed_by_hand,
     pass_range,
     path_need,
-    response_to_late,
-    taken_by_mover,
-)
-from canhaptic.control.multi_axis.group_kernel import GroupHolds
-from canhaptic.control.multi_axis.per_axis_certificates import (
-    PerAxisLimits,
-    PerAxisMemory,
-    needed_by_hand,
     per_axis_memory,
+    response_to_late,
     share_by_hand,
     take_sent,
     taken_at_most,
+    taken_by_mover,
     write_needs,
 )
+from canhaptic.control.multi_axis.group_kernel import GroupHolds
 from canhaptic.control.port_hamiltonian.gauss import dot
 from canhaptic.kernels import Buffer, Matrix, list_of_zeros, new, zeros
 
@@ -234,8 +232,15 @@ def reach_of(axes: AxisLimits, memory: AccountMemory, i: int, sign: float, hold:
     return reach + share * moved if moved > 0.0 else reach
 
 
-def given_early(
-    axes: AxisLimits, memory: AccountMemory, held: Buffer, fixed: float, size: float, hold: int, norms: Norms
+def given_late(
+    axes: AxisLimits,
+    memory: AccountMemory,
+    held: Buffer,
+    fixed: float,
+    size: float,
+    hold: int,
+    norms: Norms,
+    end: bool,
 ) -> LateShare:
     """Energy that older torques give out in a hold, beyond the energy of the torques held in it; see (1).
 
@@ -247,42 +252,25 @@ def given_early(
         size: 0 where `fixed` is 1, else the share that l = 1 replaces.
         hold: Index of the hold from now, the next being 1.
         norms: Norms of the acting torques and of the hand.
+        end: Whether it is the energy that all torques give out in the hold after that one, if none follows.
     """
     constant = linear = square = 0.0
     for i in range(len(held)):
-        least, most = fixed * held[i], (fixed + size) * held[i]
-        share = axes.timing.share[i]
-        further = share * share * axes.timing.roots[i] * norms.more
+        share, left = axes.timing.share[i], axes.timing.left[i]
+        further = share * (1.0 + share if end else share) * axes.timing.roots[i] * norms.more
         for side in range(2):
             sign = 1.0 if side == 0 else -1.0
             older = memory.now.highest[i] if side == 0 else -memory.now.lowest[i]
-            apart, change = max(0.0, older - sign * least), max(0.0, older - sign * most)
-            change -= apart
+            if end:
+                torque, apart = sign * size * held[i], max(0.0, left * older)
+                change = max(0.0, torque + left * max(0.0, older - torque)) - apart
+            else:
+                apart = max(0.0, older - sign * (fixed * held[i]))
+                change = max(0.0, older - sign * ((fixed + size) * held[i])) - apart
             if apart != 0.0 or change != 0.0:
-                reach = reach_of(axes, memory, i, sign, hold, norms.least)
+                reach = reach_of(axes, memory, i, sign, hold + end, norms.least)
                 constant += apart * reach
                 linear += change * reach + apart * further
-                square += change * further
-    return new(LateShare, (constant, linear, square))
-
-
-def given_after(
-    axes: AxisLimits, memory: AccountMemory, held: Buffer, size: float, hold: int, norms: Norms
-) -> LateShare:
-    """Energy that all torques give out in the hold after one, if none follows; arguments as for `given_early`."""
-    constant = linear = square = 0.0
-    for i in range(len(held)):
-        share, left = axes.timing.share[i], axes.timing.left[i]
-        further = share * (1.0 + share) * axes.timing.roots[i] * norms.more
-        for side in range(2):
-            sign = 1.0 if side == 0 else -1.0
-            older = memory.now.highest[i] if side == 0 else -memory.now.lowest[i]
-            torque, least = sign * size * held[i], max(0.0, left * older)
-            change = max(0.0, torque + left * max(0.0, older - torque)) - least
-            if least != 0.0 or change != 0.0:
-                reach = reach_of(axes, memory, i, sign, hold + 1, norms.least)
-                constant += least * reach
-                linear += change * reach + least * further
                 square += change * further
     return new(LateShare, (constant, linear, square))
 
@@ -304,11 +292,11 @@ def share_of_late(
     constant, hold = 0.0, under_way.holds + 1
     for place in range(under_way.holds):
         held = under_way.torques[under_way.first + place]
-        constant += given_early(axes, memory, held, 1.0, 0.0, place + 1, norms).constant
+        constant += given_late(axes, memory, held, 1.0, 0.0, place + 1, norms, False).constant
         pass_range(axes, memory.now.highest, memory.now.lowest, held)
     highest, lowest = memory.now.highest, memory.now.lowest
-    early = given_early(axes, memory, torques, 0.0, size, hold, norms)
-    after = given_after(axes, memory, torques, size, hold, norms)
+    early = given_late(axes, memory, torques, 0.0, size, hold, norms, False)
+    after = given_late(axes, memory, torques, 0.0, size, hold, norms, True)
     none = size * response_to_late(axes, torques, highest, lowest, memory.nothing, axes.during)
     for i in range(len(torques)):
         memory.sized[i] = size * torques[i]
@@ -333,8 +321,8 @@ def given_in_debt(axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorq
         cross += older * share * (share + axes.timing.left[i] * (1.0 + share)) * axes.timing.roots[i] * full
         highest[i] = lowest[i] = 0.0
     norms = new(Norms, (norms.least, full))
-    early = given_early(axes, memory, torques, 0.0, 1.0, under_way.holds + 1, norms)
-    after = given_after(axes, memory, torques, 1.0, under_way.holds + 1, norms)
+    early = given_late(axes, memory, torques, 0.0, 1.0, under_way.holds + 1, norms, False)
+    after = given_late(axes, memory, torques, 0.0, 1.0, under_way.holds + 1, norms, True)
     linear = none + cross + early.linear + after.linear
     return new(LateShare, (0.0, linear, whole - none + early.square + after.square))
 
@@ -713,7 +701,8 @@ def by_hand_force(at: Accounting, torques: Buffer, energy: float, moved: float) 
         return hand_force_bound(energy, base, gain)
     late = share_of_late(axes, memory, under_way, torques, 1.0)
     if not energy >= late.constant:
-        return share_in_debt(at, torques, base, gain)
+        own = given_in_debt(axes, memory, under_way, torques)  # the share that certainly absorbs energy
+        return min(1.0, hand_force_bound(0.0, base + own.linear, max(0.0, gain + own.square)))
     share = share_beyond(energy, base, gain, late, 1.0)
     size = min(1.0, older_size(axes, memory, torques))
     if share < 1.0 and size > 0.0:
@@ -730,15 +719,6 @@ def share_beyond(energy: float, base: float, gain: float, late: LateShare, size:
     """
     start, more = size * base + late.linear, max(0.0, size * size * gain + late.square)
     return size * min(1.0, hand_force_bound(energy - late.constant, start, more))
-
-
-def share_in_debt(at: Accounting, torques: Buffer, base: float, gain: float) -> float:
-    """Return the share of torques that certainly absorbs energy, where older ones may give out more than the budget.
-
-    The range in `now` applies at the SYNC of the torques; the other arguments are as for `by_hand_force`.
-    """
-    own = given_in_debt(at.settings.axes, at.memory, at.under_way, torques)
-    return min(1.0, hand_force_bound(0.0, base + own.linear, max(0.0, gain + own.square)))
 
 
 def damping_need_of(axes: AxisLimits, squares: Buffer) -> float:

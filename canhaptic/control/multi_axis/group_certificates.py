@@ -40,14 +40,52 @@ axis, a force d p(t) along e_i with p as in (1). Its response is never below zer
 
 so that it counts as in (1) as min(1, 2 theta / T) of its largest value held throughout, and adds to that of the
 torques of the hold. Of one axis this is max(0, g - f) / m. The energy of older torques is in `group_account`.
+
+The certificates axis by axis: each holds its new torque or an older one.
+
+`group_certificates` covers torques that act together. Where a frame is lost the group's torque turns: one axis still
+has an older torque, and energy that the new one was to bring in may be missing. Declared is
+`max_consecutive_losses` = L: axis i has in hold j from now one of the torques sent for it that are no more than L holds
+older than the newest. With s_q those torques, W the new one, d the delay and D_ij the displacement of axis i in hold j,
+they give out no more than
+
+    sum over axes of max over e of sum over j <= e of max over q of s_q D_ij,       d + 1 <= e <= d + 1 + L:         (1)
+
+until hold d + 1 some of them acts in every hold, and energy that it takes in counts; after it a later torque may have
+replaced them in any hold e + 1, which pays for itself. Counted along a torque,
+
+    D_ij <= D_i0 + j sqrt(r_i) (N + h),        r_i = T^2 / m_i,
+
+N the largest |f|_r of all torques that may act, h that of the hand: for any inertia M >= diag(m) one axis answers to
+the torques of all with no more than this (Cauchy-Schwarz). Friction takes a share of an inward D_i0 in every hold.
+(1) is kept from SYNC to SYNC: after a hold the rest of it, of the true displacement, is no more than (1) less what came
+out, for every term grows with D_ij; and a torque of 0, which replaces all, adds nothing. So what is certified once can
+be followed. A ramp of the commands to zero after hold d + 1 is a mean of replacements, and covered.
+
+With the new torques scaled by l <= 1, N <= N_0 + l N_1 with N_1^2 = sum(r_i max(0, W_i^2 - f_i^2)), f_i the largest
+sent before. Every term is a parabola in l, (1) convex, and the largest l within the budget is found by solving for the
+terms that count at the last one, from l = 1 down. Without losses, e = d + 1, (1) serves groups as well: it lets axes
+that bring energy in go first (`inward_first`).
+
+**Torques that come late** (`hold_timing`). In a hold, axis i may then have any course between 0 and the torques of that
+hold; no term counts below 0. It gives out no more than the largest times the way V that it goes along it: for an axis
+that gains a T in the hold, V = D_ij where it begins outward, and V <= (D_ij + a T^2 / 2) / 2 where it turns inside the
+hold and D_ij <= a T^2 / 2. What an older torque has beyond all of those acts for theta alone (`write_tail`), and all of
+them, once more, in the hold after the last. A mover that gives energy gives it to the torque that is held, which may be
+none.
+
+A mover's motion, known in advance, is taken off D_ij (`bound`). The hand counts axis by axis as well: a force across
+the torque of the group that pulls one axis along its own torque is part of the declared force.
 """
 
 import math
-from typing import NamedTuple
+from math import inf, sqrt
+from typing import Final, NamedTuple
 
-from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, displacement_response
+from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, displacement_response, hand_force_bound
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.kernels import Buffer, Matrix
+from canhaptic.control.passivity.stepped import towards_zero
+from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, zeros
 
 
 class GroupTiming(NamedTuple):
@@ -315,3 +353,450 @@ def path_need(axes: AxisLimits, torques: Buffer) -> float:
     for torque in torques:
         total += abs(torque)
     return total * axes.path
+
+
+class PerAxisLimits(NamedTuple):
+    """Constants of a run."""
+
+    delay: int  # whole holds between computation and action
+    losses: int  # consecutive cycles in which an axis may be without a new torque
+    holds: int  # in which the next torque may act, counted from now
+    first: float  # share of a whole response that a torque has in its first hold
+    is_ideal: bool  # whether every hold is exact, and no torque late
+    is_apart: bool  # whether axes are certified one by one
+    is_late: bool  # whether any torque comes late
+    responses: Buffer  # T^2 / m of each axis
+    roots: Buffer  # of these
+
+
+class PerAxisMemory(NamedTuple):
+    """Torques that may still act, and the energy of each axis with them; [J] except torques and starts."""
+
+    sent: Matrix  # torques held in the hold that ended, and those under way, (delay + 1, axes) [N*m or N]
+    largest: Buffer  # size of any of them on each axis, (axes,)
+    starts: Matrix  # displacement of the hold that ended along + and -, uncertainty included, (axes, 2) [m or rad]
+    lost: Matrix  # its part lost to friction in a hold, (axes, 2)
+    along: Matrix  # largest torque along + that may act in each hold, >= 0, (holds, axes) [N*m or N]
+    against: Matrix  # the same along -
+    ends: Indices  # of each cell in the parabolas; a cell is one axis in one hold, (cells,)
+    constant: Buffer  # A of the parabolas A + B l + C l^2, (pieces + 1,), the last of which is always 0
+    linear: Buffer  # B
+    square: Buffer  # C
+    old: Buffer  # sums over the holds by the torques under way, (axes,)
+    new: Buffer  # sums added by new ones
+    nothing: Buffer  # zeros, (axes,)
+    alone: Buffer  # a torque of one axis, (axes,)
+    others: Buffer  # of all others
+    rest: Buffer  # of all that take no energy in
+    older: Acting  # range of all torques at the last SYNC, (axes,) [N*m or N]
+
+
+def per_axis_limits(axes: AxisLimits, delay: int, losses: int) -> PerAxisLimits:
+    """Constants of a run."""
+    whole = [b + d for b, d in zip(axes.before, axes.during, strict=True)]
+    first = max([d / r if r else 0.0 for d, r in zip(axes.during, whole, strict=True)])
+    is_late = any(axes.timing.share)
+    is_apart = losses > 0 or (len(whole) > 1 and not is_late)
+    return PerAxisLimits(
+        delay, losses, delay + 1 + losses, first, axes.timing.is_ideal, is_apart, is_late, whole,
+        [sqrt(r) for r in whole],
+    )  # fmt: skip
+
+
+def per_axis_memory(limits: PerAxisLimits) -> PerAxisMemory:
+    """Return empty buffers."""
+    axes, one = len(limits.roots), list_of_zeros
+    cells, pieces = limits.holds * axes, (limits.delay + 2) * limits.holds * axes
+    if limits.is_late:
+        pieces = 8 * cells + 8 * (cells + axes)
+    ends = 2 * cells + axes if limits.is_late else cells
+    if not limits.is_apart:
+        ends = pieces = 0
+    return PerAxisMemory(
+        zeros(limits.delay + 1, axes), one(axes), zeros(axes, 2), zeros(axes, 2), zeros(limits.holds, axes),
+        zeros(limits.holds, axes), [0] * ends, one(pieces + 1), one(pieces + 1), one(pieces + 1), one(axes), one(axes),
+        one(axes), one(axes), one(axes), one(axes), Acting(one(axes), one(axes)),
+    )  # fmt: skip
+
+
+def write_parabolas(memory: PerAxisMemory, place: int, old: float, new: float, base: float, slope: float) -> int:
+    """Write the energy of an axis that moves by base + slope l, for an old torque and for l times a new one."""
+    if old > 0.0:
+        memory.constant[place], memory.linear[place], memory.square[place] = old * base, old * slope, 0.0
+        place += 1
+    if new > 0.0:
+        memory.constant[place], memory.linear[place], memory.square[place] = 0.0, new * base, new * slope
+        place += 1
+    return place
+
+
+def write_late_cells(
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, torques: Buffer, fixed: Buffer, norm: float,
+    more: float, place: int,
+) -> None:  # fmt: skip
+    """Write the energy of older torques beyond those of each hold, and of all torques in the hold after the last.
+
+    Args:
+        axes: Properties of the motor axes.
+        limits: Per-axis limits of the group.
+        memory: Buffers of the certificates, after `take_sent`.
+        torques: W, (axes,).
+        fixed: Torques sent for every l, (axes,).
+        norm: N_0 + h.
+        more: N_1.
+        place: Index of the next parabola.
+    """
+    cell = limits.holds * len(torques)
+    for i in range(len(torques)):
+        up, down = memory.older.highest[i], -memory.older.lowest[i]
+        for index in range(limits.holds + 1):
+            is_last = index == limits.holds
+            for side in range(2):
+                sign = 1.0 if side == 0 else -1.0
+                before, held, new = up if side == 0 else down, 0.0, 0.0
+                if is_last:
+                    before, new = max(before, sign * fixed[i]), sign * torques[i]
+                else:
+                    held = memory.along[index][i] if side == 0 else memory.against[index][i]
+                older = max(0.0, before - held)
+                if older > 0.0 or new > 0.0:
+                    place = write_tail(axes, limits, memory, i, side, index, norm, more, older, new, place)
+                after = held + axes.timing.left[i] * older
+                if side == 0:
+                    up = after
+                else:
+                    down = after
+            memory.ends[cell] = place
+            cell += 1
+
+
+def write_tail(
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, axis: int, side: int, index: int, norm: float,
+    more: float, older: float, new: float, place: int,
+) -> int:  # fmt: skip
+    """Write the energy of torques at the beginning of a hold as parabolas; return the index of the next.
+
+    X = integral(p v) over v > 0 is convex in the displacement D before: s D + s (1/2 + s) a T^2 for D >= 0 and none
+    where the axis still goes inward at the end of the hold, D <= -3/2 a T^2.
+    """
+    share, root, start = axes.timing.share[axis], axes.timing.roots[axis], memory.starts[axis][side]
+    pace, rise = memory.lost[axis][side] + root * norm, root * more
+    moved, grown = start + index * pace, rise * max(0, index - limits.delay)
+    slope = share * (0.5 + share)
+    pull, gain = slope * (moved / 1.5 + pace), slope * (grown / 1.5 + rise)
+    place = write_parabolas(memory, place, older, new, pull, gain)
+    return write_parabolas(memory, place, older, new, share * moved + slope * pace, share * grown + slope * rise)
+
+
+_PASSES: Final = 24
+"""Most passes of the search for a share; an axis that needs more renders nothing."""
+_ROUNDING: Final = 1e-12
+
+
+def take_sent(
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, displacement: Buffer, position_uncertainty: Buffer,
+    torques: Buffer, under_way: Matrix, first: int, older: Acting,
+) -> None:  # fmt: skip
+    """Take the hold that ended and the torques that may still act.
+
+    Args:
+        axes: Properties of the motor axes.
+        limits: Per-axis limits of the group.
+        memory: Buffers of the certificates; written.
+        displacement: Displacement in the hold that ended, (axes,) [rad or m].
+        position_uncertainty: Uncertainty of each displacement (axes,).
+        torques: Torques held in it, (axes,) [N*m or N].
+        under_way: Torques sent, a ring (delay + 1, axes).
+        first: Index of the torques that act next; negative indices wrap.
+        older: Range of all torques at the last SYNC, where torques come late.
+    """
+    for i in range(len(torques)):
+        memory.sent[0][i], memory.largest[i] = torques[i], abs(torques[i])
+        slack, moved = axes.counts[i] + position_uncertainty[i], displacement[i]
+        memory.starts[i][0], memory.starts[i][1] = slack + moved, slack - moved
+        for side in range(2):
+            start = memory.starts[i][side]
+            memory.lost[i][side] = axes.lost[i] * max(0.0, -start)
+        if not limits.is_ideal:
+            take_older(axes, memory, older, i)
+    for hold in range(limits.delay):
+        row = under_way[first + hold]
+        for i in range(len(torques)):
+            memory.sent[hold + 1][i] = row[i]
+            memory.largest[i] = max(memory.largest[i], abs(row[i]))
+    write_largest(limits, memory)
+
+
+def write_largest(limits: PerAxisLimits, memory: PerAxisMemory) -> None:
+    """Write the largest torques that may act in each hold, of those sent, >= 0."""
+    for index in range(limits.holds):
+        for i in range(len(memory.largest)):
+            up = down = 0.0
+            for place in range(first_of(limits, index + 1), end_of(limits, index + 1)):
+                up, down = max(up, memory.sent[place][i]), max(down, -memory.sent[place][i])
+            memory.along[index][i], memory.against[index][i] = up, down
+
+
+def take_older(axes: AxisLimits, memory: PerAxisMemory, older: Acting, axis: int) -> None:
+    """Take the range of the torques of an axis at the last SYNC, for holds of any length, and the friction in them."""
+    highest, lowest = older.highest[axis], older.lowest[axis]
+    memory.older.highest[axis], memory.older.lowest[axis] = highest, lowest
+    memory.largest[axis] = max(memory.largest[axis], highest, -lowest)
+    for side in range(2):
+        start, growth = memory.starts[axis][side], axes.timing.growth
+        memory.starts[axis][side] = start * growth if start > 0.0 else start / growth
+        memory.lost[axis][side] *= axes.timing.swing[axis] / growth
+
+
+def first_of(limits: PerAxisLimits, hold: int) -> int:
+    """Return the row of the oldest torques that may act in a hold, the next one being 1."""
+    return max(0, hold - limits.losses)
+
+
+def end_of(limits: PerAxisLimits, hold: int) -> int:
+    """Return the row after the newest queued torques that may act in a hold."""
+    return min(hold, limits.delay) + 1
+
+
+def write_cells(
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer, fixed: Buffer
+) -> None:
+    """Write the energy that each axis may give out in each hold, as parabolas of which the largest counts.
+
+    Args:
+        axes: Properties of the motor axes.
+        limits: Per-axis limits of the group.
+        memory: Buffers of the certificates; written.
+        mover_motion: Motion of a mover in future holds, (holds, axes) [m or rad].
+        torques: W, (axes,), of which the share l is to be found.
+        fixed: Torques sent at every l, on axes without W, (axes,).
+    """
+    total = added = 0.0
+    for i in range(len(torques)):
+        response, largest, torque = limits.responses[i], memory.largest[i], abs(torques[i])
+        sent = max(largest, abs(fixed[i]))
+        total += response * sent * sent
+        added += response * max(0.0, torque * torque - sent * sent)
+    norm, more, place = sqrt(total) + axes.hand, sqrt(added), 0
+    for i in range(len(torques)):
+        if limits.is_late:
+            place = write_courses(limits, memory, mover_motion, torques[i], fixed[i], norm, more, i, place)
+        else:
+            place = write_options(axes, limits, memory, mover_motion, torques[i], fixed[i], norm, more, i, place)
+    if limits.is_late:
+        write_late_cells(axes, limits, memory, torques, fixed, norm, more, place)
+
+
+def write_options(
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torque: float, fixed: float,
+    norm: float, more: float, axis: int, place: int,
+) -> int:  # fmt: skip
+    """Write the energy of an axis for each torque that may be held in each hold; return the next index."""
+    root, kept = limits.roots[axis], 1.0 - axes.lost[axis]
+    along, against = memory.starts[axis][0], memory.starts[axis][1]
+    for index in range(limits.holds):
+        along, against = along * kept if along < 0.0 else along, against * kept if against < 0.0 else against
+        mine, reach, moved = index - limits.delay, (index + 1) * (root * norm), mover_motion[index][axis]
+        slope = root * more * (mine + limits.first) if mine >= 0 else 0.0
+        for option in range(first_of(limits, index + 1), end_of(limits, index + 1)):
+            held = memory.sent[option][axis]
+            base = reach + (along - moved if held > 0.0 else against + moved)
+            held = abs(held)
+            memory.constant[place], memory.linear[place], memory.square[place] = held * base, held * slope, 0.0
+            place += 1
+        if mine >= 0:
+            base = reach + (along - moved if fixed + torque > 0.0 else against + moved)
+            held, whole = abs(fixed), abs(torque)
+            memory.constant[place], memory.square[place] = held * base, whole * slope
+            memory.linear[place] = held * slope + whole * base
+            place += 1
+        memory.ends[axis * limits.holds + index] = place
+    return place
+
+
+def write_courses(
+    limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torque: float, fixed: float, norm: float,
+    more: float, axis: int, place: int,
+) -> int:  # fmt: skip
+    """Write the energy of an axis for any torque course from 0 to the torques of each hold; return the next index."""
+    root = limits.roots[axis]
+    for index in range(limits.holds):
+        mine, sign, moved = index - limits.delay, 1.0, mover_motion[index][axis]
+        rise = root * more if mine >= 0 else 0.0
+        slope = rise * (mine + limits.first)
+        for side in range(2):
+            pace = memory.lost[axis][side] + root * norm
+            base = memory.starts[axis][side] + (index + 1) * pace + max(0.0, -sign * moved)
+            old, asked = memory.along[index][axis] if side == 0 else memory.against[index][axis], 0.0
+            if mine >= 0:
+                old, asked = max(old, sign * fixed), sign * torque
+            place = write_parabolas(memory, place, old, asked, base, slope)  # it may turn inside the hold
+            place = write_parabolas(memory, place, old, asked, 0.5 * base + 0.25 * pace, 0.5 * slope + 0.25 * rise)
+            sign = -1.0
+        memory.ends[axis * limits.holds + index] = place
+    return place
+
+
+def worst_of(memory: PerAxisMemory, first: int, end: int, share: float, least: float) -> tuple[int, float]:
+    """Index and value [J] of the largest parabola at a share.
+
+    If none exceeds `least`, the result is the last parabola, which is 0.
+    """
+    active, largest = -1, least
+    for place in range(first, end):
+        given = memory.constant[place] + share * (memory.linear[place] + share * memory.square[place])
+        if given > largest:
+            active, largest = place, given
+    return active, largest
+
+
+def given_at_most(limits: PerAxisLimits, memory: PerAxisMemory, share: float) -> tuple[float, float, float]:
+    """Return a parabola A + B l + C l^2 equal, at a share l, to the most that all axes may give out [J]."""
+    least = 0.0 if limits.is_late else -inf
+    fixed = linear = square = 0.0
+    cell = place = 0
+    for _ in range(len(memory.largest)):
+        value = a = b = c = 0.0
+        most = worst_a = worst_b = worst_c = 0.0
+        for index in range(limits.holds):
+            active, largest = worst_of(memory, place, memory.ends[cell], share, least)
+            value += largest
+            a, b, c = a + memory.constant[active], b + memory.linear[active], c + memory.square[active]
+            if index <= limits.delay or value > most:
+                most, worst_a, worst_b, worst_c = value, a, b, c
+            place, cell = memory.ends[cell], cell + 1
+        fixed, linear, square = fixed + worst_a, linear + worst_b, square + worst_c
+    while cell < len(memory.ends):
+        active, _ = worst_of(memory, place, memory.ends[cell], share, 0.0)
+        fixed, linear = fixed + memory.constant[active], linear + memory.linear[active]
+        square += memory.square[active]
+        place, cell = memory.ends[cell], cell + 1
+    return fixed, linear, square
+
+
+def needed_by_hand(axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix) -> float:
+    """Return the most energy [J] that the queued torques may give out to a hand within its declared force."""
+    write_cells(axes, limits, memory, mover_motion, memory.nothing, memory.nothing)
+    return given_at_most(limits, memory, 0.0)[0]
+
+
+def largest_share(limits: PerAxisLimits, memory: PerAxisMemory, budget: float) -> float:
+    """Return the largest l <= 1 at which the cells sum to no more than the budget [J]; 0 where none is found."""
+    share = 1.0
+    for _ in range(_PASSES):
+        fixed, linear, square = given_at_most(limits, memory, share)
+        size = abs(fixed) + share * (abs(linear) + share * square)
+        if fixed + share * (linear + share * square) <= budget + _ROUNDING * size:
+            return share
+        smaller = hand_force_bound(budget - fixed, linear, square)
+        if not smaller < share:
+            return 0.0
+        share = smaller
+    return 0.0
+
+
+def share_by_hand(
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer, budget: float
+) -> float:
+    """Return the largest share l <= 1 of new torques within a budget [J]; 0 where there is none.
+
+    Args:
+        axes: Properties of the motor axes.
+        limits: Per-axis limits of the group.
+        memory: Buffers of the certificates, after `take_sent`.
+        mover_motion: Motion of a mover in future holds, (holds, axes) [m or rad].
+        torques: W, (axes,) [N*m or N].
+        budget: Energy budget [J].
+    """
+    write_cells(axes, limits, memory, mover_motion, torques, memory.nothing)
+    return largest_share(limits, memory, budget)
+
+
+def inward_first(
+    axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer,
+    quanta: Buffer, budget: float, found: Buffer,
+) -> None:  # fmt: skip
+    """Write torques: the largest certified ones on axes that move against theirs, a common share on the others.
+
+    An axis that moves against its torque absorbs energy, independently of the others; otherwise no group would leave
+    an empty account, as the first torque of an axis at rest gives out F^2 T^2 / 2m. The force turns while the account
+    is short. Torques that cost nothing are sent in debt as well.
+
+    Args:
+        axes: Properties of the motor axes.
+        limits: Per-axis limits of the group.
+        memory: Buffers of the certificates, after `take_sent`.
+        mover_motion: Motion of a mover in future holds, (holds, axes) [m or rad].
+        torques: W, (axes,) [N*m or N].
+        quanta: Torque quanta of the drives; torques are rounded towards 0, (axes,).
+        budget: Energy budget [J].
+        found: Receives the torques, (axes,); certified as rounded.
+    """
+    count = len(torques)
+    for i in range(count):
+        memory.others[i] = found[i] = 0.0
+        memory.new[i] = memory.starts[i][0 if torques[i] > 0.0 else 1] * abs(torques[i])
+        memory.rest[i] = torques[i] if not memory.new[i] < 0.0 else 0.0
+    reserve = max(budget, needed_by_hand(axes, limits, memory, mover_motion))
+    for _ in range(count):  # the axis that brings in most first
+        axis = 0
+        for i in range(1, count):
+            if memory.new[i] < memory.new[axis]:
+                axis = i
+        if not memory.new[axis] < 0.0:
+            break
+        memory.new[axis] = 0.0
+        for i in range(count):
+            memory.alone[i] = torques[i] if i == axis else 0.0
+        write_cells(axes, limits, memory, mover_motion, memory.alone, memory.others)
+        found[axis] = towards_zero(largest_share(limits, memory, reserve) * torques[axis], quanta[axis])
+        memory.others[axis] = found[axis]
+    write_cells(axes, limits, memory, mover_motion, memory.rest, memory.others)
+    share = largest_share(limits, memory, budget)
+    for i in range(count):
+        if memory.rest[i] != 0.0:
+            found[i] = towards_zero(share * torques[i], quanta[i])
+
+
+def write_needs(limits: PerAxisLimits, memory: PerAxisMemory, torques: Buffer, squared: bool) -> None:
+    """Write sums over all holds of |f_i| or f_i^2 of the queued torques, and their increase by l or l^2 of new ones.
+
+    Args:
+        limits: Per-axis limits of the group.
+        memory: Buffers; `old` and `new` are written.
+        torques: W, (axes,); zeros for the queued torques alone.
+        squared: Whether the squares are summed.
+    """
+    for i in range(len(torques)):
+        old = new = 0.0
+        torque = abs(torques[i])
+        for index in range(limits.holds):
+            held = max(memory.along[index][i], memory.against[index][i])
+            held, asked = (held * held, torque * torque) if squared else (held, torque)
+            old += held
+            if index >= limits.delay:
+                new += max(0.0, asked - held)
+        memory.old[i], memory.new[i] = old, new
+
+
+def taken_at_most(
+    limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer
+) -> tuple[float, float]:
+    """Upper bound on the mover's energy from queued torques [J], and the increase from new ones.
+
+    Args:
+        limits: Per-axis limits of the group.
+        memory: Buffers of the certificates, after `take_sent`.
+        mover_motion: Motion of a mover in future holds, (holds, axes) [m or rad].
+        torques: W, (axes,); zeros for the queued torques alone.
+    """
+    old = new = 0.0
+    for index in range(limits.holds):
+        for i in range(len(torques)):
+            moved, held = mover_motion[index][i], 0.0
+            for place in range(first_of(limits, index + 1), end_of(limits, index + 1)):
+                held = max(held, -memory.sent[place][i] * moved)
+            old += held
+            if index >= limits.delay:
+                new += max(0.0, -torques[i] * moved - held)
+    return old, new

@@ -12,7 +12,7 @@ from math import sqrt
 from typing import ClassVar, Final, NamedTuple, TypeAlias
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
-from canhaptic.control.certificates.torque_bound import keep
+from canhaptic.control.certificates.certified_torque import keep
 from canhaptic.control.damping import modulated_damping
 from canhaptic.control.multi_axis.group_account import (
     Accounting,
@@ -30,35 +30,38 @@ from canhaptic.control.multi_axis.group_account import (
     quotient,
     shares,
 )
-from canhaptic.control.multi_axis.group_certificates import AxisLimits, axes_of, taken_by_mover
+from canhaptic.control.multi_axis.group_certificates import (
+    AxisLimits,
+    axes_of,
+    inward_first,
+    per_axis_limits,
+    taken_by_mover,
+)
 from canhaptic.control.multi_axis.group_kernel import (
     Group,
     GroupHold,
     GroupKernel,
     GroupLoop,
     GroupMemory,
+    GroupModel,
+    MotionAhead,
+    RequestedEfforts,
     SteppedGroup,
+    begin_motion,
     end_holds,
+    follow,
     group_loop,
     group_memory,
     next_place,
     norm,
     send_nothing,
     take_applied,
-)
-from canhaptic.control.multi_axis.group_motion import (
-    GroupModel,
-    MotionAhead,
-    RequestedEfforts,
-    begin_motion,
-    follow,
     write_carried,
     write_efforts,
     write_springs,
 )
-from canhaptic.control.multi_axis.per_axis_certificates import inward_first, per_axis_limits
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded_settings import (
+from canhaptic.control.passivity.guarded import (
     PREDICTION_HOLDS,
     GuardedParameters,
     PredictedMotion,
@@ -155,17 +158,7 @@ def settings_of(
         credit=parameters.energy_allowance,
         alpha=parameters.alpha,
         lead=PREDICTION_HOLDS + delay + late,
-        prediction=[
-            prediction_settings(
-                loop.moving_mass,
-                loop.device_damping or 0.0,
-                sample_time,
-                delay,
-                PREDICTION_HOLDS + late,
-                loop.encoder_count,
-            )
-            for loop in loops
-        ],
+        prediction=[prediction_settings(loop, PREDICTION_HOLDS + late) for loop in loops],
         calm=[calm_stiffness_of(loop) for loop in loops],
         damped=[2.0 * b / (1 + delay) for b in axes.damping],
         path=axes.path * (1 + delay),
@@ -237,7 +230,11 @@ def step(
         return new(GroupHold, (AT_REST, 0.0, 0.0, 0.0, 0, 0))
     group.oldest = end_holds(commands, ended, settings.loop.largest, group.oldest, missed, positions, torques_applied)
     follow(world, settings.loop.motion, motion, memory.group.motion, positions, ended.displacement, missed + 1)
-    observe_all(settings, memory, missed)
+    for i in range(len(ended.displacement)):
+        if missed == 0:
+            observe(settings.prediction[i], memory.predicted[i], ended.displacement[i], ended.applied[i])
+        else:
+            observe_mean(memory.predicted[i], ended.displacement[i] / (missed + 1))
     supplied, uncertainty, further = end(world, run, missed)
     h_i = h_pas = lost = 0.0
     for i in range(len(ended.interactions)):
@@ -270,16 +267,6 @@ def begin(world: GroupModel, run: GuardedRun, positions: Buffer) -> None:
     if loop.moves:
         for hold in range(settings.account.apart.holds):
             write_carried(world, loop, group.motion, motion, hold, memory.account.mover_motion[hold])
-
-
-def observe_all(settings: GuardedGroupSettings, memory: GuardedGroupMemory, missed: int) -> None:
-    """Give each axis's predictor the hold that ended, or the mean displacement of several."""
-    ended = memory.group.ended
-    for i in range(len(ended.displacement)):
-        if missed == 0:
-            observe(settings.prediction[i], memory.predicted[i], ended.displacement[i], ended.applied[i])
-        else:
-            observe_mean(memory.predicted[i], ended.displacement[i] / (missed + 1))
 
 
 def end(world: GroupModel, run: GuardedRun, missed: int) -> tuple[float, float, float]:
@@ -355,22 +342,15 @@ def branch_of(state: GuardedGroupState, h_i: float, leak: float, deficit: float)
     return _EXIT if state.was_engaged or h_i != 0.0 or leak != 0.0 else _FREE
 
 
-class Rendering(NamedTuple):
-    """Damping rendered in a hold, and its certificate."""
-
-    damping: float  # rendered along the motion [N*s/m or N*m*s/rad]
-    certificate: int
-
-
-def render(world: GroupModel, run: GuardedRun, at: Accounting) -> Rendering:
-    """Send the torques for the next free hold."""
+def render(world: GroupModel, run: GuardedRun, at: Accounting) -> tuple[float, int]:
+    """Send the torques for the next free hold; return the damping rendered along the motion, and the certificate."""
     settings, state, memory = run
     group, commands, request = state.group, memory.group.commands, memory.request
     place = group.oldest
     if not group.motion.engaged:
         group.oldest = send_nothing(commands, place)
         fade(state.account, _FADE)
-        return new(Rendering, (0.0, _UNBOUNDED))
+        return 0.0, _UNBOUNDED
     speed = write_wish(world, run, at.under_way)
     energy = certain_energy(state.account, settings.credit)
     share, lead_share, damper_share, covered = shares_of_wish(run, speed, energy)
@@ -388,7 +368,7 @@ def render(world: GroupModel, run: GuardedRun, at: Accounting) -> Rendering:
     if splits:
         certificate = split(run, place, most, energy, certificate)
     group.oldest = next_place(commands, place)
-    return new(Rendering, (factor * rendered, certificate))
+    return factor * rendered, certificate
 
 
 def write_wish(world: GroupModel, run: GuardedRun, under_way: QueuedTorques) -> float:

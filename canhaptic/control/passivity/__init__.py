@@ -1,14 +1,11 @@
 """One passivity algorithm a file, and the table that names them."""
 
-from typing import TYPE_CHECKING, Final, cast
+from typing import Final
 
 from canhaptic.control.environments.environment import Environment, plain
 from canhaptic.control.passivity.controller import Controller, LoopProperties
 from canhaptic.registry import load_algorithm
 from canhaptic.units import Parameters
-
-if TYPE_CHECKING:
-    from canhaptic.control.passivity.guarded_settings import GuardedParameters
 
 _HERE: Final = "canhaptic.control.passivity"
 _RIVALS: Final = "canhaptic.lab.rivals"
@@ -56,6 +53,6 @@ def build_controller(
     if hold_dither is not None and algorithm_name == "guarded":  # the scene refuses others
         from canhaptic.control.passivity.hold_dither import DitheredGuarded
 
-        return DitheredGuarded(plain(environment), cast("GuardedParameters", chosen), loop, hold_dither)
+        return DitheredGuarded(plain(environment), chosen, loop, hold_dither)
     controller: Controller = algorithm(plain(environment), chosen, loop)
     return controller

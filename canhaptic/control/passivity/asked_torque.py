@@ -10,15 +10,18 @@ A program without a guard has an account, and no certificate.
 
 from dataclasses import dataclass
 from math import copysign, inf
+from typing import TypeAlias
 
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
-from canhaptic.control.certificates.torque_bound import keep, look_for_turn
+from canhaptic.control.certificates.certified_torque import keep, look_for_turn
 from canhaptic.control.damping import VelocityWindow, restart, update
 from canhaptic.control.environments.environment import StoresNothing
 from canhaptic.control.environments.free_space import FreeSpace
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import (
     Guarded,
+    GuardedParameters,
+    GuardedSettings,
     GuardedState,
     Memory,
     book,
@@ -26,9 +29,9 @@ from canhaptic.control.passivity.guarded import (
     end,
     memory_of,
     permitted_size,
+    settings_of,
     start,
 )
-from canhaptic.control.passivity.guarded_settings import GuardedParameters, GuardedSettings, settings_of
 from canhaptic.control.passivity.stepped import SteppedController, send, towards_zero
 from canhaptic.control.passivity.unprotected import Unprotected
 from canhaptic.kernels import Kernel, Run, list_of_zeros, new
@@ -73,23 +76,25 @@ class AskedState(GuardedState):
     size: float = inf  # of the tank beyond `GuardedSettings.earned` [J]
 
 
-def step(
-    environment: AskedEffort, run: Run[GuardedSettings, AskedState, Memory], position: float, torque_applied: float
-) -> EnergyBalance:
+AskedRun: TypeAlias = Run[GuardedSettings, AskedState, Memory]
+"""Settings, state and memory of one axis."""
+
+
+def step(environment: AskedEffort, run: AskedRun, position: float, torque_applied: float) -> EnergyBalance:
     """Account for the hold that ended; see `Controller.step`."""
     settings, state, memory = run.settings, run.state, run.memory
     axis = state.axis
     if not axis.started:
-        return start(environment, settings, state, memory, position)
+        return start(run, position)
     holds, torque = axis.missed + axis.lasted, environment.asked
-    displacement, _, _, uncertainty = end(settings, state, memory, position, torque_applied)
+    displacement, _, _, uncertainty = end(run, position, torque_applied)
     if settings.turns:  # the program may ask for a torque either way
         look_for_turn(settings.declared, state.bound, memory.bound, displacement, holds)
     h_i = -torque_applied * displacement - uncertainty  # `interaction_energy`
-    h_r, deficit, leak, paid = book(settings, state, memory, h_i, 0.0, 0.0, state.size)
+    h_r, deficit, leak, paid = book(run, h_i, 0.0, 0.0, state.size)
     branch, certificate = _EXACT, _NOT_BOUND
     if torque != 0.0:
-        torque, certificate = granted(settings, state, memory, torque, displacement / holds)
+        torque, certificate = granted(run, torque, displacement / holds)
     else:
         branch = _EXIT if h_i != 0.0 or leak != 0.0 else _FREE
     axis.oldest = send(memory.axis.commands, axis.oldest, torque, 0.0, 0.0)
@@ -99,18 +104,15 @@ def step(
     ))  # fmt: skip
 
 
-def granted(
-    settings: GuardedSettings, state: AskedState, memory: Memory, asked: float, moved: float
-) -> tuple[float, int]:
+def granted(run: AskedRun, asked: float, moved: float) -> tuple[float, int]:
     """Return the part of a requested torque, not 0, that is permitted [N or N*m], and the certificate that limits it.
 
     Args:
-        settings: Constants of the run.
-        state: State of the axis.
-        memory: Buffers of the axis.
+        run: Run of the axis.
         asked: Requested torque [N or N*m].
         moved: Displacement in a hold [m or rad].
     """
+    settings, state = run.settings, run.state
     bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
     if bound.dissipated > 0.0:
         enough = settings.earned
@@ -120,7 +122,7 @@ def granted(
         keep(bound, energy, max(0.0, energy) + enough)
     if settings.longest_window:
         energy = certain_energy(state, energy)
-    size, certificate = permitted_size(settings, state, memory, asked, energy, moved)
+    size, certificate = permitted_size(run, asked, energy, moved)
     return towards_zero(copysign(size, asked), settings.quantum), certificate
 
 

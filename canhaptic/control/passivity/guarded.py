@@ -27,50 +27,390 @@ gets softer, and the balance says so: `certificate` is not EXACT, `damping_rende
 The account of `guarded`: its state between two SYNCs, and the booking of a hold that ended.
 
 The torque of `guarded` for the next free hold: the requested one, within account and certificates.
+
+Parameters of `guarded`, and the constants derived from them and from the loop.
+
+Prediction of the axis to the hold in which the next torque acts: a model of the moving mass, corrected every hold.
+
+With v the velocity at the last SYNC, f_1 ... f_n the queued torques and w the rest of the force on the mass,
+
+    x_i = x_(i-1) + v_(i-1) T + (f_i + w) T^2 / 2m,   v_i = v_(i-1) + (f_i + w) T / m.
+
+The displacement of the hold that ended corrects v at once: v = D/T + (f_0 + w) T / 2m. It corrects w by a small share,
+so that at rest w is what the hand holds against the torque, and nothing is predicted. A prediction from the last
+displacement alone has no f: one sample late it turns unstable at k T^2 / m = 0.01, and this one for no k that is
+certified. The share is small because a mass that is declared too small makes w follow the torque. With the share of
+1/16 that is taken here, no motion of a free mass at a spring that is certified grows for true masses up to 3 times the
+declared one at a delay of one sample (2 times at two), and by no more than 0.51 % a hold for any. w has a rise that is
+learnt in the same way, so that a hand that presses ever harder is followed.
 """
 
-from dataclasses import dataclass, field
-from math import copysign, inf, sqrt
-from typing import Any, ClassVar, Final, NamedTuple
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from math import copysign, expm1, inf, sqrt
+from typing import Annotated, Any, ClassVar, Final, NamedTuple, TypeAlias
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
-from canhaptic.control.certificates.certified_torque import free_energy, largest_torques
-from canhaptic.control.certificates.torque_bound import (
+from canhaptic.control.certificates.certified_torque import (
     BoundMemory,
+    Declared,
     TorqueBound,
     bound_memory,
     end_gap,
     end_hold,
     for_any,
+    free_energy,
     keep,
+    largest_torques,
     look_for_turn,
     reaches_turn,
     shorten,
 )
-from canhaptic.control.damping import modulated_damping, restart, update
-from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded_settings import (
-    GuardedParameters,
-    GuardedSettings,
-    PredictedMotion,
-    observe,
-    observe_mean,
-    predicted,
-    settings_of,
+from canhaptic.control.certificates.scalar_bounds import (
+    NO_RESPONSE,
+    DisplacementResponse,
+    displacement_response,
+    renderable_by_device_damping,
+    renderable_by_hand_force,
+    start_energy,
+    sustained_by_friction,
 )
-from canhaptic.control.passivity.hold_account import Axis, AxisMemory, axis_memory, begin
+from canhaptic.control.damping import Alpha, damping_cap, modulated_damping, restart, update
+from canhaptic.control.environments.environment import Environment, outside_of
+from canhaptic.control.environments.environment import knows_turns as tells_turns
+from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.stepped import (
+    Axis,
+    AxisMemory,
     SteppedController,
     as_far_as_limit,
+    axis_memory,
+    begin,
     efforts_inside,
     repeat,
     send,
     settle,
     towards_zero,
 )
-from canhaptic.kernels import Kernel, MakeBuffer, Run, new
-from canhaptic.units import Parameters
+from canhaptic.errors import ParameterError
+from canhaptic.kernels import Buffer, Kernel, MakeBuffer, Run, new
+from canhaptic.units import Parameters, quantity
+
+PREDICTION_HOLDS: Final = 0.75
+"""Prediction beyond the delay [holds]: 0.5 aims at the middle of the hold, and a larger value calms a spring."""
+_LEARNT: Final = 0.0625
+"""Share of a prediction error that corrects the force of the hand in a hold."""
+_RISE_LEARNT: Final = _LEARNT * _LEARNT / 4.0
+"""The same for its rate of change."""
+_QUIET: Final = 0.25
+"""Share of an error that corrects the velocity where counts of the encoder can explain it."""
+_COUNTS: Final = 4.0
+"""Error that counts of the encoder can explain [counts]."""
+
+
+@dataclass(frozen=True, slots=True)
+class PredictionSettings:
+    """Constants of a run."""
+
+    gain: float  # T^2 / m: displacement per hold that a torque adds in one [m/N or rad/(N*m)]; 0: mass not known
+    lost: float  # 1 - e^(-b T / m): share of a motion that certain damping of the device takes in a hold
+    delay: int  # whole holds between computation and action
+    beyond: float  # holds aimed at beyond those under way
+    noise: float  # error that the encoder can explain [m or rad]
+
+
+@dataclass(slots=True)
+class PredictedMotion:
+    """Motion at the last SYNC."""
+
+    step: float = 0.0  # velocity [m or rad per hold]
+    push: float = 0.0  # increase of it in a hold by forces other than the motor's
+    rise: float = 0.0  # increase of that in a hold
+
+
+def prediction_settings(loop: LoopProperties, beyond: float) -> PredictionSettings:
+    """Constants of a run.
+
+    Args:
+        loop: Properties of the loop; without a moving mass no torque counts.
+        beyond: Additional holds of prediction after the queued ones.
+    """
+    mass, noise = loop.moving_mass, _COUNTS * loop.encoder_count
+    if mass is None:
+        return PredictionSettings(0.0, 0.0, loop.delay, beyond, noise)
+    lost = -expm1(-(loop.device_damping or 0.0) * loop.sample_time / mass)
+    return PredictionSettings(loop.sample_time * loop.sample_time / mass, lost, loop.delay, beyond, noise)
+
+
+def observe(settings: PredictionSettings, motion: PredictedMotion, displacement: float, torque: float) -> None:
+    """Take the hold that ended: displacement [m or rad] and the torque held in it [N or N*m]."""
+    gain, step, noise = settings.gain, motion.step, settings.noise
+    push = gain * torque + motion.push - settings.lost * step
+    error = displacement - step - 0.5 * push
+    if gain > 0.0:
+        rise = motion.rise + _RISE_LEARNT * error
+        motion.rise = rise
+        motion.push += rise + _LEARNT * error
+    motion.step = step + (push + (_QUIET * error if -noise < error < noise else error))
+
+
+def observe_mean(motion: PredictedMotion, displacement: float) -> None:
+    """Take the mean displacement per hold [m or rad] of several holds with unknown separate displacements."""
+    motion.step = displacement
+
+
+def predicted(
+    settings: PredictionSettings, motion: PredictedMotion, torques: Buffer, first: int, travel: float
+) -> tuple[float, float]:
+    """Predicted displacement of the axis where the next torque acts, and its motion in a hold there [m or rad].
+
+    Args:
+        settings: Constants of the run.
+        motion: Motion at the last SYNC.
+        torques: Ring of torques, queued ones included [N or N*m].
+        first: Index of the torque that acts first; negative indices wrap.
+        travel: Present motion per hold [m or rad], used where a coarse encoder resolves nothing finer.
+    """
+    way, step, gain, lost, rest = 0.0, motion.step, settings.gain, settings.lost, motion.push
+    for place in range(first, first + settings.delay):
+        push = gain * torques[place] + rest - lost * step
+        way += step + 0.5 * push
+        step += push
+    way += settings.beyond * step
+    if -settings.noise < travel < settings.noise:
+        share, steady = abs(travel) / settings.noise, (settings.delay + settings.beyond) * travel
+        way, step = steady + (way - steady) * share, travel + (step - travel) * share
+    return way, step
+
+
+_LONGEST_WINDOW: Final = 0.02
+"""Longest window of the velocity from a coarse encoder [s]."""
+_NO_CAP: Final = 1e12
+"""Cap of the damping when the moving mass is unknown [N*s/m, N*m*s/rad]: finite, so that at rest it gives no force."""
+
+_LARGEST: Final = 1e9  # [N or N*m]
+
+
+class GuardedParameters(Parameters):
+    """Assumptions behind the certificates of an axis or a group. Mass and damping of the device belong to the loop.
+
+    A group refuses keys that only one axis can honour: `drag`, `earned_energy`, and a `hand_push` above `hand_force`.
+    """
+
+    hand_force: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = 0.0
+    """Largest force with which the hand pulls out of the contact: along the torque of its effort, where the handle is.
+    In a group, on each motor axis along any torque, Coriolis forces included. None: the certificate is not used."""
+    hand_push: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = None
+    """Largest force with which the hand pushes into the contact, against that torque. It certifies torques that pull
+    the handle back while it leaves the contact (of a damper). None: not known, and the hand force certifies no such
+    torque. Where an environment has more than one way out, or none (detents, a slot, a medium), it is needed: near each
+    place where the way turns, or without an effort, the hand may do either way the larger of both. In a group
+    `hand_force` counts for it."""
+    hand_speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
+    """Largest speed of the hand, in a group of every motor axis. None: the certificate is not used. Alone it begins
+    only with an energy allowance."""
+    energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
+    """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -energy_allowance."""
+    earned_energy: Annotated[float, quantity("J", ge=0.0)] | None = None
+    """Energy that came in beyond what is stored, or that the device dissipated, kept for later contacts, so that a
+    contact under a hand force starts at any speed. sum(h_i) stays >= 0. None: as much as the environment needs for
+    that, by the hand's force or speed, and none in a group; 0: none."""
+    drag: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
+    """Largest drag felt in free motion, while less than `earned_energy` is stored; 0: none. There too the hand pulls
+    away from the environment with no more than `hand_force`."""
+    alpha: Alpha = 0.0
+    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
+    max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
+    """Consecutive cycles without a new torque at the drive, of any axis of a group, that the certificates survive; each
+    costs stiffness. 0 in a group: all axes always apply together what was sent."""
+
+
+@dataclass(frozen=True, slots=True)
+class GuardedSettings:
+    """Constants of a run."""
+
+    sample_time: float  # [s]
+    credit: float  # [J]
+    earned: float  # energy kept for later contacts [J]
+    drag: float  # in free motion [N or N*m]
+    outside: float  # direction away from the environment, 1 or -1; 0 where it has not one
+    turns: bool  # whether it has not, and the force of the hand counts
+    knows_turns: bool  # whether the environment tells where
+    alpha: float  # [s/m^2 or s/rad^2]
+    torque_limit: float  # largest torque that limiter and drive let act [N or N*m]
+    least_limit: float  # torque up to which no limit cuts [N or N*m]
+    torque_step: float  # largest rise from SYNC to SYNC [N or N*m]
+    power_limit: float  # that the torque may put into the user's side [W]
+    quantum: float  # of the torque command; 0: ideal [N or N*m]
+    lead: float  # prediction [holds]
+    cap: float  # of the damping [N*s/m or N*m*s/rad]
+    damping: float  # rendered where no energy is short [N*s/m or N*m*s/rad]
+    calm: float  # stiffness of the largest spring that the rate renders; a prediction counts for no more
+    calm_stiffness: float  # of the energy-permitted spring; 0 without a hand force [N/m or N*m/rad]
+    damped_stiffness: float  # of the same, by the damping of the device; 0 where it is not declared
+    sustained: (
+        float  # stiffness that certain dry friction holds for ever with this encoder; 0: not used [N/m or N*m/rad]
+    )
+    path: float  # of the hand in the holds that a torque takes; 0 without a hand speed [m or rad]
+    prediction: PredictionSettings
+    longest_window: int  # of the velocity, in samples; 0 with an ideal encoder
+    declared: Declared
+
+
+def settings_of(environment: Environment, parameters: GuardedParameters, loop: LoopProperties) -> GuardedSettings:
+    """Constants of a run.
+
+    Raises:
+        ParameterError: No declared property certifies any torque, or too few do; a drag that earns nothing.
+    """
+    of_loop, outside = _settings_of_loop(parameters, loop), outside_of(environment)
+    response, turns = of_loop.declared.response, of_loop.declared.by_hand_force and not outside
+    if turns and response.push < inf:
+        response = replace(response, hand=response.push)
+    response = replace(response, brake=0.0)  # a contact begins with a motion inward, in which friction pulls
+    return replace(
+        of_loop,
+        earned=kept_for_contacts(environment, parameters, loop, response),
+        outside=outside,
+        turns=turns,
+        knows_turns=turns and tells_turns(environment),
+        damping=min(environment.damping, of_loop.cap),
+    )
+
+
+@lru_cache(maxsize=4)
+def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> GuardedSettings:
+    """Settings that do not depend on the environment; cached, for a sweep needs them for every scene.
+
+    Raises:
+        ParameterError: No declared property certifies any torque, or too few do.
+    """
+    sample_time, mass, damping = loop.sample_time, loop.moving_mass, loop.device_damping or 0.0
+    timing, response, speed = loop.timing, hand_response(parameters, loop), parameters.hand_speed or 0.0
+    by_hand_force = response is not NO_RESPONSE
+    _require_certifiable(parameters, loop, by_hand_force=by_hand_force)
+    cap, late = min(_NO_CAP, damping_cap(loop.delay, mass, sample_time)), timing.late / sample_time
+    damped, calm = renderable_by_device_damping(damping, sample_time, loop.delay), calm_stiffness_of(loop)
+    return GuardedSettings(
+        sample_time=sample_time,
+        credit=parameters.energy_allowance,
+        earned=0.0,
+        drag=parameters.drag,
+        outside=0.0,
+        turns=False,
+        knows_turns=False,
+        alpha=parameters.alpha,
+        torque_limit=loop.torque_limit or inf,
+        least_limit=0.0 if loop.torque_rate_limit or loop.power_limit else loop.torque_limit or inf,
+        torque_step=(loop.torque_rate_limit or inf) * sample_time,
+        power_limit=loop.power_limit or inf,
+        quantum=loop.torque_quantum,
+        lead=PREDICTION_HOLDS + loop.delay + late,
+        cap=cap,
+        damping=cap,
+        calm=calm,
+        calm_stiffness=calm if by_hand_force else 0.0,
+        damped_stiffness=damped,
+        sustained=sustained_by_friction(loop.device_friction or 0.0, loop.encoder_count),
+        path=speed * sample_time * (1 + loop.delay),
+        prediction=prediction_settings(loop, PREDICTION_HOLDS + late),
+        longest_window=max(2, round(_LONGEST_WINDOW / sample_time)) if loop.encoder_count else 0,
+        declared=declared_of(parameters, loop, response),
+    )
+
+
+def kept_for_contacts(
+    environment: Environment, parameters: GuardedParameters, loop: LoopProperties, response: DisplacementResponse
+) -> float:
+    """Energy that is kept for later contacts [J]; see `start_energy`.
+
+    If the environment is not a spring, or is stiffer than half what the certificate permits at the largest force, it is
+    the energy for that half, which allows any contact up to a push of half the hand's pull.
+
+    Raises:
+        ParameterError: A drag that earns nothing.
+    """
+    kept, stiffness = parameters.earned_energy, environment.linear_stiffness
+    if kept is None and response is not NO_RESPONSE and response.hand > 0.0 and stiffness != 0.0:
+        holds = loop.delay + parameters.max_consecutive_losses
+        half = 0.5 * renderable_by_hand_force(response, holds, _LARGEST)
+        kept = start_energy(response, holds, half if stiffness is None else min(stiffness, half))
+    if parameters.drag > 0.0 and not kept:
+        raise ParameterError(
+            f"guarded: got drag {parameters.drag:g} with earned_energy 0, expected the energy it is to earn; "
+            "the drag acts until that is stored: declare earned_energy, for example 5 mJ, or leave out drag"
+        )
+    return kept or 0.0
+
+
+def _require_certifiable(parameters: GuardedParameters, loop: LoopProperties, *, by_hand_force: bool) -> None:
+    if not (by_hand_force or loop.device_damping or loop.device_friction or parameters.hand_speed):
+        raise ParameterError(
+            "guarded: got neither moving_mass with hand_force, nor device_damping, nor device_friction, nor "
+            "hand_speed, expected one of them; without one of them no torque can be certified: declare what is known "
+            "(--set passivity.moving_mass=0.2 --set passivity.hand_force=0) or choose another algorithm"
+        )
+
+
+def declared_of(parameters: GuardedParameters, loop: LoopProperties, response: DisplacementResponse) -> Declared:
+    """Declared properties behind the certificates."""
+    timing, by_hand_force = loop.timing, response is not NO_RESPONSE
+    damping, friction, speed = loop.device_damping or 0.0, loop.device_friction or 0.0, parameters.hand_speed or 0.0
+    return Declared(
+        timing.longest,
+        loop.delay,
+        parameters.max_consecutive_losses,
+        by_hand_force,
+        response,
+        damping,
+        speed,
+        loop.encoder_count,
+        timing.late,
+        timing.late / timing.shortest,
+        timing.left,
+        friction,
+        by_hand_force and not (damping or friction or speed),
+    )
+
+
+def calm_stiffness_of(loop: LoopProperties) -> float:
+    """Largest stiffness rendered without oscillation at this rate [N/m or N*m/rad]."""
+    if loop.moving_mass is None:
+        return _NO_CAP
+    ideal = displacement_response(loop.sample_time, loop.moving_mass, 0.0, 0.0, 0.0, 0.0, loop.timing)
+    damped = renderable_by_device_damping(loop.device_damping or 0.0, loop.sample_time, loop.delay)
+    return max(damped, renderable_by_hand_force(ideal, loop.delay, 1.0))
+
+
+def hand_response(parameters: GuardedParameters, loop: LoopProperties) -> DisplacementResponse:
+    """Return the response of the hand-force certificate; `NO_RESPONSE` where that is not declared.
+
+    Raises:
+        ParameterError: The damping of the device has no upper bound.
+    """
+    if parameters.hand_force is None or loop.moving_mass is None:
+        return NO_RESPONSE
+    if loop.device_damping_bound is None:
+        raise ParameterError(
+            "guarded: got hand_force without device_damping_bound, expected the largest damping that the device can "
+            "have: more damping would stop an inward motion earlier; measure it (canhaptic commission), or declare "
+            "hand_force: null and another certificate"
+        )
+    friction, push = loop.device_friction_bound or 0.0, parameters.hand_push
+    stiffness, braking = loop.presliding_stiffness or inf, 0.0
+    if loop.presliding_stiffness is not None and loop.device_cogging_bound is not None:
+        braking = max(0.0, friction - loop.device_cogging_bound)
+    return displacement_response(
+        loop.sample_time,
+        loop.moving_mass,
+        parameters.hand_force + friction,
+        loop.device_damping or 0.0,
+        loop.device_damping_bound,
+        inf if push is None else push + friction,
+        loop.timing,
+        (braking, stiffness),
+    )
+
 
 _FADE: Final = 0.8
 """Share of the device's past dissipation that still counts after another hold out of contact."""
@@ -96,23 +436,26 @@ class Memory(NamedTuple):
     bound: BoundMemory
 
 
+GuardedRun: TypeAlias = Run[GuardedSettings, GuardedState, Memory]
+"""Settings, state and memory of one axis."""
+
+
 def memory_of(settings: GuardedSettings, make_buffer: MakeBuffer) -> Memory:
     """Return the buffers of one axis."""
     axis = axis_memory(settings.declared.delay, settings.longest_window, make_buffer)
     return Memory(axis, bound_memory(settings.declared, axis.commands.torques, make_buffer))
 
 
-def end(
-    settings: GuardedSettings, state: GuardedState, memory: Memory, position: float, torque_applied: float
-) -> tuple[float, float, float, float]:
+def end(run: GuardedRun, position: float, torque_applied: float) -> tuple[float, float, float, float]:
     """End a hold; return (displacement, damper effort, modulated effort, uncertain energy)."""
+    settings, state, memory = run.settings, run.state, run.memory
     declared, bound, axis, commands = settings.declared, state.bound, state.axis, memory.axis.commands
     displacement, count, oldest = position - axis.position, declared.encoder_count, axis.oldest
     axis.position = position
     if axis.missed:
         axis.missed += int(axis.lasted - 1.0)  # of SYNCs that were skipped in the gap no sample came either
         axis.lasted = 1.0
-        return displacement, 0.0, 0.0, end_several(settings, state, memory, displacement, torque_applied)
+        return displacement, 0.0, 0.0, end_several(run, displacement, torque_applied)
     bound.first = oldest - declared.delay
     uncertainty = end_hold(declared, bound, memory.bound, displacement, torque_applied, axis.lasted)
     if axis.lasted > 1.0:
@@ -130,10 +473,9 @@ def end(
     return displacement, damper, modulated, uncertainty
 
 
-def end_several(
-    settings: GuardedSettings, state: GuardedState, memory: Memory, displacement: float, torque_applied: float
-) -> float:
+def end_several(run: GuardedRun, displacement: float, torque_applied: float) -> float:
     """End several holds of which only the last has a sample; return the uncertain energy [J]."""
+    settings, state, memory = run.settings, run.state, run.memory
     axis, commands, holds = state.axis, memory.axis.commands, state.axis.missed + 1
     largest, apart = abs(torque_applied), 0.0
     for _ in range(axis.missed):
@@ -154,33 +496,23 @@ def restart_at_mean(settings: GuardedSettings, axis: Axis, memory: AxisMemory, m
         axis.window.velocity = moved / settings.sample_time
 
 
-def book(
-    settings: GuardedSettings,
-    state: GuardedState,
-    memory: Memory,
-    h_i: float,
-    h_pas: float,
-    damped: float,
-    ceiling: float,
-) -> tuple[float, float, float, float]:
+def book(run: GuardedRun, h_i: float, h_pas: float, damped: float, ceiling: float) -> tuple[float, float, float, float]:
     """Book one hold into stored energy and surplus; return (h_r, deficit, leak, paid) [J].
 
     Args:
-        settings: Constants of the run.
-        state: State of the axis; changed.
-        memory: Buffers of the axis.
+        run: Run of the axis; its state is changed.
         h_i: Interaction energy of the hold [J].
         h_pas: Energy taken by the modulated damper [J].
         damped: Damper effort inside the applied torque times the displacement [J].
         ceiling: Energy that the environment stores at its true state [J]; at most `earned_energy` is kept
             beyond it.
     """
+    settings, state, slack = run.settings, run.state, 0.0
     axis = state.axis
     h_s, surplus = state.h_s + h_i - h_pas, axis.h_dis - h_pas
-    slack = 0.0
     ceiling += settings.earned
     if damped > 0.0 or h_s > ceiling:
-        slack = free_energy(settings.declared, state.bound, memory.bound, h_s - surplus + settings.credit)
+        slack = free_energy(settings.declared, state.bound, run.memory.bound, h_s - surplus + settings.credit)
         if slack > h_s:
             slack = h_s
     elif h_s >= 0.0:  # nothing is dissipated, leaked or lacking: nothing is to be settled
@@ -192,22 +524,15 @@ def book(
 
 
 def relax(
-    environment: Environment, settings: GuardedSettings, state: GuardedState, true: float, ceiling: float, holds: float
+    environment: Environment, run: GuardedRun, true: float, ceiling: float, holds: float
 ) -> tuple[float, float, float]:
     """Return (state, energy there, energy dissipated) after internal relaxation for some holds [m or rad, J, J]."""
-    relaxed = environment.relaxed(true, holds * settings.sample_time)
+    relaxed, state = environment.relaxed(true, holds * run.settings.sample_time), run.state
     left = environment.stored_energy(relaxed)
     lost = min(state.h_s, max(0.0, ceiling - left))
     state.h_s -= lost
     state.unrecovered += lost
     return relaxed, left, lost
-
-
-def fade(settings: GuardedSettings, state: GuardedState) -> None:
-    """Reduce the device's past dissipation, out of contact, to the energy kept for later contacts."""
-    bound, energy = state.bound, state.h_s - state.axis.h_dis
-    have = max(0.0, energy + bound.dissipated)
-    keep(bound, energy, max(_FADE * have, settings.earned))
 
 
 _NOT_BOUND, _BY_FORCE = Certificate.EXACT.value, Certificate.HAND_FORCE.value
@@ -218,16 +543,14 @@ _DRAG_SHARE: Final = 0.5
 
 
 def render(
-    environment: Environment, settings: GuardedSettings, state: GuardedState, memory: Memory, true: float,
-    spring: float, ceiling: float, travel: float, inside: float, moved: float, same: bool,
+    environment: Environment, run: GuardedRun, true: float, spring: float, ceiling: float, travel: float, inside: float,
+    moved: float, same: bool,
 ) -> tuple[float, float, float, float, int]:  # fmt: skip
     """Return (torque for the next free hold, damper and modulated effort in it, damping rendered, certificate).
 
     Args:
         environment: Environment rendered.
-        settings: Constants of the run.
-        state: State of the axis.
-        memory: Buffers of the axis.
+        run: Run of the axis.
         true: State of the storage [m or rad].
         spring: Spring effort at that state [N or N*m].
         ceiling: Energy stored at that state [J].
@@ -236,19 +559,22 @@ def render(
         moved: Motion of the axis in a hold [m or rad].
         same: Whether the contact existed before.
     """
+    settings, state = run.settings, run.state
     bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
     if settings.longest_window:
         energy = certain_energy(state, energy)
     ahead = steady = settings.lead * travel
     if not environment.relaxes:
-        ahead, mover_motion = predicted(settings.prediction, state.motion, memory.bound.under_way, bound.first, travel)
+        ahead, mover_motion = predicted(
+            settings.prediction, state.motion, run.memory.bound.under_way, bound.first, travel
+        )
         if state.h_s < ceiling and steady * true > 0.0 and steady * true > ahead * true:
             ahead = steady  # going in, more may be taken in where the account is short
         if same:
             inside = mover_motion
     lead = environment.effort(environment.admissible(true + ahead, true)) - spring
     velocity = inside / settings.sample_time
-    spring, lead, damper, covered = efforts(settings, bound, true, spring, lead, ahead, velocity, energy, ceiling)
+    spring, lead, damper, covered = efforts(run, true, spring, lead, ahead, velocity, energy, ceiling)
     rendered = damper / velocity if velocity != 0.0 else settings.damping
     modulated = 0.0
     if settings.alpha > 0.0 and state.axis.h_dis > 0.0 and velocity != 0.0:
@@ -260,7 +586,7 @@ def render(
     torque = -(spring + lead + damper + modulated)
     if torque == 0.0:
         return torque, damper, modulated, rendered, _NOT_BOUND
-    size, certificate = permitted_size(settings, state, memory, torque, energy, moved)
+    size, certificate = permitted_size(run, torque, energy, moved)
     asked = abs(torque)
     if size < asked:
         share = size / asked
@@ -272,21 +598,18 @@ def render(
     return torque, damper, modulated, rendered, certificate
 
 
-def permitted_size(
-    settings: GuardedSettings, state: GuardedState, memory: Memory, torque: float, energy: float, moved: float
-) -> tuple[float, int]:
+def permitted_size(run: GuardedRun, torque: float, energy: float, moved: float) -> tuple[float, int]:
     """Permitted part of a torque's magnitude [N or N*m], and its certificate.
 
     Limits and certificates bound it.
 
     Args:
-        settings: Constants of the run.
-        state: State of the axis.
-        memory: Buffers of the axis.
+        run: Run of the axis.
         torque: Requested torque, not 0 [N or N*m].
         energy: Energy budget [J].
         moved: Displacement in a hold [m or rad].
     """
+    settings, state, memory = run.settings, run.state, run.memory
     sign, size = (1.0, torque) if torque > 0.0 else (-1.0, -torque)
     if size > settings.least_limit:
         most = within_limits(settings, memory.axis.commands.torques[state.axis.oldest - 1], sign, moved)
@@ -339,17 +662,11 @@ def within_limits(settings: GuardedSettings, newest: float, sign: float, moved: 
 
 
 def efforts(
-    settings: GuardedSettings,
-    bound: TorqueBound,
-    true: float,
-    spring: float,
-    lead: float,
-    ahead: float,
-    velocity: float,
-    energy: float,
+    run: GuardedRun, true: float, spring: float, lead: float, ahead: float, velocity: float, energy: float,
     ceiling: float,
-) -> tuple[float, float, float, bool]:
+) -> tuple[float, float, float, bool]:  # fmt: skip
     """Return efforts of spring, lead and damper [N or N*m], and whether the account covers all of them."""
+    settings, bound = run.settings, run.state.bound
     damper, size, speed = settings.damping * velocity, abs(spring), abs(velocity)
     room, led = settings.cap * speed, settings.calm * abs(ahead)
     if abs(damper) > room:
@@ -431,18 +748,18 @@ def energy_permitted(
     return held * held
 
 
-def drag(settings: GuardedSettings, state: GuardedState, memory: Memory, moved: float) -> tuple[float, int]:
+def drag(run: GuardedRun, moved: float) -> tuple[float, int]:
     """Return the torque out of contact and its certificate: a drag, until enough energy is earned [N or N*m].
 
     Args:
-        settings: Constants of the run.
-        state: State of the axis; earns while its energy is below `earned_energy`.
-        memory: Buffers of the axis.
+        run: Run of the axis; earns while its energy is below `earned_energy`.
         moved: Displacement in a hold [m or rad].
     """
+    settings, state = run.settings, run.state
     bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
-    if bound.dissipated > 0.0:
-        fade(settings, state)
+    if bound.dissipated > 0.0:  # reduced to the energy kept for later contacts
+        have = max(0.0, state.h_s - state.axis.h_dis + bound.dissipated)
+        keep(bound, state.h_s - state.axis.h_dis, max(_FADE * have, settings.earned))
     if settings.drag == 0.0:
         return 0.0, _NOT_BOUND
     if settings.longest_window:
@@ -454,49 +771,48 @@ def drag(settings: GuardedSettings, state: GuardedState, memory: Memory, moved: 
     if torque == 0.0:
         return 0.0, _NOT_BOUND
     torque = min(max(torque, -settings.drag), settings.drag)
-    size, certificate = permitted_size(settings, state, memory, torque, energy, moved)
+    size, certificate = permitted_size(run, torque, energy, moved)
     return towards_zero(copysign(size, torque), settings.quantum), certificate
 
 
 _FREE, _START, _EXACT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value
 _STICKY, _DEPLETED = Branch.STICKY.value, Branch.DEPLETED.value
-_EXIT, _UNBOUNDED = Branch.EXIT.value, Certificate.EXACT.value
+_EXIT = Branch.EXIT.value
 
 
-def step(
-    environment: Environment, run: Run[GuardedSettings, GuardedState, Memory], position: float, torque_applied: float
-) -> EnergyBalance:
+def step(environment: Environment, run: GuardedRun, position: float, torque_applied: float) -> EnergyBalance:
     """Account for the hold that ended; see `Controller.step`."""
     settings, state, memory = run.settings, run.state, run.memory
     zone_before, axis = state.zone, state.axis
     state.zone = zone = environment.contact(position)
     if not axis.started:
-        return start(environment, settings, state, memory, position)
+        return start(run, position)
     holds, same = axis.missed + axis.lasted, zone == zone_before
-    displacement, damper, modulated, uncertainty = end(settings, state, memory, position, torque_applied)
+    displacement, damper, modulated, uncertainty = end(run, position, torque_applied)
     true = environment.true_state(position, displacement, state.true if same else 0.0) if zone else 0.0
     if settings.turns:
         take_stretch(environment, settings, state.bound, position, true)
         look_for_turn(settings.declared, state.bound, memory.bound, displacement, holds)
     ceiling = environment.stored_energy(true) if zone else 0.0
     h_i, h_pas = -torque_applied * displacement - uncertainty, modulated * displacement  # `interaction_energy`
-    h_r, deficit, leak, paid = book(settings, state, memory, h_i, h_pas, damper * displacement, ceiling)
+    h_r, deficit, leak, paid = book(run, h_i, h_pas, damper * displacement, ceiling)
     if zone:
         if environment.relaxes:
-            true, ceiling, lost = relax(environment, settings, state, true, ceiling, holds)
+            true, ceiling, lost = relax(environment, run, true, ceiling, holds)
             h_r += lost
         spring, moved = environment.effort(true), displacement / holds
         travel, inside = (true - state.true) / holds, moved
         if settings.longest_window or not same:
-            travel, inside = motion_inside(environment, settings, axis, travel, displacement, holds, true, same)
+            travel, inside = motion_inside(environment, run, travel, displacement, holds, true, same)
         torque, damper, modulated, rendered, certificate = render(
-            environment, settings, state, memory, true, spring, ceiling, travel, inside, moved, same)  # fmt: skip
+            environment, run, true, spring, ceiling, travel, inside, moved, same
+        )
         branch = _START if not same else _STICKY if h_i > 0.0 and displacement * spring < 0.0 else _EXACT
     else:
-        torque, damper, modulated, rendered, certificate = 0.0, 0.0, 0.0, 0.0, _UNBOUNDED
+        torque, damper, modulated, rendered, certificate = 0.0, 0.0, 0.0, 0.0, _NOT_BOUND
         branch = _EXIT if zone_before or ((h_i != 0.0 or leak != 0.0) and settings.drag == 0.0) else _FREE
         if settings.drag or state.bound.dissipated > 0.0:
-            torque, certificate = drag(settings, state, memory, displacement / holds)
+            torque, certificate = drag(run, displacement / holds)
     axis.oldest = send(memory.axis.commands, axis.oldest, torque, damper, modulated)
     state.true, h_s = true, state.h_s
     stored = true if h_s >= ceiling else environment.state_of_energy(h_s, true)
@@ -506,12 +822,11 @@ def step(
     ))  # fmt: skip
 
 
-def start(
-    environment: Environment, settings: GuardedSettings, state: GuardedState, memory: Memory, position: float
-) -> EnergyBalance:
+def start(run: GuardedRun, position: float) -> EnergyBalance:
     """Take the first position [m or rad]; return the balance of a step that books nothing."""
-    begin(state.axis, memory.axis, position)
-    state.bound.out, state.bound.turns, state.bound.is_near = settings.outside, settings.turns, settings.turns
+    bound, turns = run.state.bound, run.settings.turns
+    begin(run.state.axis, run.memory.axis, position)
+    bound.out, bound.turns, bound.is_near = run.settings.outside, turns, turns
     return AT_REST
 
 
@@ -528,15 +843,13 @@ def take_stretch(environment: Any, settings: GuardedSettings, bound: TorqueBound
 
 
 def motion_inside(
-    environment: Environment, settings: GuardedSettings, axis: Axis, travel: float, displacement: float, holds: float,
-    true: float, same: bool,
-) -> tuple[float, float]:  # fmt: skip
+    environment: Environment, run: GuardedRun, travel: float, displacement: float, holds: float, true: float, same: bool
+) -> tuple[float, float]:
     """Return the motion of storage and damper in a hold [m or rad], smoothed where an encoder is coarse.
 
     Args:
         environment: Environment rendered.
-        settings: Constants of the run.
-        axis: The axis, after its motion.
+        run: Run of the axis, after its motion.
         travel: Motion of the storage in a hold, if the contact existed before [m or rad].
         displacement: Displacement since the last position [m or rad].
         holds: Number of holds since then.
@@ -546,8 +859,8 @@ def motion_inside(
     inside = displacement / holds
     if not same:
         travel = inside
-    if settings.longest_window and not environment.relaxes:
-        travel = inside = axis.window.velocity * settings.sample_time
+    if run.settings.longest_window and not environment.relaxes:
+        travel = inside = run.state.axis.window.velocity * run.settings.sample_time
     if not same:
         inside = (true - environment.admissible(true - displacement, true)) / holds
     return travel, inside
@@ -584,4 +897,4 @@ class Guarded(SteppedController):
 
         The next `step` books the displacement over all holds with the torque read back, less the uncertainty.
         """
-        return super().sample_lost()._replace(damping_rendered=0.0, certificate=_UNBOUNDED)
+        return super().sample_lost()._replace(damping_rendered=0.0, certificate=_NOT_BOUND)

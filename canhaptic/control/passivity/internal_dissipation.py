@@ -7,7 +7,7 @@ Surplus energy is recovered by the modulated damper (eq. 19).
 Departures from the printed equations, and their reasons:
 
 - eq. 18 takes the state on the side of the contact; the printed sign is positive, where contact has x < 0.
-- eq. 16 is solved for the root nearest zero: the printed one or, when sticking, the other (`root`).
+- eq. 16 is solved for the root nearest zero: the printed one or, when sticking, the other (below).
 - eq. 15 is computed with the damper effort that was inside the torque applied in that very hold. Without delay this is
   the printed one; with delay the printed one is unstable.
 - a motion that reverses would make H_R of eq. 15 negative, dissipation that gives energy: it is solved without it.
@@ -17,36 +17,448 @@ Departures from the printed equations, and their reasons:
 - the hold in which the contact ends, and those whose torque was still queued, are booked; the rest is leaked.
 
 Kept as printed: every start creates k x^2 / 2, and the state creeps away from the true penetration under tremor.
+
+The step shared with `a_priori_dissipation`, which renders a stored state too. They differ in how a hold changes the
+state, `touch` and `exchange`. The rest is shared: opening a hold, following the contact, the first-order start
+(eq. 14), the approximate step (eqs. 6, 7, 18), the exit, and deriving the command from the state. Each rule moves the
+storage and returns its account of the hold. The state never holds energy that was not received.
+
+The energy balance of eq. 8 solved for the state change: closed for a linear spring, safeguarded for any other.
+
+Eq. 16 prints dx = (-b - sqrt(b^2 - 4 a c)) / 2 a. That loses all digits where k or the displacement is small, divides
+by zero at k = 0, and needs the other sign for the sticky rule. The root nearest zero in the form
+
+    dx = 2 H / (b + sgn(b) sqrt(b^2 + 2 k H)),    b = k x + f_d,    H = energy received
+
+has neither fault and covers the sticky rule. Near the double root the discriminant cancels, so it is formed from
+exact products (Dekker 1971) and an exact sum.
 """
 
-from dataclasses import dataclass
-from math import copysign, isnan
-from typing import Any, Final
+from dataclasses import dataclass, field
+from math import copysign, isnan, nan, sqrt
+from typing import Any, Final, NamedTuple, TypeAlias
 
-from canhaptic.control.balance import Branch
-from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.hold_account import Hold, HoldAccount
-from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.control.passivity.stored_model import (
-    Balance,
-    Storage,
-    StoredModelParameters,
-    StoredModelSettings,
-    StoredModelState,
-    approximate,
-    dissipation,
-    entered_by,
-    is_deadlocked,
-    move,
-    pushed_inward,
-    solve_balance,
-    solve_balance_nonlinear,
-    start,
-    stored_model_kernel,
+from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
+from canhaptic.control.damping import Alpha, DamperVelocity, damping_cap, modulated_damping
+from canhaptic.control.environments.environment import Environment, plain
+from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity.stepped import (
+    Axis,
+    Hold,
+    HoldAccount,
+    HoldMemory,
+    HoldSettings,
+    SteppedController,
+    begin,
+    close_hold,
+    hold_memory,
+    hold_settings,
+    open_hold,
+    surplus_after,
 )
-from canhaptic.kernels import new
+from canhaptic.kernels import Kernel, Run, new
 
-_ROUNDING: Final = 2.5e-16  # of the stored energy: what a difference of two energies can resolve
+_SPLITTER: Final = 134217729.0  # 2^27 + 1 (Veltkamp)
+_ITERATIONS: Final = 80  # bisection alone reaches the last bit of any bracket of one binade in 53
+_SMALLEST_STEP: Final = 1e-16  # of the root: below half a unit in its last place
+
+
+def discriminant(effort: float, product: float, energy: float) -> float:
+    """Return effort^2 + product * energy, accurate to its last bits although the two terms may cancel."""
+    square = effort * effort
+    other = product * energy
+    total = square + other
+    if total > 0.125 * abs(other):
+        return total  # three bits lost at most: no help needed, and this is nearly every hold
+    high = _SPLITTER * effort
+    high -= high - effort
+    low = effort - high
+    square_error = ((high * high - square) + 2.0 * high * low) + low * low
+    part = total - square
+    sum_error = (square - (total - part)) + (other - part)
+    return total + (sum_error + (square_error + _product_error(product, energy, other)))
+
+
+def _product_error(a: float, b: float, product: float) -> float:
+    a_high = _SPLITTER * a
+    a_high -= a_high - a
+    b_high = _SPLITTER * b
+    b_high -= b_high - b
+    a_low, b_low = a - a_high, b - b_high
+    return ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
+
+
+def solve_balance(stiffness: float, effort: float, energy: float, displacement: float) -> float:
+    """Return the root nearest zero of k dx^2 / 2 + b dx = H [m or rad], or NaN where no state change balances.
+
+    Args:
+        stiffness: k >= 0 [N/m or N*m/rad].
+        effort: b, the whole effort opposing motion at the old state: k x + f_d [N or N*m].
+        energy: H, energy received by the model [J].
+        displacement: Measured motion of the hold [m or rad]; its sign decides between roots equally near zero, and it
+            is the answer itself where nothing opposes motion and nothing was received (k = b = 0).
+    """
+    if energy == 0.0:
+        return displacement if stiffness == 0.0 and effort == 0.0 else 0.0
+    if effort == 0.0:
+        if stiffness == 0.0 or energy < 0.0:
+            return nan
+        return copysign(sqrt(2.0 * energy / stiffness), displacement)
+    if stiffness == 0.0:
+        return energy / effort
+    under_root = discriminant(effort, 2.0 * stiffness, energy)
+    if under_root < 0.0:
+        return nan
+    return 2.0 * energy / (effort + copysign(sqrt(under_root), effort))
+
+
+class Balance(NamedTuple):
+    """A nonlinear storage before its state changes, and the damper in parallel."""
+
+    state: float  # old one [m or rad]
+    stored: float  # energy there [J]
+    damper: float  # effort of the damper [N or N*m]
+
+
+def gain(environment: Environment, old: Balance, change: float) -> float:
+    """Return the energy that a state change [m or rad] takes up, stored and dissipated [J]."""
+    return environment.stored_energy(old.state + change) - old.stored + old.damper * change
+
+
+def slope(environment: Environment, old: Balance, change: float) -> float:
+    """Return the derivative of `gain` [N or N*m]."""
+    return environment.effort(old.state + change) + old.damper
+
+
+def solve_balance_nonlinear(
+    environment: Environment, old: Balance, energy: float, limit: float, tolerance: float
+) -> float:
+    """Return the root nearest zero of gain(dx) = H for a nonlinear storage, or NaN where no state change balances.
+
+    The direction follows from the sign of H and of the slope at 0. Within it the root is bracketed - by the limit, or
+    by the point where the slope reverses - and found by Newton steps that fall back to bisection when they leave the
+    bracket or do not halve; never more than 80 of them.
+
+    Args:
+        environment: Environment with a nonlinear storage.
+        old: Previous state.
+        energy: H, energy received by the model [J].
+        limit: Largest state change to consider [m or rad]; its sign decides where nothing opposes motion at first.
+            If more was received than the limit takes up, the result is the limit, and the caller leaks the rest.
+        tolerance: Rounding of `gain` [J]; convergence is no finer.
+    """
+    if energy == 0.0 or limit == 0.0:
+        return 0.0 if energy >= 0.0 else nan
+    effort = slope(environment, old, 0.0)
+    far = copysign(limit, energy * effort) if effort != 0.0 else limit
+    if effort != 0.0 and (slope(environment, old, far) > 0.0) != (effort > 0.0):
+        far = _turning_point(environment, old, far)
+    gained = gain(environment, old, far)
+    if abs(gained) < abs(energy) or (gained > 0.0) != (energy > 0.0):
+        return far if energy > 0.0 else nan
+    return _newton(environment, old, energy, far, tolerance)
+
+
+def _turning_point(environment: Environment, old: Balance, far: float) -> float:
+    """Return the last place before the slope changes its sign between 0 and `far`."""
+    near, rising = 0.0, slope(environment, old, 0.0) > 0.0
+    for _ in range(_ITERATIONS):
+        middle = 0.5 * (near + far)
+        if middle in (near, far):
+            break
+        if (slope(environment, old, middle) > 0.0) == rising:
+            near = middle
+        else:
+            far = middle
+    return near
+
+
+def _newton(environment: Environment, old: Balance, energy: float, far: float, tolerance: float) -> float:
+    """Return the root between 0 and `far`, where |gain| rises from 0 to at least |H|."""
+    effort = slope(environment, old, 0.0)
+    near, gain_far = 0.0, gain(environment, old, far)
+    guess = energy / effort if effort != 0.0 else far
+    step = abs(far)
+    for _ in range(_ITERATIONS):
+        if not min(near, far) < guess < max(near, far):
+            guess = _between(near, far, energy, gain_far)
+            step = abs(far - near)
+            if guess in (near, far):
+                break
+        gained = gain(environment, old, guess)
+        missing = energy - gained
+        if abs(missing) <= tolerance:
+            break
+        if (missing > 0.0) == (energy > 0.0):
+            near = guess
+        else:
+            far, gain_far = guess, gained
+        steep = slope(environment, old, guess)
+        halving = abs(2.0 * missing) <= step * abs(steep)
+        following = guess + missing / steep if halving else _between(near, far, energy, gain_far)
+        step = abs(following - guess)
+        if step <= _SMALLEST_STEP * abs(guess):
+            break
+        guess = following
+    return guess
+
+
+def _between(near: float, far: float, energy: float, gain_far: float) -> float:
+    """Return a place inside the bracket: its middle, or, while it begins at 0, where a parabola would have the root.
+
+    Halving alone would not get from a motion of a millimetre to the root of a vanishing energy.
+    """
+    if near == 0.0 and gain_far != 0.0:
+        return far * min(0.5, sqrt(energy / gain_far))
+    return 0.5 * (near + far)
+
+
+_START, _FALLBACK, _DEPLETED = Branch.START.value, Branch.FALLBACK.value, Branch.DEPLETED.value
+_EXIT = Branch.EXIT.value
+_ROUNDING: Final = 1e-12  # of the energy at hand: below it a rest is rounding, not a leak
+
+UNTOUCHED: Final = HoldAccount(Branch.FREE.value, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(slots=True)
+class Storage:
+    """State, velocity and stored energy of one environment, and the state of the continuous environment."""
+
+    zone: int = 0  # of contact, 0 out of contact
+    true: float = 0.0  # state of the continuous environment [m or rad]
+    state: float = 0.0  # displacement of the storage [m or rad]
+    velocity: float = 0.0  # of the state over the last hold [m/s or rad/s]
+    h_s: float = 0.0  # energy stored at `state` [J], computed from it
+
+
+def empty(storage: Storage) -> None:
+    """The deadlock: nothing stored, no velocity, no torque until the user pushes inward."""
+    storage.state = storage.velocity = storage.h_s = 0.0
+
+
+def is_deadlocked(storage: Storage) -> bool:
+    """Return whether the storage is empty and at rest, so that it gives no torque."""
+    return storage.h_s == 0.0 and storage.velocity == 0.0
+
+
+def follow(environment: Environment, storage: Storage, position: float, displacement: float, elapsed: float) -> bool:
+    """Follow the contact over a hold of given time [s]; return True when a zone was entered or left in it."""
+    zone = environment.contact(position)
+    changed = zone != storage.zone
+    storage.zone = zone
+    if zone:
+        true = environment.true_state(position, displacement, 0.0 if changed else storage.true)
+        storage.true = environment.relaxed(true, elapsed) if environment.relaxes else true
+    return changed
+
+
+def pushed_inward(environment: Environment, storage: Storage, displacement: float) -> bool:
+    """Return True when the motion [m or rad] stores energy, or when there is nothing to store it in."""
+    effort = environment.effort(storage.true)
+    return effort * displacement > 0.0 or (effort == 0.0 and displacement != 0.0)
+
+
+def entered_by(environment: Environment, storage: Storage, displacement: float) -> float:
+    """Part of a motion [m or rad] inside the contact."""
+    return storage.true - environment.admissible(storage.true - displacement, storage.true)
+
+
+def start(environment: Environment, storage: Storage, change: float, elapsed: float, h_m: float) -> HoldAccount:
+    """First-order start (eq. 14): the state is the true one, and the energy for it is created.
+
+    Args:
+        environment: The rendered environment.
+        storage: Storage; its state is updated.
+        change: State change from which the velocity is taken [m or rad].
+        elapsed: Time of the hold [s].
+        h_m: Energy received in this hold [J].
+    """
+    storage.velocity = change / elapsed
+    available = storage.h_s + h_m
+    storage.state = state = storage.true
+    storage.h_s = h_s = environment.stored_energy(state)
+    return new(HoldAccount, (_START, 0.0, max(0.0, h_s - available), 0.0, max(0.0, available - h_s)))
+
+
+def move(
+    environment: Environment, storage: Storage, change: float, elapsed: float, h_r: float, h_m: float, limited: bool
+) -> tuple[float, float]:
+    """Take a state change found by eq. 8; return (h_r including dissipation by relaxation, leak) [J].
+
+    Args:
+        environment: The rendered environment.
+        storage: Storage; its state is updated.
+        change: Change of the state [m or rad].
+        elapsed: Time of the hold [s].
+        h_r: Energy dissipated with it [J].
+        h_m: Energy received [J].
+        limited: True when the change takes up less than was received; the remainder leaks.
+    """
+    before = storage.h_s
+    moved = storage.state + change
+    state = environment.admissible(moved, storage.true)
+    h_s = environment.stored_energy(state)
+    storage.velocity = change / elapsed
+    leak = rest_of(before + h_m, h_r + h_s) if limited or state != moved else 0.0
+    return relax(environment, storage, state, h_s, elapsed, h_r), leak
+
+
+def approximate(
+    environment: Environment, storage: Storage, elapsed: float, dissipation: float, h_m: float
+) -> HoldAccount:
+    """Dissipate a given energy, as far as it is available, and set the state of the remaining energy (eqs. 6, 7, 18).
+
+    Args:
+        environment: The rendered environment.
+        storage: Storage; its state is updated.
+        elapsed: Time of the hold [s].
+        dissipation: T d v^2 with the velocity inside the torque of this hold [J].
+        h_m: Energy received [J].
+    """
+    available = storage.h_s + h_m
+    if available <= 0.0:
+        empty(storage)
+        return new(HoldAccount, (_DEPLETED, 0.0, 0.0, -available, 0.0))
+    h_r = min(dissipation, available)
+    before = storage.state
+    state = environment.state_of_energy(available - h_r, before if before != 0.0 else storage.true)
+    h_s = environment.stored_energy(state)
+    leak = rest_of(available, h_r + h_s)
+    storage.velocity = (state - before) / elapsed
+    return new(HoldAccount, (_FALLBACK, relax(environment, storage, state, h_s, elapsed, h_r), 0.0, 0.0, leak))
+
+
+def relax(environment: Environment, storage: Storage, state: float, h_s: float, elapsed: float, h_r: float) -> float:
+    """Take a state and its energy after one hold of relaxation; return h_r with the relaxation's dissipation [J]."""
+    if environment.relaxes:
+        strained = h_s
+        state = environment.relaxed(state, elapsed)
+        h_s = environment.stored_energy(state)
+        h_r += strained - h_s
+    storage.state, storage.h_s = state, h_s
+    return h_r
+
+
+def rest_of(available: float, used: float) -> float:
+    """Remainder of an energy [J]; rounding errors count as 0."""
+    rest = available - used
+    return rest if rest > _ROUNDING * available else 0.0
+
+
+def leave(storage: Storage, account: HoldAccount) -> HoldAccount:
+    """Convert the account of a contact's last hold into an exit: everything left is leaked."""
+    _, h_r, gen, deficit, leak = account
+    leak += storage.h_s
+    empty(storage)
+    return new(HoldAccount, (_EXIT, h_r, gen, deficit, leak))
+
+
+class StoredModelParameters(DamperVelocity):
+    """Velocity of the damper, and recovery of the surplus."""
+
+    alpha: Alpha = 0.0
+    """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredModelSettings:
+    """Constants of a run."""
+
+    given: Any  # parameters of the algorithm; a kernel reads their numbers alone
+    cap: float  # of the damping [N*s/m or N*m*s/rad]
+    damping: float  # of the model [N*s/m or N*m*s/rad]
+    is_linear: bool  # whether the storage is k x^2 / 2
+    stiffness: float  # k, where it is [N/m or N*m/rad]
+    stores: bool  # whether it stores anything
+    hold: HoldSettings
+
+
+@dataclass(slots=True)
+class StoredModelState:
+    """State kept from SYNC to SYNC; an algorithm adds its own fields."""
+
+    axis: Axis = field(default_factory=Axis)
+    storage: Storage = field(default_factory=Storage)
+
+
+StoredModelRun: TypeAlias = Run[StoredModelSettings, Any, HoldMemory]
+"""Settings, state and memory of an algorithm."""
+
+
+def stored_model_settings(
+    environment: Environment, parameters: StoredModelParameters, loop: LoopProperties
+) -> StoredModelSettings:
+    """Constants of a run.
+
+    Raises:
+        ParameterError: A windowed velocity without an encoder count.
+    """
+    cap = damping_cap(loop.delay, loop.moving_mass, loop.sample_time)
+    stiffness = environment.linear_stiffness
+    return StoredModelSettings(
+        given=plain(parameters),
+        cap=cap,
+        damping=min(environment.damping, cap),
+        is_linear=stiffness is not None,
+        stiffness=stiffness or 0.0,
+        stores=stiffness != 0.0,
+        hold=hold_settings(parameters, loop, Certificate.NONE),
+    )
+
+
+def dissipation(settings: StoredModelSettings, hold: Hold) -> float:
+    """Return T d v^2 of a hold with the velocity inside the torque that was applied in it [J] (eqs. 6, 18)."""
+    return hold.elapsed * (hold.damper * hold.damper) / settings.damping if settings.damping != 0.0 else 0.0
+
+
+def step(environment: Environment, run: StoredModelRun, position: float, torque_applied: float) -> EnergyBalance:
+    """Account for the hold that ended; see `Controller.step`."""
+    settings, state, memory = run.settings, run.state, run.memory.axis
+    axis, storage = state.axis, state.storage
+    if not axis.started:
+        begin(axis, memory, position)
+        storage.zone = zone = environment.contact(position)  # a deadlock, as the user has not pushed in
+        storage.true = environment.true_state(position, 0.0, 0.0) if zone else 0.0
+        return AT_REST
+    hold = open_hold(settings.hold, axis, memory, position, torque_applied)
+    changed = follow(environment, storage, position, hold.displacement, hold.elapsed)
+    if storage.zone:
+        account = touch(environment, settings, state, hold, changed)
+    elif changed or hold.h_i != 0.0:
+        account = leave(storage, exchange(environment, settings, storage, hold))
+    else:
+        account = UNTOUCHED
+    return close(environment, run, hold, account)
+
+
+def close(environment: Environment, run: StoredModelRun, hold: Hold, account: HoldAccount) -> EnergyBalance:
+    """Send spring, damper and the modulated damper of eq. 19, and return the balance of the hold.
+
+    Args:
+        environment: The rendered environment.
+        run: Run of the algorithm, its storage after the hold.
+        hold: The hold as it was opened.
+        account: Account of the hold by the algorithm.
+    """
+    settings, storage = run.settings, run.state.storage
+    state, h_s = storage.state, storage.h_s
+    if not storage.zone:
+        return close_hold(run, hold, account, (0.0, 0.0, 0.0), 0.0, state, h_s)
+    measured = settings.hold.tolerance > 0.0 and not (settings.stores and is_deadlocked(storage))
+    rendered, modulated = settings.damping, 0.0
+    damper = rendered * (hold.velocity if measured else storage.velocity)
+    if settings.given.alpha > 0.0:
+        surplus = surplus_after(run.state.axis, hold, account)[0]
+        extra = modulated_damping(
+            settings.given.alpha, surplus, rendered, settings.cap, hold.displacement, hold.elapsed
+        )
+        modulated = extra * hold.displacement / hold.elapsed
+        rendered += extra
+    efforts = environment.effort(state), damper, modulated
+    return close_hold(run, hold, account, efforts, rendered, state, h_s)
+
+
+_RESOLVED: Final = 2.5e-16  # of the stored energy: what a difference of two energies can resolve
 _EXACT, _STICKY = Branch.EXACT.value, Branch.STICKY.value
 
 
@@ -55,18 +467,14 @@ class InternalDissipationParameters(StoredModelParameters):
 
 
 @dataclass(slots=True)
-class _InternalDissipationState(StoredModelState):
+class InternalDissipationState(StoredModelState):
     """State kept from SYNC to SYNC."""
 
     blind: int = 0  # holds until the first torque after a start is felt
 
 
 def touch(
-    environment: Environment,
-    settings: StoredModelSettings[Any],
-    state: _InternalDissipationState,
-    hold: Hold,
-    entered: bool,
+    environment: Environment, settings: StoredModelSettings, state: InternalDissipationState, hold: Hold, entered: bool
 ) -> HoldAccount:
     """Account for a hold that ended in contact.
 
@@ -84,7 +492,7 @@ def touch(
     return exchange(environment, settings, storage, hold)
 
 
-def exchange(environment: Environment, settings: StoredModelSettings[Any], storage: Storage, hold: Hold) -> HoldAccount:
+def exchange(environment: Environment, settings: StoredModelSettings, storage: Storage, hold: Hold) -> HoldAccount:
     """Change the state by the solution of eq. 8, or by eq. 18 where there is none."""
     damper, h_m = hold.damper, hold.h_i - hold.h_pas
     change = solve(environment, settings, storage, hold.displacement, damper, h_m)
@@ -103,7 +511,7 @@ def exchange(environment: Environment, settings: StoredModelSettings[Any], stora
 
 
 def solve(
-    environment: Environment, settings: StoredModelSettings[Any], storage: Storage, displacement: float, damper: float,
+    environment: Environment, settings: StoredModelSettings, storage: Storage, displacement: float, damper: float,
     h_m: float,
 ) -> float:  # fmt: skip
     """Return the state change of eq. 8 [m or rad], or NaN (eq. 17)."""
@@ -111,11 +519,11 @@ def solve(
         stiffness = settings.stiffness
         return solve_balance(stiffness, stiffness * storage.state + damper, h_m, displacement)
     old = Balance(storage.state, storage.h_s, damper)
-    return solve_balance_nonlinear(environment, old, h_m, 2.0 * displacement, _ROUNDING * storage.h_s)
+    return solve_balance_nonlinear(environment, old, h_m, 2.0 * displacement, _RESOLVED * storage.h_s)
 
 
 class InternalDissipation(SteppedController):
     """The paper's algorithm for one axis."""
 
     parameters_type = InternalDissipationParameters
-    kernel = stored_model_kernel(_InternalDissipationState, touch, exchange)
+    kernel = Kernel(stored_model_settings, InternalDissipationState, hold_memory, step)

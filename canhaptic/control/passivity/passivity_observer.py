@@ -15,8 +15,8 @@ from canhaptic.control.balance import RunningSum, add
 from canhaptic.control.damping import DamperVelocity, damping_cap
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Hold
-from canhaptic.control.passivity.sampled_model import (
+from canhaptic.control.passivity.stepped import Hold, SteppedController
+from canhaptic.control.passivity.unprotected import (
     Asked,
     Reply,
     SampledRun,
@@ -25,7 +25,6 @@ from canhaptic.control.passivity.sampled_model import (
     sampled_kernel,
     sampled_settings,
 )
-from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import new
 from canhaptic.units import quantity

@@ -15,7 +15,10 @@ def solve_linear(matrix: Matrix, right: Buffer) -> bool:
     """Solve in place by elimination with row pivots; return False where the matrix is singular."""
     n = len(right)
     for column in range(n):
-        pivot = _pivot_of(matrix, column)
+        pivot = column  # the row, from the diagonal down, with the largest entry
+        for index in range(column + 1, n):
+            if abs(matrix[index][column]) > abs(matrix[pivot][column]):
+                pivot = index
         if not abs(matrix[pivot][column]) > 0.0:
             return False
         if pivot != column:
@@ -30,15 +33,6 @@ def solve_linear(matrix: Matrix, right: Buffer) -> bool:
             total -= row[k] * right[k]
         right[index] = total / row[index]
     return True
-
-
-def _pivot_of(matrix: Matrix, column: int) -> int:
-    """Return the row, from the diagonal down, with the largest entry of a column."""
-    pivot, largest = column, abs(matrix[column][column])
-    for row in range(column + 1, len(matrix)):
-        if abs(matrix[row][column]) > largest:
-            pivot, largest = row, abs(matrix[row][column])
-    return pivot
 
 
 def _eliminate(matrix: Matrix, right: Buffer, column: int) -> None:

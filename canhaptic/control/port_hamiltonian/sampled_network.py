@@ -27,13 +27,13 @@ from typing import Final, NamedTuple, Protocol
 
 from canhaptic.control.port_hamiltonian.gauss import dot, solve_linear
 from canhaptic.control.port_hamiltonian.network import (
+    Functions,
     NetworkTables,
     discrete_gradient,
     extension,
     gradient,
     stored_energy,
 )
-from canhaptic.control.port_hamiltonian.storages import Functions
 from canhaptic.kernels import Buffer, Matrix, list_of_zeros, zeros
 
 

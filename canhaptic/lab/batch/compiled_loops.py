@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.environment import Environment, tuple_type
-from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel
-from canhaptic.control.multi_axis.group_motion import GroupModel, GroupMotion, why_not_world
+from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, GroupModel, GroupMotion, why_not_world
 from canhaptic.errors import EventLimitError, InputError, ParameterError
 from canhaptic.kernels import Buffer, Kernel, Matrix, Run
 from canhaptic.kernels.compiler import compiled, fixed_tuple

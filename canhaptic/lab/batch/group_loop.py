@@ -31,10 +31,9 @@ import numpy as np
 
 from canhaptic.control.balance import RANKS, Branch
 from canhaptic.control.mechanisms.kinematics import Kinematics
-from canhaptic.control.multi_axis import GROUP_ALGORITHMS, group_motion
+from canhaptic.control.multi_axis import GROUP_ALGORITHMS, group_kernel
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
-from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel
-from canhaptic.control.multi_axis.group_motion import GroupModel, MotionAhead, begin_motion, follow, write_efforts
+from canhaptic.control.multi_axis.group_kernel import GroupModel, MotionAhead, begin_motion, follow, write_efforts
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, new
 from canhaptic.kernels.records import record_of, records_of
@@ -70,7 +69,7 @@ class GroupRig(NamedTuple):
     damping_per_time: Buffer  # b / T of every motor for certain [N/m or N*m/rad]
     furthest: float  # distance from the origin that counts as divergence [m or rad]
     explains: bool  # whether the shares of spring and damper are asked for
-    true: group_motion.MotionSettings  # of a group that knows its true positions
+    true: group_kernel.MotionSettings  # of a group that knows its true positions
 
 
 class LinearMotors(NamedTuple):
@@ -95,8 +94,8 @@ class GroupRoom(NamedTuple):
     moved: Buffer  # true motion in the hold that ended
     spring: Buffer  # asked for at the last SYNC [N or N*m]
     still: Buffer  # zeros
-    asked: group_motion.MotionMemory  # of the group that is followed with its true positions
-    request: group_motion.RequestedEfforts  # of its network
+    asked: group_kernel.MotionMemory  # of the group that is followed with its true positions
+    request: group_kernel.RequestedEfforts  # of its network
 
 
 @dataclass(slots=True)
@@ -114,14 +113,14 @@ class GroupMeter:
     damping_asked: float = 0.0  # along the motion, as `Meter.damping` is what was rendered [N*s/m or N*m*s/rad]
 
 
-def step(*_kernel: Any) -> GroupHold:
+def step(*_kernel: Any) -> group_kernel.GroupHold:
     """Kernel of an algorithm, see `GroupKernel`; the caller of `run_group` supplies it."""
     raise NotImplementedError
 
 
 def run_group(
     world: GroupModel, settings: object, state: Any, memory: Any, rig: GroupRig, motors: Any, room: GroupRoom,
-    followed: group_motion.GroupMotion, meter: GroupMeter, rows: Matrix, cycles: int,
+    followed: group_kernel.GroupMotion, meter: GroupMeter, rows: Matrix, cycles: int,
 ) -> None:  # fmt: skip
     """Run a loop until its last SYNC or until it diverges; a number that is not finite counts as divergence.
 
@@ -203,7 +202,7 @@ def is_away(rig: GroupRig, room: GroupRoom) -> bool:
     return False
 
 
-def take_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, hold: GroupHold) -> None:
+def take_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, hold: group_kernel.GroupHold) -> None:
     """Take one SYNC; see `meter.take`."""
     figures, account, square, largest = meter.figures, hold.account, 0.0, 0.0
     figures.cycles += 1.0
@@ -227,7 +226,7 @@ def take_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, 
 
 
 def explain(
-    world: GroupModel, rig: GroupRig, room: GroupRoom, followed: group_motion.GroupMotion, meter: GroupMeter
+    world: GroupModel, rig: GroupRig, room: GroupRoom, followed: group_kernel.GroupMotion, meter: GroupMeter
 ) -> None:
     """Follow the network with the true motion, and add any hold that began and ended in contact to the sums."""
     was_engaged, request = followed.engaged, room.request
@@ -532,7 +531,7 @@ def _listed(flow: Array, state: Array, places: Sequence[int]) -> GroupPlant:
 class GroupCase(NamedTuple):
     """One group in kernel form."""
 
-    kernel: GroupKernel
+    kernel: group_kernel.GroupKernel
     world: GroupModel
     settings: Any
     rig: GroupRig
@@ -556,8 +555,8 @@ class GroupCase(NamedTuple):
         """Return buffers of zeros."""
         axes = len(self.rig.loops)
         one = [list_of_zeros(axes) for _ in GroupRoom._fields]
-        request = group_motion.RequestedEfforts(*(list_of_zeros(axes) for _ in range(4)))
-        return GroupRoom(*one)._replace(asked=group_motion.motion_memory(self.world, self.rig.true), request=request)  # type: ignore[arg-type]
+        request = group_kernel.RequestedEfforts(*(list_of_zeros(axes) for _ in range(4)))
+        return GroupRoom(*one)._replace(asked=group_kernel.motion_memory(self.world, self.rig.true), request=request)  # type: ignore[arg-type]
 
 
 def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
@@ -576,18 +575,18 @@ def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
     axes = [scene.axis(name) for name in group.axes]
     loops = tuple(loop_as_known(axis) for axis in axes)
     environment, kinematics = (cast(Any, part.parameters) for part in (group.network, group.kinematics))
-    world = group_motion.world_of(cast(NetworkEnvironment, environment), cast(Kinematics, kinematics), loops)
-    kernel: GroupKernel = load(GROUP_ALGORITHMS, group.passivity.name, "group algorithm").kernel
+    world = group_kernel.world_of(cast(NetworkEnvironment, environment), cast(Kinematics, kinematics), loops)
+    kernel: group_kernel.GroupKernel = load(GROUP_ALGORITHMS, group.passivity.name, "group algorithm").kernel
     settings = kernel.settings(world, group.passivity.parameters, loops)
     rig = GroupRig(
         scene.bus.delay, [_loop_of(axis, scene.bus) for axis in axes],
         [(axis.loop.device_damping or 0.0) / scene.bus.sample_time for axis in axes], FURTHEST, explains,
-        group_motion.motion_settings(world, tuple(loop.model_copy(update={"encoder_count": 0.0}) for loop in loops)),
+        group_kernel.motion_settings(world, tuple(loop.model_copy(update={"encoder_count": 0.0}) for loop in loops)),
     )  # fmt: skip
     found = _plant_in_loop(scene, axes)
     if isinstance(found, str):
         return GroupCase(kernel, world, settings, rig, GroupPlant(lambda _listed: None, {}), found).with_objects(scene)
-    return GroupCase(kernel, world, settings, rig, found, group_motion.why_not_world(world))
+    return GroupCase(kernel, world, settings, rig, found, group_kernel.why_not_world(world))
 
 
 def _loop_of(axis: AxisScene, bus: BusParameters) -> LoopSettings:

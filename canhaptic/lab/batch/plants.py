@@ -32,8 +32,7 @@ from typing import Any, Final, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.control.certificates.certified_torque import free_of_late, largest_of_late
-from canhaptic.control.certificates.torque_bound import doubt_of_late, end_gap
+from canhaptic.control.certificates.certified_torque import doubt_of_late, end_gap, free_of_late, largest_of_late
 from canhaptic.errors import EventLimitError, ParameterError
 from canhaptic.kernels import Buffer, Indices
 from canhaptic.kernels.records import Records, records_of

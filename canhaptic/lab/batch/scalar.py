@@ -22,9 +22,8 @@ import numpy as np
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.environment import Environment, plain
-from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel
-from canhaptic.control.multi_axis.group_motion import GroupMotion
-from canhaptic.control.passivity.hold_account import Axis
+from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, GroupMotion
+from canhaptic.control.passivity.stepped import Axis
 from canhaptic.errors import CanHapticError, ControlError
 from canhaptic.kernels import Run, with_quick_fields
 from canhaptic.kernels.records import bound

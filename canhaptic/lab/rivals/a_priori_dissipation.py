@@ -22,12 +22,10 @@ applied in that very hold; holds are booked to the end as in `internal_dissipati
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.hold_account import Hold, HoldAccount
-from canhaptic.control.passivity.stepped import SteppedController
-from canhaptic.control.passivity.stored_model import (
+from canhaptic.control.passivity.internal_dissipation import (
     Storage,
     StoredModelParameters,
     StoredModelSettings,
@@ -39,8 +37,12 @@ from canhaptic.control.passivity.stored_model import (
     is_deadlocked,
     pushed_inward,
     start,
-    stored_model_kernel,
+    step,
+    stored_model_settings,
 )
+from canhaptic.control.passivity.stepped import Hold, HoldAccount, SteppedController, hold_memory
+from canhaptic.kernels import Kernel
+from canhaptic.kernels.records import filled
 
 
 class APrioriDissipationParameters(StoredModelParameters):
@@ -64,7 +66,7 @@ class _APrioriDissipationState(StoredModelState):
 
 def touch(
     environment: Environment,
-    settings: StoredModelSettings[APrioriDissipationParameters],
+    settings: StoredModelSettings,
     state: _APrioriDissipationState,
     hold: Hold,
     entered: bool,
@@ -80,7 +82,7 @@ def touch(
     return exchange(environment, settings, storage, hold)
 
 
-def exchange(environment: Environment, settings: StoredModelSettings[Any], storage: Storage, hold: Hold) -> HoldAccount:
+def exchange(environment: Environment, settings: StoredModelSettings, storage: Storage, hold: Hold) -> HoldAccount:
     """Dissipate the energy that the velocity within this hold's torque demands (eqs. 6, 7)."""
     account = approximate(environment, storage, hold.elapsed, dissipation(settings, hold), hold.h_i - hold.h_pas)
     if storage.h_s == 0.0:
@@ -92,4 +94,6 @@ class APrioriDissipation(SteppedController):
     """The predecessor of the paper's algorithm for one axis."""
 
     parameters_type = APrioriDissipationParameters
-    kernel = stored_model_kernel(_APrioriDissipationState, touch, exchange)
+    kernel = Kernel(
+        stored_model_settings, _APrioriDissipationState, hold_memory, filled(step, touch=touch, exchange=exchange)
+    )

@@ -21,12 +21,11 @@ from typing import Annotated, Any
 from canhaptic.control.balance import add
 from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity import sampled_model
+from canhaptic.control.passivity import unprotected
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Hold
 from canhaptic.control.passivity.passivity_observer import ObserverState
-from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun
-from canhaptic.control.passivity.stepped import SteppedController
+from canhaptic.control.passivity.stepped import Hold, SteppedController
+from canhaptic.control.passivity.unprotected import Asked, Reply, SampledRun
 from canhaptic.kernels import new
 from canhaptic.units import quantity
 
@@ -52,10 +51,10 @@ class _BoundedObserverState(ObserverState):
 
 def settings_of(
     environment: Environment, parameters: BoundedObserverParameters, loop: LoopProperties
-) -> sampled_model.SampledSettings[Any]:
+) -> unprotected.SampledSettings[Any]:
     """Constants of a run; the limit applies to the force."""
     limit = inf if parameters.force_limit is None else parameters.force_limit
-    return sampled_model.sampled_settings(environment, parameters, loop, limit)
+    return unprotected.sampled_settings(environment, parameters, loop, limit)
 
 
 def respond(run: SampledRun[BoundedObserverParameters, _BoundedObserverState], hold: Hold, asked: Asked) -> Reply:
@@ -69,7 +68,7 @@ def respond(run: SampledRun[BoundedObserverParameters, _BoundedObserverState], h
 
 
 def controlling_force(
-    settings: sampled_model.SampledSettings[BoundedObserverParameters],
+    settings: unprotected.SampledSettings[BoundedObserverParameters],
     state: _BoundedObserverState,
     observed: float,
     hold: Hold,
@@ -100,4 +99,4 @@ class BoundedObserver(SteppedController):
     """Time-domain passivity control with bounded force around the sampled environment."""
 
     parameters_type = BoundedObserverParameters
-    kernel = sampled_model.sampled_kernel(respond, _BoundedObserverState, settings_of)
+    kernel = unprotected.sampled_kernel(respond, _BoundedObserverState, settings_of)

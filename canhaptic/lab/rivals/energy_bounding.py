@@ -18,11 +18,10 @@ from math import inf, sqrt
 from canhaptic.control.balance import Certificate, RunningSum, add
 from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity import sampled_model
+from canhaptic.control.passivity import unprotected
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Hold, hold_settings
-from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun
-from canhaptic.control.passivity.stepped import SteppedController, towards_zero
+from canhaptic.control.passivity.stepped import Hold, SteppedController, hold_settings, towards_zero
+from canhaptic.control.passivity.unprotected import Asked, Reply, SampledRun
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, new
 
@@ -42,7 +41,7 @@ class Device:
 
 
 @dataclass(slots=True)
-class _EnergyBoundingState(sampled_model.SampledState):
+class _EnergyBoundingState(unprotected.SampledState):
     """State kept from SYNC to SYNC."""
 
     energy: RunningSum = field(default_factory=RunningSum)  # E_n [J]
@@ -52,7 +51,7 @@ class _EnergyBoundingState(sampled_model.SampledState):
 
 def settings_of(
     environment: Environment, parameters: EnergyBoundingParameters, loop: LoopProperties
-) -> sampled_model.SampledSettings[Device]:
+) -> unprotected.SampledSettings[Device]:
     """Constants of a run.
 
     Raises:
@@ -67,7 +66,7 @@ def settings_of(
     timing = loop.timing
     promised = Certificate.NONE if timing.late else Certificate.DEVICE_DAMPING
     device = Device(loop.device_damping, timing.longest, loop.encoder_count, loop.torque_quantum)
-    return sampled_model.SampledSettings(device, inf, hold_settings(parameters, loop, promised))
+    return unprotected.SampledSettings(device, inf, hold_settings(parameters, loop, promised))
 
 
 def respond(run: SampledRun[Device, _EnergyBoundingState], hold: Hold, asked: Asked) -> Reply:
@@ -112,4 +111,4 @@ class EnergyBounding(SteppedController):
     """The sampled environment, its torque bounded by certain device damping."""
 
     parameters_type = EnergyBoundingParameters
-    kernel = sampled_model.sampled_kernel(respond, _EnergyBoundingState, settings_of)
+    kernel = unprotected.sampled_kernel(respond, _EnergyBoundingState, settings_of)

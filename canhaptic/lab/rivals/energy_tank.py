@@ -20,9 +20,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from canhaptic.control.damping import DamperVelocity
-from canhaptic.control.passivity.hold_account import Hold
-from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun, SampledState, sampled_kernel
-from canhaptic.control.passivity.stepped import SteppedController
+from canhaptic.control.passivity.stepped import Hold, SteppedController
+from canhaptic.control.passivity.unprotected import Asked, Reply, SampledRun, SampledState, sampled_kernel
 from canhaptic.kernels import Buffer, new
 from canhaptic.units import quantity
 

@@ -18,9 +18,8 @@ from typing import Annotated, Final
 
 from canhaptic.control.balance import Branch
 from canhaptic.control.damping import DamperVelocity
-from canhaptic.control.passivity.hold_account import Hold
-from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun, SampledState, sampled_kernel
-from canhaptic.control.passivity.stepped import SteppedController
+from canhaptic.control.passivity.stepped import Hold, SteppedController
+from canhaptic.control.passivity.unprotected import Asked, Reply, SampledRun, SampledState, sampled_kernel
 from canhaptic.kernels import new
 from canhaptic.units import quantity
 

@@ -17,10 +17,9 @@ from typing import Annotated
 
 from canhaptic.control.balance import add
 from canhaptic.control.passivity import passivity_observer
-from canhaptic.control.passivity.hold_account import Hold
 from canhaptic.control.passivity.passivity_observer import controlling_damping, observer_settings
-from canhaptic.control.passivity.sampled_model import Asked, Reply, SampledRun, sampled_kernel
-from canhaptic.control.passivity.stepped import SteppedController
+from canhaptic.control.passivity.stepped import Hold, SteppedController
+from canhaptic.control.passivity.unprotected import Asked, Reply, SampledRun, sampled_kernel
 from canhaptic.kernels import new
 from canhaptic.units import quantity
 

@@ -25,12 +25,22 @@ from typing import ClassVar, Final, NamedTuple, TypeAlias
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.damping import Alpha, modulated_damping
 from canhaptic.control.multi_axis import group_kernel
-from canhaptic.control.multi_axis.group_kernel import GroupHold, end_holds, next_place, norm, send_nothing, torque_held
-from canhaptic.control.multi_axis.group_motion import GroupModel, begin_motion, move, to_motors
+from canhaptic.control.multi_axis.group_kernel import (
+    GroupHold,
+    GroupModel,
+    begin_motion,
+    end_holds,
+    move,
+    next_place,
+    norm,
+    send_nothing,
+    to_motors,
+    torque_held,
+)
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import HoldAccount
-from canhaptic.control.passivity.stored_model import solve_balance
-from canhaptic.control.port_hamiltonian.network import NetworkTables, discrete_gradient, extension, gradient
+from canhaptic.control.passivity.internal_dissipation import solve_balance
+from canhaptic.control.passivity.stepped import HoldAccount
+from canhaptic.control.port_hamiltonian.network import Functions, NetworkTables, discrete_gradient, extension, gradient
 from canhaptic.control.port_hamiltonian.sampled_network import (
     begin_network,
     dampers,
@@ -40,7 +50,6 @@ from canhaptic.control.port_hamiltonian.sampled_network import (
     share_inside,
     springs,
 )
-from canhaptic.control.port_hamiltonian.storages import Functions
 from canhaptic.kernels import Buffer, Run, list_of_zeros, new
 from canhaptic.units import Parameters
 
@@ -319,7 +328,7 @@ def begin_state(world: GroupModel, run: ScaledRun) -> None:
 
 
 def exchange(world: GroupModel, run: ScaledRun, h_m: float, damped: float, power: float) -> HoldAccount:
-    """Book a hold whose motion `group_motion.move` has taken.
+    """Book a hold whose motion `group_kernel.move` has taken.
 
     Args:
         world: Network and kinematics of the group.

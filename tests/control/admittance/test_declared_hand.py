@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from canhaptic.control.admittance.declared_hand import DeclaredHand, declared_hand_settings, go_on, lightest, loss
+from canhaptic.control.admittance.declared_hand import DeclaredHand
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, loop_settings
 from canhaptic.errors import ParameterError
@@ -65,9 +65,9 @@ def _known(**declared: float | None) -> tuple[GuardedAdmittanceParameters, Admit
 def _worst(speed: float, **declared: float) -> tuple[float, float]:
     """Returns what one command for one hold costs by the formula, and what the worst hand known takes of it [J]."""
     known, properties = _known(**declared)
-    settings = declared_hand_settings(known, loop_settings(known, properties), 0)
-    still = DeclaredHand([], up=0.0, down=0.0, up_with_mass=0.0, down_with_mass=0.0)
-    said = loss(settings, still, [0.0] * 4, 0, speed)
+    still = DeclaredHand(known, loop_settings(known, properties), properties)
+    still.up = still.down = still.up_with_mass = still.down_with_mass = 0.0
+    said = still.loss([0.0] * 4, 0, speed)
     rig = DeclaredRig(
         moved=2.0, bandwidth=628.0 / (2.0 * math.pi * 2.0), stiffness=known.hand_stiffness,
         speed=known.hand_speed, mass=known.hand_mass, damping=known.hand_damping,
@@ -75,8 +75,8 @@ def _worst(speed: float, **declared: float) -> tuple[float, float]:
     half, found, energy = _Hold(rig, 0.5 * rig.time / 10), DeclaredOutcome(), 0.0
     state = half.matrix[0] * 0.0
     for hold in range(40):
-        state[5] = speed if hold == settings.holds else 0.0
-        if hold == settings.holds and known.hand_damping == 0.0:
+        state[5] = speed if hold == still.holds else 0.0
+        if hold == still.holds and known.hand_damping == 0.0:
             state[3] = -known.hand_speed  # the far side draws away as the motion begins
         energy = _follow(half, state, energy, found)
     return said, -found.least
@@ -100,10 +100,9 @@ def test_what_a_command_costs_is_what_a_hand_can_take_and_little_more(declared: 
 
 def test_commands_are_followed_as_a_loop_of_first_order_follows() -> None:
     known, properties = _known()
-    settings = declared_hand_settings(known, loop_settings(known, properties), 0)
-    hand = DeclaredHand([0.0])
+    hand = DeclaredHand(known, loop_settings(known, properties), properties)
     for _ in range(10):
-        go_on(settings, hand, 0.5)
+        hand.go_on(0.5)
     assert hand.speed == pytest.approx(0.5 * (1.0 - math.exp(-10e-3 * 628.0 / 2.0)))
     assert hand.speeds == [hand.speed]
 
@@ -112,7 +111,7 @@ def test_the_lightest_mass_is_that_of_the_spring_for_a_hand_at_rest() -> None:
     """K_e (nT + aT + l)^2, and little more for what the drive yields."""
     known, properties = _known()
     way = 2.0 / 628.0 + 2e-3
-    carried = lightest(declared_hand_settings(known, loop_settings(known, properties), 0), 0.5)
+    carried = DeclaredHand(known, loop_settings(known, properties), properties).lightest(0.5)
     assert 1.0 <= carried / (1000.0 * way * way) < 1.1
 
 

@@ -6,23 +6,13 @@ import numpy as np
 import pytest
 
 from canhaptic.control.admittance.admittance_environment import Commands
-from canhaptic.control.admittance.velocity_loop import (
-    LoopState,
-    VelocityLoopSettings,
-    fastest,
-    gained,
-    loss_under_way,
-    may_limit,
-    sequence_loss,
-)
+from canhaptic.control.admittance.velocity_loop import LoopState, VelocityLoop
 
 _STEPS = 40  # of the motion in one hold
 
 
-def _settings(
-    gain: float, integral: float, *, delay: int = 1, losses: int = 0, time: float = 1e-3
-) -> VelocityLoopSettings:
-    return VelocityLoopSettings(time, delay, losses, 2.0, gain, gain, integral, integral, 0.0, 1e9)
+def _settings(gain: float, integral: float, *, delay: int = 1, losses: int = 0, time: float = 1e-3) -> VelocityLoop:
+    return VelocityLoop(time, delay, losses, 2.0, gain, gain, integral, integral, 0.0, 1e9)
 
 
 def _form(commands: list[float], gain: float, integral: float, lead: float, time: float) -> tuple:
@@ -58,7 +48,7 @@ def test_the_loss_of_a_sequence_is_that_of_the_worst_motion(seed: int) -> None:
     commands = random.uniform(-1.0, 1.0, random.integers(1, 5)).tolist()
     lead = random.uniform(-0.02, 0.02) if integral else 0.0
     ring = _sent(commands)
-    found = sequence_loss(_settings(gain, integral, time=time), lead, ring, len(commands), len(commands) - 1)
+    found = _settings(gain, integral, time=time).sequence_loss(lead, ring, len(commands), len(commands) - 1)
     worst = _worst(commands, gain, integral, lead, time)
     scale = gain * time * max(abs(c) for c in commands) ** 2
     assert worst <= found + 1e-9 * scale
@@ -73,7 +63,7 @@ def test_the_gain_by_encoder_and_command_is_the_least_of_all_motions_of_that_way
     command, moved = random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0) * time
     lead = random.uniform(-0.02, 0.02) if integral else 0.0
     ring = _sent([command, 0.0])
-    found = gained(_settings(gain, integral, time=time), lead, ring, moved)
+    found = _settings(gain, integral, time=time).gained(lead, ring, moved)
     quadratic, linear, constant = _form([command], gain, integral, lead, time)
     step = time / _STEPS  # least -loss with the way given: a bordered linear system
     system = np.block(
@@ -101,7 +91,7 @@ def test_a_drive_at_its_torque_limit_proves_no_more_than_it_brakes(evenness: flo
         torque = np.clip(gain * (command - speed), -limit, limit)
         at_limit += bool((abs(torque) == limit).any())
         ring = _sent([command, 0.0])
-        found = gained(settings, 0.0, ring, float(speed.sum() * step))
+        found = settings.gained(0.0, ring, float(speed.sum() * step))
         assert found <= -float((torque * speed).sum() * step) + 1e-3  # of the steps
     assert at_limit > 100
 
@@ -110,8 +100,8 @@ def test_a_hold_shorter_than_the_sample_time_was_faster_and_may_reach_the_torque
     """0.9 m/s over T are 1.125 m/s where the hold lasted 0.8 T."""
     settings = replace(_settings(100.0, 0.0), torque_limit=110.0)
     loop = LoopState(velocity=0.9)
-    assert not may_limit(settings, loop, 0.0, 0)
-    assert may_limit(replace(settings, evenness=0.8 / 1.2), loop, 0.0, 0)
+    assert not settings.may_limit(loop, 0.0, 0)
+    assert replace(settings, evenness=0.8 / 1.2).may_limit(loop, 0.0, 0)
 
 
 @pytest.mark.parametrize("seed", range(16))
@@ -125,7 +115,7 @@ def test_what_is_allowed_loses_just_the_budget(seed: int) -> None:
     ring = _sent([*under_way, 0.0])
     ring.newest -= 1
     budget = random.uniform(0.0, 0.3)
-    speed = fastest(settings, lead, ring, budget, sign)
+    speed = settings.fastest(lead, ring, budget, sign)
     worst = _worst([*under_way, sign * speed], gain, integral, lead, time)
     assert worst <= budget + 1e-9 or speed == 0.0
     if speed > 0.0:
@@ -141,15 +131,15 @@ def test_no_way_of_losing_commands_loses_more_than_is_counted(delay: int, losses
         sent = random.uniform(-0.3, 0.3, delay + losses + 1).tolist()
         ring = _sent(sent, delay + losses + 2)
         budget = random.uniform(0.0, 0.2)
-        speed = fastest(settings, 0.0, ring, budget, 1.0)
+        speed = settings.fastest(0.0, ring, budget, 1.0)
         ring.send(speed)
         most = max(_losses_of(sent[1:] if len(sent) > delay + losses else sent, speed, delay, losses, settings))
-        assert most <= loss_under_way(settings, 0.0, ring) + 1e-12
+        assert most <= settings.loss_under_way(0.0, ring) + 1e-12
         if speed > 0.0:
             assert most <= budget + 1e-12
 
 
-def _losses_of(sent: list[float], speed: float, delay: int, losses: int, settings: VelocityLoopSettings) -> list[float]:
+def _losses_of(sent: list[float], speed: float, delay: int, losses: int, settings: VelocityLoop) -> list[float]:
     """Returns the loss of every pattern of lost RPDOs, up to so many in a row; behind the new command comes 0."""
     everything = [*sent, speed, *[0.0] * losses]
     first = len(sent) - delay  # place of the command of the hold that begins now

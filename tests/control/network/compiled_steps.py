@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, GroupRun
-from canhaptic.control.multi_axis.group_motion import GroupModel
+from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, GroupModel
 from canhaptic.kernels import Buffer
 from canhaptic.kernels.compiler import compiled
 from canhaptic.kernels.records import Records, record_of, records_of
@@ -41,7 +40,7 @@ def compiled_step(kernel: GroupKernel, parts: tuple[type, ...]) -> Any:
     return compiled(step_records, {step: kernel.step}, keep=True, parts=parts)
 
 
-def begin_compiled(kernel: GroupKernel, world: GroupModel, settings: Any) -> Callable[[], GroupRun]:
+def begin_compiled(kernel: GroupKernel, world: GroupModel, settings: Any) -> Callable[[], tuple[Any, ...]]:
     """Returns what begins a run; compiles first, which takes up to half a minute where it is not kept on disk.
 
     Raises:
@@ -53,7 +52,7 @@ def begin_compiled(kernel: GroupKernel, world: GroupModel, settings: Any) -> Cal
     memory = record_of(kernel.memory(world, settings))
     rows = memory[0]["group"]["commands"]["torques"].shape[1]
 
-    def begin() -> GroupRun:
+    def begin() -> tuple[Any, ...]:
         states, memories = state.copy(), memory.copy()
         positions, applied = np.zeros(rows), np.zeros(rows)
         commands = memories["group"]["commands"]
@@ -70,7 +69,7 @@ def begin_compiled(kernel: GroupKernel, world: GroupModel, settings: Any) -> Cal
             for ring in commands.dtype.names or ():
                 commands[ring][0, place] = 0.0
 
-        return GroupRun(run, torques, interactions, withhold)
+        return run, torques, interactions, withhold
 
-    begin().step(0, [0.0] * rows, [0.0] * rows)
+    begin()[0](0, [0.0] * rows, [0.0] * rows)
     return begin

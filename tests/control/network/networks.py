@@ -6,8 +6,8 @@ import numpy as np
 
 from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.multi_axis import build_group_controller
-from canhaptic.control.multi_axis.group_certificates import Acting
-from canhaptic.control.multi_axis.per_axis_certificates import (
+from canhaptic.control.multi_axis.group_certificates import (
+    Acting,
     inward_first,
     needed_by_hand,
     per_axis_limits,
@@ -16,7 +16,7 @@ from canhaptic.control.multi_axis.per_axis_certificates import (
     take_sent,
 )
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.control.port_hamiltonian.network import Damper, DoubleWell, Mass, Network, QuadraticForm, Spring
 from canhaptic.control.port_hamiltonian.sampled_network import (
     NetworkState,

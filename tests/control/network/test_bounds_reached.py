@@ -6,9 +6,8 @@ import random
 import pytest
 
 from canhaptic.control.multi_axis.group_account import Gap, account_memory, doubt_of, doubt_of_axis, doubt_of_mover
-from canhaptic.control.multi_axis.group_certificates import axes_of
+from canhaptic.control.multi_axis.group_certificates import axes_of, per_axis_limits
 from canhaptic.control.multi_axis.group_kernel import GroupHolds
-from canhaptic.control.multi_axis.per_axis_certificates import per_axis_limits
 from canhaptic.control.passivity.controller import LoopProperties
 from tests.control.network.networks import AxesApart
 

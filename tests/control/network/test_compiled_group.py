@@ -11,10 +11,9 @@ from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.control.mechanisms.transmission import Transmission
 from canhaptic.control.mechanisms.user_function import UserFunction
 from canhaptic.control.multi_axis import build_group_controller
-from canhaptic.control.multi_axis.group_kernel import SteppedGroup
-from canhaptic.control.multi_axis.group_motion import world_of
+from canhaptic.control.multi_axis.group_kernel import SteppedGroup, world_of
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded_settings import GuardedParameters
+from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.control.port_hamiltonian.network import Network, UserEnergy
 from canhaptic.control.port_hamiltonian.shapes.anisotropic_spring import AnisotropicSpring
 from canhaptic.control.port_hamiltonian.shapes.box import Box

@@ -226,11 +226,11 @@ class _Unsolvable:
             gain=[[1.0], [0.0]],
             structure=[[0.0, -1.0], [1.0, 0.0]],
         )
-        return Rendered(network, LinearGeometry(identity_rows(1), [0.0]))
+        return Rendered(network, LinearGeometry(identity_rows(1), [0.0], 1, 1))
 
 
 def test_a_step_that_is_not_solved_is_rendered_as_no_torque(monkeypatch):
-    monkeypatch.setattr("canhaptic.control.port_hamiltonian.storages.check_gradient", lambda _storage: None)
+    monkeypatch.setattr("canhaptic.control.port_hamiltonian.network.check_gradient", lambda _storage: None)
     controller = group(_Unsolvable(), axes=1)
     limits = set()
     for cycle in range(20):

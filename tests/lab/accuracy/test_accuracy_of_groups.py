@@ -6,8 +6,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from canhaptic.control.multi_axis.group_motion import GroupMotion as MotionState
-from canhaptic.control.multi_axis.group_motion import (
+from canhaptic.control.multi_axis.group_kernel import GroupMotion as MotionState
+from canhaptic.control.multi_axis.group_kernel import (
     MotionAhead,
     RequestedEfforts,
     begin_motion,

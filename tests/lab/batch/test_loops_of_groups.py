@@ -8,8 +8,7 @@ import pytest
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.mechanisms.kinematics import PoseAsked
 from canhaptic.control.mechanisms.transmission import Transmission
-from canhaptic.control.multi_axis.group_kernel import GroupHold
-from canhaptic.control.multi_axis.group_motion import why_not_world
+from canhaptic.control.multi_axis.group_kernel import GroupHold, why_not_world
 from canhaptic.errors import ParameterError
 from canhaptic.lab.batch.group_loop import GroupMeter, LinearMotors, group_case, shares
 from canhaptic.lab.batch.scalar import group_meter, render_group

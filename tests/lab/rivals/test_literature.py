@@ -12,7 +12,7 @@ from canhaptic.control.balance import Certificate
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import LITERATURE, build_controller
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.hold_account import Hold
+from canhaptic.control.passivity.stepped import Hold
 from canhaptic.errors import ParameterError
 from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.rivals import (

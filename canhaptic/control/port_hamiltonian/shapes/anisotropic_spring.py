@@ -4,9 +4,8 @@ from typing import Annotated
 
 from pydantic import model_validator
 
-from canhaptic.control.port_hamiltonian.network import DampingMatrix, Network, QuadraticForm
+from canhaptic.control.port_hamiltonian.network import DampingMatrix, Network, QuadraticForm, symmetric_positive
 from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_length, identity_rows, linear_geometry
-from canhaptic.control.port_hamiltonian.storages import symmetric_positive
 from canhaptic.units import Coordinates, Parameters, quantity
 
 

@@ -39,7 +39,7 @@ class Box(Surface):
         """Return the box; see `NetworkEnvironment`."""
         check_length("box", "lower", len(self.lower), dimensions)
         if self.side == "outside":
-            return self.behind(BoxInside(list(self.lower), list(self.upper)))
+            return self.behind(BoxInside(list(self.lower), list(self.upper), dimensions))
         springs = [
             Spring(stiffness=self.stiffness, hardening=self.hardening, lower=low, upper=high)
             for low, high in zip(self.lower, self.upper, strict=True)
@@ -54,12 +54,8 @@ class BoxInside(NamedTuple):
 
     lower: Buffer
     upper: Buffer
+    dimensions: int  # of task space
     ports: int = 1
-
-    @property
-    def dimensions(self) -> int:
-        """Dimensions of task space."""
-        return len(self.lower)
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
         """Write the largest distance from any face's plane, and the normal of that face."""

@@ -72,16 +72,8 @@ class LinearGeometry(NamedTuple):
 
     matrix: Matrix  # A, one row for each port
     offset: Buffer  # [m or rad]
-
-    @property
-    def ports(self) -> int:
-        """Number of ports of the network."""
-        return len(self.matrix)
-
-    @property
-    def dimensions(self) -> int:
-        """Dimensions of task space."""
-        return len(self.matrix[0])
+    ports: int
+    dimensions: int  # of task space
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
         """Write A p - offset and A."""
@@ -100,7 +92,8 @@ def linear_geometry(rows: Sequence[Sequence[float]], offset: Sequence[float]) ->
         rows: A, one row for each port.
         offset: One entry for each port [m or rad].
     """
-    return LinearGeometry([[float(v) for v in row] for row in rows], [float(v) for v in offset])
+    matrix = [[float(v) for v in row] for row in rows]
+    return LinearGeometry(matrix, [float(v) for v in offset], len(matrix), len(matrix[0]))
 
 
 def coordinates_at(geometry: Geometry, position: Sequence[float]) -> Buffer:

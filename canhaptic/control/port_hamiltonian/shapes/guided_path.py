@@ -51,12 +51,8 @@ class FromPath(NamedTuple):
     starts: Matrix  # (pieces, dimensions) [m or rad]
     along: Matrix  # from start to end
     squares: Buffer  # of the lengths
+    dimensions: int  # of task space
     ports: int = 1
-
-    @property
-    def dimensions(self) -> int:
-        """Dimensions of task space."""
-        return len(self.starts[0])
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
         """Write the distance from the nearest point of the path and the direction away from it."""
@@ -82,4 +78,4 @@ def path_through(points: Sequence[Sequence[float]]) -> FromPath:
     """Return the path from point to point."""
     starts = [list(a) for a, _ in pairwise(points)]
     along = [[y - x for x, y in zip(a, b, strict=True)] for a, b in pairwise(points)]
-    return FromPath(starts, along, [sum(v * v for v in piece) for piece in along])
+    return FromPath(starts, along, [sum(v * v for v in piece) for piece in along], len(starts[0]))

@@ -20,7 +20,7 @@ class Sphere(Surface):
     def build(self, dimensions: int) -> Rendered:
         """Return the sphere; see `NetworkEnvironment`."""
         check_length("sphere", "centre", len(self.centre), dimensions)
-        return self.behind(Round(list(self.centre), self.radius, 1.0 if self.side == "outside" else -1.0))
+        return self.behind(Round(list(self.centre), self.radius, 1.0 if self.side == "outside" else -1.0, dimensions))
 
 
 class Round(NamedTuple):
@@ -29,12 +29,8 @@ class Round(NamedTuple):
     centre: Buffer  # [m or rad]
     radius: float  # [m or rad]
     sign: float  # 1: free space is outside; -1: inside
+    dimensions: int  # of task space
     ports: int = 1
-
-    @property
-    def dimensions(self) -> int:
-        """Dimensions of task space."""
-        return len(self.centre)
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
         """Write the distance from the surface and its normal."""

@@ -33,7 +33,9 @@ class Tube(Surface):
         check_length("tube", "point", len(self.point), dimensions)
         direction = unit_vector("tube", "direction", self.direction, dimensions)
         return self.behind(
-            AroundLine(list(self.point), list(direction), self.radius, 1.0 if self.side == "outside" else -1.0)
+            AroundLine(
+                list(self.point), list(direction), self.radius, 1.0 if self.side == "outside" else -1.0, dimensions
+            )
         )
 
 
@@ -44,12 +46,8 @@ class AroundLine(NamedTuple):
     direction: Buffer  # of length 1
     radius: float  # [m or rad]
     sign: float  # 1: free space is outside; -1: inside
+    dimensions: int  # of task space
     ports: int = 1
-
-    @property
-    def dimensions(self) -> int:
-        """Dimensions of task space."""
-        return len(self.point)
 
     def measure(self, position: Buffer, values: Buffer, rows: Matrix) -> None:
         """Write the distance from the surface and its normal."""

@@ -39,9 +39,7 @@ import yaml
 from numpy.typing import NDArray
 
 from canhaptic.control.balance import RANKS, WEAKEST_LAST, Certificate
-from canhaptic.control.port_hamiltonian.shapes.anisotropic_spring import AnisotropicSpring
-from canhaptic.control.port_hamiltonian.shapes.general import General
-from canhaptic.control.port_hamiltonian.storages import (
+from canhaptic.control.port_hamiltonian.network import (
     Damper,
     DampingMatrix,
     Dissipator,
@@ -49,6 +47,8 @@ from canhaptic.control.port_hamiltonian.storages import (
     Spring,
     states_of,
 )
+from canhaptic.control.port_hamiltonian.shapes.anisotropic_spring import AnisotropicSpring
+from canhaptic.control.port_hamiltonian.shapes.general import General
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.lab.batch.cases import why_not_beforehand

@@ -25,7 +25,7 @@ import numpy as np
 from canhaptic.axis_units import stiffness_unit
 from canhaptic.control.certificates.scalar_bounds import displacement_response, renderable_by_hand_force
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity.guarded_settings import GuardedParameters, hand_response, kept_for_contacts
+from canhaptic.control.passivity.guarded import GuardedParameters, hand_response, kept_for_contacts
 from canhaptic.errors import CheckFailedError
 from canhaptic.lab.batch.engine import Engine
 from canhaptic.lab.loop.axis_loop import Array, able_under, loop_case, plant_parts, require_design_room
