@@ -140,8 +140,8 @@ class AdmittanceServo(Servo):
         wanted, before = target * self._per_velocity_count, self._ramped
         if wanted == before or not self._period:
             return wanted
-        ramps = [self._store.find(index) for index in (_SPEEDING if abs(wanted) > abs(before) else _SLOWING)]
-        counts = min((entry.number or inf for entry in ramps if entry is not None), default=inf)  # 0 is no ramp
+        ramps: list[Any] = [self._store.find(index) for index in (_SPEEDING if abs(wanted) > abs(before) else _SLOWING)]
+        counts = min((entry.value or inf for entry in ramps if entry is not None), default=inf)  # 0 is no ramp
         most = min(counts * abs(self._per_velocity_count), self._hidden_ramp) * self._period
         if abs(wanted - before) <= most:
             return wanted
