@@ -74,10 +74,9 @@ class XYMotion(AutomatonClock):
         self.is_linear = not any(part.has_guards for part in scene.parts)
         self._run = machine.run_free if self.is_linear else machine.run
         self.state_names = scene.names
-        index = {name: i for i, name in enumerate(scene.names)}
-        self.position_places = [index[f"{name}_position"] for name in _NAMES]
-        self._velocities = [index[f"{name}_velocity"] for name in _NAMES]
-        self.force_places = [index[f"{name}_force"] for name in _NAMES]
+        self.position_places, self._velocities, self.force_places = (
+            [scene.names.index(f"{name}_{what}") for name in _NAMES] for what in ("position", "velocity", "force")
+        )
         self._masses = (stage.mass_x, stage.mass_y)
         self._works = [_works_of(name, scene) for name in _NAMES]
 
