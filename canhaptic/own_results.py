@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 from functools import wraps
 from numbers import Real
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from canhaptic.errors import CanHapticError, OwnCodeError
 
@@ -31,9 +31,9 @@ def watch(kind: type, names: Iterable[str], largest: float = _ANY) -> None:
                     setattr(owner, name, _watched(method, largest))
 
 
-def _watched(method: Callable[..., Any], largest: float) -> Callable[..., Any]:
+def _watched(method: Callable[..., object], largest: float) -> Callable[..., object]:
     @wraps(method)
-    def watched(self: object, *arguments: object, **named: object) -> Any:
+    def watched(self: object, *arguments: object, **named: object) -> object:
         try:
             value = method(self, *arguments, **named)
         except CanHapticError:
