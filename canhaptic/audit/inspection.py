@@ -10,8 +10,9 @@ Stored values that no run writes: signs of a damaged log or a faulty logger. The
 running counts that fall, and rows that do not fit their digest.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import inf
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final, NotRequired, TypedDict, TypeVar, cast
 
 import numpy as np
@@ -85,44 +86,36 @@ _COUNTS: Final = frozenset({"uncommanded"})
 CHANGED: Final = "not as the run wrote it"
 
 
-class ImpossibleValue(TypedDict):
-    """A column with values that no run writes."""
-
-    dataset: str
-    what: str
-    rows: int  # how many
-    cycle: int  # the first
-
-
-def impossible_values(log: EnergyLog) -> list[ImpossibleValue]:
-    """Return each column that holds a value that no run writes.
+def impossible_values(log: EnergyLog) -> list[dict[str, str | int]]:
+    """Return each column that holds a value that no run writes: dataset, what, how many rows, and the first cycle.
 
     Raises:
         LogFormatError: A column cannot be read.
     """
-    found: list[ImpossibleValue] = []
+    found: list[dict[str, str | int]] = []
+
+    def add(dataset: str, what: str, rows: Sequence[int]) -> None:
+        cycle = int(log.timing.read("sync_index", rows[0], rows[0] + 1)[0])
+        found.append({"dataset": dataset, "what": what, "rows": len(rows), "cycle": cycle})
+
     for group, quantities in log.tables.items():
         for name in quantities if group != "timing" else ():
-            rows, first, before = 0, -1, 0
+            bad, before = [], 0
             for start in range(0, log.rows, _BLOCK):
                 values = quantities.read(name, start, start + _BLOCK)
                 if name in _COUNTS:
                     values = values.astype(np.int64)
-                    bad = np.flatnonzero(np.diff(values, prepend=before) < 0)
+                    bad.append(start + np.flatnonzero(np.diff(values, prepend=before) < 0))
                     before = int(values[-1])
                 elif values.dtype.kind == "f":
-                    bad = np.flatnonzero(~np.isfinite(values))
+                    bad.append(start + np.flatnonzero(~np.isfinite(values)))
                 else:
                     break
-                first = start + int(bad[0]) if first < 0 and len(bad) else first
-                rows += len(bad)
-            if rows:
-                cycle = int(log.timing.read("sync_index", first, first + 1)[0])
+            if any(map(len, bad)):
                 what = "a decreasing count" if name in _COUNTS else "not finite"
-                found.append({"dataset": f"{group}/{name}", "what": what, "rows": rows, "cycle": cycle})
+                add(f"{group}/{name}", what, np.concatenate(bad).tolist())
     if changed := log.changed_rows():
-        cycle = int(log.timing.read("sync_index", changed[0], changed[0] + 1)[0])
-        found.append({"dataset": DIGEST, "what": CHANGED, "rows": len(changed), "cycle": cycle})
+        add(DIGEST, CHANGED, changed)
     return found
 
 
@@ -304,24 +297,13 @@ def _declared(log: EnergyLog, name: str, build: Callable[[dict[str, float]], _Co
         return build(log.decoded(name, dict[str, float]()))
 
 
-class Difference(TypedDict):
-    """A quantity that differs."""
-
-    name: str
-    unit: str
-    cycle: int  # the first in which it does
-    first: float
-    second: float
-    largest: float  # in any cycle
-
-
 class LogComparison(TypedDict):
     """Comparison of two runs."""
 
     identical: bool
     rows: list[int]  # of both
     missing: list[str]  # groups and quantities that only one of them has
-    differences: list[Difference]
+    differences: list[dict[str, Any]]  # quantity, unit, first cycle, both values in it, and the largest in any cycle
 
 
 def compare(first: EnergyLog, second: EnergyLog) -> LogComparison:
@@ -334,7 +316,7 @@ def compare(first: EnergyLog, second: EnergyLog) -> LogComparison:
     groups = [{path: of for path, of in log.tables.items() if path != "timing"} for log in (first, second)]
     names = [{f"{group}/{name}" for group, columns in side.items() for name in columns} for side in groups]
     shared = min(first.rows, second.rows)
-    differences: list[Difference] = []
+    differences: list[dict[str, Any]] = []
     for path in sorted(names[0] & names[1]):
         group, _, name = path.rpartition("/")
         left, right = (side[group].read(name, 0, shared) for side in groups)
@@ -359,7 +341,7 @@ def compare(first: EnergyLog, second: EnergyLog) -> LogComparison:
         "identical": not differences and not missing and first.rows == second.rows,
         "rows": [first.rows, second.rows],
         "missing": missing,
-        "differences": sorted(differences, key=lambda difference: difference["cycle"]),
+        "differences": sorted(differences, key=itemgetter("cycle")),
     }
 
 
@@ -395,7 +377,7 @@ class Inspection(_Inspected, Verdicts):
     config_hash: str
     cycles: int
     rate: float  # [Hz]
-    findings: list[ImpossibleValue]
+    findings: list[dict[str, str | int]]
     ports: dict[str, PortResult]
     truth: dict[str, TruthResult]
     timing: dict[str, int | dict[str, float]]

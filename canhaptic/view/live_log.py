@@ -40,11 +40,6 @@ class News(NamedTuple):
     group_of: dict[str, str]  # of each axis in a group, whose account is the group's
     sample_time: float  # [s]
 
-    @property
-    def groups(self) -> frozenset[str]:
-        """Ports that are groups, which have no position."""
-        return frozenset(self.group_of.values())
-
 
 class LiveLog:
     """An energy log that is being written.

@@ -196,7 +196,7 @@ class ScopePage:
         self._status.text = _status(news, self._last or news)
 
     def _build(self, news: News) -> None:
-        groups_first = sorted(news.facts, key=lambda name: name not in news.groups)
+        groups_first = sorted(news.facts, key=lambda name: not news.facts[name].is_group)
         self._ports = {name: _LivePort(news, name, self._time, self._window) for name in groups_first}
         timing, lost = (ColumnDataSource({name: [] for name in ("time", *of)}) for of in (news.timing, news.lost))
         self._common = {
