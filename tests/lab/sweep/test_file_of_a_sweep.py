@@ -70,7 +70,7 @@ def test_after_kill_9_every_finished_chunk_is_there_and_the_rest_is_run(tmp_path
     with SweepTable(path) as killed:
         rows = np.flatnonzero(killed.done())  # a chunk is one scene
         kept = killed.figure("handle", "travel")[rows]
-        assert (killed.status()[rows] == 1).all()
+        assert np.isin(killed.status()[rows], (1, 4)).all()  # completed, with and without a contact
         assert np.isfinite(kept).all()
     wait_until(lambda: not group_lives(process.pid))  # no worker outlives it
     assert main([*LONG, "--out", str(path), "--resume"]) == 0
