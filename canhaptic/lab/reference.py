@@ -293,14 +293,14 @@ _BETWEEN_GUARDS: Final = (2.5e-4, 5e-4)
 """Longest step where modes may change, of the run and of the one that it is compared with [s]."""
 
 
-class ContinuousGroup(NamedTuple):
-    """The continuous group at every `step_ns`."""
+class ContinuousMotion(NamedTuple):
+    """The continuous axis or group at every `step_ns`; of an axis without the second dimension."""
 
     step_ns: int
     position: Array  # of the motors, shape (steps + 1, axes) [m or rad]
     impulse: Array  # of the network's torques since the start, shape (steps + 1, axes) [N*s or N*m*s]
     interaction: Array  # energy into the network since the start, shape (steps + 1,) [J]
-    apart: float  # largest distance of the positions from those of a coarser tolerance [m or rad]
+    apart: float = 0.0  # largest distance of the positions from those of a coarser tolerance [m or rad]
 
 
 def group_model(scene: Scene) -> ReferenceGroup:
@@ -325,7 +325,7 @@ def group_model(scene: Scene) -> ReferenceGroup:
 
 def continuous_group(
     scene: Scene, step_ns: int, steps: int, stop: Callable[[], bool] = lambda: False
-) -> ContinuousGroup:
+) -> ContinuousMotion:
     """Return the motion and forces that the hands would feel without sampling.
 
     Args:
@@ -345,7 +345,7 @@ def continuous_group(
     )
     position, rough = (np.array([coupled.model.positions(row) for row in rows]) for rows in (fine, coarse))
     table, apart = np.array(fine), float(np.abs(position - rough).max())
-    return ContinuousGroup(step_ns, position, table[:, -1 - coupled.axes : -1], table[:, -1], apart)
+    return ContinuousMotion(step_ns, position, table[:, -1 - coupled.axes : -1], table[:, -1], apart)
 
 
 class _Coupled:

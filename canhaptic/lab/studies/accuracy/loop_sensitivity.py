@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from canhaptic.lab.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, 
 from canhaptic.lab.batch.scalar import render_by, render_group, work_of
 from canhaptic.lab.judge.reference_model import MotionError
 from canhaptic.lab.loop import axis_loop
-from canhaptic.lab.reference import ContinuousGroup, continuous_run, textbook_model
+from canhaptic.lab.reference import ContinuousMotion, continuous_run, textbook_model
 from canhaptic.lab.studies import Row
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
@@ -36,18 +36,9 @@ from canhaptic.sim.plant.propagator import Array
 _TOLERANCE: Final = 1e-11
 
 
-class ContinuousLoop(NamedTuple):
-    """The continuous axis at every `step_ns`, shapes (steps + 1,)."""
-
-    step_ns: int
-    position: Array  # [m or rad]
-    impulse: Array  # of the environment's force since the start [N*s or N*m*s]
-    interaction: Array  # energy into the environment since the start [J]
-
-
 def continuous_loop(
     axis: AxisScene, step_ns: int, steps: int, stop: Callable[[], bool] | None = None
-) -> ContinuousLoop:
+) -> ContinuousMotion:
     """Return the motion and forces that the user would feel without sampling.
 
     Args:
@@ -62,7 +53,7 @@ def continuous_loop(
     """
     times = [k * step_ns * 1e-9 for k in range(steps + 1)]
     run = continuous_run(axis_loop.environment_of(axis), textbook_model(simulation_of(axis)), times, _TOLERANCE, stop)
-    return ContinuousLoop(step_ns, run.position, run.impulse, run.interaction)
+    return ContinuousMotion(step_ns, run.position, run.impulse, run.interaction)
 
 
 FINEST: Final = 4
@@ -297,7 +288,7 @@ def _without_encoder_effects(base: Scene) -> Iterator[Variant]:
 
 def loop_row(
     variant: Variant,
-    exact: ContinuousLoop | ContinuousGroup,
+    exact: ContinuousMotion,
     duration_ns: int,
     tick: Callable[[], None],
     engine: ChosenEngine = "python",

@@ -34,7 +34,7 @@ from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError
 from canhaptic.lab.batch.engine import Engine
 from canhaptic.lab.loop.axis_loop import able_under, microseconds_per_step, parts_of
-from canhaptic.lab.reference import ContinuousGroup, continuous_group
+from canhaptic.lab.reference import ContinuousMotion, continuous_group
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy import loop_sensitivity, plant_solvers
 from canhaptic.lab.studies.accuracy.accuracy_choice import require_own_axis
@@ -226,9 +226,7 @@ class StudiedPart:
             return plant_solvers.group_side(self.scene, holds, stop)
         return plant_solvers.PlantSide(self.scene.axes[0], self.whole, holds, stop)
 
-    def continuous(
-        self, step_ns: int, steps: int, stop: plant_solvers.Stop
-    ) -> loop_sensitivity.ContinuousLoop | ContinuousGroup:
+    def continuous(self, step_ns: int, steps: int, stop: plant_solvers.Stop) -> ContinuousMotion:
         """Return the motion and force without sampling."""
         if self.scene.groups:
             return continuous_group(self.scene, step_ns, steps, stop)

@@ -31,18 +31,8 @@ from canhaptic.lab.batch.engine import Engine
 from canhaptic.lab.loop.axis_loop import Array, able_under, loop_case, plant_parts, require_design_room
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import are_displays, compare
+from canhaptic.lab.studies.design import trial as trials
 from canhaptic.lab.studies.design.contact_quality import Bench, Leaning, SlowHand, enter, largest_held, settling_time
-from canhaptic.lab.studies.design.trial import (
-    ALGORITHM,
-    DAMPING,
-    DURATION,
-    STIFFEST,
-    STIFFNESS,
-    Booleans,
-    GroupTrial,
-    Trial,
-    TrialVerdict,
-)
 from canhaptic.lab.studies.runner import pool_of
 from canhaptic.lab.studies.sweep.chunk import places_of
 from canhaptic.scene.hints import DRAG, ENCODER, LEAN, guarantee, stability_hints
@@ -215,23 +205,25 @@ def design(
         return design_displays(scene, margin, tolerance, progress)
     require_design_room(margin, tolerance)
     if not scene.groups:
-        return _designed(Trial(scene, tolerance, engine), margin, tolerance, progress)
-    trial, cores = GroupTrial(scene, tolerance, engine), os.cpu_count() or 1
+        return _designed(trials.Trial(scene, tolerance, engine), margin, tolerance, progress)
+    trial, cores = trials.GroupTrial(scene, tolerance, engine), os.cpu_count() or 1
     with pool_of(1 if trial.is_quick else cores) as pool:  # a group that Python runs gets a process on each core
         trial.executor = None if pool is None else pool.executor
         return _designed(trial, margin, tolerance, progress)
 
 
-def _designed(trial: Trial | GroupTrial, margin: float, tolerance: float, progress: Callable[[int, int], None]) -> Row:
+def _designed(
+    trial: trials.Trial | trials.GroupTrial, margin: float, tolerance: float, progress: Callable[[int, int], None]
+) -> Row:
     search = _WallSearch(trial, 1.0 + margin, progress)
     stiffest = search.largest_stiffness()
     stiffnesses = [_rounded(share * stiffest) for share in _SHARES]
     dampings = search.largest_dampings(np.array(stiffnesses))
     stiffness, damping = stiffnesses[0], dampings[0]
     below, verdict = search.below_and_at(stiffness, damping)
-    if isinstance(trial, Trial):
+    if isinstance(trial, trials.Trial):
         result = _account(trial, verdict, stiffness, damping)
-        result["felt"] = felt_of(trial.scene, ALGORITHM, trial.hand, tolerance, stiffness)
+        result["felt"] = felt_of(trial.scene, trials.ALGORITHM, trial.hand, tolerance, stiffness)
     else:
         result = trial.account(verdict, stiffness, damping)
     result |= {"margin": margin, "tolerance": tolerance, "walls": trial.walls}
@@ -243,9 +235,11 @@ def _designed(trial: Trial | GroupTrial, margin: float, tolerance: float, progre
 class _WallSearch:
     """A batch for the whole range and one for each interval found, with a factor on everything that is tried."""
 
-    def __init__(self, trial: Trial | GroupTrial, factor: float, progress: Callable[[int, int], None]) -> None:
+    def __init__(
+        self, trial: trials.Trial | trials.GroupTrial, factor: float, progress: Callable[[int, int], None]
+    ) -> None:
         self._trial, self._factor, self._progress = trial, factor, progress
-        self._places = _COMPILED if trial.is_quick else _ONE_BY_ONE if isinstance(trial, Trial) else _GROUPS
+        self._places = _COMPILED if trial.is_quick else _ONE_BY_ONE if isinstance(trial, trials.Trial) else _GROUPS
         progress(0, self._places.most)
 
     def largest_stiffness(self) -> float:
@@ -254,7 +248,7 @@ class _WallSearch:
         Raises:
             CheckFailedError: Not even the softest wall passes.
         """
-        low, high = self._trial.softest, STIFFEST / self._factor
+        low, high = self._trial.softest, trials.STIFFEST / self._factor
         for places in self._places.stiffnesses:
             tried = np.geomspace(low, high, places)
             verdict = self._verdict(tried, np.zeros(places))
@@ -266,7 +260,7 @@ class _WallSearch:
             low, high = float(tried[max(last, 0)]), float(tried[first])
         return _rounded(low)
 
-    def _nothing_passes(self, verdict: TrialVerdict) -> CheckFailedError:
+    def _nothing_passes(self, verdict: trials.TrialVerdict) -> CheckFailedError:
         softest = f"{self._trial.softest * self._factor:g} {stiffness_unit(self._trial.unit)}"
         return CheckFailedError(
             f"{self._trial.scene.source}: not even {softest} is rendered within the tolerance "
@@ -300,7 +294,7 @@ class _WallSearch:
         rows = np.arange(len(dampings))
         return dampings[rows, edges[:, 0]], dampings[rows, edges[:, 1]]
 
-    def below_and_at(self, stiffness: float, damping: float) -> tuple[Booleans, TrialVerdict]:
+    def below_and_at(self, stiffness: float, damping: float) -> tuple[trials.Booleans, trials.TrialVerdict]:
         """Return which weaker walls pass, and the verdict on the wall itself.
 
         A wall is accepted if all weaker ones pass too. They are tried with the factor, the wall itself without.
@@ -312,13 +306,13 @@ class _WallSearch:
         verdict = self._verdict(*(np.concatenate([grid, own]) * (stiffness, damping)).T)
         return verdict.passed[:-1], verdict.last()
 
-    def _verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
+    def _verdict(self, stiffness: Array, damping: Array) -> trials.TrialVerdict:
         found = self._trial.verdict(self._factor * stiffness, self._factor * damping)
         self._progress(self._trial.walls, self._places.most)
         return found
 
 
-def _edges(passed: Booleans, nearly: Booleans) -> tuple[int, int]:
+def _edges(passed: trials.Booleans, nearly: trials.Booleans) -> tuple[int, int]:
     """Return the last that passes before any that does not even nearly, -1 for none, and the first that does not."""
     first = int(np.logical_and.accumulate(nearly).sum())
     return int(np.flatnonzero(np.append(True, passed[:first]))[-1]) - 1, first
@@ -338,17 +332,17 @@ def _rounded(value: float) -> float:
     return float(f"{math.floor(value / unit * (1.0 + 1e-12)) * unit:.{_DIGITS}g}")
 
 
-def _account(trial: Trial, verdict: TrialVerdict, stiffness: float, damping: float) -> Row:
+def _account(trial: trials.Trial, verdict: trials.TrialVerdict, stiffness: float, damping: float) -> Row:
     """Return the figures of a wall: its verdict, and one run of it, leant on, next to the continuous wall."""
-    scene, values = trial.scene, {STIFFNESS: stiffness, DAMPING: damping}
+    scene, values = trial.scene, {trials.STIFFNESS: stiffness, trials.DAMPING: damping}
     places = places_of(scene, tuple(values))
     overrides = [f"{place}={value!r}" for key, value in values.items() for place in places[key]]
     allowed = bool(scene.own_code)
     wall = scene_from_text(scene.text, scene.source, [*scene.overrides, *overrides], allow_code=allowed)
     [axis] = wall.axes
-    axes = compare(wall, [ALGORITHM], duration=DURATION, repeats=0).result["axes"]
+    axes = compare(wall, [trials.ALGORITHM], duration=trials.DURATION, repeats=0).result["axes"]
     hints = stability_hints(axis)
-    run, parameters = axes[axis.parameters.name]["algorithms"][ALGORITHM], axis.passivity.parameters
+    run, parameters = axes[axis.parameters.name]["algorithms"][trials.ALGORITHM], axis.passivity.parameters
     return {
         "scene": scene.source,
         "unit": axis.parameters.unit,

@@ -405,9 +405,7 @@ class _Chunk:
         self._free = _free_keys(recipe)
         names = [f"{axis}/{metric}" for axis in recipe.axes for metric in recipe.metrics]
         self._figures = {name: np.full(self._count, np.nan) for name in names}
-        self._status = np.zeros(self._count, dtype=np.uint8)
-        self._engine = np.zeros(self._count, dtype=np.uint8)
-        self._remark = np.zeros(self._count, dtype=np.uint8)
+        self._status, self._engine, self._remark = np.zeros((3, self._count), dtype=np.uint8)
         self._texts: list[str] = []
         self._of_plant = ""
 
@@ -520,7 +518,7 @@ class _Chunk:
             if built.scene is None:
                 self._note(row, REFUSED, 0, built.remark)
                 continue
-            failure, engine, remark = "", _SCALAR, _joined(reason, _remark_of(built))
+            failure, engine, why = "", _SCALAR, reason
             for name in self._recipe.axes:
                 scene = seeded(self._recipe, _alone(built, name), self._start + row)
                 try:
@@ -529,12 +527,13 @@ class _Chunk:
                     failure = str(error).splitlines()[0]
                     continue
                 if is_compiled:
-                    engine, remark = ENGINES.index("numba"), _remark_of(built)
+                    engine, why = ENGINES.index("numba"), ""
                 elif why_not:
-                    remark = _joined(f"not compiled: {why_not}", _remark_of(built))
+                    why = f"not compiled: {why_not}"
                 for metric in asked:
                     self._figures[f"{name}/{metric}"][row] = figures[metric]
-            self._note(row, _FAILED if failure else COMPLETED, engine, failure or remark)
+            remark = failure or _joined(why, _remark_of(built))
+            self._note(row, _FAILED if failure else COMPLETED, engine, remark)
 
     def _note(self, rows: _Rows | int, status: int, engine: int, remark: str) -> None:
         self._status[rows], self._engine[rows], self._remark[rows] = status, engine, self._slot(remark)
