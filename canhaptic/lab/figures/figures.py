@@ -137,14 +137,12 @@ def figures(
         sample_time: Sample time [s].
     """
     margin, sums = run.interaction - run.dissipated, _sums_of_run(environment, run, reference, sample_time)
-    found: dict[str, Any] = {}
-    for name, value in ((name, _measured(name, sums)) for name in ALL):
+    parts: dict[str, dict[str, float | None]] = {}
+    for name in ALL:
         whole, _, part = name.partition(".")
-        before = found.get(whole, {})
-        found[whole] = {**(before if isinstance(before, dict) else {"value": before}), part: value} if part else value
-    for name, value in found.items():
-        if isinstance(value, dict) and set(value.values()) == {None}:
-            found[name] = None
+        parts.setdefault(whole, {})[part or "value"] = _measured(name, sums)
+    found: dict[str, Any] = {whole: of if set(of.values()) != {None} else None for whole, of in parts.items()}
+    found |= {whole: of["value"] for whole, of in parts.items() if of.keys() == {"value"}}
     return found | {
         "diverged": len(run.rows) * sample_time if run.ended == "diverged" else None,
         "damping_rendered": {"asked": environment.damping, **(found["damping_rendered"] or dict.fromkeys(_OF_DAMPING))},

@@ -230,17 +230,11 @@ def _of_axis(
 
 
 def _of_displays(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> Row:
-    runs = accounts_over_can(scene, names, cycles, _displays_under, progress)
+    runs = accounts_over_can(scene, names, cycles, _under, progress)
     axes = {
         axis: {name: _of_display(axis, found) for name, found in runs.items()} for axis in axis_loop.parts_of(scene)
     }
     return {**heading_of(scene, cycles), "axes": axes}
-
-
-def _displays_under(scene: Scene, name: str) -> Scene:
-    groups = tuple(axis_loop.display_group_under(group, name) for group in scene.groups)
-    axes = tuple(axis if axis.group else axis_loop.display_under(axis, name) for axis in scene.axes)
-    return replace(scene, axes=axes, groups=groups)
 
 
 def _of_display(axis: str, found: Row) -> Row:
@@ -269,12 +263,16 @@ def _of_groups(scene: Scene, names: Sequence[str], cycles: int, engine: Engine, 
     return {**heading_of(scene, cycles, "can" if chosen == "python" else "direct"), "groups": groups}
 
 
-def _groups_under(scene: Scene, name: str) -> Scene:
-    return replace(scene, groups=tuple(axis_loop.group_under(group, name) for group in scene.groups))
+def _under(scene: Scene, name: str) -> Scene:
+    """Return a scene with its displays, or its groups, under an algorithm."""
+    displays = are_displays(scene)
+    group_under = axis_loop.display_group_under if displays else axis_loop.group_under
+    axes = tuple(axis_loop.display_under(a, name) if displays and not a.group else a for a in scene.axes)
+    return replace(scene, axes=axes, groups=tuple(group_under(group, name) for group in scene.groups))
 
 
 def _groups_over_can(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> dict[str, Row]:
-    runs = accounts_over_can(scene, names, cycles, _groups_under, progress)
+    runs = accounts_over_can(scene, names, cycles, _under, progress)
     return {group.name: {name: _of_group(group.name, found) for name, found in runs.items()} for group in scene.groups}
 
 
@@ -297,7 +295,7 @@ def _groups_compiled(scene: Scene, names: Sequence[str], cycles: int, progress: 
 def _compiled(scene: Scene, name: str, cycles: int) -> Row:
     """Return the account of one group; the plant's own energies say whether it was passive."""
     try:
-        run = render_group("numba", _groups_under(scene, name), cycles)
+        run = render_group("numba", _under(scene, name), cycles)
     except ParameterError as error:
         return {"status": "refused", "remark": str(error), "engine": None}
     account: Row = {**run.summary.as_json(scene.bus.sample_time)}

@@ -572,6 +572,8 @@ _PREFERRED: Final = ("bus.rate", "environment.damping")
 _MOST_LINES: Final = 5
 _LEAST_ENERGY: Final = 1e-6  # [J]
 _ERROR: Final = "position_error.rms"
+_DAMPING: Final = "damping_rendered.mean"
+_OF_WALLS: Final = ("margin", "stiffness_rendered.share", _DAMPING, _ERROR)
 
 
 @dataclass(frozen=True, slots=True)
@@ -594,7 +596,7 @@ def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel | None]
     if chosen.metric is not None or not fields[0].is_grid:
         return [[_metric_panel(one, chosen, chosen.metric or "margin")] for one in fields]
     if fields[0].is_display:
-        return [list(_display_panels(one, chosen)) for one in fields]
+        return [[*_display_panels(one, chosen)] for one in fields]
     is_shared = chosen.judgement is None and len(fields[0].keys) > 1
     together = headline(fields, *_keys(fields[0], chosen)) if is_shared else []
     columns = [_usual_panels(one, chosen, beside=bool(together)) for one in fields]
@@ -608,11 +610,8 @@ def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel | None]
 
 def _display_panels(field: MapField, chosen: Chosen) -> list[Panel]:
     """Return the panels of an admittance display: the mass felt, the energy given out, how often a guard acts."""
-    metrics = [metric for metric in _OF_DISPLAYS if field.has(metric)]
-    if len(field.keys) == 1:
-        return [_profile(field, field.keys[0], metric) for metric in metrics]
-    x = chosen.x or next((key for key in field.keys if key == _MASS), None)
-    return [_metric_panel(field, Chosen(x, chosen.y), metric) for metric in metrics]
+    x = chosen.x or (_MASS if _MASS in field.keys else None)
+    return [_metric_panel(field, Chosen(x, chosen.y), metric) for metric in _OF_DISPLAYS if field.has(metric)]
 
 
 def _keys(field: MapField, chosen: Chosen) -> tuple[str, str, str | None]:
@@ -637,11 +636,11 @@ def _check(field: MapField, chosen: Chosen) -> None:
 def _usual_panels(field: MapField, chosen: Chosen, *, beside: bool) -> list[Panel]:
     """Return the panels of one algorithm; its border only where no panel shows it with the others'."""
     if len(field.keys) == 1:
-        profiles = ("margin", "stiffness_rendered.share", _ERROR)
-        return [_profile(field, field.keys[0], metric) for metric in profiles if field.has(metric)]
+        return [
+            _metric_panel(field, chosen, metric) for metric in _OF_WALLS if field.has(metric) and metric != _DAMPING
+        ]
     z, x, y = _keys(field, chosen)
-    metrics = ("margin", "stiffness_rendered.share", "damping_rendered.mean", _ERROR)
-    of_metrics = [_metric_panel(field, Chosen(x, z), metric) for metric in metrics if field.has(metric)]
+    of_metrics = [_metric_panel(field, Chosen(x, z), metric) for metric in _OF_WALLS if field.has(metric)]
     return of_metrics if beside else [_width(field, z, x, y, chosen.judgement or usual_judgement(field)), *of_metrics]
 
 
@@ -714,7 +713,7 @@ def _shown(field: MapField, metric: str) -> tuple[Array, str, str]:
         words = {"margin": "missing in the margin, eq. 4", "least_interaction": "given out beyond what came in"}
         missing = np.where(np.isnan(values), np.nan, np.maximum(-values, _LEAST_ENERGY))
         return missing, f"{words.get(metric, metric)} [J]", "energy"
-    if metric == "damping_rendered.mean":
+    if metric == _DAMPING:
         asked = _asked_damping(field, values)
         with np.errstate(all="ignore"):
             return np.where(asked > 0.0, values / asked, np.nan), "damping rendered over asked", "share"

@@ -38,13 +38,7 @@ from canhaptic.lab.reference import ContinuousMotion, continuous_group
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy import loop_sensitivity, plant_solvers
 from canhaptic.lab.studies.accuracy.accuracy_choice import require_own_axis
-from canhaptic.lab.studies.accuracy.accuracy_table import (
-    advice,
-    error_per_microsecond,
-    length,
-    pareto,
-    rank_agreement,
-)
+from canhaptic.lab.studies.accuracy.accuracy_table import advice, error_per_microsecond, length, pareto, rank_agreement
 from canhaptic.scene.build import build, open_bus, private_channel
 from canhaptic.scene.far_side import build_drive_group, build_plant
 from canhaptic.scene.method import simulation_of, torque_history

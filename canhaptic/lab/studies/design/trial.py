@@ -39,14 +39,7 @@ import yaml
 from numpy.typing import NDArray
 
 from canhaptic.control.balance import RANKS, WEAKEST_LAST, Certificate
-from canhaptic.control.port_hamiltonian.network import (
-    Damper,
-    DampingMatrix,
-    Dissipator,
-    QuadraticForm,
-    Spring,
-    states_of,
-)
+from canhaptic.control.port_hamiltonian import network as parts
 from canhaptic.control.port_hamiltonian.shapes.anisotropic_spring import AnisotropicSpring
 from canhaptic.control.port_hamiltonian.shapes.general import General
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
@@ -136,7 +129,7 @@ def _general(network: General, name: str) -> NetworkScale:
     return NetworkScale(stiffest, with_values)
 
 
-_AtPort = tuple[Spring | QuadraticForm, int, Any]
+_AtPort = tuple[parts.Spring | parts.QuadraticForm, int, Any]
 """A storage that a port moves, its first state, and its rows of the gain."""
 
 
@@ -145,25 +138,27 @@ def _moved_by_ports(network: General) -> dict[int, _AtPort]:
     found: dict[int, _AtPort] = {}
     state = 0
     for place, storage in enumerate(network.storages):
-        gain = np.array(network.gain[state : state + states_of(storage)])
-        if isinstance(storage, Spring | QuadraticForm) and gain.any():
+        gain = np.array(network.gain[state : state + parts.states_of(storage)])
+        if isinstance(storage, parts.Spring | parts.QuadraticForm) and gain.any():
             found[place] = storage, state, gain
-        state += states_of(storage)
+        state += parts.states_of(storage)
     return found
 
 
-def _in_proportion(at_port: _AtPort) -> Dissipator:
+def _in_proportion(at_port: _AtPort) -> parts.Dissipator:
     """Return a damper in parallel with a spring that a port moves, as large in number as its stiffness."""
     storage, state, gain = at_port
-    if isinstance(storage, Spring):
-        return Damper(type="damper", viscous=storage.stiffness, beside=state)
+    if isinstance(storage, parts.Spring):
+        return parts.Damper(type="damper", viscous=storage.stiffness, beside=state)
     matrix = gain.T @ np.array(storage.matrix) @ gain
-    return DampingMatrix(type="damping_matrix", matrix=_times(matrix.tolist(), 1.0), ports=tuple(range(gain.shape[1])))
+    return parts.DampingMatrix(
+        type="damping_matrix", matrix=_times(matrix.tolist(), 1.0), ports=tuple(range(gain.shape[1]))
+    )
 
 
-def _is_outer(part: Dissipator) -> bool:
+def _is_outer(part: parts.Dissipator) -> bool:
     """Whether a dissipator is at the ports or in parallel with a spring."""
-    return bool(part.ports) if isinstance(part, DampingMatrix) else not part.states
+    return bool(part.ports) if isinstance(part, parts.DampingMatrix) else not part.states
 
 
 def _size(part: Any) -> float:
@@ -172,7 +167,7 @@ def _size(part: Any) -> float:
 
 
 def _coefficient(part: Any) -> str:
-    return "stiffness" if isinstance(part, Spring) else "viscous"
+    return "stiffness" if isinstance(part, parts.Spring) else "viscous"
 
 
 def _scaled(part: Any, factor: float) -> Any:
