@@ -160,14 +160,12 @@ class _EnvironmentForce:
         """Transitions: crossing of the surfaces, yielding, or its reversal."""
         if isinstance(self._environment, CoulombSurface):
             return self._yielding(index, mode, self._environment.friction / self._environment.stiffness)
-        if mode == "only":
-            return ()
         found = []
-        for surface in self._surfaces:
-            for zone in {self._zone(surface, -1.0), self._zone(surface, 1.0)} - {mode}:
-                if mode in (self._zone(surface, -1.0), self._zone(surface, 1.0)):
-                    sign = -1.0 if zone == self._zone(surface, 1.0) else 1.0
-                    found.append(Transition(index, zone, _distance(surface, sign), _ROUNDING))
+        for surface in self._surfaces if mode != "only" else ():
+            below, above = self._zone(surface, -1.0), self._zone(surface, 1.0)
+            if below != above and mode in (below, above):
+                zone, sign = (above, -1.0) if mode == below else (below, 1.0)
+                found.append(Transition(index, zone, partial(_distance, surface, sign), _ROUNDING))
         return found
 
     def _zone(self, surface: float, side: float) -> str:
@@ -175,13 +173,12 @@ class _EnvironmentForce:
 
     def _force(self, state: State, mode: str, velocity: float, rates: Floats) -> float:
         environment, damper = self._environment, -self._environment.damping * velocity
-        if isinstance(environment, CoulombSurface):
+        if isinstance(environment, CoulombSurface | ViscoelasticMedium):
             strain = float(state[self._strain])
-            rates[self._strain] = velocity if mode == "elastic" else 0.0
-            return damper - environment.effort(strain)
-        if isinstance(environment, ViscoelasticMedium):
-            strain = float(state[self._strain])
-            rates[self._strain] = velocity - strain / environment.relaxation_time
+            if isinstance(environment, CoulombSurface):
+                rates[self._strain] = velocity if mode == "elastic" else 0.0
+            else:
+                rates[self._strain] = velocity - strain / environment.relaxation_time
             return damper - environment.effort(strain)
         place = float(state[POSITION])
         for surface in self._surfaces if mode != "only" else ():  # rounding may have it on the wrong side
@@ -193,29 +190,29 @@ class _EnvironmentForce:
 
     def _yielding(self, index: int, mode: str, limit: float) -> Sequence[Transition]:
         strain = self._strain
-
-        def at(value: float) -> Callable[[Floats], None]:
-            def reset(state: Floats) -> None:
-                state[strain] = value
-
-            return reset
-
         if mode == "elastic":
-            return (
-                Transition(index, "forward", lambda t, y, u: limit - float(y[strain]), _ROUNDING, at(limit)),
-                Transition(index, "backward", lambda t, y, u: limit + float(y[strain]), _ROUNDING, at(-limit)),
-            )
+            return [
+                Transition(
+                    index, name, partial(_room, strain, sign, limit), _ROUNDING, partial(_put, strain, sign * limit)
+                )
+                for name, sign in (("forward", 1.0), ("backward", -1.0))
+            ]
         sign = 1.0 if mode == "forward" else -1.0
         return (Transition(index, "elastic", lambda t, y, u: sign * float(y[VELOCITY]), _ROUNDING),)
 
 
-def _distance(surface: float, sign: float) -> Callable[[float, State, float], float]:
+def _distance(surface: float, sign: float, _time: float, state: State, _torque: float) -> float:
     """Value that falls through zero where the axis crosses the surface towards -sign."""
+    return sign * (float(state[POSITION]) - surface)
 
-    def distance(_time: float, state: State, _torque: float) -> float:
-        return sign * (float(state[POSITION]) - surface)
 
-    return distance
+def _room(strain: int, sign: float, limit: float, _time: float, state: State, _torque: float) -> float:
+    """Value that falls through zero where the strain reaches its limit towards sign."""
+    return limit - sign * float(state[strain])
+
+
+def _put(strain: int, value: float, state: Floats) -> None:
+    state[strain] = value
 
 
 _FINEST: Final = 200_000

@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rich.console import RenderableType
 
@@ -34,7 +34,7 @@ def write_files(arguments: argparse.Namespace, **writers: Callable[[Path], None]
             note_file(_FILES[name][0], getattr(arguments, name))
 
 
-def show(arguments: argparse.Namespace, plain: Any, report: Callable[[], RenderableType]) -> None:
+def show(arguments: argparse.Namespace, plain: object, report: Callable[[], RenderableType]) -> None:
     """Write a result as JSON where that is asked for, else its report."""
     if arguments.json:
         write_json(plain)

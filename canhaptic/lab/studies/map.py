@@ -724,7 +724,7 @@ def _shown(field: MapField, metric: str) -> tuple[Array, str, str]:
     return values, metric, "plain"
 
 
-def _asked_damping(field: MapField, values: Array) -> Any:
+def _asked_damping(field: MapField, values: Array) -> Array | float:
     key = "environment.damping"
     if key not in field.keys:
         return float(getattr(field.scene.axes[0].environment.parameters, "damping", 0.0))

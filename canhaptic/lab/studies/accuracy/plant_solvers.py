@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 from warnings import catch_warnings
 
 import numpy as np
@@ -27,7 +27,7 @@ from canhaptic.lab.batch.group_loop import Motors
 from canhaptic.lab.batch.scalar import render_group
 from canhaptic.lab.judge import solvers
 from canhaptic.lab.judge.reference_group import ReferenceGroup
-from canhaptic.lab.judge.reference_model import MotionError, difference
+from canhaptic.lab.judge.reference_model import Model, MotionError, difference
 from canhaptic.lab.reference import group_model, textbook_model
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy.loop_sensitivity import finely_solved
@@ -40,6 +40,7 @@ from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array
 
 Stop = Callable[[], bool]
+_M = TypeVar("_M", Model, ReferenceGroup)
 OURS: Final = "canhaptic"
 LSODA: Final = "LSODA, located"
 FLOOR: Final = 2e-13
@@ -93,7 +94,7 @@ class Candidate:
 
 
 def _textbook(
-    make: Callable[[], Any], solve: Callable[[Any], Motion], method: str, setting: str, substeps: int | None = None,
+    make: Callable[[], _M], solve: Callable[[_M], Motion], method: str, setting: str, substeps: int | None = None,
     order: int | None = None,
 ) -> Candidate:  # fmt: skip
     """Return a textbook method on the equations of a plant, which are made anew for every run."""
@@ -279,14 +280,14 @@ class PlantSide(Plants):
             self.candidates += [self._adaptive(tolerance) for tolerance in _TOLERANCES]
 
     def _fixed(self, method: str, substeps: int, order: int | None) -> Candidate:
-        def solve(model: Any) -> Motion:
+        def solve(model: Model) -> Motion:
             return solvers.fixed_step(model, self.torques, self._period, solvers.METHODS[method][1](), substeps)
 
         make = partial(textbook_model, self._simulation)
         return _textbook(make, solve, method, counted(substeps, "step"), substeps, order)
 
     def _adaptive(self, tolerance: float) -> Candidate:
-        def solve(model: Any) -> Motion:
+        def solve(model: Model) -> Motion:
             return solvers.located(model, self.torques, self._period, "LSODA", tolerance, tolerance * _ABSOLUTE)
 
         return _textbook(partial(textbook_model, self._simulation), solve, LSODA, f"tolerance {tolerance:.0e}")

@@ -129,7 +129,7 @@ def _general(network: General, name: str) -> NetworkScale:
     return NetworkScale(stiffest, with_values)
 
 
-_AtPort = tuple[parts.Spring | parts.QuadraticForm, int, Any]
+_AtPort = tuple[parts.Spring | parts.QuadraticForm, int, Array]
 """A storage that a port moves, its first state, and its rows of the gain."""
 
 
@@ -161,20 +161,21 @@ def _is_outer(part: parts.Dissipator) -> bool:
     return bool(part.ports) if isinstance(part, parts.DampingMatrix) else not part.states
 
 
-def _size(part: Any) -> float:
+def _size(part: Parameters) -> float:
     """Return the stiffness or the linear coefficient of a part: of a matrix the largest eigenvalue."""
-    return _largest(part.matrix) if hasattr(part, "matrix") else getattr(part, _coefficient(part))
+    matrix = getattr(part, "matrix", None)
+    return float(getattr(part, _coefficient(part))) if matrix is None else _largest(matrix)
 
 
-def _coefficient(part: Any) -> str:
+def _coefficient(part: Parameters) -> str:
     return "stiffness" if isinstance(part, parts.Spring) else "viscous"
 
 
-def _scaled(part: Any, factor: float) -> Any:
-    if hasattr(part, "matrix"):
-        return part.model_copy(update={"matrix": _times(part.matrix, factor)})
-    name = _coefficient(part)
-    return part.model_copy(update={name: getattr(part, name) * factor})
+def _scaled(part: Parameters, factor: float) -> Parameters:
+    matrix, name = getattr(part, "matrix", None), _coefficient(part)
+    if matrix is None:
+        return part.model_copy(update={name: getattr(part, name) * factor})
+    return part.model_copy(update={"matrix": _times(matrix, factor)})
 
 
 def _largest(matrix: _Matrix) -> float:
