@@ -38,7 +38,7 @@ def compare(
         algorithms: Names of algorithms; all of them by default.
         changes: Values of the scene to replace, as for `simulate`.
         allow_code: Whether program files that the scene names may run.
-        options: Any of these. `duration`: duration [s], by default the scene's. `rate`: rate that replaces the scene's
+        options: Some of `duration`: duration [s], by default the scene's. `rate`: rate that replaces the scene's
             [Hz], possibly beyond its bus; for single axes, not over CAN. `over_can`: whether the whole CAN path is used
             instead of `DirectRig`. `engine`: engine without a bus: "python", the default, gives the bits of the path
             over CAN, "numba" differs by rounding and saves time on stiff plants and long runs, "auto" takes it where it
@@ -124,7 +124,7 @@ def design(scene: _SceneLike, changes: _Changes | None = None, *, allow_code: bo
         scene: A scene file, a mapping with its keys, or a loaded scene.
         changes: Values of the scene to replace, as for `simulate`.
         allow_code: Whether program files that the scene names may run.
-        options: Any of these. `margin`: relative reserve by which stiffness and damping could both be larger and still
+        options: Some of `margin`: relative reserve by which stiffness and damping could both be larger and still
             pass; by default 0.2. `tolerance`: largest relative difference of a rendering from the requested one; by
             default 0.05. `engine`: engine of the trials, as for `sweep`.
 
@@ -155,7 +155,7 @@ def accuracy(
         changes: Values of the scene to replace, as for `simulate`.
         axis: Name of an axis or a group; the first by default.
         allow_code: Whether program files that the scene names may run.
-        options: Any of these. `tolerance`: largest error of the position [m or rad]; by default a tenth of an encoder
+        options: Some of `tolerance`: largest error of the position [m or rad]; by default a tenth of an encoder
             count. `duration`: length of the comparison [s]; by default until the second contact. `budget`: time for
             timings [s]; 0 for none. `engine`: engine of the loops, as for `sweep`.
 

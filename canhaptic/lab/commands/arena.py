@@ -4,7 +4,7 @@ import argparse
 import json
 import os
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.output import note_file, write_file, write_note
@@ -12,6 +12,7 @@ from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.lab.commands.results import show
 from canhaptic.lab.commands.scene_progress import scene_progress
 from canhaptic.lab.render.arena_picture import pictures_of, write_arena_page
+from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.arena import ArenaPlan, ArenaStore, run_arena, scenes_named
 from canhaptic.lab.studies.runner import pool_of
 from canhaptic.view.picture_style import require_matplotlib
@@ -43,13 +44,13 @@ def execute(arguments: argparse.Namespace) -> int:
 
 def _plan(arguments: argparse.Namespace) -> ArenaPlan:
     names = {"rates": "rates", "delays": "delays", "duration": "longest", "rig": "rig", "walls": "per_decade"}
-    given: dict[str, Any] = {of: value for name, of in names.items() if (value := getattr(arguments, name)) is not None}
-    options: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
+    given: Row = {of: value for name, of in names.items() if (value := getattr(arguments, name)) is not None}
+    options: Row = {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
     algorithms = (*(arguments.algorithms or ALGORITHMS), *arguments.entry)
     return ArenaPlan(tuple(scenes_named(arguments.scenes)), algorithms, allow_code=arguments.allow_code, **options)
 
 
-def _write(found: dict[str, Any], out: Path) -> None:
+def _write(found: Row, out: Path) -> None:
     write_file(out / "arena.json", json.dumps(found, indent=1) + "\n")
     note_file("result", out / "arena.json")
     for name, _, draw in pictures_of(found):
@@ -59,7 +60,7 @@ def _write(found: dict[str, Any], out: Path) -> None:
     note_file("page", out / "arena.html")
 
 
-def _table(found: dict[str, Any]) -> Table:
+def _table(found: Row) -> Table:
     shown = ("given_out", "beyond_device", "diverged", "position_error", "stiffness_error", "drag")
     heads = ("gave out", "beyond device", "diverged", "position error", "stiffness error", "drag [N]")
     rows = [

@@ -84,7 +84,7 @@ def sweep(
         scene: Scene with simulated drives, from a file or text.
         vary: Varied keys, as for `--vary`.
         out: Folder of the results.
-        executor: Any `concurrent.futures.Executor`, or a `Pool`; None: in this thread.
+        executor: A `concurrent.futures.Executor`, or a `Pool`; None: in this thread.
         resume: Whether to continue with an existing folder; a missing one is created.
         force: Whether to replace the results of an existing folder.
         in_flight: Largest number of chunks submitted to an executor and not yet written; a `Pool` gets two a process.
