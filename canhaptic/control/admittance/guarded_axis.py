@@ -33,14 +33,10 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
+from canhaptic.control.admittance import velocity_loop
 from canhaptic.control.admittance.admittance_environment import AdmittanceAxis, AdmittanceEnvironment
 from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold
-from canhaptic.control.admittance.velocity_loop import (
-    GuardedAdmittanceParameters,
-    LoopState,
-    VelocityLoop,
-    loop_settings,
-)
+from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, VelocityLoop
 
 
 class LateMargin:
@@ -317,7 +313,8 @@ class GuardedAxis(AdmittanceAxis):
         parameters: GuardedAdmittanceParameters,
         properties: AdmittanceProperties,
     ) -> None:
-        self.loop, self.drive, latency = loop_settings(parameters, properties), LoopState(), properties.latency
+        self.loop, latency = velocity_loop.loop_settings(parameters, properties), properties.latency
+        self.drive = velocity_loop.LoopState()
         kept = self.loop.delay + self.loop.losses + 2 + (latency if parameters.hand_stiffness > 0.0 else 0)
         super().__init__(environment, properties, kept, self.loop.mass / self.loop.gain_least)
         self.leads, self.by_encoder, self.by_force = [0.0] * (latency + 1), 0.0, 0.0

@@ -67,11 +67,10 @@ from typing import NamedTuple
 
 from canhaptic.control.certificates.certified_torque import keep
 from canhaptic.control.certificates.scalar_bounds import hand_force_bound
+from canhaptic.control.multi_axis import group_certificates
 from canhaptic.control.multi_axis.group_certificates import (
     Acting,
     AxisLimits,
-    PerAxisLimits,
-    PerAxisMemory,
     along_last,
     base_of,
     damping_need,
@@ -79,7 +78,6 @@ from canhaptic.control.multi_axis.group_certificates import (
     needed_by_hand,
     pass_range,
     path_need,
-    per_axis_memory,
     response_to_late,
     share_by_hand,
     take_sent,
@@ -161,15 +159,15 @@ class AccountMemory(NamedTuple):
     passing: Buffer  # buffer for the motion in one hold
     nothing: Buffer  # zeros
     sized: Buffer  # buffer for a part of torques
-    apart: PerAxisMemory
+    apart: group_certificates.PerAxisMemory
 
 
-def account_memory(limits: PerAxisLimits) -> AccountMemory:
+def account_memory(limits: group_certificates.PerAxisLimits) -> AccountMemory:
     """Return empty buffers."""
     axes, one = len(limits.roots), list_of_zeros
     return AccountMemory(
         one(axes), one(axes), one(axes), Acting(one(axes), one(axes)), Acting(one(axes), one(axes)),
-        zeros(limits.holds, axes), one(axes), one(axes), one(axes), per_axis_memory(limits),
+        zeros(limits.holds, axes), one(axes), one(axes), one(axes), group_certificates.per_axis_memory(limits),
     )  # fmt: skip
 
 
@@ -431,7 +429,7 @@ class AccountSettings(NamedTuple):
     """Constants of a run."""
 
     axes: AxisLimits
-    apart: PerAxisLimits
+    apart: group_certificates.PerAxisLimits
     moves: bool  # whether a mover may give or take energy
 
 

@@ -14,13 +14,10 @@ from typing import ClassVar, Final, NamedTuple, TypeAlias
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.certificates.certified_torque import keep
 from canhaptic.control.damping import modulated_damping
+from canhaptic.control.multi_axis import group_account, group_certificates, group_kernel
 from canhaptic.control.multi_axis.group_account import (
     Accounting,
-    AccountMemory,
-    AccountSettings,
-    GroupAccount,
     QueuedTorques,
-    account_memory,
     certain_energy,
     doubt_of_mover,
     end_group_gap,
@@ -30,28 +27,13 @@ from canhaptic.control.multi_axis.group_account import (
     quotient,
     shares,
 )
-from canhaptic.control.multi_axis.group_certificates import (
-    AxisLimits,
-    axes_of,
-    inward_first,
-    per_axis_limits,
-    taken_by_mover,
-)
+from canhaptic.control.multi_axis.group_certificates import inward_first, taken_by_mover
 from canhaptic.control.multi_axis.group_kernel import (
-    Group,
     GroupHold,
-    GroupKernel,
-    GroupLoop,
-    GroupMemory,
-    GroupModel,
     MotionAhead,
-    RequestedEfforts,
-    SteppedGroup,
     begin_motion,
     end_holds,
     follow,
-    group_loop,
-    group_memory,
     next_place,
     norm,
     send_nothing,
@@ -60,18 +42,9 @@ from canhaptic.control.multi_axis.group_kernel import (
     write_efforts,
     write_springs,
 )
+from canhaptic.control.passivity import guarded
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded import (
-    PREDICTION_HOLDS,
-    GuardedParameters,
-    PredictedMotion,
-    PredictionSettings,
-    calm_stiffness_of,
-    observe,
-    observe_mean,
-    predicted,
-    prediction_settings,
-)
+from canhaptic.control.passivity.guarded import observe, observe_mean, predicted
 from canhaptic.control.passivity.stepped import settle, towards_zero
 from canhaptic.control.port_hamiltonian.sampled_network import internal_motion
 from canhaptic.errors import ParameterError
@@ -91,12 +64,12 @@ _GRID_BACK: Final = 0.99
 class GuardedGroupSettings(NamedTuple):
     """Constants of a run."""
 
-    loop: GroupLoop
-    account: AccountSettings
+    loop: group_kernel.GroupLoop
+    account: group_account.AccountSettings
     credit: float  # energy that may be given out before any came in [J]
     alpha: float  # [s/m^2 or s/rad^2]
     lead: float  # prediction [holds]
-    prediction: list[PredictionSettings]  # of each axis
+    prediction: list[guarded.PredictionSettings]  # of each axis
     calm: Buffer  # stiffness of the largest spring that the rate renders, (axes,) [N/m or N*m/rad]
     damped: Buffer  # the same by the damping of the devices, (axes,); 0 where it is not declared [N/m or N*m/rad]
     path: float  # of the hand in the holds that a torque takes; 0 without a hand speed [m or rad]
@@ -109,21 +82,21 @@ class GuardedGroupState:
     """State kept from SYNC to SYNC."""
 
     was_engaged: bool = False
-    group: Group = field(default_factory=Group)
-    account: GroupAccount = field(default_factory=GroupAccount)
+    group: group_kernel.Group = field(default_factory=group_kernel.Group)
+    account: group_account.GroupAccount = field(default_factory=group_account.GroupAccount)
 
 
 class GuardedGroupMemory(NamedTuple):
     """Buffers of a group."""
 
-    group: GroupMemory
-    account: AccountMemory
-    predicted: list[PredictedMotion]  # of each axis
+    group: group_kernel.GroupMemory
+    account: group_account.AccountMemory
+    predicted: list[guarded.PredictedMotion]  # of each axis
     column: Buffer  # torques under way of one axis, (delay + 1,) [N*m or N]
     way: Buffer  # of the motors until the next torques act, (axes,) [rad or m]
     steady: Buffer  # the same by the last motion alone
     step: Buffer  # motion in a hold then
-    request: RequestedEfforts
+    request: group_kernel.RequestedEfforts
     damper: Buffer  # efforts to be sent, (axes,) [N*m or N]
     modulated: Buffer
     torques: Buffer  # requested
@@ -137,7 +110,7 @@ GuardedRun: TypeAlias = Run[GuardedGroupSettings, GuardedGroupState, GuardedGrou
 
 
 def settings_of(
-    world: GroupModel, parameters: GuardedParameters, loops: tuple[LoopProperties, ...]
+    world: group_kernel.GroupModel, parameters: guarded.GuardedParameters, loops: tuple[LoopProperties, ...]
 ) -> GuardedGroupSettings:
     """Constants of a run.
 
@@ -147,19 +120,19 @@ def settings_of(
     _refuse_keys_of_one_axis(parameters)
     sample_time, delay = loops[0].sample_time, loops[0].delay
     late = max([loop.timing.late for loop in loops]) / sample_time
-    axes = axes_of(loops, parameters.hand_force, parameters.hand_speed)
+    axes = group_certificates.axes_of(loops, parameters.hand_force, parameters.hand_speed)
     _require_certificates(axes, loops)
-    loop = group_loop(world, loops)
-    limits = per_axis_limits(axes, delay, parameters.max_consecutive_losses)
+    loop = group_kernel.group_loop(world, loops)
+    limits = group_certificates.per_axis_limits(axes, delay, parameters.max_consecutive_losses)
     quanta = [loop.torque_quantum for loop in loops]
     return GuardedGroupSettings(
         loop,
-        AccountSettings(axes, limits, loop.motion.moves),
+        group_account.AccountSettings(axes, limits, loop.motion.moves),
         credit=parameters.energy_allowance,
         alpha=parameters.alpha,
-        lead=PREDICTION_HOLDS + delay + late,
-        prediction=[prediction_settings(loop, PREDICTION_HOLDS + late) for loop in loops],
-        calm=[calm_stiffness_of(loop) for loop in loops],
+        lead=guarded.PREDICTION_HOLDS + delay + late,
+        prediction=[guarded.prediction_settings(loop, guarded.PREDICTION_HOLDS + late) for loop in loops],
+        calm=[guarded.calm_stiffness_of(loop) for loop in loops],
         damped=[2.0 * b / (1 + delay) for b in axes.damping],
         path=axes.path * (1 + delay),
         quanta=quanta,
@@ -167,7 +140,7 @@ def settings_of(
     )
 
 
-def _refuse_keys_of_one_axis(parameters: GuardedParameters) -> None:
+def _refuse_keys_of_one_axis(parameters: guarded.GuardedParameters) -> None:
     """Refuse keys that only the certificates of a single axis can use.
 
     Raises:
@@ -188,7 +161,7 @@ def _refuse_keys_of_one_axis(parameters: GuardedParameters) -> None:
             )
 
 
-def _require_certificates(axes: AxisLimits, loops: tuple[LoopProperties, ...]) -> None:
+def _require_certificates(axes: group_certificates.AxisLimits, loops: tuple[LoopProperties, ...]) -> None:
     if not (axes.by_hand or axes.by_damping or axes.path):
         raise ParameterError(
             "guarded group: got neither moving_mass of every axis with hand_force, nor device_damping of every "
@@ -202,19 +175,20 @@ def _require_certificates(axes: AxisLimits, loops: tuple[LoopProperties, ...]) -
         )
 
 
-def memory_of(world: GroupModel, settings: GuardedGroupSettings) -> GuardedGroupMemory:
+def memory_of(world: group_kernel.GroupModel, settings: GuardedGroupSettings) -> GuardedGroupMemory:
     """Return the buffers of a group at rest."""
     axes, one, limits = len(settings.quanta), list_of_zeros, settings.account.apart
     return GuardedGroupMemory(
-        group_memory(world, settings.loop, 0), account_memory(limits), [PredictedMotion() for _ in settings.quanta],
-        one(settings.loop.delay + 1), one(axes), one(axes), one(axes),
-        RequestedEfforts(one(axes), one(axes), one(axes), one(axes)),
+        group_kernel.group_memory(world, settings.loop, 0), group_account.account_memory(limits),
+        [guarded.PredictedMotion() for _ in settings.quanta], one(settings.loop.delay + 1), one(axes), one(axes),
+        one(axes),
+        group_kernel.RequestedEfforts(one(axes), one(axes), one(axes), one(axes)),
         one(axes), one(axes), one(axes), one(axes), one(axes), one(axes),
     )  # fmt: skip
 
 
 def step(
-    world: GroupModel,
+    world: group_kernel.GroupModel,
     settings: GuardedGroupSettings,
     state: GuardedGroupState,
     memory: GuardedGroupMemory,
@@ -256,7 +230,7 @@ def step(
     return new(GroupHold, (balance, supplied, uncertainty, further, motion.limit, group.oldest - 1))
 
 
-def begin(world: GroupModel, run: GuardedRun, positions: Buffer) -> None:
+def begin(world: group_kernel.GroupModel, run: GuardedRun, positions: Buffer) -> None:
     """Take the first positions, of a group at rest."""
     settings, state, memory = run
     group, motion, loop = state.group, memory.group.motion, settings.loop.motion
@@ -269,7 +243,7 @@ def begin(world: GroupModel, run: GuardedRun, positions: Buffer) -> None:
             write_carried(world, loop, group.motion, motion, hold, memory.account.mover_motion[hold])
 
 
-def end(world: GroupModel, run: GuardedRun, missed: int) -> tuple[float, float, float]:
+def end(world: group_kernel.GroupModel, run: GuardedRun, missed: int) -> tuple[float, float, float]:
     """Take the holds that ended into the account; return the energy that a mover supplied, and its uncertainty [J].
 
     The uncertainty is the largest shortfall, which is not booked, and the largest excess.
@@ -301,7 +275,7 @@ def end(world: GroupModel, run: GuardedRun, missed: int) -> tuple[float, float, 
     return 0.0 - supplied, doubt if doubt > 0.0 else 0.0, further + 2.0 * moved
 
 
-def write_passed(world: GroupModel, run: GuardedRun, hold: int, holds: int) -> None:
+def write_passed(world: group_kernel.GroupModel, run: GuardedRun, hold: int, holds: int) -> None:
     """Write the mover's motion in one of the holds that ended, in motor coordinates [rad or m]."""
     settings, state, memory = run
     motion, account = memory.group.motion, memory.account
@@ -342,7 +316,7 @@ def branch_of(state: GuardedGroupState, h_i: float, leak: float, deficit: float)
     return _EXIT if state.was_engaged or h_i != 0.0 or leak != 0.0 else _FREE
 
 
-def render(world: GroupModel, run: GuardedRun, at: Accounting) -> tuple[float, int]:
+def render(world: group_kernel.GroupModel, run: GuardedRun, at: Accounting) -> tuple[float, int]:
     """Send the torques for the next free hold; return the damping rendered along the motion, and the certificate."""
     settings, state, memory = run
     group, commands, request = state.group, memory.group.commands, memory.request
@@ -371,7 +345,7 @@ def render(world: GroupModel, run: GuardedRun, at: Accounting) -> tuple[float, i
     return factor * rendered, certificate
 
 
-def write_wish(world: GroupModel, run: GuardedRun, under_way: QueuedTorques) -> float:
+def write_wish(world: group_kernel.GroupModel, run: GuardedRun, under_way: QueuedTorques) -> float:
     """Write the requested efforts at the predicted motor positions; returns the same as `write_efforts`.
 
     Motion inside a network is not predicted: it continues as in the last hold, and the motors with it.
@@ -590,8 +564,10 @@ def capped_norm(efforts: Buffer, caps: Buffer) -> float:
     return sqrt(total)
 
 
-class GuardedGroup(SteppedGroup):
+class GuardedGroup(group_kernel.SteppedGroup):
     """A network rendered as far as the certificates allow."""
 
-    parameters_type: ClassVar[type[Parameters]] = GuardedParameters
-    kernel: ClassVar[GroupKernel] = GroupKernel(settings_of, GuardedGroupState, memory_of, step)
+    parameters_type: ClassVar[type[Parameters]] = guarded.GuardedParameters
+    kernel: ClassVar[group_kernel.GroupKernel] = group_kernel.GroupKernel(
+        settings_of, GuardedGroupState, memory_of, step
+    )

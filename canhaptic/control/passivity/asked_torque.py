@@ -17,21 +17,9 @@ from canhaptic.control.certificates.certified_torque import keep, look_for_turn
 from canhaptic.control.damping import VelocityWindow, restart, update
 from canhaptic.control.environments.environment import StoresNothing
 from canhaptic.control.environments.free_space import FreeSpace
+from canhaptic.control.passivity import guarded
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.guarded import (
-    Guarded,
-    GuardedParameters,
-    GuardedSettings,
-    GuardedState,
-    Memory,
-    book,
-    certain_energy,
-    end,
-    memory_of,
-    permitted_size,
-    settings_of,
-    start,
-)
+from canhaptic.control.passivity.guarded import book, certain_energy, end, permitted_size, start
 from canhaptic.control.passivity.stepped import SteppedController, send, towards_zero
 from canhaptic.control.passivity.unprotected import Unprotected
 from canhaptic.kernels import Kernel, Run, list_of_zeros, new
@@ -70,13 +58,13 @@ class AskedEffort(StoresNothing):
 
 
 @dataclass(slots=True)
-class AskedState(GuardedState):
+class AskedState(guarded.GuardedState):
     """State kept from SYNC to SYNC."""
 
     size: float = inf  # of the tank beyond `GuardedSettings.earned` [J]
 
 
-AskedRun: TypeAlias = Run[GuardedSettings, AskedState, Memory]
+AskedRun: TypeAlias = Run[guarded.GuardedSettings, AskedState, guarded.Memory]
 """Settings, state and memory of one axis."""
 
 
@@ -163,8 +151,8 @@ class _Asks(SteppedController):
 
 
 def _settings_of(
-    environment: AskedEffort, parameters: GuardedParameters, loop: LoopProperties
-) -> GuardedSettings:  # fmt: skip
+    environment: AskedEffort, parameters: guarded.GuardedParameters, loop: LoopProperties
+) -> guarded.GuardedSettings:  # fmt: skip
     """Constants of a run whose torque may turn at any SYNC: the hand's push counts in both directions.
 
     Args:
@@ -175,16 +163,16 @@ def _settings_of(
     force, push = parameters.hand_force, parameters.hand_push
     if force is not None and push is not None and push > force:
         parameters = parameters.model_copy(update={"hand_force": push})
-    return settings_of(environment, parameters, loop)
+    return guarded.settings_of(environment, parameters, loop)
 
 
-class GuardedProgram(_Asks, Guarded):
+class GuardedProgram(_Asks, guarded.Guarded):
     """A program's torques as far as the certificates allow."""
 
-    parameters_type = GuardedParameters
-    kernel = Kernel(_settings_of, AskedState, memory_of, step)
+    parameters_type = guarded.GuardedParameters
+    kernel = Kernel(_settings_of, AskedState, guarded.memory_of, step)
 
-    def __init__(self, parameters: GuardedParameters, loop: LoopProperties) -> None:
+    def __init__(self, parameters: guarded.GuardedParameters, loop: LoopProperties) -> None:
         self._size = inf if parameters.earned_energy is None else 0.0
         super().__init__(parameters, loop)
 

@@ -51,6 +51,7 @@ from math import copysign, expm1, inf, sqrt
 from typing import Annotated, Any, ClassVar, Final, NamedTuple, TypeAlias
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
+from canhaptic.control.certificates import scalar_bounds
 from canhaptic.control.certificates.certified_torque import (
     BoundMemory,
     Declared,
@@ -66,25 +67,14 @@ from canhaptic.control.certificates.certified_torque import (
     reaches_turn,
     shorten,
 )
-from canhaptic.control.certificates.scalar_bounds import (
-    NO_RESPONSE,
-    DisplacementResponse,
-    displacement_response,
-    renderable_by_device_damping,
-    renderable_by_hand_force,
-    start_energy,
-    sustained_by_friction,
-)
+from canhaptic.control.certificates.scalar_bounds import DisplacementResponse
 from canhaptic.control.damping import Alpha, damping_cap, modulated_damping, restart, update
 from canhaptic.control.environments.environment import Environment, outside_of
 from canhaptic.control.environments.environment import knows_turns as tells_turns
+from canhaptic.control.passivity import stepped
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.stepped import (
-    Axis,
-    AxisMemory,
-    SteppedController,
     as_far_as_limit,
-    axis_memory,
     begin,
     efforts_inside,
     repeat,
@@ -287,10 +277,10 @@ def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> Gu
     """
     sample_time, mass, damping = loop.sample_time, loop.moving_mass, loop.device_damping or 0.0
     timing, response, speed = loop.timing, hand_response(parameters, loop), parameters.hand_speed or 0.0
-    by_hand_force = response is not NO_RESPONSE
+    by_hand_force = response is not scalar_bounds.NO_RESPONSE
     _require_certifiable(parameters, loop, by_hand_force=by_hand_force)
     cap, late = min(_NO_CAP, damping_cap(loop.delay, mass, sample_time)), timing.late / sample_time
-    damped, calm = renderable_by_device_damping(damping, sample_time, loop.delay), calm_stiffness_of(loop)
+    damped, calm = scalar_bounds.renderable_by_device_damping(damping, sample_time, loop.delay), calm_stiffness_of(loop)
     return GuardedSettings(
         sample_time=sample_time,
         credit=parameters.energy_allowance,
@@ -311,7 +301,7 @@ def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> Gu
         calm=calm,
         calm_stiffness=calm if by_hand_force else 0.0,
         damped_stiffness=damped,
-        sustained=sustained_by_friction(loop.device_friction or 0.0, loop.encoder_count),
+        sustained=scalar_bounds.sustained_by_friction(loop.device_friction or 0.0, loop.encoder_count),
         path=speed * sample_time * (1 + loop.delay),
         prediction=prediction_settings(loop, PREDICTION_HOLDS + late),
         longest_window=max(2, round(_LONGEST_WINDOW / sample_time)) if loop.encoder_count else 0,
@@ -320,7 +310,10 @@ def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> Gu
 
 
 def kept_for_contacts(
-    environment: Environment, parameters: GuardedParameters, loop: LoopProperties, response: DisplacementResponse
+    environment: Environment,
+    parameters: GuardedParameters,
+    loop: LoopProperties,
+    response: DisplacementResponse,
 ) -> float:
     """Energy that is kept for later contacts [J]; see `start_energy`.
 
@@ -331,10 +324,10 @@ def kept_for_contacts(
         ParameterError: A drag that earns nothing.
     """
     kept, stiffness = parameters.earned_energy, environment.linear_stiffness
-    if kept is None and response is not NO_RESPONSE and response.hand > 0.0 and stiffness != 0.0:
+    if kept is None and response is not scalar_bounds.NO_RESPONSE and response.hand > 0.0 and stiffness != 0.0:
         holds = loop.delay + parameters.max_consecutive_losses
-        half = 0.5 * renderable_by_hand_force(response, holds, _LARGEST)
-        kept = start_energy(response, holds, half if stiffness is None else min(stiffness, half))
+        half = 0.5 * scalar_bounds.renderable_by_hand_force(response, holds, _LARGEST)
+        kept = scalar_bounds.start_energy(response, holds, half if stiffness is None else min(stiffness, half))
     if parameters.drag > 0.0 and not kept:
         raise ParameterError(
             f"guarded: got drag {parameters.drag:g} with earned_energy 0, expected the energy it is to earn; "
@@ -354,7 +347,7 @@ def _require_certifiable(parameters: GuardedParameters, loop: LoopProperties, *,
 
 def declared_of(parameters: GuardedParameters, loop: LoopProperties, response: DisplacementResponse) -> Declared:
     """Declared properties behind the certificates."""
-    timing, by_hand_force = loop.timing, response is not NO_RESPONSE
+    timing, by_hand_force = loop.timing, response is not scalar_bounds.NO_RESPONSE
     damping, friction, speed = loop.device_damping or 0.0, loop.device_friction or 0.0, parameters.hand_speed or 0.0
     return Declared(
         timing.longest,
@@ -377,9 +370,9 @@ def calm_stiffness_of(loop: LoopProperties) -> float:
     """Largest stiffness rendered without oscillation at this rate [N/m or N*m/rad]."""
     if loop.moving_mass is None:
         return _NO_CAP
-    ideal = displacement_response(loop.sample_time, loop.moving_mass, 0.0, 0.0, 0.0, 0.0, loop.timing)
-    damped = renderable_by_device_damping(loop.device_damping or 0.0, loop.sample_time, loop.delay)
-    return max(damped, renderable_by_hand_force(ideal, loop.delay, 1.0))
+    ideal = scalar_bounds.displacement_response(loop.sample_time, loop.moving_mass, 0.0, 0.0, 0.0, 0.0, loop.timing)
+    damped = scalar_bounds.renderable_by_device_damping(loop.device_damping or 0.0, loop.sample_time, loop.delay)
+    return max(damped, scalar_bounds.renderable_by_hand_force(ideal, loop.delay, 1.0))
 
 
 def hand_response(parameters: GuardedParameters, loop: LoopProperties) -> DisplacementResponse:
@@ -389,7 +382,7 @@ def hand_response(parameters: GuardedParameters, loop: LoopProperties) -> Displa
         ParameterError: The damping of the device has no upper bound.
     """
     if parameters.hand_force is None or loop.moving_mass is None:
-        return NO_RESPONSE
+        return scalar_bounds.NO_RESPONSE
     if loop.device_damping_bound is None:
         raise ParameterError(
             "guarded: got hand_force without device_damping_bound, expected the largest damping that the device can "
@@ -400,7 +393,7 @@ def hand_response(parameters: GuardedParameters, loop: LoopProperties) -> Displa
     stiffness, braking = loop.presliding_stiffness or inf, 0.0
     if loop.presliding_stiffness is not None and loop.device_cogging_bound is not None:
         braking = max(0.0, friction - loop.device_cogging_bound)
-    return displacement_response(
+    return scalar_bounds.displacement_response(
         loop.sample_time,
         loop.moving_mass,
         parameters.hand_force + friction,
@@ -424,7 +417,7 @@ class GuardedState:
     true: float = 0.0  # displacement of the storage in the continuous environment [m or rad]
     h_s: float = 0.0  # [J]
     unrecovered: float = 0.0  # dissipated or leaked, and not paid [J]
-    axis: Axis = field(default_factory=Axis)
+    axis: stepped.Axis = field(default_factory=stepped.Axis)
     bound: TorqueBound = field(default_factory=TorqueBound)
     motion: PredictedMotion = field(default_factory=PredictedMotion)
 
@@ -432,7 +425,7 @@ class GuardedState:
 class Memory(NamedTuple):
     """Buffers of one axis."""
 
-    axis: AxisMemory
+    axis: stepped.AxisMemory
     bound: BoundMemory
 
 
@@ -442,7 +435,7 @@ GuardedRun: TypeAlias = Run[GuardedSettings, GuardedState, Memory]
 
 def memory_of(settings: GuardedSettings, make_buffer: MakeBuffer) -> Memory:
     """Return the buffers of one axis."""
-    axis = axis_memory(settings.declared.delay, settings.longest_window, make_buffer)
+    axis = stepped.axis_memory(settings.declared.delay, settings.longest_window, make_buffer)
     return Memory(axis, bound_memory(settings.declared, axis.commands.torques, make_buffer))
 
 
@@ -489,7 +482,7 @@ def end_several(run: GuardedRun, displacement: float, torque_applied: float) -> 
     return end_gap(settings.declared, state.bound, displacement, torque_applied, holds, largest, apart)
 
 
-def restart_at_mean(settings: GuardedSettings, axis: Axis, memory: AxisMemory, moved: float) -> None:
+def restart_at_mean(settings: GuardedSettings, axis: stepped.Axis, memory: stepped.AxisMemory, moved: float) -> None:
     """Restart the velocity's window after holds with this mean displacement [m or rad]."""
     if settings.longest_window:
         restart(axis.window, memory.samples, axis.position)
@@ -866,7 +859,7 @@ def motion_inside(
     return travel, inside
 
 
-class Guarded(SteppedController):
+class Guarded(stepped.SteppedController):
     """An environment rendered as far as the certificates allow."""
 
     parameters_type: ClassVar[type[Parameters]] = GuardedParameters

@@ -41,21 +41,9 @@ from typing import Any, Final, NamedTuple, TypeAlias
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.damping import Alpha, DamperVelocity, damping_cap, modulated_damping
 from canhaptic.control.environments.environment import Environment, plain
+from canhaptic.control.passivity import stepped
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.stepped import (
-    Axis,
-    Hold,
-    HoldAccount,
-    HoldMemory,
-    HoldSettings,
-    SteppedController,
-    begin,
-    close_hold,
-    hold_memory,
-    hold_settings,
-    open_hold,
-    surplus_after,
-)
+from canhaptic.control.passivity.stepped import Hold, HoldAccount, begin, close_hold, open_hold, surplus_after
 from canhaptic.kernels import Kernel, Run, new
 
 _SPLITTER: Final = 134217729.0  # 2^27 + 1 (Veltkamp)
@@ -370,18 +358,18 @@ class StoredModelSettings:
     is_linear: bool  # whether the storage is k x^2 / 2
     stiffness: float  # k, where it is [N/m or N*m/rad]
     stores: bool  # whether it stores anything
-    hold: HoldSettings
+    hold: stepped.HoldSettings
 
 
 @dataclass(slots=True)
 class StoredModelState:
     """State kept from SYNC to SYNC; an algorithm adds its own fields."""
 
-    axis: Axis = field(default_factory=Axis)
+    axis: stepped.Axis = field(default_factory=stepped.Axis)
     storage: Storage = field(default_factory=Storage)
 
 
-StoredModelRun: TypeAlias = Run[StoredModelSettings, Any, HoldMemory]
+StoredModelRun: TypeAlias = Run[StoredModelSettings, Any, stepped.HoldMemory]
 """Settings, state and memory of an algorithm."""
 
 
@@ -402,7 +390,7 @@ def stored_model_settings(
         is_linear=stiffness is not None,
         stiffness=stiffness or 0.0,
         stores=stiffness != 0.0,
-        hold=hold_settings(parameters, loop, Certificate.NONE),
+        hold=stepped.hold_settings(parameters, loop, Certificate.NONE),
     )
 
 
@@ -522,8 +510,8 @@ def solve(
     return solve_balance_nonlinear(environment, old, h_m, 2.0 * displacement, _RESOLVED * storage.h_s)
 
 
-class InternalDissipation(SteppedController):
+class InternalDissipation(stepped.SteppedController):
     """The paper's algorithm for one axis."""
 
     parameters_type = InternalDissipationParameters
-    kernel = Kernel(stored_model_settings, InternalDissipationState, hold_memory, step)
+    kernel = Kernel(stored_model_settings, InternalDissipationState, stepped.hold_memory, step)

@@ -14,17 +14,10 @@ from typing import Annotated, Any
 from canhaptic.control.balance import RunningSum, add
 from canhaptic.control.damping import DamperVelocity, damping_cap
 from canhaptic.control.environments.environment import Environment
+from canhaptic.control.passivity import unprotected
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.stepped import Hold, SteppedController
-from canhaptic.control.passivity.unprotected import (
-    Asked,
-    Reply,
-    SampledRun,
-    SampledSettings,
-    SampledState,
-    sampled_kernel,
-    sampled_settings,
-)
+from canhaptic.control.passivity.unprotected import Asked, Reply
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import new
 from canhaptic.units import quantity
@@ -39,7 +32,7 @@ class PassivityObserverParameters(DamperVelocity):
 
 
 @dataclass(slots=True)
-class ObserverState(SampledState):
+class ObserverState(unprotected.SampledState):
     """State kept from SYNC to SYNC."""
 
     observed: RunningSum = field(default_factory=RunningSum)  # sum(h_i) [J]
@@ -47,7 +40,7 @@ class ObserverState(SampledState):
 
 def observer_settings(
     algorithm: str, environment: Environment, parameters: PassivityObserverParameters, loop: LoopProperties
-) -> SampledSettings[Any]:
+) -> unprotected.SampledSettings[Any]:
     """Constants of a run of an algorithm with a passivity controller, whose damping it limits.
 
     Raises:
@@ -62,10 +55,10 @@ def observer_settings(
         )
     if limit is None:
         limit = max(0.0, damping_cap(loop.delay, loop.moving_mass, loop.sample_time) - environment.damping)
-    return sampled_settings(environment, parameters, loop, limit)
+    return unprotected.sampled_settings(environment, parameters, loop, limit)
 
 
-def respond(run: SampledRun[PassivityObserverParameters, ObserverState], hold: Hold, asked: Asked) -> Reply:
+def respond(run: unprotected.SampledRun[PassivityObserverParameters, ObserverState], hold: Hold, asked: Asked) -> Reply:
     """Add a damper while more energy was drawn than was put in."""
     observed = add(run.state.observed, hold.h_i)
     extra = controlling_damping(run.settings.limit, observed, hold) if asked.touches else 0.0
@@ -85,4 +78,4 @@ class PassivityObserver(SteppedController):
     """Time-domain passivity control around the sampled environment."""
 
     parameters_type = PassivityObserverParameters
-    kernel = sampled_kernel(respond, ObserverState, partial(observer_settings, "passivity_observer"))
+    kernel = unprotected.sampled_kernel(respond, ObserverState, partial(observer_settings, "passivity_observer"))

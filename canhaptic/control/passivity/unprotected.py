@@ -20,20 +20,9 @@ from typing import Any, Generic, NamedTuple, TypeAlias
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.environment import Environment, plain
+from canhaptic.control.passivity import stepped
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.stepped import (
-    Axis,
-    Hold,
-    HoldAccount,
-    HoldMemory,
-    HoldSettings,
-    SteppedController,
-    begin,
-    close_hold,
-    hold_memory,
-    hold_settings,
-    open_hold,
-)
+from canhaptic.control.passivity.stepped import Axis, Hold, HoldAccount, begin, close_hold, open_hold
 from canhaptic.kernels import GivenT, Kernel, MakeBuffer, Run, StateT, new
 from canhaptic.kernels.records import filled
 
@@ -117,7 +106,7 @@ class SampledSettings(Generic[GivenT]):
 
     given: GivenT  # parameters of the algorithm; a kernel reads their numbers alone
     limit: float  # of the damping or force that the algorithm adds; infinite: none
-    hold: HoldSettings
+    hold: stepped.HoldSettings
 
 
 @dataclass(slots=True)
@@ -128,7 +117,7 @@ class SampledState:
     model: SampledModel = field(default_factory=SampledModel)
 
 
-SampledRun: TypeAlias = Run[SampledSettings[GivenT], StateT, HoldMemory]
+SampledRun: TypeAlias = Run[SampledSettings[GivenT], StateT, stepped.HoldMemory]
 """Settings, state and memory of an algorithm with given parameters and state."""
 
 
@@ -154,7 +143,7 @@ def sampled_settings(
     Raises:
         ParameterError: A windowed velocity without an encoder count.
     """
-    return SampledSettings(plain(parameters), limit, hold_settings(parameters, loop, certificate))
+    return SampledSettings(plain(parameters), limit, stepped.hold_settings(parameters, loop, certificate))
 
 
 def respond(run: SampledRun[Any, Any], hold: Hold, asked: Asked) -> Reply:
@@ -200,8 +189,8 @@ def sampled_kernel(
         kept: Length of the algorithm's own buffer.
     """
 
-    def memory_of(made: SampledSettings[Any], make_buffer: MakeBuffer) -> HoldMemory:
-        return hold_memory(made, make_buffer, kept(made))
+    def memory_of(made: SampledSettings[Any], make_buffer: MakeBuffer) -> stepped.HoldMemory:
+        return stepped.hold_memory(made, make_buffer, kept(made))
 
     return Kernel(settings, state, memory_of, filled(step, respond=respond_as))
 
@@ -210,7 +199,7 @@ class UnprotectedParameters(DamperVelocity):
     """Parameters of `unprotected`: the velocity of its damper."""
 
 
-class Unprotected(SteppedController):
+class Unprotected(stepped.SteppedController):
     """torque = -effort(x) - d v."""
 
     parameters_type = UnprotectedParameters
