@@ -25,7 +25,7 @@ from pydantic import model_validator
 from canhaptic.control.admittance.port import AdmittanceProperties, Port
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.control.environments.environment import plain
-from canhaptic.control.passivity.stepped import SteppedController, Wording
+from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.kernels import Buffer
 from canhaptic.units import Parameters, quantity
 
@@ -209,8 +209,9 @@ class AdmittanceController(SteppedController):
 
     _environment: AdmittanceEnvironment
     _display: AdmittanceAxis
-    wording: ClassVar[Wording] = Wording(
-        "applied force", "velocity", "encoder, force sensor and their scaling", "mass and damping against the forces"
+    wording: ClassVar[tuple[str, str, str, str]] = (
+        *("applied force", "velocity"),
+        *("encoder, force sensor and their scaling", "mass and damping against the forces"),
     )
 
     def __init__(

@@ -115,17 +115,6 @@ def settle(
 
 
 _HELD = Branch.HELD.value
-_TAKEN = 4
-"""Arguments of the step of a kernel: environment, run, position, torque applied."""
-
-
-class Wording(NamedTuple):
-    """Names of input and output of a controller, for its messages."""
-
-    effort: str  # in addition to the position
-    command: str
-    sensors: str  # advice where an input is not finite
-    values: str  # advice where an output is not finite
 
 
 class SteppedController:
@@ -133,12 +122,11 @@ class SteppedController:
 
     parameters_type: ClassVar[type[Parameters]]
     kernel: ClassVar[Kernel]
-    wording: ClassVar[Wording] = Wording(
-        "applied torque",
-        "torque",
-        "the encoder and its scaling",
-        "stiffness and damping against the size of the motion",
+    wording: ClassVar[tuple[str, str, str, str]] = (
+        *("applied torque", "torque"),
+        *("the encoder and its scaling", "stiffness and damping against the size of the motion"),
     )
+    """For messages: the input besides the position, the command, and what to check where either is not finite."""
 
     def __init_subclass__(cls) -> None:
         """Refuse a kernel whose step takes settings, state and memory one by one, as kernels once did.
@@ -147,7 +135,7 @@ class SteppedController:
             ParameterError: It does.
         """
         kernel = vars(cls).get("kernel")
-        if kernel is not None and kernel.step.__code__.co_argcount != _TAKEN:
+        if kernel is not None and kernel.step.__code__.co_argcount != 4:  # environment, run, position, torque applied
             raise ParameterError(
                 f"{cls.__name__}: got a step of {kernel.step.__code__.co_argcount} arguments, expected (environment, "
                 "run, position, torque_applied): settings, state and memory are fields of run; see docs/extending.md"

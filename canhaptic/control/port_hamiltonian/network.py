@@ -38,7 +38,7 @@ from pydantic import Field, model_validator
 
 from canhaptic.control.port_hamiltonian.gauss import dot
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import Buffer, Indices, Matrix
+from canhaptic.kernels import Buffer, Indices, Matrix, zeros
 from canhaptic.units import Numbers, Parameters, quantity
 
 _Row = tuple[float, ...]
@@ -543,7 +543,7 @@ class Network:
             for _ in range(8):
                 _check_skew(structure([float(v) for v in chance.normal(size=n)]), n)
             structure = structure([0.0] * n)
-        constant: _Rows = _zeros(n, n) if structure is None else structure
+        constant: _Rows = zeros(n, n) if structure is None else structure
         _check_skew(constant, n)
         return constant
 
@@ -561,7 +561,7 @@ class Network:
     ) -> NetworkTables:
         n = self.states
         stiffness, hardening, lower, upper = [0.0] * n, [0.0] * n, [0.0] * n, [0.0] * n
-        quadratic, at = _zeros(n, n), 0
+        quadratic, at = zeros(n, n), 0
         for storage in storages:
             if isinstance(storage, Spring):
                 stiffness[at], hardening[at] = storage.stiffness, storage.hardening
@@ -664,10 +664,3 @@ def _check_skew(structure: _Rows, states: int) -> None:
                     f"network: structure[{i}][{j}] = {structure[i][j]:g} and structure[{j}][{i}] = "
                     f"{structure[j][i]:g}, expected J = -J'; anything else creates energy: put losses in dissipators"
                 )
-
-
-def _zeros(rows: int, columns: int) -> list[list[float]]:
-    return [[0.0] * columns for _ in range(rows)]
-
-
-__all__ = ["Damper", "DampingMatrix", "DoubleWell", "Mass", "Network", "QuadraticForm", "Spring", "UserEnergy"]
