@@ -97,13 +97,8 @@ from dataclasses import dataclass
 from math import inf, isnan, nan, sqrt
 from typing import Final, NamedTuple, Protocol
 
-from canhaptic.control.certificates.scalar_bounds import (
-    WINDOW,
-    DisplacementResponse,
-    hand_force_bound,
-    next_displacement,
-    tail_reach,
-)
+from canhaptic.control.certificates import scalar_bounds
+from canhaptic.control.certificates.scalar_bounds import WINDOW, hand_force_bound, next_displacement, tail_reach
 from canhaptic.kernels import Buffer, MakeBuffer, new
 
 _WHOLE: Final = 1.0 - 1e-9
@@ -118,7 +113,7 @@ class Declared:
     delay: int  # whole holds between computation and action
     losses: int  # consecutive cycles without a new torque that the certificates survive
     by_hand_force: bool  # whether that certificate is declared
-    response: DisplacementResponse  # for it
+    response: scalar_bounds.DisplacementResponse  # for it
     damping: float  # certain damping of the device [N*s/m or N*m*s/rad]; 0: not declared
     hand_speed: float  # largest speed of the hand [m/s or rad/s]; 0: not declared
     encoder_count: float  # [m or rad]; 0: ideal
@@ -844,7 +839,7 @@ def if_held_on(declared: Declared, hand: float, motion: LateMotion, friction: fl
 
 
 def sum_of_displacements(
-    response: DisplacementResponse, base: float, gain: float, hand: float, friction: float, holds: int
+    response: scalar_bounds.DisplacementResponse, base: float, gain: float, hand: float, friction: float, holds: int
 ) -> tuple[float, float, float]:
     """Sum of the displacements over several holds of one torque.
 
@@ -911,8 +906,8 @@ def taken_in_hold(
     older = motion.highest - friction if motion.highest > friction else 0.0
     if hand < inf:
         reach = tail_reach(motion.displacement, motion.counted, max(most, motion.highest), declared.response, hand)
-        taken = along_reach(declared.response, motion, 0.0, most, least, following, reach)
-        taken = min(taken, along_reach(declared.response, motion, friction, most, least, following, reach))
+        taken = along_reach(declared, motion, 0.0, most, least, following, reach)
+        taken = min(taken, along_reach(declared, motion, friction, most, least, following, reach))
     if net == 0.0 and older == 0.0:
         taken = min(taken, 0.0)
     elif declared.damping > 0.0:
@@ -926,13 +921,7 @@ def taken_in_hold(
 
 
 def along_reach(
-    response: DisplacementResponse,
-    motion: LateMotion,
-    friction: float,
-    most: float,
-    least: float,
-    following: float,
-    reach: float,
+    declared: Declared, motion: LateMotion, friction: float, most: float, least: float, following: float, reach: float
 ) -> float:
     """Return the energy that torques give out in a hold along the farthest motion [J]: A, or with friction B."""
     most, least = max(0.0, most - friction), max(0.0, least - friction)
@@ -941,7 +930,7 @@ def along_reach(
     if highest > least:
         taken += (highest - least) * reach
     if most > lowest and motion.displacement < 0.0:
-        taken -= (most - lowest) * response.behind * motion.displacement
+        taken -= (most - lowest) * declared.response.behind * motion.displacement
     return taken
 
 
