@@ -231,14 +231,7 @@ def reach_of(axes: AxisLimits, memory: AccountMemory, i: int, sign: float, hold:
 
 
 def given_late(
-    axes: AxisLimits,
-    memory: AccountMemory,
-    held: Buffer,
-    fixed: float,
-    size: float,
-    hold: int,
-    norms: Norms,
-    end: bool,
+    axes: AxisLimits, memory: AccountMemory, held: Buffer, fixed: float, size: float, hold: int, norms: Norms, end: bool
 ) -> LateShare:
     """Energy that older torques give out in a hold, beyond the energy of the torques held in it; see (1).
 

@@ -310,10 +310,7 @@ def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> Gu
 
 
 def kept_for_contacts(
-    environment: Environment,
-    parameters: GuardedParameters,
-    loop: LoopProperties,
-    response: DisplacementResponse,
+    environment: Environment, parameters: GuardedParameters, loop: LoopProperties, response: DisplacementResponse
 ) -> float:
     """Energy that is kept for later contacts [J]; see `start_energy`.
 
