@@ -549,15 +549,13 @@ def render(
         moved: Motion of the axis in a hold [m or rad].
         same: Whether the contact existed before.
     """
-    settings, state = run.settings, run.state
+    settings, state, queued = run.settings, run.state, run.memory.bound.under_way
     bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
     if settings.longest_window:
         energy = certain_energy(state, energy)
     ahead = steady = settings.lead * travel
     if not environment.relaxes:
-        ahead, mover_motion = predicted(
-            settings.prediction, state.motion, run.memory.bound.under_way, bound.first, travel
-        )
+        ahead, mover_motion = predicted(settings.prediction, state.motion, queued, bound.first, travel)
         if state.h_s < ceiling and steady * true > 0.0 and steady * true > ahead * true:
             ahead = steady  # going in, more may be taken in where the account is short
         if same:
