@@ -4,12 +4,13 @@ found = canhaptic.sweep("demo", {"environment.stiffness": [100, 1000, 10000]}, d
 print(found["handle.least_interaction"])     # [J], one value per scene
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from canhaptic.lab.batch.engine import Engine
 from canhaptic.lab.studies.compare import Comparison
 from canhaptic.lab.studies.compare import compare as compare_algorithms
 from canhaptic.scene.models import Scene
@@ -28,8 +29,13 @@ def compare(
     algorithms: Sequence[str] | None = None,
     changes: _Changes | None = None,
     *,
+    duration: float | None = None,
+    rate: float | None = None,
+    over_can: bool = False,
+    engine: Engine = "python",
+    repeats: int = 5,
+    progress: Callable[[int], None] | None = None,
     allow_code: bool = False,
-    **options: Any,
 ) -> Comparison:
     """Return the results of every algorithm on every axis or group of a scene.
 
@@ -37,13 +43,14 @@ def compare(
         scene: A scene file, a mapping with its keys, or a loaded scene; with simulated drives.
         algorithms: Names of algorithms; all of them by default.
         changes: Values of the scene to replace, as for `simulate`.
+        duration: Duration [s]; by default the scene's.
+        rate: Rate that replaces the scene's [Hz], possibly beyond its bus; for single axes, not over CAN.
+        over_can: Whether the whole CAN path is used instead of `DirectRig`.
+        engine: Engine without a bus: "python" gives the bits of the path over CAN, "numba" differs by rounding and
+            saves time on stiff plants and long runs, "auto" takes it where it is worthwhile.
+        repeats: Interleaved timings of a step of a single axis, of which the minimum counts; 0 for none.
+        progress: Called with the number of cycles done so far, of all runs together.
         allow_code: Whether program files that the scene names may run.
-        options: Some of `duration`: duration [s], by default the scene's. `rate`: rate that replaces the scene's
-            [Hz], possibly beyond its bus; for single axes, not over CAN. `over_can`: whether the whole CAN path is used
-            instead of `DirectRig`. `engine`: engine without a bus: "python", the default, gives the bits of the path
-            over CAN, "numba" differs by rounding and saves time on stiff plants and long runs, "auto" takes it where it
-            is worthwhile. `repeats`: interleaved timings of a step of a single axis, of which the minimum counts; 0 for
-            none. `progress`: called with the number of cycles done so far, of all runs together.
 
     Raises:
         InputError: Nothing is simulated, an unknown algorithm, or a rate over CAN.
@@ -51,7 +58,14 @@ def compare(
     Examples:
         >>> canhaptic.compare("demo", ["unprotected", "guarded"]).result["axes"]["handle"]  # doctest: +SKIP
     """
-    return compare_algorithms(load_any(scene, changes or {}, allow_code), algorithms, **options)
+    options: dict[str, Any] = {
+        "engine": engine,
+        "repeats": repeats,
+        "progress": progress,
+        "duration": duration,
+        "rate": rate,
+    }
+    return compare_algorithms(load_any(scene, changes or {}, allow_code), algorithms, over_can=over_can, **options)
 
 
 def sweep(
@@ -117,16 +131,22 @@ def check(scene: _SceneLike, changes: _Changes | None = None, *, allow_code: boo
     return checked(load_any(scene, changes or {}, allow_code))
 
 
-def design(scene: _SceneLike, changes: _Changes | None = None, *, allow_code: bool = False, **options: Any) -> _Plain:
+def design(
+    scene: _SceneLike,
+    changes: _Changes | None = None,
+    *,
+    margin: float | None = None,
+    tolerance: float | None = None,
+    allow_code: bool = False,
+) -> _Plain:
     """Return the stiffest wall that a rig renders, or the lightest mass of its admittance displays, as plain values.
 
     Args:
         scene: A scene file, a mapping with its keys, or a loaded scene.
         changes: Values of the scene to replace, as for `simulate`.
+        margin: Relative reserve by which stiffness and damping could both be larger and still pass; by default 0.2.
+        tolerance: Largest relative difference of a rendering from the requested one; by default 0.05.
         allow_code: Whether program files that the scene names may run.
-        options: Some of `margin`: relative reserve by which stiffness and damping could both be larger and still
-            pass; by default 0.2. `tolerance`: largest relative difference of a rendering from the requested one; by
-            default 0.05. `engine`: engine of the trials, as for `sweep`.
 
     Raises:
         InputError: The scene cannot be designed for, or a margin or tolerance is out of range.
@@ -137,6 +157,7 @@ def design(scene: _SceneLike, changes: _Changes | None = None, *, allow_code: bo
     """
     from canhaptic.lab.studies.design.wall import design as design_scene
 
+    options = _given(margin=margin, tolerance=tolerance)
     return design_scene(load_any(scene, changes or {}, allow_code), **options)
 
 
@@ -145,8 +166,10 @@ def accuracy(
     changes: _Changes | None = None,
     *,
     axis: str | None = None,
+    tolerance: float | None = None,
+    duration: float | None = None,
+    budget: float | None = None,
     allow_code: bool = False,
-    **options: Any,
 ) -> _Plain:
     """Return what accuracy costs in time, for the simulated plant and for the loop, as plain values.
 
@@ -154,10 +177,10 @@ def accuracy(
         scene: A scene file, a mapping with its keys, or a loaded scene.
         changes: Values of the scene to replace, as for `simulate`.
         axis: Name of an axis or a group; the first by default.
+        tolerance: Largest error of the position [m or rad]; by default a tenth of an encoder count.
+        duration: Length of the comparison [s]; by default until the second contact.
+        budget: Time for timings [s]; 0 for none, None for the default of the command.
         allow_code: Whether program files that the scene names may run.
-        options: Some of `tolerance`: largest error of the position [m or rad]; by default a tenth of an encoder
-            count. `duration`: length of the comparison [s]; by default until the second contact. `budget`: time for
-            timings [s]; 0 for none. `engine`: engine of the loops, as for `sweep`.
 
     Raises:
         InputError: A scene or an axis that cannot be used.
@@ -167,4 +190,10 @@ def accuracy(
     """
     from canhaptic.lab.studies.accuracy.study import study_accuracy
 
+    options = _given(tolerance=tolerance, duration=duration, budget=budget)
     return study_accuracy(load_any(scene, changes or {}, allow_code), axis, **options)
+
+
+def _given(**options: float | None) -> dict[str, Any]:
+    """Return the options that are not left to their defaults."""
+    return {name: value for name, value in options.items() if value is not None}
