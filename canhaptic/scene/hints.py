@@ -299,7 +299,7 @@ def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
     if not held:
         return ""
     unit, most = stiffness_unit(axis.parameters.unit), max(held)
-    text = f"{axis.parameters.name}: guaranteed for the declared {most[1]}: {most[0]:.3g} {unit} at the torque limit"
+    text = f"{axis.parameters.name}: guarantee rests on: {most[1]}; {most[0]:.3g} {unit} at the torque limit"
     bound = axis.loop.device_damping_bound
     if bound and axis.loop.device_damping is None:
         limit = bounds.renderable_by_device_damping(bound, axis.loop.sample_time, axis.loop.delay + _losses(axis))

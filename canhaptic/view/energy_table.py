@@ -11,7 +11,7 @@ from rich.text import Text
 
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE, Verdict
-from canhaptic.view.run_lines import Result, first_active, guaranteed_for, heading, headlines, line, mass_text, ordered
+from canhaptic.view.run_lines import Result, first_active, heading, headlines, line, mass_text, ordered, rests_on
 from canhaptic.view.si import counted, si
 from canhaptic.view.table import Cell, Styled, Table, in_lines
 
@@ -110,7 +110,7 @@ def _resolution(port: Result) -> str:
 
 def _certificates(port: Result) -> str:
     names = port.get("certificates", [port["certificate"]])
-    return f"{guaranteed_for(*names)}   " if names else "no torque   "
+    return f"{rests_on(*names)}   " if names else "no torque   "
 
 
 def _damping(port: Result) -> str:
@@ -162,7 +162,7 @@ _PORT_ROWS: Final[tuple[tuple[str, _Shown], ...]] = (
     ("longest time between torque updates", lambda port: f"{counted(port['longest_hold'], 'cycle')}   "),
     ("cycles not as commanded", lambda port: f"{port['uncommanded_cycles'] or '-'}   "),
     ("beyond declared friction and hand", _friction),
-    ("passivity guaranteed for", _certificates),
+    ("guarantee rests on", _certificates),
     ("hold of a torque", lambda port: f"{port['hold']}   "),
 )
 """Label, and the path of an energy in the account or a function that shows what the account has."""

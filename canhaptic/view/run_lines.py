@@ -85,7 +85,7 @@ def _first_figures(port: PortResult) -> list[str]:
         found.append(f"mass felt {mass_text(port)}")
     certificate = port.get("certificate", "none")
     if port["verdict"] == "yes" and certificate not in ("none", "exact"):
-        found.append(f"guaranteed for the {guaranteed_for(certificate)}")
+        found.append(f"guarantee rests on: {rests_on(certificate)}")
     if "hold" in port and (port["verdict"] == "yes" or port["hold"].startswith("acts ")):
         found.append(f"hold: {port['hold']}")
     return found
@@ -126,12 +126,12 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
     return found
 
 
-def guaranteed_for(*certificates: str) -> str:
-    """Return in words for which hands and devices the weakest of some certificates guarantee passivity."""
-    declared = [name.replace("_", " ").removeprefix("declared ") for name in certificates if name != "exact"]
-    if "none" in declared:
+def rests_on(*certificates: str) -> str:
+    """Return in words the declarations on which the guarantee of some certificates rests."""
+    if "none" in certificates:
         return "nothing"
-    return f"declared {', '.join(declared)}" if declared else "any hand"
+    declared = [name.replace("_", " ").removeprefix("declared ") for name in certificates if name != "exact"]
+    return ", ".join(declared) or "no declaration"
 
 
 def brief_report(result: Result) -> RenderableType:

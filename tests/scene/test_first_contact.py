@@ -137,7 +137,7 @@ def test_a_run_needs_a_word_for_an_allowance_above_ten_millijoules(capsys: pytes
 def test_check_says_on_which_declaration_the_guarantee_rests_and_what_the_encoder_keeps() -> None:
     demo = axis(*UNCOMMISSIONED)
     said = guarantee(demo, stability_hints(demo))
-    assert said.startswith("handle: guaranteed for the declared hand force: ")
+    assert said.startswith("handle: guarantee rests on: hand force; ")
     assert said.endswith("with device_damping measured: up to 2e+03 N/m for every hand")  # b / T, one sample late
     rough = axis(*UNCOMMISSIONED, "axes.0.counts_per_unit=10000", "passivity.device_friction=0.2")
     kept = next(hint for hint in stability_hints(rough) if hint.what.startswith("stiffness kept"))

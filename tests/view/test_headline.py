@@ -13,15 +13,15 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
 @pytest.mark.parametrize(
     ("port", "words"),
     [
-        ({"passive": "yes", **CERTIFIED}, "passive: yes · guaranteed for the declared hand force"),
+        ({"passive": "yes", **CERTIFIED}, "passive: yes · guarantee rests on: hand force"),
         ({"passive": "yes", "why": "by certificate", "energy_allowance": 1e-4, **CERTIFIED},
-         "passive: yes, by certificate, within 100 uJ · guaranteed for the declared hand force"),
+         "passive: yes, by certificate, within 100 uJ · guarantee rests on: hand force"),
         ({"passive": "no", "passive_at_handle": "yes", "why": "measured"}, "passive: yes, measured, at the handle"),
         ({"passive": "in doubt", "energy_resolution": 0.5, "why": "the contact acts as if 4 counts deep, 20 needed"},
          "passive: in doubt: the account is uncertain by +-500 mJ; the contact acts as if 4 counts deep, 20 needed"),
         ({"passive": "yes", "energy_allowance": 1e-4}, "passive: yes, within 100 uJ"),
         ({"passive": "no", "passive_at_handle": "yes", **CERTIFIED},
-         "passive: yes, at the handle · guaranteed for the declared hand force"),
+         "passive: yes, at the handle · guarantee rests on: hand force"),
         ({"passive": "in doubt", "plant_passive": "yes"}, "passive: yes, by the plant; the account alone cannot tell"),
         ({"passive": "in doubt", "plant_passive": "no"}, "passive: NO, by the plant; the account alone cannot tell"),
         ({"passive": "yes", "plant_passive": "no"},
@@ -42,8 +42,7 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
         ({"passive": "yes", "contact": {"holds": 9, "without_torque": 9}, "advice": "a lower current_lag"},
          "NOTHING RENDERED: a lower current_lag"),
         ({"passive": "yes", "in": 0.136, "out": 0.0376, "rendered": {"stiffness": 0.985, "damping": None}, **CERTIFIED},
-         "passive: yes · 136 mJ in, 37.6 mJ out · stiffness 98.5 % of requested · guaranteed for the declared hand "
-         "force"),
+         "passive: yes · 136 mJ in, 37.6 mJ out · stiffness 98.5 % of requested · guarantee rests on: hand force"),
         ({"passive": "yes", "in": 0.1, "out": 0.0, "rendered": {"stiffness": 1.38, "damping": None}},
          "passive: yes · 100 mJ in, 0 J out · stiffness as requested"),
         ({"passive": "yes", "unit": "m", "mass": {"asked": 3.0, "felt": 2.9607, "share": 0.9869}},

@@ -13,7 +13,7 @@ from rich.text import Text
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.lab.figures.figures import CONTINUOUS, METRICS, Figure
-from canhaptic.view.run_lines import guaranteed_for
+from canhaptic.view.run_lines import rests_on
 from canhaptic.view.si import si
 from canhaptic.view.table import Cell, Styled, Table
 
@@ -149,7 +149,7 @@ def _damping(account: _Account, group: _Account) -> str:
 
 
 def _guaranteed(certificate: str, _unit: str) -> str:
-    return guaranteed_for(certificate).removeprefix("declared ").removeprefix("device ")
+    return rests_on(certificate).removeprefix("device ")
 
 
 def _from_one(value: float) -> float:
@@ -180,7 +180,7 @@ _ROWS: Final = (
     _Row("passive, by the plant", lambda a, _: _verdict(a)),
     *(row_of(name, figure) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.label),
     _Row("damping rendered", _asked_damping, _share, _from_one),
-    _Row("guaranteed for, as declared", lambda a, _: a["certificate"] if a["contact"] else None, _guaranteed),
+    _Row("guarantee rests on", lambda a, _: a["certificate"] if a["contact"] else None, _guaranteed),
     _Row("time of a step", lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
 )
 _GROUP_ROWS: Final = (
@@ -195,7 +195,7 @@ _GROUP_ROWS: Final = (
     _Row("dissipated", lambda a, _: a["dissipated"], _joule),
     _Row("energy created by sampling, peak", lambda a, _: a["surplus"]["max"], _joule),
     _Row("damping rendered", _damping),
-    _Row("guaranteed for, as declared", lambda a, _: a["certificate"], _guaranteed),
+    _Row("guarantee rests on", lambda a, _: a["certificate"], _guaranteed),
 )
 _DISPLAY_ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
@@ -204,7 +204,7 @@ _DISPLAY_ROWS: Final = (
     _Row("uncertainty of the account, +-", lambda a, _: a["account"]["energy_resolution"], _joule),
     _Row("passive, by the account", lambda a, _: a["account"]["passive"]),
     _Row("passive, by the plant", lambda a, _: _verdict(a["truth"])),
-    _Row("guaranteed for, as declared", lambda a, _: a["account"]["certificate"], _guaranteed),
+    _Row("guarantee rests on", lambda a, _: a["account"]["certificate"], _guaranteed),
     _Row("net energy, from the plant", lambda a, _: a["truth"]["interaction"], _joule),
     _Row("lowest net energy, from the plant", lambda a, _: a["truth"]["least_interaction"], _joule, is_bounded=True),
 )
