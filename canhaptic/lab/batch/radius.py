@@ -1,7 +1,5 @@
 """Stability of the linear sampled loop by closed form: one matrix and its eigenvalues for each scene.
 
-Stability of the sampled loop of servo, hand and a two-sided spring-damper: eigenvalues of many scenes at once.
-
 A wall in permanent contact is linear, and so is the loop around it: with z = [q, v, q before, torque that
 waits] one hold is a matrix, and the loop decays where its eigenvalues are inside the unit circle. For maps of 10^4
 scenes before one is run; a scene with events needs a run.
@@ -12,10 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from canhaptic.control.environments.environment import Environment
 from canhaptic.errors import ParameterError
 from canhaptic.lab.batch.cases import check_values
 from canhaptic.lab.loop.axis_loop import environment_of, viscous_friction
-from canhaptic.scene.models import Scene
+from canhaptic.scene.models import AxisSimulation, Scene
 from canhaptic.sim.plant.propagator import Array, flow_changes
 from canhaptic.sim.plant.user import UserParameters
 
@@ -73,19 +72,8 @@ def decay_per_hold(loops: Loops, sample_time: Array | float, delay: int) -> Arra
     return radii
 
 
-def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
-    """Return the largest |eigenvalue| of one hold of each linear sampled loop, shape (n_scenes,): stable below 1.
-
-    The loop is closed by the environment as if in permanent contact (a wall: on both sides), rendered by
-    `unprotected` with the velocity of the last hold, at the delay of the scene, without encoder steps and limits.
-
-    Args:
-        scene: Scene with a linear plant and hand, an environment with a linear stiffness, and one axis.
-        varied: Key of `BATCH_KEYS` -> value of each scene, shape (n_scenes,), in SI.
-
-    Raises:
-        ParameterError: The scene has no linear loop, or a key cannot vary.
-    """
+def _linear_loop(scene: Scene, varied: Mapping[str, Array]) -> tuple[AxisSimulation, Environment, float]:
+    """Return the simulated side, the environment and its stiffness [N/m or N*m/rad] of a scene with a linear loop."""
     if scene.groups:
         raise ParameterError(f"{scene.source}: spectral radius: expected one axis, got a group; run the scenes instead")
     axis = scene.axes[0]
@@ -102,6 +90,23 @@ def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
     for effect in simulation.effects:
         if effect.name not in ("viscous_friction", "tremor"):  # which moves the hand: no part in stability
             raise ParameterError(f"{scene.source}: spectral radius: effect {effect.name} is not modelled; leave it out")
+    return simulation, environment, stiffness
+
+
+def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
+    """Return the largest |eigenvalue| of one hold of each linear sampled loop, shape (n_scenes,): stable below 1.
+
+    The loop is closed by the environment as if in permanent contact (a wall: on both sides), rendered by
+    `unprotected` with the velocity of the last hold, at the delay of the scene, without encoder steps and limits.
+
+    Args:
+        scene: Scene with a linear plant and hand, an environment with a linear stiffness, and one axis.
+        varied: Key of `BATCH_KEYS` -> value of each scene, shape (n_scenes,), in SI.
+
+    Raises:
+        ParameterError: The scene has no linear loop, or a key cannot vary.
+    """
+    simulation, environment, stiffness = _linear_loop(scene, varied)
     count, user = check_values(scene, varied), simulation.user or UserParameters()
 
     def number(key: str, value: float) -> Any:
