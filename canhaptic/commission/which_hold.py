@@ -221,7 +221,7 @@ _MOTION, _SHOWN, _BOOKED = "command to motion", "command to read-back", "read-ba
 
 
 class HoldTimes(NamedTuple):
-    """Three times that must be consistent, relative to the declared ones [sample times]."""
+    """Times between command, read-back and motion, relative to the declared ones [sample times]; they must add up."""
 
     motion: TorqueDelay | None  # command to motion; None: too little moved
     shown: int | None  # command to read-back; None: none, or unclear
@@ -236,7 +236,7 @@ class HoldTimes(NamedTuple):
 
     @property
     def closes(self) -> bool:
-        """Whether the three agree within their uncertainties."""
+        """Whether the three times add up within their uncertainties."""
         if self.motion is None or self.shown is None or self.booked is None:
             return False
         open_end = self.motion.delay - self.shown - self.booked.delay
@@ -282,7 +282,7 @@ def _age(commands: _Array, shown: _Array) -> int | None:
 
 
 def report_hold(session: Session, axis: int, times: HoldTimes) -> None:
-    """Report the three times and the values to declare."""
+    """Report the times from command to motion, to read-back and between these two; propose the values to declare."""
     begin = session.axes[axis].loop.delay
     _report_motion(session, axis, begin, times)
     if not times.is_read_back:
@@ -334,7 +334,7 @@ def _report_booked(session: Session, axis: int, times: HoldTimes) -> None:
     wrong = (times.hold or 0) - (times.shown or 0)
     found, other = _text(0, times.booked, wrong if is_known else None), {1: "after", -1: "before"}.get(wrong)
     if not is_known:
-        text = "the three times are inconsistent" if times.hold is not None else ""
+        text = "the times between command, read-back and motion do not add up" if times.hold is not None else ""
         session.found(axis, _BOOKED, configured, found, StepVerdict.UNKNOWN, text)
     elif not wrong:
         session.found(axis, _BOOKED, configured, found, StepVerdict.AGREES)

@@ -78,11 +78,11 @@ def restart(window: VelocityWindow, ring: Buffer, position: float) -> None:
 
 
 def update(window: VelocityWindow, ring: Buffer, tolerance: float, sample_time: float, position: float) -> None:
-    """Take the position one sample later.
+    """Add the next position to the window, and update its velocity.
 
     Args:
         window: The window; changed.
-        ring: Its samples, one more than the longest window [m or rad]; changed.
+        ring: Last positions, one more than the longest window has samples [m or rad]; changed.
         tolerance: Largest distance of a sample from the line [m or rad]: one encoder count.
         sample_time: Sample time [s].
         position: The new sample [m or rad].

@@ -268,7 +268,7 @@ def failure_of(path: Path) -> str:
 
 
 def note_length(path: Path, cycles: int) -> str:
-    """Add the length of its run to the cause with which a log ended early; return both, empty where it has none."""
+    """Append the length of a run to the cause that `mark_failed` wrote; return the new text, empty if it wrote none."""
     cause = failure_of(path) if path.is_file() else ""
     if cause:
         mark_failed(path, f"{cause.removeprefix('failed: ')} of {cycles}")

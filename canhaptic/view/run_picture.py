@@ -100,7 +100,7 @@ class PortPicture:
             panels["position"].set_title(f"{self._name}: position", fontweight="bold")
 
     def draw_over(self, panels: "Mapping[str, Axes]", scales: Mapping[str, float], name: str, colour: str) -> None:
-        """Draw the same quantities over the panels of another run, whose scales they take."""
+        """Draw the same quantities into the panels of another run, to the scales of those panels."""
         for panel, scale in scales.items():
             for number, (line, _) in enumerate(self._lines(panel)):
                 label = name if number == 0 else None
@@ -117,7 +117,7 @@ class PortPicture:
         return [port.read(name, self._rows.start, self._rows.stop) for port in self._movers]
 
     def _lines(self, panel: str) -> list[tuple[Array, dict[str, Any]]]:
-        """Return values and look of the lines of a panel over time that runs have in common."""
+        """Return values and style of the lines of a panel over time that an overlaid run draws too."""
         if panel == "energy":
             return [(np.cumsum(self._column(name)), {}) for name in ("h_i", "h_r")]
         if panel == "surplus":
@@ -127,7 +127,7 @@ class PortPicture:
         return [(values, {"color": colour, "label": label, **_LOOKS[panel]}) for values, label, colour in movers]
 
     def _own_lines(self, panel: str) -> list[tuple[Array, dict[str, Any]]]:
-        """Return those of one run alone: the deficit, and torques commanded, wide and pale behind the others."""
+        """Return the lines that an overlaid run does not draw: deficit, and commanded torques, wide and pale."""
         look: dict[str, Any] = {"color": VERMILION, "linewidth": 1.0, "linestyle": "--", "label": "deficit, summed"}
         if panel == "surplus":
             return [(np.cumsum(self._column("deficit")), look)]

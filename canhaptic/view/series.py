@@ -72,7 +72,7 @@ _ENERGIES: Final = ("taken_in", "dissipated", "margin", "upper", "surplus", "def
 
 
 class MarkedEvent(NamedTuple):
-    """An event that is marked."""
+    """An event of one of the kinds in `FAULTS`, and when it happened in the run."""
 
     time: float  # [s]
     event: Event

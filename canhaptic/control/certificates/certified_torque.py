@@ -724,7 +724,7 @@ class LateMotion(NamedTuple):
 
 
 def by_reach_of_late(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Largest part of a torque above `friction` by A, or by B where friction is not 0 [N or N*m].
+    """Largest part n of a torque above `friction` [N or N*m] by bound A of the module, or by B where friction is not 0.
 
     Args:
         declared: Declared properties of axis and hand.
@@ -900,7 +900,7 @@ def pass_hold(
 def taken_in_hold(
     declared: Declared, hand: float, speed: float, motion: LateMotion, most: float, least: float, following: float
 ) -> float:
-    """Return the least of A to D for a hold [J]; `following` is its displacement, the rest as for `pass_hold`."""
+    """Return the least of bounds A to D of a hold [J]; `following` is its displacement, the rest as for `pass_hold`."""
     friction, hold, late, taken = declared.friction, declared.sample_time, declared.late, inf
     net = most - friction if most > friction else 0.0
     older = motion.highest - friction if motion.highest > friction else 0.0
@@ -923,7 +923,7 @@ def taken_in_hold(
 def along_reach(
     declared: Declared, motion: LateMotion, friction: float, most: float, least: float, following: float, reach: float
 ) -> float:
-    """Return the energy that torques give out in a hold along the farthest motion [J]: A, or with friction B."""
+    """Return the most energy that torques give out in a hold [J]: bound A, or B where friction is not 0."""
     most, least = max(0.0, most - friction), max(0.0, least - friction)
     highest, lowest = motion.highest - friction, max(0.0, motion.lowest - friction)
     taken = (most if following > 0.0 else least) * following

@@ -31,8 +31,8 @@ from canhaptic.units import Parameters, quantity
 class Environment(Protocol):
     """A virtual environment of one axis. Immutable: everything that changes belongs to the controller.
 
-    One with more than one way out may also have `one_way(position)`: the ends [m or rad] of the stretch around a
-    position in which the effort points one way. Without it the effort may reverse anywhere.
+    One with more than one way out may also have `one_way(position)`: the ends [m or rad] of the interval around
+    a position in which the effort points one way. Without it the effort may reverse anywhere.
     """
 
     @property
@@ -92,7 +92,7 @@ class Environment(Protocol):
 
 
 def nowhere(_environment: object, position: float) -> tuple[float, float]:
-    """Stretch [m or rad] for an environment whose stretches are unknown: the effort may reverse at any position."""
+    """Return an empty interval [m or rad]: `one_way` of an environment whose effort may reverse at any position."""
     return position, position
 
 

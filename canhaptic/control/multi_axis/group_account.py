@@ -10,7 +10,7 @@ hold before it the torques that may have acted. Booked is -f_n D; true is -sum f
 **Hand force.** Only the side of D_j that makes it large counts; on that side the declared force holds the hand. With s
 the farthest that torques and hand move the axis beyond the hold before (`Gap.step`), for delta_j > 0 (else mirrored)
 
-    else f_n < f_j <= 0, and the hand's force is bounded along -: D_m >= D_j - (m - j) s - friction for m > j, and
+    f_j > 0:   D_j <= D_0 + j s + friction,                         the hand pulls along f_j with F_h at most;
     else f_n < f_j <= 0, and the hand is held along -: D_m >= D_j - (m - j) s - friction for m > j, and
                D_k >= D_0 - k s - friction for k < j; their sum is D, so that
                (n - j + 1) D_j <= D - (j - 1) D_0 + s (j (j - 1) + (n - j)(n - j + 1)) / 2 + friction
@@ -204,7 +204,15 @@ def copy_range(axes: AxisLimits, memory: AccountMemory, ended: bool) -> None:
 
 
 def norms_of(axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer, size: float) -> Norms:
-    """Return the norms of the queued torques, and the part of W that l = 1 replaces."""
+    """Return a bound on the norm of older, queued and next torques, and of the hand; see `Norms`.
+
+    Args:
+        axes: Properties of the motor axes.
+        memory: Buffers of the account.
+        under_way: Torques that act before W.
+        torques: W, (axes,) [N*m or N].
+        size: Share of W that is sent at l = 1.
+    """
     total = added = 0.0
     for i in range(len(torques)):
         most = max(abs(memory.torques[i]), memory.before.highest[i], -memory.before.lowest[i])
@@ -240,7 +248,7 @@ def given_late(
         memory: Its `now` is the range at the SYNC at which the hold begins.
         held: Torques of the hold, (axes,) [N*m or N], of which fixed + l size are held.
         fixed: 1 where they are sent for every l, else 0.
-        size: 0 where `fixed` is 1, else the share that l = 1 replaces.
+        size: 0 where `fixed` is 1, else the share of them that is sent at l = 1.
         hold: Index of the hold from now, the next being 1.
         norms: Norms of the acting torques and of the hand.
         end: Whether it is the energy that all torques give out in the hold after that one, if none follows.
@@ -276,7 +284,7 @@ def share_of_late(
         memory: Buffers of the account; `now` is changed.
         under_way: Torques that act before W.
         torques: W, (axes,).
-        size: Part of W that l = 1 replaces.
+        size: Share of W that is sent at l = 1.
     """
     norms = norms_of(axes, memory, under_way, torques, size)
     copy_range(axes, memory, True)

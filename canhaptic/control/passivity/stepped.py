@@ -260,7 +260,7 @@ class HoldAccount(NamedTuple):
 
 
 def hold_settings(parameters: DamperVelocity, loop: LoopProperties, certificate: Certificate) -> HoldSettings:
-    """Constants of a run.
+    """Return the settings with which every hold of a run is accounted for.
 
     Raises:
         ParameterError: A windowed velocity without an encoder count.

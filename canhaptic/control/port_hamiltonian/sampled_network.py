@@ -248,7 +248,7 @@ def advance(model: NetworkModel, sample: NetworkSample) -> int:
 
 
 def _by_residual(model: NetworkModel, sample: NetworkSample) -> int:
-    """Take Newton steps, each as far as the residual falls; return the evaluations, negative where that ends."""
+    """Take Newton steps while the residual falls; return the evaluations, negative where it stops before a solution."""
     room, worst, evaluations = sample.room, evaluate(model, sample), 1
     while worst > _CLOSE:
         before, merit = worst, _merit_of(room)
@@ -290,9 +290,17 @@ def _descend(model: NetworkModel, sample: NetworkSample, before: float) -> tuple
 
 
 def by_power(model: NetworkModel, sample: NetworkSample, spent: int) -> int:
-    """Continue where the residual no longer falls; return all evaluations, negative if they were not enough.
+    """Search for the solution by the power of a step, once the residual has stopped falling (see the module).
 
     The first step is a full one: after it the equations without forces hold, and the power is the forces' power.
+
+    Args:
+        model: The network.
+        sample: The sample; `step` of its workspace is where Newton's method stopped.
+        spent: Evaluations so far.
+
+    Returns:
+        All evaluations of the sample, negative where no solution was found.
     """
     room, worst = sample.room, evaluate(model, sample)
     evaluations, whole = spent + 1, True

@@ -90,7 +90,7 @@ def _type_name(data_type: int | None) -> str:
 def mapping_objection(
     dictionary: Dictionary, kind: Literal["RPDO", "TPDO"], index: int, data_type: DataType, subindex: int = 0
 ) -> str | None:
-    """Return why an object cannot be part of a map that is written; None where it can."""
+    """Return why an object cannot be mapped into a PDO whose mapping is configurable; None where it can."""
     variable = listed(dictionary, index, subindex)
     if variable is None:
         return "missing"

@@ -323,14 +323,14 @@ class ReferenceWinding:
 
 
 MOTOR_WORK, USER_WORK = -2, -1
-"""Places of the works in the state [J]."""
+"""Indices of the motor's and the user's work in the state [J]."""
 Modes = tuple[str, ...]
 _DRY: Final = ("coulomb_friction", "stribeck_friction")
 _COMMANDS: Final = ("torque_saturation", "torque_quantisation", "thermal_derating")
 _ONCE: Final = ("current_loop", "voltage_limit", "shaft_compliance", "backlash", "lugre_friction", _COMMANDS[2], *_DRY)
 _OFTEN: Final = ("torque_ripple", "viscous_friction", "cogging", "hard_stop", "grasp_change", "tremor", *_COMMANDS[:2])
 _OF_THE_ENCODER: Final = ("encoder_noise", "encoder_quantisation")
-"""Effects on measured values, on which the motion does not depend."""
+"""Effects on measured values alone; the motion does not depend on them."""
 
 
 class Model:
@@ -387,7 +387,7 @@ class Model:
         self._close()
 
     def add_state(self, name: str, initial: float = 0.0) -> int:
-        """Add a state before the works and return its index."""
+        """Add a state before the work of motor and user, and return its index."""
         at = len(self.names) - (2 if "user_work" in self.names else 0)
         self.names.insert(at, name)
         self.start.insert(at, initial)
@@ -531,7 +531,7 @@ class Model:
 
     @property
     def dynamic_size(self) -> int:
-        """Number of states without the works, on which nothing depends."""
+        """Number of states besides the work of motor and user, on which nothing depends."""
         return len(self.names) - 2
 
 

@@ -124,7 +124,7 @@ class TorqueCommand(Protocol):
         return
 
     def apply(self, torque: float, duration: float) -> float:
-        """Return the torque [N or N*m] that acts during the `duration` [s] to come."""
+        """Return the torque [N or N*m] that acts during the next `duration` [s]."""
 
 
 class _Encoder(Protocol):
@@ -186,11 +186,11 @@ class PlantModel:
     def add_state(self, name: str, initial: float = 0.0) -> None:
         """Add a state; names are unique in a scene."""
         if name in self.states:
-            raise ParameterError(f"got state {name!r} twice, expected once; give effects of one type different places")
+            raise ParameterError(f"got state {name!r} twice, expected once; rename one, or list its effect only once")
         self.states[name] = initial
 
     def claim(self, slot: str, effect: str) -> None:
-        """Take a place that only one effect may have.
+        """Claim a slot that only one effect may have.
 
         Raises:
             ParameterError: Another effect has it.

@@ -67,7 +67,7 @@ def mean_sine(wave_number: float, phase: float, position: float, travel: float) 
 
 
 def falling_friction(effort: Effort, travel: float, duration: float) -> float:
-    """Return the friction above the kinetic one at the mean velocity [N or N*m]."""
+    """Return the friction in excess of kinetic friction at the mean velocity [N or N*m]."""
     if travel == 0.0:
         return 0.0
     ratio = travel / (duration * effort.stribeck_velocity)
@@ -90,7 +90,7 @@ def bend(effort: Effort, bristle: Bristle, travel: float, duration: float) -> No
 
 
 def bent(effort: Effort, bristle: Bristle, travel: float, duration: float) -> tuple[float, float]:
-    """Return the deflection at the end of a substep and its mean over it [m or rad], both at the mean velocity."""
+    """Return the bristle's deflection after a substep, and its mean, at a constant velocity [m or rad]."""
     deflection = bristle.deflection
     if travel == 0.0:
         return deflection, deflection

@@ -62,7 +62,7 @@ class GuardHorizon:
         self._speed = np.linalg.norm(all_reach[:-1, count:], axis=1)
 
     def holds(self, state: Array, largest: float) -> int:
-        """Number of whole sample times from `state` on without an event under torques within +-`largest`."""
+        """Number of sample times after `state`, at most `HOLDS`, without an event at any torque within +-`largest`."""
         values = self._values.dot(state).reshape(HOLDS + 1, self._count)
         rates = self._rates.dot(state).reshape(HOLDS, -1)
         pace = np.sqrt((rates * rates).sum(axis=1)) + largest * self._speed
@@ -215,7 +215,7 @@ class HybridAutomaton:
         return np.concatenate([matrix_of(mode.flows[0]), matrix_of(mode.works[0])]).dot
 
     def holds_without_events(self, largest: float) -> int:
-        """Number of whole sample times from now on without an event under torques within +-`largest`.
+        """Number of sample times from now on, at most `HOLDS`, without an event at any torque within +-`largest`.
 
         They may be taken by `period`, until anything else moves the plant.
         """

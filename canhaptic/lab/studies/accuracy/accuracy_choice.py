@@ -72,6 +72,6 @@ def require_own_axis(axis: AxisScene, scene: Scene) -> None:
     if axis.group or axis.simulated_drive is not None:
         what = f"group {axis.group} renders on it" if axis.group else "it moves a mechanism with other drives"
         raise InputError(
-            f"{scene.source}: axis {axis.parameters.name}: {what}, expected an axis with a plant and an algorithm "
-            "of its own for a study or choice of accuracy; give accuracy: {event_bits, substeps} instead of auto"
+            f"{scene.source}: axis {axis.parameters.name}: {what}, expected an axis with its own plant and "
+            "algorithm; to run the scene, give accuracy: {event_bits, substeps} instead of auto"
         )

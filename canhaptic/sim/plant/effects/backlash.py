@@ -29,7 +29,7 @@ class Backlash(EffectParameters):
         """
         if scene.shaft is None:
             raise ParameterError(
-                "backlash: got no shaft_compliance, expected one; backlash is a gap in a shaft: add it"
+                "backlash: got no shaft_compliance, expected one; backlash is a gap in a shaft: add a shaft_compliance"
             )
         scene.claim("backlash", self.type)
         stiffness, damping = scene.shaft
