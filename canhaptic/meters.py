@@ -113,6 +113,7 @@ class PortFigures:
             no damping of the device is declared.
         least_certain: Least sum of interaction less its resolution after any hold [J].
         least_certain_at_handle: The same, including that dissipation.
+        beyond_limit: Holds whose requested effort exceeds the drive's limit.
         contacts: Holds in contact.
         silent: Holds in contact whose next torque is zero.
         damping: Sum of the damping rendered in contact [N*s/m].
@@ -125,7 +126,7 @@ class PortFigures:
     """
 
     __slots__ = (
-        "_lowest", "activity", "asked", "books_least", "contacts", "damping", "damping_asked", "felt",
+        "_lowest", "activity", "asked", "beyond_limit", "books_least", "contacts", "damping", "damping_asked", "felt",
         "least_at_handle", "least_certain", "least_certain_at_handle", "reach", "rendered", "silent", "sizes_asked",
         "sizes_sent",
     )  # fmt: skip
@@ -137,7 +138,7 @@ class PortFigures:
         self.least_at_handle = 0.0 if is_damped else None
         self._lowest = self.least_certain = self.least_certain_at_handle = 0.0
         self.asked = self.rendered = self.damping = self.sizes_asked = self.sizes_sent = 0.0
-        self.contacts = self.silent = 0
+        self.contacts = self.silent = self.beyond_limit = 0
         self.reach = inf, -inf
         self.felt: MassFelt | None = None
 
@@ -216,7 +217,10 @@ class AxisPort(PortFigures):
                 self.asked += asked
                 self.rendered -= (torque := balance.torque)
                 size, most = abs(asked), meter.accuracy.largest_torque
-                self.sizes_asked += size if size < most else most  # a hand that is stronger than the drive feels it
+                if size > most:  # a hand that is stronger than the drive feels it
+                    self.beyond_limit += 1
+                    size = most
+                self.sizes_asked += size
                 self.sizes_sent += abs(torque)
         if touches:
             self.contacts += 1

@@ -183,7 +183,7 @@ def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_t
     if not port.contacts and not port.books_least and port.reach[0] <= port.reach[1]:
         account["reach"] = list(port.reach)
     if port.damping_asked is not None:
-        account["contact"] |= {"asked": port.sizes_asked, "sent": port.sizes_sent}
+        account["contact"] |= {"asked": port.sizes_asked, "sent": port.sizes_sent, "beyond_limit": port.beyond_limit}
         damping = port.damping_asked * port.contacts
         account["rendered"] = {
             "stiffness": port.rendered / port.asked if port.asked else None,

@@ -203,6 +203,7 @@ class PortRecord(PortFigures):
         booked = (asked != 0.0) & (branch != Branch.HELD)
         self.asked += float(asked[booked].sum())
         self.rendered -= float(torque[booked].sum())
+        self.beyond_limit += int((np.abs(asked[booked]) > self._largest_torque).sum())
         self.sizes_asked += float(np.minimum(np.abs(asked[booked]), self._largest_torque).sum())
         self.sizes_sent += float(np.abs(torque[booked]).sum())
         if self._knows_active:

@@ -80,11 +80,12 @@ class LeastMargin(TypedDict):
 
 
 class ContactHolds(TypedDict):
-    """Holds in contact; the last two only for a single axis."""
+    """Holds in contact; the last three only for a single axis."""
 
     holds: int
     without_torque: int
     asked: NotRequired[float]  # sum of the efforts asked for, each at most the torque limit [N or N*m]
+    beyond_limit: NotRequired[int]  # holds in which more than the torque limit was asked for
     sent: NotRequired[float]  # sum of the sizes of the torques that were sent there [N or N*m]
 
 

@@ -208,9 +208,10 @@ class CodeProcess:
             for descriptor in (ends[0], answers[1]):
                 os.close(descriptor)
             if not self._await_answer(_START):
+                correct = "; correct the program"
                 reason = self._text() or f"was not ready within {_START:g} s"
                 self.close()
-                raise InputError(f"{self._names}: in a process of its own: {reason}; correct the program")
+                raise InputError(f"{self._names}: in a process of its own: {reason.removesuffix(correct)}{correct}")
 
     def turn(self, samples: Sequence[Sample]) -> None:
         """Request the torques that answer the previous sample, and hand over this one.

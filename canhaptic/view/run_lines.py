@@ -81,6 +81,8 @@ def _first_figures(port: PortResult) -> list[str]:
     if share is not None:
         what = _RENDERED.get(port.get("environment", ""), "stiffness")
         found.append(f"{what} as requested" if share > _WHOLE else f"{what} {100.0 * share:.3g} % of requested")
+    if beyond := port.get("contact", {}).get("beyond_limit"):
+        found.append(f"cut by torque_limit in {counted(beyond, 'cycle')}")
     if "mass" in port:
         found.append(f"mass felt {mass_text(port)}")
     certificate = port.get("certificate", "none")

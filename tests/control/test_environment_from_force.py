@@ -137,7 +137,7 @@ class NotchesByEnergy(OwnEnvironment):
 
 @pytest.mark.parametrize("kind", [Notches, NotchesByEnergy])
 def test_a_force_that_points_away_is_refused_with_its_place_and_the_remedy(kind: type[OwnEnvironment]) -> None:
-    with pytest.raises(ParameterError, match=r"effort\(0\.1\d+\) is -.*points back to state 0.*use `detents`"):
+    with pytest.raises(ParameterError, match=r"effort\(0\.1\d+\) is -.*the sign of the state.*use `detents`"):
         kind()
 
 
@@ -148,7 +148,7 @@ def test_a_force_that_turns_between_the_places_looked_at_ends_the_run_there() ->
 
     wall = Narrow()
     assert wall.stored_energy(0.01) == pytest.approx(0.005)
-    with pytest.raises(OwnCodeError, match="points back to state 0"):
+    with pytest.raises(OwnCodeError, match="the sign of the state"):
         wall.stored_energy(0.021)
 
 

@@ -16,7 +16,7 @@ LAB: Final = "canhaptic.lab"
 
 def of_the_lab(*options: str) -> set[str]:
     loaded = loaded_modules(ROOT, *options)
-    assert {"canhaptic.cycle", "canhaptic.scene.build", "canhaptic.view.energy_table"} <= set(loaded)
+    assert {"canhaptic.cycle", "canhaptic.scene.build", "canhaptic.view.run_lines"} <= set(loaded)
     return {name for name in loaded if name.startswith(LAB)}
 
 

@@ -43,6 +43,8 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
          "NOTHING RENDERED: a lower current_lag"),
         ({"passive": "yes", "in": 0.136, "out": 0.0376, "rendered": {"stiffness": 0.985, "damping": None}, **CERTIFIED},
          "passive: yes · 136 mJ in, 37.6 mJ out · stiffness 98.5 % of requested · guarantee rests on: hand force"),
+        ({"passive": "yes", "contact": {"holds": 9, "without_torque": 0, "beyond_limit": 3}},
+         "passive: yes · cut by torque_limit in 3 cycles"),
         ({"passive": "yes", "in": 0.1, "out": 0.0, "rendered": {"stiffness": 1.38, "damping": None}},
          "passive: yes · 100 mJ in, 0 J out · stiffness as requested"),
         ({"passive": "yes", "unit": "m", "mass": {"asked": 3.0, "felt": 2.9607, "share": 0.9869}},
