@@ -8,11 +8,13 @@ from canhaptic.control.axis_meter import Accuracy, AxisMeter
 from canhaptic.control.balance import OUT_OF_CONTACT, Branch, EnergyBalance
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, ROUNDING
+from canhaptic.errors import LogFormatError
 from canhaptic.signals import Measured, Sample
 
 if TYPE_CHECKING:
     from canhaptic.control.mass_felt import MassFelt
     from canhaptic.control.multi_axis.group_controller import AxisGroup
+    from canhaptic.logs.energy_reader import EnergyLog
 
 _HELD: Final = Branch.HELD.value
 _BRANCH: Final = EnergyBalance._fields.index("branch")  # a field by its number costs a fifth of one by its name
@@ -60,6 +62,22 @@ def active_limits(accuracies: Sequence[Accuracy], allowance: float) -> ActiveLim
     """
     floor = -inf if any(accuracy.is_estimate for accuracy in accuracies) else -(allowance + ROUNDING)
     return ActiveLimits(floor, sum(each.most_dissipated for each in accuracies), accuracies[0].sample_time)
+
+
+def limits_of(log: "EnergyLog", name: str) -> ActiveLimits | None:
+    """Limits behind the column `active` of a port; None where the log does not hold them.
+
+    Raises:
+        LogFormatError: The attribute is damaged.
+    """
+    from canhaptic.logs.columns import ACTIVE_LIMITS  # a run without a log loads nothing of it
+
+    if f"{name}.{ACTIVE_LIMITS}" not in log.attributes:
+        return None
+    numbers = log.decoded(f"{name}.{ACTIVE_LIMITS}", dict[str, float]())
+    if not all(key in ActiveLimits._fields and isinstance(value, float) for key, value in numbers.items()):
+        raise LogFormatError(f"{log.path}: attribute {name}.{ACTIVE_LIMITS} cannot be used; the file is damaged")
+    return ActiveLimits(numbers.get("floor", -inf), numbers.get("power", inf), numbers.get("sample_time", 0.0))
 
 
 class Activity:

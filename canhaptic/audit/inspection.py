@@ -25,10 +25,10 @@ from canhaptic.control.ledger import LedgerSummary
 from canhaptic.control.mass_felt import MassAsked, MassFelt
 from canhaptic.control.verdict import PortResult
 from canhaptic.errors import InputError, LogFormatError
-from canhaptic.logs.columns import ACTIVE_LIMITS, DIGEST, FRICTION_DECLARED
+from canhaptic.logs.columns import DIGEST, FRICTION_DECLARED
 from canhaptic.logs.energy_reader import EnergyLog, Quantities, damage_told
 from canhaptic.logs.hdf5 import Array
-from canhaptic.meters import ActiveLimits, PortFigures, Promise
+from canhaptic.meters import ActiveLimits, PortFigures, Promise, limits_of
 from canhaptic.result import TruthResult, Verdicts, overall, port_account, with_groups
 from canhaptic.signals import CycleTiming, Measured
 
@@ -270,20 +270,6 @@ class PortRecord(PortFigures):
         if self._is_dry:
             verdict.claim_nothing(account)
         return account
-
-
-def limits_of(log: EnergyLog, name: str) -> ActiveLimits | None:
-    """Limits behind the column `active` of a port; None where the log does not hold them.
-
-    Raises:
-        LogFormatError: The attribute is damaged.
-    """
-    if f"{name}.{ACTIVE_LIMITS}" not in log.attributes:
-        return None
-    numbers = log.decoded(f"{name}.{ACTIVE_LIMITS}", dict[str, float]())
-    if not all(key in ActiveLimits._fields and isinstance(value, float) for key, value in numbers.items()):
-        raise LogFormatError(f"{log.path}: attribute {name}.{ACTIVE_LIMITS} cannot be used; the file is damaged")
-    return ActiveLimits(numbers.get("floor", -inf), numbers.get("power", inf), numbers.get("sample_time", 0.0))
 
 
 def _declared(log: EnergyLog, name: str, build: Callable[[dict[str, float]], _Compared]) -> _Compared | None:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypedDict
 
 import numpy as np
 
-from canhaptic.audit.inspection import limits_of
 from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.multi_axis.group_controller import GroupedControllers
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.meters import limits_of
 from canhaptic.signals import Sample
 
 if TYPE_CHECKING:
