@@ -208,10 +208,9 @@ class CodeProcess:
             for descriptor in (ends[0], answers[1]):
                 os.close(descriptor)
             if not self._await_answer(_START):
-                correct = "; correct the program"
                 reason = self._text() or f"was not ready within {_START:g} s"
                 self.close()
-                raise InputError(f"{self._names}: in a process of its own: {reason.removesuffix(correct)}{correct}")
+                raise InputError(f"{self._names}: in a process of its own: {reason}; correct the program")
 
     def turn(self, samples: Sequence[Sample]) -> None:
         """Request the torques that answer the previous sample, and hand over this one.
@@ -333,7 +332,9 @@ def main() -> None:
         os.write(answers, b"\0")
         _answer(law, memory, wake, answers, job)
     except BaseException as error:  # own code may raise anything
-        text = (str(error) if isinstance(error, OwnCodeError) else f"{type(error).__name__}: {error}").encode()[:1000]
+        who = error.program if isinstance(error, OwnCodeError) else type(error).__name__
+        what = error.what if isinstance(error, OwnCodeError) else error  # its remedy the cycle adds
+        text = f"{who}: {what}".encode()[:1000]
         memory[2 * _SLOT + 8 : 2 * _SLOT + 8 + len(text)] = text
         memory[2 * _SLOT : 2 * _SLOT + 8] = len(text).to_bytes(8, "little")
         os._exit(1)
