@@ -51,9 +51,8 @@ class MassFelt:
         self._holds = max(4, round(_STRETCH / asked.sample_time))
         self._time, self._deadline, self._taken = self._holds * asked.sample_time, -2, 0
         self._start = self._way = self._rising = self._falling = 0.0  # of this stretch
-        self._before: tuple[float, float, float] | None = (
-            None  # of the last stretch: start, mean position, rising force
-        )
+        # Start, mean position and rising force of the last stretch
+        self._before: tuple[float, float, float] | None = None
         self._sums = [0.0] * 16  # products of speed, 1, acceleration and force
 
     def take(self, position: float, torque: float, deadline: int) -> None:

@@ -177,7 +177,7 @@ class Rig:
     def _count_skips(self, periods: int) -> None:
         """Stop when more SYNCs were skipped than sent for too long: meanwhile a drive holds its last torque."""
         self._behind = max(0, self._behind + periods - 2)
-        limit = max(self.bus.stop_cycles, round(1.0 / self.bus.sample_time))  # at most one second
+        limit = max(self.bus.stop_cycles, round(1.0 / self.bus.sample_time))  # of one second
         if self._behind > limit:
             rule = STOP_TABLE[StopReason.SYNCS_SKIPPED]
             what = f"{rule.meaning} at SYNC {self.sync_index}: {self.skipped_syncs} skipped in all"

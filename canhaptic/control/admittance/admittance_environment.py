@@ -210,8 +210,10 @@ class AdmittanceController(SteppedController):
     _environment: AdmittanceEnvironment
     _display: AdmittanceAxis
     wording: ClassVar[tuple[str, str, str, str]] = (
-        *("applied force", "velocity"),
-        *("encoder, force sensor and their scaling", "mass and damping against the forces"),
+        "applied force",
+        "velocity",
+        "encoder, force sensor and their scaling",
+        "mass and damping against the forces",
     )
 
     def __init__(

@@ -123,8 +123,10 @@ class SteppedController:
     parameters_type: ClassVar[type[Parameters]]
     kernel: ClassVar[Kernel]
     wording: ClassVar[tuple[str, str, str, str]] = (
-        *("applied torque", "torque"),
-        *("the encoder and its scaling", "stiffness and damping against the size of the motion"),
+        "applied torque",
+        "torque",
+        "the encoder and its scaling",
+        "stiffness and damping against the size of the motion",
     )
     """For messages: the input besides the position, the command, and what to check where either is not finite."""
 

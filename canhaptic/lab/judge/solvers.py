@@ -68,9 +68,9 @@ def reference(model: SwitchedModel, torques: Sequence[float], sample_time_ns: in
     return located(model, torques, sample_time_ns, "DOP853", 1e-12, 1e-15, stop)
 
 
-def located(*how: Any) -> Motion:
+def located(model: SwitchedModel, torques: Sequence[float], sample_time_ns: int, *how: Any) -> Motion:
     """Return the motion under the torques; arguments and errors as for `located_states`."""
-    return motion_of(located_states(*how))
+    return motion_of(located_states(model, torques, sample_time_ns, *how))
 
 
 def located_states(

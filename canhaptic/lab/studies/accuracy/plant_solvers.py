@@ -38,6 +38,7 @@ from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import Motion, observed
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array
+from canhaptic.view.si import counted
 
 Stop = Callable[[], bool]
 _M = TypeVar("_M", Model, ReferenceGroup)
@@ -153,11 +154,6 @@ def _setting_of(accuracy: AccuracyParameters, plant: Plant) -> str:
     if not plant.is_exact:
         words.append(counted(accuracy.substeps, "substep"))
     return ", ".join(words) or "exact"
-
-
-def counted(count: int, what: str) -> str:
-    """Return a number of things in words."""
-    return f"{count} {what}{'s' if count > 1 else ''}"
 
 
 def stepped(plant: Plant, torques: Sequence[float]) -> None:
