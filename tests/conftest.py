@@ -25,7 +25,7 @@ settings.load_profile("canhaptic")  # `make test-all` asks for the thorough one
 # source too, which takes two seconds to parse.
 providers._get_local_constants = lambda: providers._local_constants
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell, where no Ctrl-C would reach a test
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell: no Ctrl-C would reach a test
     signal.signal(signal.SIGINT, signal.default_int_handler)
 os.environ.pop("COLUMNS", None)  # that of the terminal in which the tests run says nothing about tables in pipes
 gc.set_threshold(50_000, 10, 100)  # a test is short: its garbage need not be searched for as often as in a server
