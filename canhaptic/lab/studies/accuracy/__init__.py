@@ -1,1 +1,1 @@
-"""The cost of accuracy in time: every method to compute and render a scene, with its errors and its cost."""
+"""The computing time that accuracy costs: methods to compute and render a scene, with their errors and costs."""

@@ -1,8 +1,8 @@
 """`accuracy: auto`: the cheapest accuracy of a simulated plant that keeps its position within a tolerance.
 
-The scene's own controller is run once on a finely solved plant; under the torques of that run every setting of the
-ladder is compared with the reference plant by event-located DOP853 (`canhaptic.lab.judge`). The fewest products win,
-which are equal on every machine; no time is measured.
+The controller of the scene is run once on a finely solved plant. Under the torques of that run, settings from coarse to
+fine are compared with a reference solution by DOP853 with event location (`canhaptic.lab.judge`). The setting with the
+fewest matrix-vector products wins; their number is the same on every machine.
 """
 
 from dataclasses import replace
@@ -16,7 +16,7 @@ from canhaptic.scene.models import AxisScene, Scene
 
 
 def with_chosen_accuracy(scene: Scene) -> Scene:
-    """Return the scene with the accuracy of every simulated plant chosen; the scene itself where it is not `auto`.
+    """Return the scene with a chosen accuracy for every simulated plant; a scene without `auto` is unchanged.
 
     Raises:
         InputError: scipy is missing, or no setting keeps the tolerance.
@@ -39,7 +39,7 @@ def with_chosen_accuracy(scene: Scene) -> Scene:
 
 
 def choose(axis: AxisScene, scene: Scene, tolerance: float) -> Row:
-    """Return the row of the cheapest accuracy of one axis with an error of the position within a tolerance [m or rad].
+    """Return the row of the cheapest accuracy that keeps the position of one axis within a tolerance [m or rad].
 
     Raises:
         InputError: scipy is missing, no setting keeps the tolerance, or the errors do not fall as declared.
@@ -64,10 +64,10 @@ def choose(axis: AxisScene, scene: Scene, tolerance: float) -> Row:
 
 
 def require_own_axis(axis: AxisScene, scene: Scene) -> None:
-    """Refuse an axis that does not move as one plant under one controller.
+    """Refuse an axis without its own plant and its own controller.
 
     Raises:
-        InputError: A group renders on it, or it moves a mechanism with others.
+        InputError: The axis belongs to a group, or moves a mechanism together with others.
     """
     if axis.group or axis.simulated_drive is not None:
         what = f"group {axis.group} renders on it" if axis.group else "it moves a mechanism with other drives"

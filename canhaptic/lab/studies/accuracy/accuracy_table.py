@@ -1,8 +1,7 @@
-"""A study of accuracy as tables, for a terminal and as Markdown for a page of documentation.
+"""The tables and the advice of a study of accuracy, for a terminal and as Markdown.
 
-From the ladder to advice: the Pareto front, the cheapest setting within a tolerance, the cost of each effect.
-
-All choices depend on errors and evaluations, which are equal in every run; times only sort the effects.
+The advice is the cheapest setting within a tolerance; the tables show the Pareto front and the cost of each effect. All
+choices depend on errors and evaluations, which are equal in every run; times only sort the effects.
 """
 
 import textwrap
@@ -36,17 +35,17 @@ _WIDTH, _LABEL = 78, 15  # columns of a line, and of its label
 _DOT, _KEPT = "\u00b7", "\u00a0"  # the last: a space at which no line ends
 _GAP, _BETWEEN = "\t", f" {_DOT} "
 LEAST_ORDER: Final = 0.5
-"""Part of the declared order: where the errors of a scene fall by less, no setting of it is advised or chosen."""
+"""Fraction of the declared order: if the errors of a scene fall more slowly, no setting is advised or chosen."""
 _NEARER: Final = 0.8
-"""Part of the scene's own error below which a change is worth naming."""
+"""Fraction of the scene's present error: only changes with an error below it are named."""
 _SHOWN: Final = 4
 _CLOCK: Final = 0.1
-"""Time of a cycle below which a difference of two runs is not distinguished from zero [us]."""
+"""Difference of two cycle times that is not distinguished from zero [us]."""
 _WIDE_HEADS: Final = ("wall time per simulated s", "median over least")
 
 
 def accuracy_report(result: Row, *, tables: bool = False) -> RenderableType:
-    """Return the answer, the heading and, if requested, the tables, for a terminal; of displays always the table."""
+    """Return the answer, the heading and, if requested, the tables, for a terminal; for displays always the table."""
     if is_of_display(result):
         return Group(*(Text(f" {line}") for line in display_heading(result)), display_accuracy_table(result))
     said = [*advice_lines(result), "", *price_lines(result), ""]
@@ -72,7 +71,7 @@ def wrapped(line: str) -> list[str]:
 
 
 def price_lines(result: Row) -> list[str]:
-    """Return the time and error of each relevant setting, one line each, the scene's own first."""
+    """Return one line with time and error for each relevant setting, that of the scene first."""
     plant = {**_plant_prices(result), "other methods": _method_prices(result), "left out": _effect_prices(result)}
     measured, loop = "time" if result["workload"] else "evaluations", _loop_prices(result)
     said = [f"plant: {measured} a period, and largest error of the position", *_price_lines(plant)]
@@ -86,7 +85,7 @@ def _price_lines(prices: Mapping[str, Sequence[str]]) -> list[str]:
 
 
 def _plant_prices(result: Row) -> dict[str, list[str]]:
-    """Return our settings: event bits at the substeps that the scene has, and substeps at its event bits."""
+    """Return the settings of the plant solver: event bits with the scene's substeps, substeps with its event bits."""
     own = tuple(result["now"]["accuracy"][key] for key in ("event_bits", "substeps"))
     ours = {(row["accuracy"]["event_bits"], row["accuracy"]["substeps"]): _price(row, result)
             for row in result["plant"] if row["method"] == OURS}  # fmt: skip
@@ -103,7 +102,7 @@ def _plant_prices(result: Row) -> dict[str, list[str]]:
 
 
 def _method_prices(result: Row) -> list[str]:
-    """Return of each other method the cheapest setting within the tolerance, else the most exact one."""
+    """Return for each other method its cheapest setting within the tolerance, else its most accurate one."""
     entries = []
     for method in dict.fromkeys(row["method"] for row in result["plant"] if row["method"] != OURS):
         rows = [row for row in result["plant"] if row["method"] == method]
@@ -124,7 +123,7 @@ def _effect_prices(result: Row) -> list[str]:
 
 
 def _loop_prices(result: Row) -> dict[str, list[str]]:
-    """Return the loop's settings; none where it renders nothing, and nothing was compared."""
+    """Return the settings of the loop; none if the loop renders nothing, because nothing was compared."""
     base = base_loop(result)
     if base is None or not base["largest_torque"]:
         return {}
@@ -137,12 +136,12 @@ def _loop_prices(result: Row) -> dict[str, list[str]]:
 
 
 def base_loop(result: Row) -> Row | None:
-    """Return the row of the loop with the scene's own settings; None where it does not complete."""
+    """Return the row of the loop with the scene's own settings; None if that loop does not complete."""
     return next((row for row in result["loop"] if row["is_scene"] and row["status"] == "ok"), None)
 
 
 def _price(row: Row, result: Row) -> str:
-    """Return time, or evaluations where nothing was timed, and error."""
+    """Return the time, or the evaluations if nothing was timed, and the error."""
     if row["status"] != "ok":
         return str(row["status"]).partition(":")[0]
     spent = row.get("us_per_period")
@@ -151,7 +150,7 @@ def _price(row: Row, result: Row) -> str:
 
 
 def _loop_price(row: Row, result: Row, group: str) -> str:
-    """Return time of the control thread, load of the bus where it differs, and distance from the continuous axis."""
+    """Return the time of the control thread, the bus load if it differs, and the distance from the continuous axis."""
     spent = row.get("control_thread_us")
     parts = [] if spent is None else [_time(spent)]
     if group == "sample rate":
@@ -234,7 +233,7 @@ def advice_lines(result: Row) -> list[str]:
 
 
 def _loop_advice(result: Row) -> str:
-    """Return the changes that fit the bus and bring the rendered axis nearer to the continuous one, best first."""
+    """Return the changes, best first, that fit the bus and bring the rendered axis closer to the continuous one."""
     base, best, unit = base_loop(result), result["advice"]["most_exact"], result["unit"]
     if base is None:
         return ""
@@ -306,7 +305,7 @@ def _table(title: str, heads: Sequence[str], rows: Sequence[list[str]], marked: 
 
 
 def _floor(result: Row) -> float:
-    """Return the error of the position that is none [m or rad]."""
+    """Return the error of the position that counts as zero [m or rad]."""
     return FLOOR * float(result["reference"]["travel"]) if result["reference"] else 0.0
 
 
@@ -372,27 +371,27 @@ def _plain(value: int | None) -> str:
 
 
 _ADVICE_CLOCK: Final = 0.05
-"""Time per period below which a saving is not distinguished from zero [us]."""
+"""Saving per sample time that is not distinguished from zero [us]."""
 
 
 def meets(row: Row, tolerance: float) -> bool:
-    """Whether the position of a row keeps the tolerance [m or rad]."""
+    """Whether the error of the position in a row is within a tolerance [m or rad]."""
     return row["status"] == "ok" and float(row["position_error"]) <= tolerance
 
 
 def cheapest(rows: Sequence[Row], tolerance: float) -> Row | None:
-    """Return the row with the fewest evaluations within the tolerance; among equals the more exact one."""
+    """Return the row with the fewest evaluations within the tolerance; among equal ones the most accurate."""
     good = [row for row in rows if meets(row, tolerance)]
     return min(good, key=lambda row: (row["evaluations"], row["position_error"]), default=None)
 
 
 def pareto(rows: Sequence[Row], price: str, floor: float) -> list[bool]:
-    """Return for each row whether no other row is both cheaper and at least as exact.
+    """Return for each row whether no other row is both cheaper and at least as accurate.
 
     Args:
         rows: Rows of the ladder.
         price: Key of their cost.
-        floor: Error of the position below which all are equal [m or rad].
+        floor: Error of the position below which all rows count as equal [m or rad].
     """
     points = [
         (max(row["position_error"], floor), row[price])
@@ -448,7 +447,7 @@ def _doubt(row: Row) -> str:
 
 
 def _lasts(row: Row, ours: Sequence[Row], tolerance: float) -> bool:
-    """Whether every finer setting keeps the tolerance too: errors of events and substeps may cancel by luck."""
+    """Whether every finer setting keeps the tolerance too; errors of events and substeps may cancel by chance."""
     own = row["accuracy"]
     finer = [other for other in ours if all(other["accuracy"][key] >= own[key] for key in own)]
     return all(meets(other, tolerance) for other in finer)
@@ -469,19 +468,19 @@ def error_per_microsecond(error: float, saved: float | None) -> float | None:
 
     Args:
         error: Error of the position [m or rad].
-        saved: Time saved per period [us]; None: not measured. Savings below the clock's resolution count as that.
+        saved: Time saved per period [us], not counted below the clock's resolution; None: not measured.
     """
     return None if saved is None else error / max(saved, _ADVICE_CLOCK)
 
 
 def rank_agreement(one: Sequence[float], other: Sequence[float]) -> float | None:
-    """Return Spearman's rank correlation; None for fewer than three pairs, or where one of them is constant."""
+    """Return Spearman's rank correlation; None for fewer than three pairs, or if one of the lists is constant."""
     if len(one) < 3 or len(set(one)) == 1 or len(set(other)) == 1:
         return None
     return float(np.corrcoef(_ranks(one), _ranks(other))[0, 1])
 
 
 def _ranks(values: Sequence[float]) -> Array:
-    """Return the rank of each value; equal values share the mean of theirs."""
+    """Return the rank of each value; equal values share their mean rank."""
     _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
     return (np.cumsum(counts) - 0.5 * counts)[place]

@@ -1,13 +1,13 @@
 """The cost of accuracy on an admittance display: the simulated plant against a solver, the loop against an ideal one.
 
-commands of the scene's own controller -> the plant of the scene                     against DOP853
-every rate, algorithm, sensor and encoder -> position, energy, mass felt, given out  against the ideal display
+commands of the scene's own controller -> the plant of the scene                           against DOP853
+every rate, algorithm, sensor and encoder -> position, energy in and out, mass felt        against the ideal display
 
-The ideal display is the same environment without protection at a 32nd of the sample time (20 kHz at most), with a drive
-a thousand times as stiff, a sensor that shows the mean of each hold without error, and an encoder as much finer. How
-far it is from one with twice its sample time says how sure it is.
+The ideal display renders the same environment without protection at a 32nd of the sample time (20 kHz at most). Its
+drive is a thousand times as stiff, its encoder a thousand times as fine, and its sensor shows the mean of each hold
+without error. Its distance from an ideal display with twice its sample time estimates its own error.
 
-A study of the accuracy of an admittance display as tables, on a terminal and as Markdown.
+The module also makes the tables of the study, for a terminal and as Markdown.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -43,7 +43,7 @@ def display_accuracy_table(result: Row) -> Table:
 
 
 def display_heading(result: Row) -> list[str]:
-    """Return the heading: the part studied, its reference, and the difference of the plant from a solver."""
+    """Return the heading: the studied part, its reference, and the difference of the plant from a solver."""
     unit, reference = result["unit"], result["reference"]
     lines = [
         f"{result['scene']}, {result['axis']}: {result['holds']} sample times at {result['rate']:g} Hz, "
@@ -76,7 +76,7 @@ def _cells(row: Row, unit: str) -> list[str]:
 
 
 _FINEST: Final = 32
-"""Most holds of the ideal display in one sample time; half as many in the one that it is compared with."""
+"""Largest number of holds of the ideal display in one sample time; the display that checks it has half as many."""
 _FASTEST: Final = 20e3
 """Highest rate that a scene may have [Hz]."""
 _STIFFER: Final = 1000.0
@@ -100,7 +100,7 @@ def study_display(
         progress: Called with the completed fraction.
 
     Raises:
-        InputError: There is none of that name, or it is not simulated.
+        InputError: No axis or group has this name, or it is not simulated.
     """
     parts = parts_of(scene)
     if name is not None and name not in parts:
@@ -137,7 +137,7 @@ def study_display(
 
 
 def _steps(scene: Scene) -> int:
-    """Return the holds of the ideal display in one sample time, a power of two."""
+    """Return the number of holds of the ideal display in one sample time, a power of two."""
     steps = _FINEST
     while steps > 4 and steps / scene.bus.sample_time > _FASTEST:
         steps //= 2
@@ -157,7 +157,7 @@ def _apart(run: AdmittanceRun, ideal: AdmittanceRun, steps: int) -> tuple[float,
 
 
 def _row(variant: Variant, ideal: AdmittanceRun, steps: int, whole: int) -> Row:
-    """Return the row of a variant; `steps` are the holds of the ideal display in one of its own, of `whole`."""
+    """Return the row of a variant of the scene `whole`; `steps` holds of the ideal display are one of the variant."""
     row, clock = Row(changed=variant.group, to=variant.setting), WallClock()
     begin = clock.now()
     try:
@@ -179,7 +179,7 @@ def _row(variant: Variant, ideal: AdmittanceRun, steps: int, whole: int) -> Row:
 
 
 def _plant_row(scene: Scene, axis: AxisScene, holds: int) -> Row:
-    """Return how far the plant is from a solver under the commands of the scene's own controller."""
+    """Return the difference of the plant from a solver, under the commands of the scene's own controller."""
     simulation, name = simulation_of(axis), axis.parameters.name
     if reason := why_no_equations(simulation):
         return {"axis": name, "status": f"not compared: no equations for {reason}"}
@@ -211,7 +211,7 @@ def _variants(scene: Scene) -> Iterator[Variant]:
 
 
 def _under_others(scene: Scene) -> Iterator[tuple[str, Scene]]:
-    """Yield the scene under every other algorithm that needs no value missing from it."""
+    """Yield the scene with every other algorithm whose required values the scene gives."""
     own = scene.groups[0].passivity.name if scene.groups else scene.axes[0].passivity.name
     for name in DISPLAY_GROUP_ALGORITHMS if scene.groups else DISPLAY_ALGORITHMS:
         if name != own:
@@ -228,7 +228,7 @@ def _under(scene: Scene, name: str) -> Scene:
 
 
 def _sensed(scene: Scene, **values: float | str) -> Scene:
-    """Return a scene with other properties of the simulated sensor; its sampling is declared too."""
+    """Return a scene with other properties of the simulated sensor, whose sampling is also declared."""
     known = {key: value for key, value in values.items() if key == "sampling"}
 
     def changed(axis: AxisScene) -> AxisScene:
@@ -247,7 +247,7 @@ def _simulated(axis: AxisScene) -> AdmittanceSimulation:
 def _with(
     axis: AxisScene, known: Mapping[str, object], counts: float = 1.0, delay: int | None = None, **simulated: object
 ) -> AxisScene:
-    """Return a display with other values declared of its sensor, a finer encoder, a delay, and another simulation."""
+    """Return a display with another declared sensor, another encoder resolution, delay and simulation."""
     given, simulation, drive = axis.parameters, simulation_of(axis), simulation_of(axis).drive
     admittance = _simulated(axis).model_copy(update=simulated)
     display = cast(AdmittanceParameters, given.admittance)
@@ -269,7 +269,7 @@ def _finer(scene: Scene, factor: float) -> Scene:
 
 
 def _ideal(scene: Scene, steps: int) -> Scene:
-    """Return the ideal display of a scene, with so many holds in one sample time."""
+    """Return the ideal display of a scene, with `steps` holds in one sample time."""
 
     def changed(axis: AxisScene) -> AxisScene:
         loop, display = _simulated(axis).loop, cast(AdmittanceParameters, axis.parameters.admittance)

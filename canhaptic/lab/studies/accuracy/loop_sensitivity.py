@@ -1,6 +1,6 @@
-"""The loop side: one change at a time, of sample rate, delay, algorithm, velocity filter, resolution or encoder.
+"""Sensitivity of a loop to its sample rate, delay, algorithm, velocity filter, resolution or encoder, one at a time.
 
-Every variant, of an axis or a group, is rendered without a bus and compared with the continuous environment, read on a
+Every variant of an axis or a group is rendered without a bus and compared with the continuous environment on a time
 grid common to all rates; the bus load is computed.
 """
 
@@ -39,7 +39,7 @@ _TOLERANCE: Final = 1e-11
 def continuous_loop(
     axis: AxisScene, step_ns: int, steps: int, stop: Callable[[], bool] | None = None
 ) -> ContinuousMotion:
-    """Return the motion and forces that the user would feel without sampling.
+    """Return the motion and forces of the axis without sampling.
 
     Args:
         axis: Axis with environment, plant, user and effects.
@@ -48,8 +48,8 @@ def continuous_loop(
         stop: Polled regularly; true aborts.
 
     Raises:
-        InputError: There are no equations for the environment or an effect, scipy is missing, the solver fails, or it
-            was stopped.
+        InputError: The environment or an effect has no equations, scipy is missing, or the solver failed or was
+            stopped.
     """
     times = [k * step_ns * 1e-9 for k in range(steps + 1)]
     run = continuous_run(axis_loop.environment_of(axis), textbook_model(simulation_of(axis)), times, _TOLERANCE, stop)
@@ -59,13 +59,13 @@ def continuous_loop(
 FINEST: Final = 4
 """Ratio of the highest rate to the scene's; the reference is read at that rate."""
 RATES: Final = (0.25, 0.5, 2.0, float(FINEST))
-"""Sample rates that are tried, as multiples of the scene's."""
+"""Sample rates of the variants, as multiples of the scene's."""
 _RANGE: Final = (1.0, 20_000.0)
-"""Least and highest rate of a scene [Hz]."""
+"""Lowest and highest rate of a scene [Hz]."""
 _SUBSTEPS: Final = 32
-"""Substeps of the plant in one sample time of the scene: the finest of the ladder, whose error is the floor here."""
+"""Substeps of the plant in one sample time of the scene: the finest setting, whose error limits the comparison."""
 _GROUP_SUBSTEPS: Final = 8
-"""The same for plants of a group: of order 2, the error of a mechanism is far below its loop's."""
+"""Substeps of the plants of a group; with order 2, the error of a mechanism is then far below that of its loop."""
 _TRAVELS: Final = 10.0
 """Distance from the origin that counts as divergence of a group, as a multiple of the continuous run's."""
 _ENCODER_EFFECTS: Final = ("encoder_noise", "encoder_quantisation")
@@ -77,11 +77,11 @@ class Variant:
 
     Attributes:
         group: Kind of change.
-        setting: Its value.
-        scene: Scene of the axis or group alone, changed.
+        setting: Value of the change.
+        scene: Changed scene, with the axis or group alone.
         is_scene: Whether nothing is changed.
-        remark: Values that its algorithm took from the plant.
-        fineness: Multiple of the scene's, infinite for ideal; None where nothing is finer.
+        remark: Values that the algorithm took from the plant.
+        fineness: Resolution as a multiple of the scene's, infinite for an ideal one; None for other changes.
     """
 
     group: str
@@ -98,7 +98,7 @@ class Variant:
 
     @property
     def case(self) -> axis_loop.LoopCase:
-        """The loop of the one axis."""
+        """The loop of the axis."""
         (axis,) = self.scene.axes
         return replace(
             axis_loop.loop_case(axis, self.scene), counts_per_unit=abs(axis.parameters.counts_per_unit) or None
@@ -123,7 +123,7 @@ class Variant:
         return render_group(engine, self.scene, cycles, furthest, tick)
 
     def work(self, cycles: int) -> tuple[str, float]:
-        """Return the code to compile for it, and its cost in cycles of a light plant."""
+        """Return the code that the variant compiles, and its cost in cycles of a light plant."""
         if not self.scene.groups:
             return self.case.algorithm, work_of(self.case, cycles)
         is_coarse = any(axis.loop.encoder_count for axis in self.scene.axes)  # decides the lengths of the buffers
@@ -146,7 +146,7 @@ def variants(alone: Scene, whole: Scene) -> list[Variant]:
 
     Args:
         alone: Scene of the axis or group alone.
-        whole: Scene that it is of, whose other axes share the bus.
+        whole: Whole scene, whose other axes share the bus.
     """
     base = finely_solved(alone)
     found = [Variant("as it is", _algorithm_of(base), base, is_scene=True)]
@@ -158,7 +158,7 @@ def variants(alone: Scene, whole: Scene) -> list[Variant]:
 
 
 def settings_now(scene: Scene) -> dict[str, str]:
-    """Return the own values of an axis or group alone of the settings that variants change, by group of variants."""
+    """Return the scene's own values of the settings that variants change, by kind of change."""
     found = {"sample rate": hertz(scene.bus.rate), "RPDO": scene.bus.rpdo, "algorithm": _algorithm_of(scene)}
     if scene.groups:
         return found
@@ -179,7 +179,7 @@ def _algorithm_of(scene: Scene) -> str:
 
 
 def finely_solved(scene: Scene, factor: float = 1.0) -> Scene:
-    """Return an axis or group alone with substeps of its plants of the same length at `factor` times the rate."""
+    """Return the scene of an axis or group for `factor` times the rate, with plant substeps of the same length."""
     substeps = max(1, round((_GROUP_SUBSTEPS if scene.groups else _SUBSTEPS) / factor))
 
     def fine(axis: AxisScene) -> AxisScene:
@@ -297,7 +297,7 @@ def loop_row(
 
     Args:
         variant: Variant of the loop.
-        exact: The continuous axis or group, read at least as often as the variant samples.
+        exact: Motion of the continuous axis or group, at least as finely sampled as the variant.
         duration_ns: Length of the run [ns].
         tick: Called once a cycle; may raise to abort.
         engine: Engine of the axis's loop.
@@ -322,7 +322,7 @@ def loop_row(
 
 
 def engines_of(variants: Sequence[Variant], duration_ns: int, engine: Engine) -> list[ChosenEngine]:
-    """Return the engine of each variant; "auto" compiles where all of one algorithm take longer than compiling."""
+    """Return the engine of each variant; "auto" compiles an algorithm if its variants take longer than compiling."""
     works = [variant.work(duration_ns // variant.sample_time_ns + 1) for variant in variants]
     whole: Counter[str] = Counter()
     for name, work in works:

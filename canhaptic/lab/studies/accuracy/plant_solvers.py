@@ -1,15 +1,12 @@
-"""The plant side: the whole ladder on the torques of the scene's own controller, and every effect left out in turn.
+"""Accuracy and cost of the methods to compute a plant, under the torques of the scene's own controller.
 
-Every method to compute one plant under given torques: our settings, fixed-step methods, LSODA.
+A ladder of methods and settings is compared with a reference: the settings of `sim.plant`, fixed-step methods, LSODA.
+Every effect of the scene is also left out in turn. The cost, equal on every machine, is the number of evaluations of
+the equations of motion: trial matrix-vector products of `sim.plant`, right-hand sides of the textbook methods (with the
+evaluations of forces for a guard). The study reports how well it ranks the methods by time.
 
-The cost that is equal on every machine is the number of evaluations of the equations of motion: a trial matrix-vector
-product of ours, a right-hand side of a textbook method (evaluations of forces for a guard included). It ranks like
-time; the study reports how well.
-
-The plant side of a group: the mechanics of its motors, under the torques of the scene's own controller.
-
-Motors with plants of their own are each an axis of the ladder, and a setting is as good as on the worst of them; a
-mechanism is compared with its equations of motion by DOP853.
+In a group, motors with separate plants are compared one by one, and a setting is as good as for the worst of them; a
+mechanism is compared with its equations of motion, solved by DOP853.
 """
 
 import importlib.util
@@ -45,25 +42,25 @@ _M = TypeVar("_M", Model, ReferenceGroup)
 OURS: Final = "canhaptic"
 LSODA: Final = "LSODA, located"
 FLOOR: Final = 2e-13
-"""Fraction of the travel below which errors count as equal: they come from the reference, or rounding."""
+"""Fraction of the travel below which errors count as equal, because they may come from the reference or rounding."""
 FURTHEST: Final = 1.0
-"""Error of the position, in travels of the reference, from which a method counts as unstable."""
+"""Error of the position, as a multiple of the travel, from which a method counts as unstable."""
 _CEILING: Final = 3e-2
-"""Part of the travel above which errors do not yet show an order."""
+"""Fraction of the travel above which errors do not yet show the order of a method."""
 _BITS: Final = (4, 8, 12, 16, 20, 24)
 _FEW_BITS: Final = (8, 16, 24)
-"""Where substeps are to be chosen too."""
+"""Event bits that are tried if substeps are to be chosen too."""
 _OUR_SUBSTEPS: Final = (1, 2, 4, 8, 16, 32)
 _SUBSTEPS: Final = (1, 2, 4, 8, 16)
 _RUNGE_KUTTA: Final = (1, 2, 4, 8)
 _TOLERANCES: Final = (1e-3, 1e-5, 1e-7, 1e-9)
 _ABSOLUTE: Final = 1e-3
-"""Absolute tolerance over relative."""
+"""Ratio of the absolute to the relative tolerance."""
 _REFERENCE: Final = 1e-12
 _MOST_WORK: Final = 130_000
-"""Most evaluations of a fixed-step method in one run: finer rungs are left out."""
+"""Largest number of evaluations of a fixed-step method in one run; finer settings are left out."""
 _WORK: Final = {"semi-implicit Euler": 1, "implicit midpoint": 8, "RK4": 4}
-"""Per step, about, in right-hand sides."""
+"""Approximate number of right-hand sides per step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +70,11 @@ class Candidate:
     Attributes:
         method: Name of the method.
         setting: Setting that distinguishes it from others of the same method.
-        size: Relative step size, for fitting the order; None where there is no step.
-        order: Order that it has on this plant; None for exact and adaptive methods.
-        accuracy: Accuracy as in a scene; None where no scene can express it.
-        observe: Function that runs it and returns motion, evaluations and events.
-        spend: Function that runs it for timing only.
+        size: Relative step size, for fitting the order; None for a method without a step.
+        order: Order of the method on this plant; None for exact and adaptive methods.
+        accuracy: Accuracy as in a scene; None for a setting that no scene can express.
+        observe: Function that runs the method and returns motion, evaluations and events.
+        spend: Function that runs the method for timing only.
     """
 
     method: str
@@ -98,7 +95,7 @@ def _textbook(
     make: Callable[[], _M], solve: Callable[[_M], Motion], method: str, setting: str, substeps: int | None = None,
     order: int | None = None,
 ) -> Candidate:  # fmt: skip
-    """Return a textbook method on the equations of a plant, which are made anew for every run."""
+    """Return a textbook method that solves the equations of a plant, which are set up again for every run."""
 
     def run() -> tuple[Motion, int, int]:
         model = make()
@@ -109,7 +106,7 @@ def _textbook(
 
 
 def ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[AccuracyParameters]:
-    """Return every setting that makes a difference for this plant, coarse to fine."""
+    """Return every method and setting that makes a difference for this plant, from coarse to fine."""
     plant = build_plant(simulation, sample_time_ns)
     bits: Sequence[int] = (24,)
     if any(part.has_guards for part in plant.scene.parts):
@@ -119,13 +116,13 @@ def ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[AccuracyPara
 
 
 def own_ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[AccuracyParameters]:
-    """Return every setting that makes a difference for this plant, and the scene's own."""
+    """Return every setting of `sim.plant` that makes a difference for this plant, and the scene's own."""
     found, now = ladder(simulation, sample_time_ns), own_setting(simulation, sample_time_ns)
     return found if now in found else [now, *found]
 
 
 def own_setting(simulation: AxisSimulation, sample_time_ns: int) -> AccuracyParameters:
-    """Return the accuracy of a scene, with the defaults where it makes no difference for this plant."""
+    """Return the accuracy of a scene, with defaults for the values that make no difference for this plant."""
     found, now = ladder(simulation, sample_time_ns), simulation.accuracy
     useless = (key for key in ("event_bits", "substeps") if len({getattr(of, key) for of in found}) == 1)
     return now.model_copy(update={key: getattr(found[0], key) for key in useless})
@@ -134,7 +131,7 @@ def own_setting(simulation: AxisSimulation, sample_time_ns: int) -> AccuracyPara
 def ours(
     simulation: AxisSimulation, accuracy: AccuracyParameters, torques: Sequence[float], sample_time_ns: int
 ) -> Candidate:
-    """Return our plant at one accuracy."""
+    """Return the candidate of `sim.plant` at one accuracy."""
     solved = replace(simulation, accuracy=accuracy)
     kept = build_plant(solved, sample_time_ns)
 
@@ -147,7 +144,7 @@ def ours(
 
 
 def _setting_of(accuracy: AccuracyParameters, plant: Plant) -> str:
-    """Return the part of an accuracy that matters to a plant."""
+    """Return the values of an accuracy that make a difference for a plant."""
     words = []
     if any(part.has_guards for part in plant.scene.parts):
         words.append(f"{accuracy.event_bits} bits")
@@ -157,7 +154,7 @@ def _setting_of(accuracy: AccuracyParameters, plant: Plant) -> str:
 
 
 def stepped(plant: Plant, torques: Sequence[float]) -> None:
-    """Move a plant from its start as a drive does: one call per hold."""
+    """Move a plant from its start by one call per hold, like a drive."""
     plant.reset()
     plant.begin(0)
     move, period, now = plant.advance_to, plant.sample_time_ns, 0
@@ -173,11 +170,11 @@ class Plants:
         torques: Torque of each hold [N or N*m]; of a mechanism one for each motor.
         evaluations: Evaluations of the reference.
         travel: Travel of the reference [m or rad].
-        energy: Largest of the works and the kinetic energy of the reference [J].
-        candidates: Settings to measure.
-        rows: Results so far, one per setting of the ladder.
+        energy: Largest work or kinetic energy of the reference [J].
+        candidates: Methods and settings to measure.
+        rows: Results so far, one per candidate.
         effects: Results so far, one per effect of the scene.
-        without: Plants without an effect, and as they are, by name.
+        without: Plants without one effect each, and the unchanged plants, by name.
     """
 
     torques: Any
@@ -192,7 +189,7 @@ class Plants:
         self.without: dict[str, Candidate] = {}
 
     def measure(self) -> Iterator[str]:
-        """Run every setting once for its errors and evaluations; yield the name of each before it is run."""
+        """Run every candidate once for its errors and evaluations; yield the name of each before it is run."""
         for candidate in self.candidates:
             yield candidate.name
             self.rows.append(_row_of(candidate, self._judged, self.travel, len(self.torques)))
@@ -303,7 +300,7 @@ class PlantSide(Plants):
             self.effects.append(self._effect_row(name, accuracy, motion, evaluations))
 
     def _effect_row(self, name: str, accuracy: AccuracyParameters, whole: Motion, base: int) -> Row:
-        """Return the change from leaving an effect out at one accuracy, apart from the method's error."""
+        """Return the change by leaving an effect out at one accuracy, without the error of the method."""
         order = next(getattr(e.parameters, "order", None) for e in self._simulation.effects if e.name == name)
         without, name, problem = self._left_out(name)
         if problem:
@@ -322,9 +319,9 @@ class PlantSide(Plants):
         }
 
     def _left_out(self, name: str) -> tuple[AxisSimulation, str, str]:
-        """Return the plant without an effect, the effect left out, or the reason why it cannot be.
+        """Return the plant without an effect, what was left out, or the reason why the effect cannot be left out.
 
-        An effect that another needs, as a backlash its shaft, is left out together with that one.
+        An effect that another needs, like the shaft of a backlash, is left out together with the other.
         """
         effects, problem = self._simulation.effects, ""
         for other in ("", *dict.fromkeys(effect.name for effect in effects if effect.name != name)):
@@ -339,7 +336,7 @@ class PlantSide(Plants):
 
 
 def _row_of(candidate: Candidate, judged: Callable[[Motion], MotionError], travel: float, holds: int) -> Row:
-    """Return the row of a setting, run once; errors are None where it is unstable."""
+    """Return the row of a candidate, run once; its errors are None if it is unstable."""
     try:
         with catch_warnings(action="ignore", category=UserWarning):  # of LSODA, whose row says that it failed
             motion, evaluations, events = candidate.observe()
@@ -369,7 +366,7 @@ def _errors_of(found: MotionError) -> Row:
 
 
 HOLDS: Final = 1000
-"""Holds that settings are compared over; a scene that lasts shorter is compared over all of it."""
+"""Number of holds of a comparison; a shorter scene is compared over its whole length."""
 
 
 def holds_of(scene: Scene, duration: float | None = None) -> int:
@@ -380,10 +377,10 @@ def holds_of(scene: Scene, duration: float | None = None) -> int:
 
 
 def group_side(scene: Scene, holds: int, stop: Stop) -> Plants:
-    """Return the plant side of the one group of a scene; arguments as for `PlantSide`.
+    """Return the plant side of the only group of a scene; arguments as for `PlantSide`.
 
     Raises:
-        InputError: The loop of the scene does not run to its end, or there are no equations to compare with.
+        InputError: The loop of the scene ends early, or the group has no equations to compare with.
     """
     run = render_group("python", finely_solved(scene), holds + 1)
     if run.ended:
@@ -392,7 +389,7 @@ def group_side(scene: Scene, holds: int, stop: Stop) -> Plants:
 
 
 class _OwnPlants(Plants):
-    """Separate plants of the axes of a group."""
+    """A group whose axes have separate plants."""
 
     def __init__(self, scene: Scene, torques: Array, stop: Stop) -> None:
         super().__init__()
@@ -415,7 +412,7 @@ class _OwnPlants(Plants):
         self.evaluations = sum(side.evaluations for side in self._sides)
 
     def measure(self) -> Iterator[str]:
-        """Run every rung once on every plant; yield the name of each before it is run."""
+        """Run every candidate once on every plant; yield the name of each before it is run."""
         rows: list[dict[object, Row]] = []
         for axis, side in zip(self._names, self._sides, strict=True):
             for name in side.measure():
@@ -434,7 +431,7 @@ class _OwnPlants(Plants):
 
 
 def _rung(candidate: Candidate) -> tuple[str, object]:
-    """Return a rung on every plant; our own setting names only the parts that matter to one of them."""
+    """Return a candidate for all plants; a setting of `sim.plant` names only values that matter to one of them."""
     return candidate.method, candidate.accuracy or candidate.setting
 
 
@@ -444,7 +441,7 @@ def _spend(parts: Sequence[Candidate]) -> None:
 
 
 def _worst(rows: Sequence[Row]) -> Row:
-    """Return one row of several plants: the largest errors, and the sum of the prices."""
+    """Return one row for several plants: the largest errors, and the sum of the costs."""
     bad = next((row for row in rows if row["status"] != "ok"), None)
     if bad is not None:
         return bad
@@ -514,7 +511,7 @@ class _Mechanism(Plants):
         return _motion_of(model, solvers.fixed_step_states(model, torques, self._period, step, substeps))
 
     def _solved(self, model: ReferenceGroup, method: str, rtol: float) -> Motion:
-        """Return the motion by one of scipy's solvers, hold by hold; errors as for `located_states`."""
+        """Return the motion computed by a solver of scipy, hold by hold; it raises errors like `located_states`."""
         torques = self.torques.tolist()
         return _motion_of(
             model, solvers.located_states(model, torques, self._period, method, rtol, _ABSOLUTE * rtol, self._stop)

@@ -1,18 +1,12 @@
-"""The whole study of one axis or group: references, both ladders, times and advice; a stopped study keeps its rows.
+"""The accuracy study of one axis or group: references, errors and times of plant and loop, and advice.
 
 torques of the scene's own controller -> every method, every setting, every effect left out   against DOP853
 every rate, delay, algorithm, filter and resolution                                           against the continuous run
 
-Cost of a cycle in the control thread apart from the algorithm: frames, checks and accounts, without the drives.
-
-The rig of the scene runs in lock-step with its simulated drives in one thread; the time of the drives is measured
-on the way and subtracted.
-
-Wall times with little disturbance by a busy machine: interleaved repeats, their minimum, their spread.
-
-A fixed workload runs with them, so that a table from one machine can be read on another by its ratios.
-
-Subject of an accuracy study: one axis outside groups, or one group.
+A stopped study keeps its rows. `exchange_time` measures a cycle of the control thread without the algorithm: frames,
+checks and accounts. The rig runs in one thread with its simulated drives, whose time is measured and subtracted.
+`interleaved` measures wall times that a busy machine disturbs little, as the minimum of interleaved repeats with their
+spread. A fixed workload is timed with them, so that the ratios of a table hold on another machine.
 """
 
 import itertools
@@ -51,14 +45,14 @@ from canhaptic.sim.plant.direct_rig import observed
 _CYCLES: Final = 600
 _TURNS: Final = 3
 _BLOCK: Final = 50
-"""Cycles between two readings: the least block counts, so that interruptions do not."""
+"""Cycles between two readings of the clock; only the fastest block counts, so that interruptions do not."""
 _NS_PER_US: Final = 1e3
 
 
 def exchange_time(scene: Scene) -> float | None:
     """Return the time of a cycle in the control thread without its algorithms [us].
 
-    None where the scene has real drives, effects on its bus or several buses.
+    None if the scene has real drives, effects on its bus or several buses.
     """
     if not scene.simulated or scene.bus_effects is not None or len(scene.buses) != 1:
         return None
@@ -87,9 +81,9 @@ def _fastest_block(cycle: Cycle, cycles: int, clock: Callable[[], int]) -> float
 
 
 def log_time(scene: Scene) -> float | None:
-    """Return the time that writing the energy log takes in a cycle [us]; None where nothing can be run.
+    """Return the time that writing the energy log takes in a cycle [us]; None if the scene cannot be run here.
 
-    It is the fastest block with the log, less the fastest without; both run in lock-step, in turn.
+    It is the fastest block with the log minus the fastest block without it; the two run alternately.
     """
     if not scene.simulated or scene.bus_effects is not None:
         return None
@@ -104,7 +98,7 @@ def log_time(scene: Scene) -> float | None:
 
 
 class _TimedFarSide:
-    """A far side and the time it took [ns]."""
+    """The simulated drives, and the time that they took [ns]."""
 
     def __init__(self, far_side: SimulatedPeer) -> None:
         self.clock, self.spent = WallClock(), 0
@@ -128,14 +122,14 @@ class _Idle:
     """A controller that does nothing."""
 
     def reset(self) -> None:
-        """Keep nothing."""
+        """Reset nothing."""
 
     def sample_lost(self) -> EnergyBalance:
-        """Return rest."""
+        """Return the balance at rest."""
         return AT_REST
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Return rest."""
+        """Return the balance at rest."""
         return AT_REST
 
 
@@ -160,11 +154,11 @@ def interleaved(
     stop: Callable[[], bool],
     progress: Callable[[float], None],
 ) -> dict[str, WallTime]:
-    """Return the wall time of each candidate, run in turn A B C A B C; fast ones are repeated more often.
+    """Return the wall time of each candidate; they run in turn, A B C A B C, and fast ones are repeated more often.
 
     Args:
         candidates: Candidates by name.
-        budget: Total time, shared equally [s]; a candidate beyond its share is run twice, a long one once.
+        budget: Total time, shared equally [s]; a candidate that exceeds its share is run twice, a long one once.
         stop: Polled before each run; true aborts, and the results so far are returned.
         progress: Called with the completed fraction.
     """
@@ -193,7 +187,7 @@ def _wall_time(times: list[int]) -> WallTime:
 
 
 def workload() -> None:
-    """Run the fixed workload with which every time is compared."""
+    """Run the fixed workload that every time is compared with."""
     matrix, state = np.eye(6) * 0.999, np.ones(6)
     product = matrix.dot
     for _ in range(_PRODUCTS):
@@ -207,7 +201,7 @@ class StudiedPart:
     Attributes:
         name: Name of the axis or the group.
         scene: Scene of the part alone.
-        whole: Scene that it is of.
+        whole: Whole scene.
     """
 
     name: str
@@ -227,7 +221,7 @@ class StudiedPart:
         return loop_sensitivity.continuous_loop(self.scene.axes[0], step_ns, steps, stop)
 
     def first_rows(self, holds: int) -> Iterator[str]:
-        """Yield the cost of each plant setting of an axis and its difference from the finest one, in words."""
+        """Yield a line for each plant setting of an axis: its cost, and its difference from the finest setting."""
         if self.scene.groups:
             return
         (axis,), period = self.scene.axes, self.scene.bus.sample_time_ns
@@ -244,7 +238,7 @@ class StudiedPart:
             yield f"{rung.setting}: {spent:.3g} us a period, {apart} from the finest setting"
 
     def now(self) -> Row:
-        """Return the scene's own values of the settings that variants change, by group, and its accuracy."""
+        """Return the scene's own values of the settings that variants change, by kind of change, and its accuracy."""
         accuracy = AccuracyParameters()
         if not self.scene.groups:
             accuracy = plant_solvers.own_setting(simulation_of(self.scene.axes[0]), self.scene.bus.sample_time_ns)
@@ -269,15 +263,15 @@ def chosen_part(scene: Scene, name: str | None) -> StudiedPart:
 
 
 _LONGEST: Final = 4000
-"""Most sample times that are searched for the second contact."""
+"""Largest number of sample times that are searched for the second contact."""
 _AFTER: Final = 100
-"""Sample times of the second contact that are compared."""
+"""Number of sample times of the second contact that are compared."""
 _JUDGED_WITH: Final = "unprotected"
-"""Algorithm with which a loop is timed whose own algorithm lets no torque through."""
+"""Algorithm of a study if the scene's own algorithm sends no torque."""
 
 
 class Length(NamedTuple):
-    """Length of a study."""
+    """Length of an accuracy study."""
 
     scene: Scene
     holds: int
@@ -287,7 +281,7 @@ class Length(NamedTuple):
 def length_of(scene: Scene, name: str | None, duration: float | None = None) -> Length:
     """Return the length over which a scene is compared: until its second contact, unless a duration is given [s].
 
-    Where its algorithm gives no torque, the unprotected controller is used instead.
+    If the algorithm of the scene sends no torque, the unprotected controller is used instead.
     """
     part = chosen_part(scene, name)
     if part.scene.groups:
@@ -316,17 +310,17 @@ def _contacts(axis: AxisScene, scene: Scene, holds: int) -> list[int]:
 
 
 DEFAULT_BUDGET: Final = 4.0
-"""Time for timings [s], the plant side's; runs for errors come on top."""
+"""Time for the timings of plants [s], in addition to the runs for errors."""
 UNITS: Final = 1000
 """Units of progress in the whole study."""
 _SHARES: Final = {"references": 200, "ladder": 250, "loops": 250, "times": 300}
 _BEFORE: Final = 0.5
-"""Part of a share that the reference before it may fill."""
+"""Fraction of a share of the progress bar that the reference before it may fill."""
 _TENTH: Final = 0.1
 _REPEATS: Final = 3
 _WORKLOAD: Final = "workload"
 _IDEAL: Final = 1e9
-"""Fineness of a method without a step, as a number that JSON can hold."""
+"""Number that represents in JSON the infinite fineness of a method without a step."""
 
 
 def study_accuracy(
@@ -345,11 +339,11 @@ def study_accuracy(
         axis: Name of an axis or a group; the first axis by default, or its group.
         duration: Length of the comparison [s]; see `length_of`.
         progress: Called with the number of units done, of `UNITS`.
-        stop: Polled often; true stops the study, which returns its results so far.
-        options: Further ones of `AccuracyStudy`.
+        stop: Polled often; true stops the study, which then returns the results so far.
+        options: Further options of `AccuracyStudy`.
 
     Raises:
-        InputError: There is none of that name, or it is not simulated.
+        InputError: No axis or group has this name, or it is not simulated.
     """
     studied = next((of for of in scene.axes if axis in (None, of.parameters.name, of.group)), None)
     if studied is not None and studied.parameters.admittance is not None:
@@ -378,7 +372,7 @@ class AccuracyStudy:
         engine: Engine of the loops; "auto" compiles them where that is worthwhile.
         progress: Called with the number of units done, of `UNITS`.
         stop: Polled often; true stops the study.
-        judged: Remark of `length_of`.
+        judged: Remark from `length_of`.
         say: Called with each of the first rows, which need no reference, as soon as it is ready.
     """
 
@@ -443,7 +437,7 @@ class AccuracyStudy:
             self._time(plant)
 
     def _counted_stop(self, part: str) -> plant_solvers.Stop:
-        """Return `stop` that advances the bar by ever smaller steps: a reference reports no progress."""
+        """Return a `stop` that also advances the bar by ever smaller steps, for a reference without progress."""
         asked = itertools.count(1)
 
         def stop() -> bool:
@@ -568,7 +562,7 @@ class AccuracyStudy:
         }
 
     def _effect_rows(self, plant: plant_solvers.Plants) -> list[Row]:
-        """Return the effects with their times; "AXIS: EFFECT" of a group is compared with that axis as it is."""
+        """Return the effects with their times; "AXIS: EFFECT" of a group is compared with the unchanged axis."""
         rows = []
         for row in plant.effects:
             whole, _, _ = row["effect"].rpartition(" ")

@@ -1,7 +1,7 @@
 """The lightest virtual mass that an admittance display renders within a tolerance, for its hand and for similar hands.
 
-A mass passes where every hand feels it within the tolerance, and at most the declared energy is given out. Masses up to
-1.1 (M + c tau) are tried, from heavy to light; the answer is the last before one that fails, times 1 + margin.
+A mass passes if every hand feels it within the tolerance and the display generates at most the declared energy. Masses
+up to 1.1 (M + c tau) are tried, from heavy to light; the answer is the last before one that fails, times 1 + margin.
 """
 
 from collections.abc import Callable
@@ -90,13 +90,13 @@ class _Trial:
         return [display_figures(_with_mass(_with_hand(self._scene, *hand), mass), cycles, _METRICS) for hand in _HANDS]
 
     def passes(self, figures: list[_Figures]) -> bool:
-        """Whether every hand feels the mass as requested and no energy is given out."""
+        """Whether every hand feels the requested mass and no energy is generated."""
         floor = -self.allowance - PASSIVE_TOLERANCE
         is_kept = all(of["diverged"] == 0.0 and of["least_interaction"] >= floor for of in figures)
         return is_kept and self.off(figures) <= self._tolerance
 
     def off(self, figures: list[_Figures]) -> float:
-        """Return the deviation of the felt mass from the request, for the worst hand."""
+        """Return the deviation of the felt from the requested mass, for the worst hand."""
         shares = [abs(of["mass_felt.share"] - 1.0) for of in figures]
         return 1e9 if np.isnan(shares).any() else max(shares)
 
@@ -105,7 +105,7 @@ def _lightest(trial: _Trial, margin: float, progress: Callable[[int], None]) -> 
     """Return the result for the lightest mass, searched from heavy to light; `progress` gets the masses tried.
 
     Raises:
-        CheckFailedError: None passes.
+        CheckFailedError: No mass passes.
     """
     low, high = (share * trial.never_acts for share in _RANGE)
     tried, most = 0, 0.0
@@ -161,7 +161,7 @@ def _account(trial: _Trial, mass: float, figures: list[_Figures]) -> Row:
 def never_acts(scene: Scene) -> float:
     """Return the mass above which every display is passive without a guard, M + c tau [kg or kg*m^2].
 
-    For `guarded` the declared values count, for another algorithm the simulated plant's.
+    For `guarded` it follows from the declared values, for another algorithm from those of the simulated plant.
     """
     return max(_of_axis(axis, scene) for axis in scene.axes)
 

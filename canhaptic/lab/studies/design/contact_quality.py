@@ -1,13 +1,10 @@
-"""What a hand feels at a wall: a guided hand, the stiffness held, the depth and drag of a slow approach.
+"""Trials of a wall by a guided hand: the stiffness held under a push, and the depth and drag of a slow approach.
 
-A hand guided from outside: its position and its push change at rates that are set between two holds.
+The hand follows a course: legs of constant speed and of a push that changes at a constant rate. Its position, speed,
+push and rate of the push are states that change linearly, so that the plant stays as exact as with any other hand and
+any effects; `Plant.set_states` changes them at a SYNC.
 
-Place, speed, push and its rate are states that change linearly, so that the plant stays as exact as with any other
-hand, with any effects; `Plant.set_states` changes them at a SYNC.
-
-A simulated axis whose hand follows a course: legs of constant speed and constant rise of the push.
-
-Largest stiffness that a loop holds at rest under a slowly rising push, found by bisection.
+`largest_held` finds by bisection the largest stiffness that a loop holds at rest under a slowly rising push:
 
     push     from 0 to its full force while it rises, from in front of the wall; then constant
     held     over the last part of the run: mean torque over mean depth is within the tolerance of the stiffness, depth
@@ -15,10 +12,9 @@ Largest stiffness that a loop holds at rest under a slowly rising push, found by
 
 Initial oscillations must have died away by the damping of device and hand when a wall is judged: `settling_time`.
 
-A slow hand that enters a wall and stops there: its depth at rest, and the drag before.
-
-The hand is a spring whose outer end moves at a constant speed through free space and then into the wall, and stops. The
-handle begins with that speed, so that it does not swing on the spring.
+`enter` lets a slow hand enter a wall and stop there, for its depth at rest and the drag in front of the wall. This hand
+is a spring whose outer end moves at a constant speed through free space and into the wall, and stops. The handle begins
+with that speed, so that it does not swing on the spring.
 """
 
 from collections.abc import Iterable, Sequence
@@ -36,13 +32,13 @@ from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import SPEED, Hand, PointerHand
 
 PUSH: Final = "hand_push"
-"""State that is the force of the hand besides its grip [N or N*m]."""
+"""Name of the state with the push of the hand, in addition to its grip [N or N*m]."""
 PUSH_RATE: Final = "hand_push_rate"
-"""State that is the rate of that force [N/s or N*m/s]."""
+"""Name of the state with the rate of the push [N/s or N*m/s]."""
 
 
 class GuidedHand(PointerHand):
-    """A grip on the handle and a push, both set from outside."""
+    """A hand whose position and push are set from outside."""
 
     def add_to(self, scene: PlantModel) -> None:
         """Add the hand and its states."""
@@ -54,7 +50,7 @@ class GuidedHand(PointerHand):
 
 class _GuidedPart(Hand):
     def assemble(self, rows: Rows, mode: str) -> None:
-        """Add the force on the handle, its work, and the course of the push."""
+        """Add the force on the handle, its work, and the rate of the push."""
         super().assemble(rows, mode)
         rows.set_rate(PUSH, rows.row(**{PUSH_RATE: 1.0}))
         handle = len(rows.forces) - 1
@@ -75,7 +71,7 @@ class Leg(NamedTuple):
 
 
 class GuidedPlant(Plant):
-    """A plant with a hand that gets new rates at the beginning of each leg.
+    """A plant with a guided hand, whose rates change at the beginning of each leg.
 
     Args:
         parameters: Mass, bearings and start.
@@ -118,7 +114,7 @@ _TIMES: Final = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Leaning:
-    """A push against a wall at the origin."""
+    """A slowly rising push against a wall at the origin."""
 
     push: float = 5.0  # [N or N*m]
     rise: float = 0.3  # [s]
@@ -133,7 +129,7 @@ class Leaning:
 
 
 def settling_time(mass: float, damping: float) -> float:
-    """Time of leaning until a swing of the device on an ideal spring has died away to 1 % [s]."""
+    """Time in which an oscillation of the device on an ideal spring decays to 1 % [s]."""
     return _TIMES * 2.0 * mass / damping
 
 
@@ -148,7 +144,7 @@ class Held(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """The device that is loaded."""
+    """The device and its loop, on which walls are tried."""
 
     case: LoopCase  # its environment and plant are replaced
     plant: PlantParameters
@@ -166,9 +162,9 @@ class Bench:
             hand: The hand.
             course: Course of the hand.
             seconds: Length of the run [s].
-            reach: Positions that do not count as divergence.
-            position: Where the handle begins [m or rad].
-            velocity: Velocity of the handle at the beginning [m/s or rad/s].
+            reach: Range of positions that do not count as divergence [m or rad].
+            position: Initial position of the handle [m or rad].
+            velocity: Initial velocity of the handle [m/s or rad/s].
         """
         plant = self.plant.model_copy(update={"initial_position": position, "initial_velocity": velocity})
         period = self.case.sample_time_ns
@@ -180,7 +176,7 @@ class Bench:
 
 
 def held(bench: Bench, stiffness: float, leaning: Leaning, damping: float = 0.0) -> Held:
-    """Outcome of one wall.
+    """Return the outcome of a push on one wall.
 
     Args:
         bench: Device and loop.
@@ -212,13 +208,13 @@ class LargestHeld(NamedTuple):
 
 
 def largest_held(bench: Bench, leaning: Leaning, softest: float, stiffest: float) -> LargestHeld:
-    """Largest stiffness that is held; also counts softer walls that are not.
+    """Return the largest stiffness that is held, and the number of softer walls that are not.
 
     Args:
         bench: Device and loop.
         leaning: Push on the walls.
         softest: Stiffness tried first [N/m or N*m/rad].
-        stiffest: Largest stiffness tried; where it is below the softest, none is tried.
+        stiffest: Largest stiffness tried; if it is below `softest`, no wall is tried.
     """
     if stiffest < softest:
         return LargestHeld(0.0, 0, 0)
@@ -236,7 +232,7 @@ def largest_held(bench: Bench, leaning: Leaning, softest: float, stiffest: float
 
 @dataclass(frozen=True, slots=True)
 class SlowHand:
-    """A spring with a moving end, towards a wall at the origin."""
+    """A hand that is a spring, whose outer end moves towards a wall at the origin."""
 
     speed: float  # [m/s or rad/s]
     stiffness: float = 300.0  # [N/m or N*m/rad]
@@ -248,7 +244,7 @@ class SlowHand:
 
 
 class Entered(NamedTuple):
-    """Result of a slow hand."""
+    """Result of `enter`."""
 
     depth: float  # mean, at rest [m or rad]
     drag: float  # largest |torque| before the surface [N or N*m]
@@ -257,7 +253,7 @@ class Entered(NamedTuple):
 
 
 def enter(bench: Bench, wall: SpringDamperWall, hand: SlowHand) -> Entered:
-    """Result of a slow hand at a wall that is solid below the origin."""
+    """Return the depth and drag of a slow hand at a wall that is solid below the origin."""
     period, way = bench.case.sample_time_ns * 1e-9, hand.free + hand.into
     moving = max(1, round(way / hand.speed / period)) * period  # it stops with a SYNC
     speed, course = way / moving, (Leg(0.0, speed=-way / moving), Leg(moving))

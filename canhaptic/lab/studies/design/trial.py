@@ -1,16 +1,16 @@
-"""Trials of walls: each is leant on and pressed on the simulated rig, all in one batch of the sweep engine.
+"""Trials of walls, and of the networks of groups, on the simulated rig of a scene.
+
+Walls are tried in one batch of the sweep engine, by two hands:
 
     lean     a hand without a spring pushes with a constant force: the stiffness at rest
-    press    a hand goes in and out of the wall: the energy stored, returned and dissipated
+    press    a hand moves into the wall and out again: the energy stored, returned and dissipated
 
 A wall passes if both hands find its stiffness, and the second its damping, within the tolerance, and if no more energy
-came out than went in. Certain damping b of the device, where it is declared, covers energy of the port: `guarded` then
-promises sum(h_i) + (b / T) sum(dq^2) >= 0 by proof, which is judged, and the energy that the port alone gave out is
+came out than went in. With a declared device damping b, `guarded` guarantees sum(h_i) + (b / T) sum(dq^2) >= 0; then
+this sum is judged, and the energy that the port alone generated is reported. For a scene with real drives the plant is
+what `passivity` declares: the least moving mass and damping, on which the certificates rest.
 
-reported. The rig is the scene's. For a scene with real drives the plant is what `passivity` declares: the least
-moving mass and damping, on which the certificates rest.
-
-One stiffness and one damping for every network in a design: the largest, with which all others scale.
+A network is described in a design by one stiffness and one damping, with which all others scale:
 
 surface, path, coupled handles, virtual mass    its own `stiffness` and `damping`
 anisotropic spring       the largest eigenvalues of both matrices, whose shapes stay; without a damping matrix the
@@ -19,13 +19,13 @@ general                  the springs and forms that the ports move, and the diss
                          with a spring; masses, inner springs and nonlinear elements are unchanged. Without such
                          a damper each of those springs gets one in proportion to its stiffness
 
-Trials of networks of a group: each leant on and stroked by the hands of the scene, without a bus.
+Networks are tried by the hands of the scene, without a bus:
 
     lean      the hands rest where the network of the scene pushes most
     stroke    the hands move as in the scene
 
-A network passes if the held torques match its spring within the tolerance, by least squares over the holds in
-contact, if when stroked its damping is rendered within it, and if no more energy came out than went in.
+A network passes if the held torques match its spring within the tolerance (least squares over the holds in contact), if
+its damping is rendered within the tolerance in the stroke, and if no more energy came out than went in.
 """
 
 import math
@@ -64,21 +64,21 @@ _Matrix = Sequence[Sequence[float]]
 
 
 class NetworkScale(NamedTuple):
-    """The parameter of a network that a design varies."""
+    """Stiffness and damping of a network, as a design varies them."""
 
     stiffness: float  # of the scene [N/m or N*m/rad]
     with_values: Callable[[float, float], Parameters]  # the network with another stiffness and damping
 
 
 def network_scale(network: Parameters, name: str) -> NetworkScale:
-    """Return the parameter of a network that a design varies.
+    """Return the stiffness and damping of a network, as a design varies them.
 
     Args:
         network: Network of a scene.
         name: Name of the network in a scene.
 
     Raises:
-        InputError: It has no spring at a port.
+        InputError: The network has no spring at a port.
     """
     if isinstance(network, AnisotropicSpring):
         return _anisotropic(network)
@@ -134,7 +134,7 @@ _AtPort = tuple[parts.Spring | parts.QuadraticForm, int, Array]
 
 
 def _moved_by_ports(network: General) -> dict[int, _AtPort]:
-    """Return the springs and forms that a port moves, by their places among the storages."""
+    """Return the springs and forms that a port moves, by their index among the storages."""
     found: dict[int, _AtPort] = {}
     state = 0
     for place, storage in enumerate(network.storages):
@@ -146,7 +146,7 @@ def _moved_by_ports(network: General) -> dict[int, _AtPort]:
 
 
 def _in_proportion(at_port: _AtPort) -> parts.Dissipator:
-    """Return a damper in parallel with a spring that a port moves, as large in number as its stiffness."""
+    """Return a damper in parallel with a spring that a port moves, numerically equal to its stiffness."""
     storage, state, gain = at_port
     if isinstance(storage, parts.Spring):
         return parts.Damper(type="damper", viscous=storage.stiffness, beside=state)
@@ -162,7 +162,7 @@ def _is_outer(part: parts.Dissipator) -> bool:
 
 
 def _size(part: Parameters) -> float:
-    """Return the stiffness or the linear coefficient of a part: of a matrix the largest eigenvalue."""
+    """Return the stiffness or the linear coefficient of a part; for a matrix, its largest eigenvalue."""
     matrix = getattr(part, "matrix", None)
     return float(getattr(part, _coefficient(part))) if matrix is None else _largest(matrix)
 
@@ -194,13 +194,13 @@ STIFFEST: Final = 1e8
 """Largest stiffness that a scene may ask for [N/m or N*m/rad]."""
 _MOST_DAMPING: Final = 1e6  # [N*s/m or N*m*s/rad]
 _HAND: Final = {"stiffness": 300.0, "damping": 3.0}
-"""Hand of a scene without one: an ordinary grip."""
+"""Hand for a scene without a hand: an ordinary grip."""
 _DEEPEST: Final = 0.1
 """Depth [m or rad] to which the hand leans into the softest wall that is tried."""
 DURATION: Final = 2.0  # [s]
 _SLACK: Final = 0.05
-"""Part by which a wall may miss the tolerance and yet not exclude a larger one: where counts and holds happen to
-fall makes the shares of neighbours differ by some tenths of a per cent."""
+"""Amount by which a wall may miss the tolerance without excluding larger walls: the phase of counts and holds makes
+the shares of neighbouring walls differ by some tenths of a per cent."""
 _FREQUENCY: Final = 1.0  # of the hand that presses [Hz]
 _METRICS: Final = (
     "diverged",
@@ -216,7 +216,7 @@ Booleans = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class TrialVerdict:
-    """Verdicts on many walls, the worse of both hands; each of shape (n,)."""
+    """Verdicts on many walls, each the worse of both hands; arrays of shape (n,)."""
 
     stiffness_share: Array  # rendered over asked
     damping_share: Array  # NaN where no damping is asked
@@ -261,11 +261,11 @@ class Trial:
         unit: Unit of the axis's motion.
         softest: Softest wall to try [N/m or N*m/rad].
         engine: Engine that computes the trials.
-        is_quick: Whether walls are tried compiled.
+        is_quick: Whether walls are tried by compiled code.
         walls: Number of walls tried.
 
     Raises:
-        InputError: Several axes, or nothing known of the moving mass.
+        InputError: The scene has several axes, or its moving mass is unknown.
     """
 
     def __init__(self, scene: Scene, tolerance: float, engine: Engine = "auto") -> None:
@@ -328,7 +328,7 @@ class Trial:
         )  # fmt: skip
 
     def damping_scale(self, stiffness: float) -> float:
-        """Return a damping that can hardly be rendered: it stops the mass in one hold, or is half the critical one."""
+        """Return a damping near the limit of rendering: it stops the mass in one hold, or is half the critical one."""
         [axis] = self.scene.axes
         mass = simulation_of(axis).plant.mass
         return max(mass / self.scene.bus.sample_time, math.sqrt(stiffness * mass))
@@ -346,7 +346,7 @@ def verdict_of(
         least: Least true energy received, shape (n,) [J].
         judged: Part of that energy that is judged [J].
         ran: Whether both hands completed the run, in contact.
-        allowance: Energy that may be given out [J].
+        allowance: Energy that may be generated [J].
         tolerance: Largest relative difference of a rendering from the requested one.
         damping: Requested damping.
     """
@@ -357,7 +357,7 @@ def verdict_of(
 
 
 def _furthest(first: Array, second: Array) -> Array:
-    """Return the share furthest from one; NaN stays."""
+    """Return the share that is furthest from 1; NaN if one is NaN."""
     return np.asarray(np.where(np.abs(first - 1.0) >= np.abs(second - 1.0), first, second) + 0.0 * (first + second))
 
 
@@ -388,7 +388,7 @@ def _declared(axis: AxisScene, scene: Scene) -> dict[str, float]:
     """Return the plant that the scene declares.
 
     Raises:
-        InputError: It does not say what moves.
+        InputError: The scene neither simulates a plant nor declares a moving mass.
     """
     if axis.loop.moving_mass is None:
         raise InputError(
@@ -405,12 +405,12 @@ def _recipe(scene: Scene, hands: Mapping[str, tuple[float, float]], engine: Chos
 
 
 _SPAN: Final = 10.0
-"""Stiffness of the scene over the least that is tried."""
+"""Ratio of the scene's stiffness to the smallest one that is tried."""
 _TIME: Final = 0.05
-"""Damping over stiffness that is hardly rendered [s]."""
+"""Ratio of damping to stiffness near the limit of rendering [s]."""
 _LEAN: Final = 1.0  # [s]
 _STROKE: Final = (1.0, 5.0)
-"""Least and longest time in which the hands move [s]."""
+"""Shortest and longest time in which the hands move [s]."""
 _DECLARED: Final = ("moving_mass", "device_damping", "device_damping_bound")
 
 
@@ -439,12 +439,12 @@ class GroupTrial:
         unit: Unit of the handle's motion.
         softest: Smallest stiffness to try [N/m or N*m/rad].
         engine: Engine that computes the trials.
-        is_quick: Whether networks are tried compiled.
+        is_quick: Whether networks are tried by compiled code.
         walls: Number of networks tried.
 
     Raises:
-        InputError: Several groups, other axes, a network without a spring at its ports, or motors that are not
-            simulated.
+        InputError: The scene has several groups or other axes, a network without a spring at its ports, or motors that
+            are not simulated.
     """
 
     def __init__(self, scene: Scene, tolerance: float, engine: Engine = "auto") -> None:
@@ -464,7 +464,7 @@ class GroupTrial:
         self._has_damping = all(axis.loop.device_damping for axis in scene.axes)
 
     def damping_scale(self, stiffness: float) -> float:
-        """Return a damping that can hardly be rendered."""
+        """Return a damping near the limit of rendering."""
         return _TIME * stiffness
 
     def verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
@@ -516,7 +516,7 @@ class GroupTrial:
         return replace(scene, groups=(replace(group, network=network),))
 
     def _with_hands_at_rest(self) -> Scene:
-        """Return the scene with its hands where the torques were largest while they moved."""
+        """Return the scene with its hands at rest where the torques were largest during their motion."""
         period = self.scene.bus.sample_time
         run = render_group("python", self.scene, round(self._stroke / period))
         time = int(np.abs(run.torque).max(axis=1).argmax()) * period

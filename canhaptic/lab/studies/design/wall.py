@@ -1,17 +1,17 @@
 """The largest stiffness, and then the largest damping, that `guarded` renders within a tolerance and with a margin.
 
-A range is sampled at many points in one batch, the interval where walls stop passing at many more in a second. A wall
-counts only if every smaller one that was tried passes or nearly does, softer ones with the same damping included: the
+A first batch samples the whole range, a second batch the interval in which walls cease to pass. A wall counts only if
+every smaller wall that was tried passes or nearly passes, softer walls with the same damping included, because the
 rendered share need not fall monotonically.
 
-What the hand of a scene will feel at walls on its rig: the stiffness held, drag, and the speed of a contact.
+`felt_of` computes what the hand of a scene feels at walls on its rig:
 
-held    the largest wall within the tolerance at rest, for a push that rises slowly to a part of the torque limit
-drag    the largest torque in front of a wall, against a hand that comes at an ordinary speed
-start   the least speed of a hand on a spring at which the wall holds it, instead of letting it through as if there were
-        none; the force at rest is at least half of that of the ideal wall
-drags   the same for possible declared drags, after the distance over which drag and certain friction of the device earn
-        the energy of a start
+held    the largest wall within the tolerance at rest, for a push that rises slowly to a fraction of the torque limit
+drag    the largest torque in front of a wall, against a hand that approaches at an ordinary speed
+start   the least speed at which the wall holds a hand on a spring, with at least half the force of the ideal wall at
+        rest, instead of letting it pass
+drags   the same for possible declared drags, after the distance over which drag and declared friction of the device
+        earn the energy of a start
 """
 
 import math
@@ -41,22 +41,22 @@ from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.units import Parameters
 
 _PUSHES: Final = (0.5 * LEAN, LEAN, 2.0 * LEAN)
-"""Pushes, as parts of the torque limit."""
+"""Pushes, as fractions of the torque limit."""
 _DEEPEST: Final = 0.1
 """Depth [m or rad] of the softest wall that is tried."""
 _STIFFEST: Final = 4.0
-"""Over m / T^2: beyond it no wall is held by any certificate."""
+"""Stiffness divided by m / T^2, above which no certificate holds a wall."""
 _ORDINARY: Final = {"m": 0.15, "rad": 1.5}
-"""Speed of a hand [m/s or rad/s]."""
+"""Ordinary speed of a hand [m/s or rad/s]."""
 _SPEEDS: Final = (0.1, 10.0)
-"""Slowest and fastest contact tried, over the ordinary speed."""
+"""Slowest and fastest contact tried, as multiples of the ordinary speed."""
 _HALVINGS: Final = 5
 _HELD: Final = 0.5
 _LONGEST: Final = 5.0  # leaning [s]
 _FURTHER: Final = 1.25
 """Ratio of the distance in front of a wall to the distance in which the energy of a start is earned."""
 _FURTHEST: Final = {"m": 0.5, "rad": 5.0}
-"""Longest way tried [m or rad]."""
+"""Longest distance tried in front of a wall [m or rad]."""
 
 
 def felt_of(scene: Scene, algorithm: str, hand: dict[str, float], tolerance: float, stiffness: float) -> Row:
@@ -97,7 +97,7 @@ def felt_of(scene: Scene, algorithm: str, hand: dict[str, float], tolerance: flo
 
 
 def _drags(bench: Bench, axis: AxisScene, wall: SpringDamperWall, comes: SlowHand) -> list[dict[str, float | None]]:
-    """Return the energy that drags earn: none where every contact is felt without, or hand or mass are unknown."""
+    """Return the energy that drags earn; none if every contact is felt without it, or hand or mass are unknown."""
     parameters, loop = bench.case.parameters, axis.loop
     if not isinstance(parameters, GuardedParameters):
         return []
@@ -115,7 +115,7 @@ def _drags(bench: Bench, axis: AxisScene, wall: SpringDamperWall, comes: SlowHan
 
 
 def _certified(axis: AxisScene, push: float) -> float | None:
-    """Return the stiffness that the hand-force certificate holds at a push; None where it is not declared."""
+    """Return the stiffness that the hand-force certificate holds at a push; None if no hand force is declared."""
     force, loop = getattr(axis.passivity.parameters, "hand_force", None), axis.loop
     if force is None or loop.moving_mass is None:
         return None
@@ -126,7 +126,7 @@ def _certified(axis: AxisScene, push: float) -> float | None:
 
 
 def _start_speed(bench: Bench, wall: SpringDamperWall, comes: SlowHand) -> float | None:
-    """Return the least speed tried [m/s or rad/s] that is held, as every faster one tried; None where none is."""
+    """Return the least speed [m/s or rad/s] from which every speed tried is held; None if there is none."""
 
     def is_held(speed: float) -> bool:
         hand = replace(comes, speed=speed)
@@ -148,18 +148,18 @@ def _start_speed(bench: Bench, wall: SpringDamperWall, comes: SlowHand) -> float
 TOLERANCE: Final = 0.05
 MARGIN: Final = 0.2
 _DECADES: Final = 4.0
-"""Decades of damping that are tried, below what is hardly rendered."""
+"""Decades of damping that are tried, below the limit of rendering."""
 _DEVICE: Final = ("moving_mass", "device_damping", "device_damping_bound", "device_friction", "device_friction_bound")
-"""Keys of the loop that declare the device: timing is that of a rig."""
+"""Keys of the loop that declare the device; keys of the timing belong to the rig."""
 _DIGITS: Final = 3
 _SHARES: Final = (1.0, 0.6, 0.3)
-"""Fractions of the stiffest wall for which the largest damping is shown: a trade of one for the other."""
+"""Fractions of the largest stiffness for which the largest damping is shown, as the trade-off of the two."""
 _BELOW: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
-"""Fractions of a stiffness at which a damping must also pass."""
+"""Fractions of a stiffness with which a damping must also pass."""
 
 
 class _Places(NamedTuple):
-    """How many walls are tried."""
+    """Number of walls that are tried in each step of a search."""
 
     stiffnesses: tuple[int, ...]  # in the whole range, then in each interval found
     dampings: tuple[int, ...]  # the same
@@ -167,14 +167,14 @@ class _Places(NamedTuple):
 
     @property
     def most(self) -> int:
-        """Walls of a whole search."""
+        """Largest number of walls of a whole search."""
         return sum(self.stiffnesses) + len(_SHARES) * len(_BELOW) * sum(self.dampings) + self.below**2 + 1
 
 
 _COMPILED: Final = _Places((128, 64), (32, 32), 10)
 _ONE_BY_ONE: Final = _Places((12, 6, 6), (8, 6), 5)
 _GROUPS: Final = _Places((12, 6), (6,), 3)
-"""Places where Python runs the loop of a group, which takes four times as long as the loop of an axis."""
+"""Numbers of walls if Python runs the loop of a group, which takes four times as long as the loop of an axis."""
 
 
 def design(
@@ -233,7 +233,7 @@ def _designed(
 
 
 class _WallSearch:
-    """A batch for the whole range and one for each interval found, with a factor on everything that is tried."""
+    """A search with one batch for the whole range and one per interval found; a factor scales the walls tried."""
 
     def __init__(
         self, trial: trials.Trial | trials.GroupTrial, factor: float, progress: Callable[[int, int], None]
@@ -243,7 +243,7 @@ class _WallSearch:
         progress(0, self._places.most)
 
     def largest_stiffness(self) -> float:
-        """Return the largest stiffness without damping, a few digits of it.
+        """Return the largest stiffness without damping, rounded to a few digits.
 
         Raises:
             CheckFailedError: Not even the softest wall passes.
@@ -271,7 +271,7 @@ class _WallSearch:
         )
 
     def largest_dampings(self, stiffnesses: Array) -> list[float]:
-        """Return the largest damping at each stiffness, shape (n,), 0 where none passes; all are searched at once."""
+        """Return the largest damping at each stiffness, shape (n,), or 0 if none passes; all are searched at once."""
         highest = 4.0 * np.array([self._trial.damping_scale(stiffness) for stiffness in stiffnesses.tolist()])
         first, *others = self._places.dampings
         shares = np.concatenate([[0.0], np.logspace(-_DECADES, 0.0, first - 1)])
@@ -281,11 +281,11 @@ class _WallSearch:
         return [_rounded(damping) for damping in low.tolist()]
 
     def _between(self, stiffnesses: Array, dampings: Array) -> tuple[Array, Array]:
-        """Return the last damping that passes and the first that is out of the question, shape (n,) each.
+        """Return the last damping that passes and the first that is excluded, shape (n,) each.
 
         Args:
             stiffnesses: Shape (n,).
-            dampings: Rising, shape (n, m); where all pass, the last is both, and where none does, the first is.
+            dampings: Rising, shape (n, m). If all pass, both results are the last; if none does, both are the first.
         """
         walls = np.broadcast_arrays(stiffnesses[:, None, None] * np.array(_BELOW), dampings[:, :, None])
         verdict = self._verdict(*(wall.ravel() for wall in walls))
@@ -297,7 +297,7 @@ class _WallSearch:
     def below_and_at(self, stiffness: float, damping: float) -> tuple[trials.Booleans, trials.TrialVerdict]:
         """Return which weaker walls pass, and the verdict on the wall itself.
 
-        A wall is accepted if all weaker ones pass too. They are tried with the factor, the wall itself without.
+        A wall is accepted if all weaker walls pass too. They are tried with the factor, the wall itself without it.
         """
         parts = np.linspace(1.0 / self._places.below, 1.0, self._places.below)
         dampings = parts if damping else np.zeros(1)
@@ -313,7 +313,7 @@ class _WallSearch:
 
 
 def _edges(passed: trials.Booleans, nearly: trials.Booleans) -> tuple[int, int]:
-    """Return the last that passes before any that does not even nearly, -1 for none, and the first that does not."""
+    """Return the index of the last that passes, or -1, before the first that does not even nearly, and of that one."""
     first = int(np.logical_and.accumulate(nearly).sum())
     return int(np.flatnonzero(np.append(True, passed[:first]))[-1]) - 1, first
 
@@ -325,7 +325,7 @@ def _chosen(parameters: Parameters) -> Row:
 
 
 def _rounded(value: float) -> float:
-    """Return a value with a few digits, never a larger one."""
+    """Return a value rounded down to a few digits."""
     if value <= 0.0:
         return 0.0
     unit = 10.0 ** (math.floor(math.log10(value)) - _DIGITS + 1)
@@ -333,7 +333,7 @@ def _rounded(value: float) -> float:
 
 
 def _account(trial: trials.Trial, verdict: trials.TrialVerdict, stiffness: float, damping: float) -> Row:
-    """Return the figures of a wall: its verdict, and one run of it, leant on, next to the continuous wall."""
+    """Return the figures of a wall: its verdict, and a run with the leaning hand, compared with the continuous wall."""
     scene, values = trial.scene, {trials.STIFFNESS: stiffness, trials.DAMPING: damping}
     places = places_of(scene, tuple(values))
     overrides = [f"{place}={value!r}" for key, value in values.items() for place in places[key]]
