@@ -1,4 +1,4 @@
-"""`canhaptic accuracy CONFIG`: the price of accuracy in time, for the simulated plant and for the loop, with advice."""
+"""`canhaptic accuracy CONFIG`: error against computing time of the simulated plant and of the loop, with advice."""
 
 import argparse
 
@@ -16,7 +16,7 @@ def execute(arguments: argparse.Namespace) -> int:
     """Measure and print; return 0, or 130 or 143 after a signal, with the results obtained so far.
 
     Raises:
-        InputError: A scene, an axis or a file that cannot be used.
+        InputError: A scene, an axis or a file cannot be used.
     """
     scene = scene_of(arguments, beyond_bus=arguments.beyond_bus)
     check_files(arguments)

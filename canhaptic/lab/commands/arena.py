@@ -25,7 +25,7 @@ def execute(arguments: argparse.Namespace) -> int:
     """Run the arena and print its ranking; return 0, or 130 and 143 after a signal.
 
     Raises:
-        InputError: A scene, an algorithm or a file that cannot be used.
+        InputError: A scene, an algorithm or a file cannot be used.
     """
     require_matplotlib()  # missing, it is said before the arena begins
     plan, out = _plan(arguments), arguments.out

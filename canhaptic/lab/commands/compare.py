@@ -18,7 +18,7 @@ def execute(arguments: argparse.Namespace) -> int:
     """Run the comparison and print it; return 0 for any result.
 
     Raises:
-        InputError: A scene, an algorithm or a picture that cannot be used.
+        InputError: A scene, an algorithm or a picture cannot be used.
     """
     scene = scene_of(arguments)
     displays = are_displays(scene)

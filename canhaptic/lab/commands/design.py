@@ -18,8 +18,8 @@ def execute(arguments: argparse.Namespace) -> int:
     """Search and print the wall; return 0.
 
     Raises:
-        InputError: A scene that cannot be designed for.
-        CheckFailedError: No wall at all is rendered.
+        InputError: No wall can be designed for the scene.
+        CheckFailedError: Not even the softest wall passes.
     """
     scene = scene_of(arguments)
     for line in plant_errors(scene):

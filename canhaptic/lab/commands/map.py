@@ -1,4 +1,4 @@
-"""`canhaptic map FOLDER`: largest wall stiffness, its rendered part, and the borders of theory."""
+"""`canhaptic map FOLDER`: the largest wall stiffness, its rendered share, and the borders that theory predicts."""
 
 import argparse
 
@@ -13,7 +13,7 @@ def execute(arguments: argparse.Namespace) -> int:
     """Draw the maps and print the border; return 0.
 
     Raises:
-        InputError: A file, key, figure or picture that cannot be used.
+        InputError: A file, key, figure or picture cannot be used.
     """
     check_files(arguments)
     with SweepTable(arguments.file) as table:
@@ -38,7 +38,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _lines(columns: list[list[Panel | None]]) -> list[dict[str, object]]:
-    """Every drawn line, as plain values."""
+    """Return every drawn line as plain values."""
     return [
         {"panel": panel.title, "line": line.label, "x": panel.x_label, "y": panel.y_label,
          "values": [[float(x), float(y)] for x, y in zip(line.x, line.y, strict=True)]}

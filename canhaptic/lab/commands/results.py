@@ -1,4 +1,4 @@
-"""The result of a study on standard output, and in the files that its command names."""
+"""Output of a study's result, to standard output and to the files named by the command."""
 
 import argparse
 from collections.abc import Callable
@@ -12,14 +12,14 @@ from canhaptic.cli.output import note_file, write_json
 from canhaptic.view.run_lines import make_console
 
 _FILES: Final = {"png": ("picture", check_picture), "html": ("page", check_page), "markdown": ("tables", check_place)}
-"""Argument -> what the file is, and what refuses one that could not be written."""
+"""Argument -> kind of file, and the check that it can be written."""
 
 
 def check_files(arguments: argparse.Namespace) -> None:
-    """Refuse files that could not be written, before the study.
+    """Check before the study that its files can be written.
 
     Raises:
-        InputError: One could not.
+        InputError: A file cannot be written.
     """
     for name, (_, check) in _FILES.items():
         if getattr(arguments, name, None) is not None:
@@ -27,7 +27,7 @@ def check_files(arguments: argparse.Namespace) -> None:
 
 
 def write_files(arguments: argparse.Namespace, **writers: Callable[[Path], None]) -> None:
-    """Write the files that are asked for: argument -> what writes it."""
+    """Write the requested files; `writers` has a function for each argument that names a file."""
     for name, write in writers.items():
         if getattr(arguments, name) is not None:
             write(getattr(arguments, name))
@@ -35,7 +35,7 @@ def write_files(arguments: argparse.Namespace, **writers: Callable[[Path], None]
 
 
 def show(arguments: argparse.Namespace, plain: object, report: Callable[[], RenderableType]) -> None:
-    """Write a result as JSON where that is asked for, else its report."""
+    """Print a result as JSON if requested, else its report."""
     if arguments.json:
         write_json(plain)
     else:

@@ -16,10 +16,10 @@ _NOTE: Final = "compiling the loop, once for this kind of scene, about 15 s"
 
 @contextmanager
 def scene_progress(what: str = "scenes") -> Iterator[Callable[[Scenes], None]]:
-    """Yield a function that takes the progress of a sweep, and shows it on a terminal.
+    """Yield a function that shows the progress of a sweep on a terminal.
 
     Args:
-        what: Name of the counted items, a word or two.
+        what: Name of the counted items, one or two words.
     """
     columns = (
         TextColumn(f"  {what}"),

@@ -22,14 +22,14 @@ _OPTIONS: Final = (
     "resume", "force", "controllers", "seed", "duration", "cycles", "metrics", "engine", "chunk", "beyond_bus",
     "allow_code",
 )  # fmt: skip
-"""Arguments that are options of a sweep under the same name."""
+"""Command-line arguments with the same name as an option of a sweep."""
 
 
 def execute(arguments: argparse.Namespace) -> int:
     """Run the sweep and print its summary; return 0, or 130 and 143 after a signal.
 
     Raises:
-        CanHapticError: Bad input, a file that cannot be written, workers that die.
+        CanHapticError: The input is invalid, a file cannot be written, or workers die.
     """
     scene, out = scene_of(arguments), arguments.out
     if out is None and (arguments.resume or arguments.force):
@@ -56,7 +56,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _executor(arguments: argparse.Namespace, stack: ExitStack) -> tuple[Executor | Pool | None, int]:
-    """Executor, and number of chunks in flight."""
+    """Return the executor, and the number of chunks submitted ahead."""
     if arguments.dask is not None:
         executor, threads = stack.enter_context(dask_executor(arguments.dask))
         return executor, 2 * threads

@@ -1,4 +1,4 @@
-"""`canhaptic touch CONFIG`: a page in which the pointer is the hand, on the scene unprotected and protected at once."""
+"""`canhaptic touch CONFIG`: a page on which the pointer moves the hand, at the same scene unprotected and protected."""
 
 import argparse
 from typing import TYPE_CHECKING, Final
@@ -31,7 +31,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 class _Visits:
-    """Assigns the only hand to the latest visitor."""
+    """Assigns the simulated hand, of which there is one, to the latest visitor."""
 
     def __init__(self, scene: "Scene", arguments: argparse.Namespace) -> None:
         self._scene, self._arguments = scene, arguments
@@ -39,7 +39,7 @@ class _Visits:
         self._page: TouchPage | None = None
 
     def __call__(self, document: object) -> None:
-        """Fill the document of a visitor; the drives start with the first."""
+        """Fill the document of a visitor; the first visitor starts the drives."""
         from canhaptic.lab.touch.hand_process import TouchHand
         from canhaptic.lab.touch.touch_page import TouchPage
 
@@ -51,6 +51,6 @@ class _Visits:
         self._page = TouchPage(document, self._hand, _PERIOD)
 
     def close(self) -> None:
-        """End the hand."""
+        """Stop the process of the hand."""
         if self._hand is not None:
             self._hand.close()

@@ -1,4 +1,4 @@
-"""`canhaptic warm CONFIG`: compile the loops of a scene, so that the first sweep finds them; for images of a CI."""
+"""`canhaptic warm CONFIG`: compile the loops of a scene in advance of the first sweep, as for the image of a CI."""
 
 import argparse
 from dataclasses import replace
@@ -19,7 +19,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
     Raises:
         InputError: numba is not installed, or the scene cannot be swept.
-        CheckFailedError: A loop cannot be compiled; names the reason.
+        CheckFailedError: A loop cannot be compiled; the error names the reason.
     """
     scene = scene_of(arguments)
     asked = make_sweep(

@@ -1,10 +1,10 @@
 """`a_priori_dissipation`: the algorithm of ref. [12], dissipation fixed a priori (eqs. 5-7), with the same ledger.
 
 The energy to be dissipated in a hold is T d v^2 with the velocity computed before it; the rest of the stored
-and received energy gives the next state. Early in a contact that a-priori energy can exceed what the user has put in:
-the stored energy falls instead of rising, down to zero. The text omits what follows, which decides whether the failure
-of Fig. 5 shows. Measured on the wall of Figs. 4-5 (100 N/m, 5 Ns/m; user of 60 N/m, 5 Ns/m, 0.25 kg, 0.1 m
-at 0.5 Hz), force variation over that of the continuous wall's:
+and received energy gives the next state. Early in a contact this a-priori energy can exceed what the user has put in:
+the stored energy then falls instead of rising, down to zero. The paper does not say what follows, although this decides
+whether the failure of Fig. 5 appears. Measured on the wall of Figs. 4-5 (100 N/m, 5 Ns/m; user of 60 N/m, 5 Ns/m,
+0.25 kg, 0.1 m at 0.5 Hz), the variation of the force divided by that of the continuous wall is:
 
     after the store emptied in contact                              40 Hz    100 Hz
     eq. 14 as printed, v = x / T, when the user pushes inward         0.9       68
@@ -12,9 +12,9 @@ at 0.5 Hz), force variation over that of the continuous wall's:
     eq. 14 with the velocity from the displacement                    0.9      1.6
     not until the contact ends (the user falls through)               0.9      0.6 (33 mm rms)
 
-So the failure at 100 Hz is that of the printed start used deep inside the wall: the whole penetration counts as the
-displacement of one sample, the a-priori dissipation of that velocity empties the store at once, and so on. The default
-is the first line (`rearm: printed`); `rearm: displacement` is the third, and far better than the paper's Fig. 5.
+So the failure at 100 Hz is that of the printed start, used deep inside the wall: the whole penetration counts as the
+displacement of one sample, the a-priori dissipation of that velocity empties the store at once, and this repeats. The
+default is the first line (`rearm: printed`); `rearm: displacement` is the third, far better than the paper's Fig. 5.
 
 Departures from print: the state of eq. 7 is taken on the side of the contact; a drive switched on inside the contact
 takes its velocity from the displacement, never from the penetration; the velocity of eq. 6 is the one inside the torque
@@ -49,7 +49,7 @@ class APrioriDissipationParameters(StoredModelParameters):
     """Parameters that ref. [12] does not fix."""
 
     rearm: Literal["printed", "displacement"] = "printed"
-    """Velocity of the start after the store emptied in contact: x / T as printed (eq. 14), or from the displacement."""
+    """Velocity of a new start after the store emptied in contact: x / T (eq. 14, as printed), or the displacement's."""
 
     @property
     def rearms_as_printed(self) -> bool:

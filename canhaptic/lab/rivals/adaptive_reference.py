@@ -1,12 +1,12 @@
 """`adaptive_reference`: a passivity controller that follows its own reference energy.
 
-The energy that came in is compared with E_ref = k x^2, x the depth in the environment. While it rises, k is the one
-that fits it best, k = max(0, E / x^2); while it falls, a damper recovers its shortfall below E_ref (equations of the
-public implementation `AdaptivTDPA.cpp` of github.com/nafi3rad/PassivityControlOfHapticRobot, which was read; no paper
-of it was found). So the damper acts early and gently, where the observer of Hannaford and Ryu
-(doi:10.1109/70.988969) waits until more was drawn than ever put in.
+The received energy E is compared with E_ref = k x^2, with x the depth in the environment. While E rises, k is fitted to
+it, k = max(0, E / x^2); while E falls, a damper recovers its shortfall below E_ref. So the damper acts early and
+gently, whereas the observer of Hannaford and Ryu (doi:10.1109/70.988969) waits until more energy was drawn than was
+ever put in. The equations are those of the public implementation `AdaptivTDPA.cpp` of
+github.com/nafi3rad/PassivityControlOfHapticRobot, which was read; no paper about it was found.
 
-Departures: the energy is that of the torque applied, exact for each hold, where the source multiplies filtered
+Departures: the energy is that of the torque applied, exact for each hold, whereas the source multiplies filtered
 velocities; one axis instead of two; the damper has a limit. It promises nothing.
 """
 
@@ -27,7 +27,7 @@ class AdaptiveReferenceParameters(passivity_observer.PassivityObserverParameters
     """Limits of the braking force, and the speed above which it acts."""
 
     least_speed: Annotated[float, quantity("m/s", "rad/s", ge=0.0, le=10.0)] = 0.002
-    """Below it the damper is off, as in the source."""
+    """Speed below which the damper is off; the default is that of the source."""
 
 
 @dataclass(slots=True)
@@ -48,7 +48,7 @@ def respond(run: SampledRun[AdaptiveReferenceParameters, _AdaptiveReferenceState
 
 
 def below_reference(state: _AdaptiveReferenceState, observed: float, h_i: float) -> float:
-    """Return the energy observed minus its reference [J], 0 while it rises; then the reference is fitted to it.
+    """Return the observed energy minus its reference [J]; while the energy rises, fit the reference and return 0.
 
     Args:
         state: State of the axis; its coefficient is updated.

@@ -4,14 +4,14 @@ With D the energy drawn beyond the energy put in, the passivity controller adds 
 
     (D / T + z) / (v + sign(v) delta),   z <- z + (D / T - (that force) v) / n,
 
-n a number of holds, z = 0 while D <= 0; it is cut at `force_limit`, and the whole force is zero where it would change
-sign (the equations of `Delta_PO_PC` in `PO_PC_Master_YoubotArm.cpp`, "Teleoperation System for Mobile Manipulators",
-Sapientia University, 2015, which was read; no paper of it was found). Without delta, as in Hannaford and Ryu 2002
-(doi:10.1109/70.988969), it grows without bound as the motion comes to rest.
+with n a number of holds, and z = 0 while D <= 0. This force is limited to `force_limit`, and the total force is zero
+where it would change sign. Without delta, as in Hannaford and Ryu 2002 (doi:10.1109/70.988969), it grows without bound
+as the motion comes to rest. The equations are those of `Delta_PO_PC` in `PO_PC_Master_YoubotArm.cpp`, "Teleoperation
+System for Mobile Manipulators", Sapientia University, 2015, which was read; no paper about it was found.
 
-Departures: one port instead of the two of a teleoperator; D is that of the torque applied, the controller's share
-included, where the source keeps that share at zero by an oversight; z counts the force of the hold before;
-there is no force without motion, where sign(0) of the source is 1. It promises nothing.
+Departures: one port instead of the two of a teleoperator; D is the energy of the torque applied and includes the
+controller's share, which the source by an oversight keeps at zero; z uses the force of the previous hold; there is no
+force without motion, whereas sign(0) of the source is 1. It promises nothing.
 """
 
 from dataclasses import dataclass
@@ -34,11 +34,11 @@ class BoundedObserverParameters(DamperVelocity):
     """Bounds of the passivity controller; the defaults come from the source."""
 
     speed_offset: Annotated[float, quantity("m/s", "rad/s", gt=0.0, le=10.0)] = 0.01
-    """delta: keeps the force bounded where the motion comes to rest."""
+    """Speed delta, which keeps the force bounded as the motion comes to rest."""
     integral_holds: Annotated[float, quantity("count", ge=1.0, le=1e6)] = 10.0
-    """n: holds over which the unrecovered energy is added to the force."""
+    """Number n of holds over which the unrecovered energy is added to the force."""
     force_limit: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)] | None = None
-    """Largest force of the passivity controller; without it only the drive's limit holds."""
+    """Largest force of the passivity controller; None: only the drive's limit applies."""
 
 
 @dataclass(slots=True)

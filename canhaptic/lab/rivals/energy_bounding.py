@@ -1,15 +1,14 @@
 """`energy_bounding`: the torque is bounded by the certain dissipation of the device (ref. [5]).
 
-Device damping b takes at least (b / T) dx^2 out of every hold. With the account E_n = E_(n-1) + (b/T) dx^2 - F dx the
+Device damping b dissipates at least (b / T) dx^2 in every hold. With the account E_n = E_(n-1) + (b/T) dx^2 - F dx the
 next hold ends with E_n + (b/T) dx^2 - F dx >= 0 for EVERY motion dx exactly when F^2 <= 4 E_n b / T. A torque f that is
 already queued may cost up to f^2 T / 4b first, so with delay its square is subtracted. This is the device-damping
 certificate; it limits rendering to a stiffness of about 2 b / T.
 
 T is the longest duration of a hold, and E_n is reduced by the encoder's uncertainty: a position is uncertain by half a
 count e, so that dx counts as |dx| - 2e in the dissipated energy, and e (|F_n| + sum |F_k - F_(k-1)|) of the energy may
-not have
-come in (`axis_meter`). A drive takes whole steps of torque, to which the command is rounded towards zero. The proof
-needs one torque per hold: where an older one acts in a part of it (window, lag), nothing is certified.
+not have been received (`axis_meter`). The command is rounded towards zero, to whole torque steps of the drive. The
+proof needs one torque per hold: if an older one acts in a part of it (window, lag), nothing is certified.
 """
 
 from dataclasses import dataclass, field
@@ -32,7 +31,7 @@ class EnergyBoundingParameters(DamperVelocity):
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """Certain properties of the device."""
+    """Guaranteed properties of the device."""
 
     damping: float  # certain [N*s/m or N*m*s/rad]
     longest: float  # hold [s]
@@ -55,7 +54,7 @@ def settings_of(
     """Constants of a run.
 
     Raises:
-        ParameterError: No certain damping is known.
+        ParameterError: No device damping is declared.
     """
     if not loop.device_damping:
         raise ParameterError(
@@ -80,7 +79,7 @@ def respond(run: SampledRun[Device, _EnergyBoundingState], hold: Hold, asked: As
 
 
 def known_energy(device: Device, sample_time: float, state: _EnergyBoundingState, hold: Hold) -> float:
-    """Take the hold that ended and return E_n minus the encoder's uncertainty [J]."""
+    """Book the hold that ended and return E_n minus the encoder's uncertainty [J]."""
     count, periods = device.count, hold.elapsed / sample_time
     moved = max(0.0, abs(hold.displacement) - count)
     booked = add(state.energy, hold.h_i + device.damping * (moved * moved) / (periods * device.longest))
@@ -93,7 +92,7 @@ def bounded_share(device: Device, torques: Buffer, oldest: int, energy: float, w
     """Return the fraction of a requested torque that is within the bound, 0..1.
 
     Args:
-        device: Certain properties of the device.
+        device: Guaranteed properties of the device.
         torques: Ring of queued torques [N or N*m].
         oldest: Index of the torque whose hold ended; the others act before the wanted one.
         energy: Energy from `known_energy` [J].
@@ -108,7 +107,7 @@ def bounded_share(device: Device, torques: Buffer, oldest: int, energy: float, w
 
 
 class EnergyBounding(SteppedController):
-    """The sampled environment, its torque bounded by certain device damping."""
+    """The sampled environment, with a torque that the declared device damping bounds."""
 
     parameters_type = EnergyBoundingParameters
     kernel = unprotected.sampled_kernel(respond, _EnergyBoundingState, settings_of)

@@ -1,19 +1,19 @@
-"""`energy_tank`: the spring beyond a constant stiffness takes its energy from a tank, up to its content.
+"""`energy_tank`: the spring in excess of a constant stiffness draws its energy from a tank, and is limited by it.
 
-The force is K_c x + b x (K - K_c) + d v with 0 <= b <= 1. The tank holds T: what the damper dissipates flows in while T
-is below `most_energy`, what the variable spring takes up flows in, and what it gives back flows out. b is the largest
-that leaves T above `least_energy` if the next hold moves like the last,
+The force is K_c x + b x (K - K_c) + d v with 0 <= b <= 1. T is the energy in the tank: it grows by what the damper
+dissipates, while T is below `most_energy`, and by what the variable spring takes up, and falls by what that spring
+gives back. b is the largest value that leaves T above `least_energy` if the next hold moves like the last,
 
     -b (K - K_c) x D <= T - least_energy + (energy of the damper in a hold like the last),   D the motion in it
 
-(constraint and tank of `VariableImpedanceWithEnergyTank::on_tank_update` in `variable_impedance_energy_tank.cpp` of the
-package qp_ros2, which was read, after F. Ferraguti, C. Secchi and C. Fantuzzi, ICRA 2013,
-doi:10.1109/ICRA.2013.6631284, which was not; the limits of a tank are also those of "Passive hierarchical impedance
-control via energy tanks" by Dietrich et al., of which a transcript was read).
+Constraint and tank are those of `VariableImpedanceWithEnergyTank::on_tank_update` in
+`variable_impedance_energy_tank.cpp` of the package qp_ros2, which was read. It follows F. Ferraguti, C. Secchi and C.
+Fantuzzi, ICRA 2013, doi:10.1109/ICRA.2013.6631284, which was not read. "Passive hierarchical impedance control via
+energy tanks" by Dietrich et al., read as a transcript, has the same limits of a tank.
 
 Departures: one axis, so that the quadratic program is the quotient above; the tank's energy is counted from the torque
-applied, exact for each hold, where the sources integrate; it begins empty, where they begin with 2 J; no limit of the
-power out of the tank. The motion of a hold is not known beforehand, so that it promises nothing.
+applied, exact for each hold, whereas the sources integrate; the tank begins empty instead of with 2 J; the power out of
+the tank has no limit. The motion of a hold is not known beforehand, so that it promises nothing.
 """
 
 from dataclasses import dataclass
@@ -27,21 +27,21 @@ from canhaptic.units import quantity
 
 
 class EnergyTankParameters(DamperVelocity):
-    """The constant spring and the tank."""
+    """Parameters of the constant spring and of the tank."""
 
     constant_stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)] = 0.0
-    """K_c: rendered at every level of the tank."""
+    """Constant stiffness K_c, rendered at every level of the tank."""
     initial_energy: Annotated[float, quantity("J", ge=0.0, le=1e3)] = 0.0
-    """Energy in the tank at the start, which may be given out."""
+    """Initial energy of the tank, which the display may generate."""
     least_energy: Annotated[float, quantity("J", ge=0.0, le=1e3)] = 0.0
     """Energy of the tank below which nothing is taken out."""
     most_energy: Annotated[float, quantity("J", gt=0.0, le=1e3)] = 3.0
-    """Energy of the tank above which the damper does not fill it; as in the source."""
+    """Energy of the tank above which the damper does not fill it; the default is that of the source."""
 
 
 @dataclass(slots=True)
 class _EnergyTankState(SampledState):
-    """State kept from SYNC to SYNC; the part of the variable spring in each command, 0..1, is in a ring."""
+    """State kept from SYNC to SYNC; a ring buffer holds the share of the variable spring in each command, 0..1."""
 
     brought: float = 0.0  # energy in the tank beyond the initial one [J]
 
@@ -62,8 +62,8 @@ def respond(run: SampledRun[EnergyTankParameters, _EnergyTankState], hold: Hold,
 def part_applied(parts: Buffer, place: int, missed: int) -> float:
     """Return the fraction of the variable spring in the command of the hold that ended, 0..1.
 
-    Where samples were lost it is unknown which command acted, so that the whole spring counts; the drive repeated the
-    newest, which takes the place of those that ended.
+    After lost samples it is unknown which command acted, so that the whole spring counts; the drive repeated the newest
+    command, which replaces those whose holds ended.
     """
     if missed == 0:
         return parts[place]
@@ -95,7 +95,7 @@ def allowed_share(
     Args:
         given: Parameters of the run.
         state: State of the axis.
-        hold: The hold that ended; the next is taken to move like it.
+        hold: The hold that ended; the next is assumed to move like it.
         variable: Force of the whole variable spring [N or N*m].
         damper: Force of the damper [N or N*m].
     """
@@ -107,7 +107,7 @@ def allowed_share(
 
 
 class EnergyTank(SteppedController):
-    """The sampled environment, its spring limited by the energy of a tank."""
+    """The sampled environment, with a spring that is limited by the energy of a tank."""
 
     parameters_type = EnergyTankParameters
     kernel = sampled_kernel(respond, _EnergyTankState, kept=lambda settings: settings.hold.delay + 1)

@@ -1,16 +1,16 @@
 """`force_augmentation`: successive force augmentation, a soft spring with an offset that grows from press to press.
 
-The first press renders the stiffness K of the environment. From the first release on the feedback is that of a soft
-spring k, which sampling leaves passive, plus an offset: force = k x + o. While the hand presses, o grows as long as
-force / x is below K, by `reach` (K - force / x) where much is missing and by `increment` else, and falls by `increment`
-where it is above; while the hand releases, o stays. So a push meets K in the end, and what is given back is that of k.
+The first press renders the stiffness K of the environment. From the first release on, the force is that of a soft
+spring k, which sampling leaves passive, plus an offset: force = k x + o. While the hand presses and force / x is below
+K, the offset o grows: by `reach` (K - force / x) if more than `coarse` is missing, else by `increment`. Above K it
+falls by `increment`. While the hand releases, o is constant. So the hand finally feels K when it presses, and receives
+the energy of k when it releases.
 Source: H. Singh et al., "Enhancing the rate-hardness of haptic interaction: successive force augmentation approach",
 IEEE Trans. Industrial Electronics, 2019, doi:10.1109/TIE.2019.2918500, of which the abstract was read; the equations
 are those of `HapticSFA` in `KTBioLabLib.cpp` of the Biorobotics Laboratory of KOREATECH, version 0.1, which was read.
 
-Departures: the contact ends where that of the environment ends; the force never pulls; the offset stays zero in the
-first press, where the source lets it fall by its increments; the environment's damper is unchanged. It promises
-nothing.
+Departures: the contact ends with that of the environment; the force never pulls; the offset stays zero in the first
+press, in which the source decrements it; the environment's damper is unchanged. It promises nothing.
 """
 
 from dataclasses import dataclass
@@ -27,16 +27,16 @@ _START: Final = Branch.START.value
 
 
 class ForceAugmentationParameters(DamperVelocity):
-    """The soft spring and the growth of the offset; the defaults come from the source."""
+    """Parameters of the soft spring and of the offset's growth; the defaults come from the source."""
 
     feedback_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)] = 1200.0
-    """k: of the soft spring."""
+    """Stiffness k of the soft spring."""
     increment: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e3)] = 0.001
-    """Change of the offset in one hold where little is missing."""
+    """Change of the offset per hold, if the missing stiffness is at most `coarse`."""
     reach: Annotated[float, quantity("m", "rad", ge=0.0, le=1.0)] = 1e-5
-    """Change of the offset in one hold for each unit of stiffness, where more than `coarse` is missing."""
+    """Change of the offset per hold and per unit of missing stiffness, if more than `coarse` is missing."""
     coarse: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)] = 1000.0
-    """Stiffness that counts as much."""
+    """Missing stiffness above which `reach` applies instead of `increment`."""
 
 
 @dataclass(slots=True)
@@ -50,7 +50,7 @@ class _ForceAugmentationState(SampledState):
 
 
 def respond(run: SampledRun[ForceAugmentationParameters, _ForceAugmentationState], hold: Hold, asked: Asked) -> Reply:
-    """Render the soft spring and its offset; every contact begins without one."""
+    """Render the soft spring and its offset; every contact begins without an offset."""
     state, size = run.state, abs(asked.spring)
     if asked.branch == _START or not asked.touches:
         state.offset = state.depth = state.force = 0.0
@@ -90,7 +90,7 @@ def augmented_force(
 
 
 class ForceAugmentation(SteppedController):
-    """The sampled environment by a soft spring and an offset."""
+    """The sampled environment, rendered by a soft spring and an offset."""
 
     parameters_type = ForceAugmentationParameters
     kernel = sampled_kernel(respond, _ForceAugmentationState)

@@ -1,14 +1,15 @@
 """`force_gradient`: the force follows the change of the model's force, not its value.
 
-While the motion goes deeper the force changes by what the model's force changes by; while it goes back it falls by that
-size; it never changes sign and is zero where the model's is. On it acts a passivity controller, and what this added or
-took stays in the force, so that the next sample has no jump back (equations of `OBGImpedancePOPC_NonVMS`, "observer
-based gradient controller", in `KTBioLabLib.cpp` of the Biorobotics Laboratory of KOREATECH, version 0.1, which was
-read; the passivity controller is that of Hannaford and Ryu 2002, doi:10.1109/70.988969).
+While the motion goes deeper, the force changes by as much as the model's force; while it goes back, the force falls by
+the size of that change. It never changes sign, and is zero where the model's force is zero. A passivity controller adds
+its force, which stays in the total force, so that the next sample does not jump back. The equations are those of
+`OBGImpedancePOPC_NonVMS` ("observer based gradient controller") in `KTBioLabLib.cpp` of the Biorobotics Laboratory of
+KOREATECH, version 0.1, which was read; the passivity controller is that of Hannaford and Ryu 2002,
+doi:10.1109/70.988969.
 
-Departures: the port is that of the environment, so that the error of position is the depth in it; the force before is
-that of the last sample, where the source forgets to keep it; the passivity controller is a damper of bounded size for
-the next hold, where the source changes the force of this one without bound. It promises nothing.
+Departures: the port is that of the environment, so that the position error is the depth in it; the previous force is
+that of the last sample, which the source fails to store; the passivity controller is a damper of bounded size for the
+next hold, whereas the source changes the force of this hold without bound. It promises nothing.
 """
 
 from dataclasses import dataclass
@@ -25,10 +26,10 @@ from canhaptic.units import quantity
 
 
 class ForceGradientParameters(passivity_observer.PassivityObserverParameters):
-    """Limits of the passivity controller, and the force below which none is rendered."""
+    """Limits of the passivity controller, and the model's force below which no force is rendered."""
 
     least_force: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e3)] = 0.001
-    """Force of the model below which none is rendered; as in the source."""
+    """Force of the model below which no force is rendered; the default is that of the source."""
 
 
 @dataclass(slots=True)
@@ -56,7 +57,7 @@ def gradient_force(least_force: float, state: _ForceGradientState, wanted: float
     """Return the force of the next command without the passivity controller [N or N*m].
 
     Args:
-        least_force: Force below which none is rendered [N or N*m].
+        least_force: Model force below which no force is rendered [N or N*m].
         state: Force, model force and depth of the last command.
         wanted: Present force of the model [N or N*m].
         depth: Present state of the model, with the sign of its force [m or rad].

@@ -1,21 +1,17 @@
-"""`step_scaling`: the network's step is scaled until its energy balances the hold: the paper's method on several axes.
+"""`step_scaling`: the paper's method on several axes, which scales the network's step to the energy of the hold.
 
-    H(x + l s) - H(x) + l L = H_m,    s the step of the model, L what its dissipators take with l = 1
-
-L holds the damper efforts that were inside the torques applied in that very hold, times the displacement, and what is
-dissipated inside the network. On one axis with spring and damper it is `passivity.internal_dissipation` to rounding,
-start by eq. 14, exact and sticky root, eq. 18 where there is none, exit. The state creeps away from that of the model,
-and no torque is limited: `guarded` is more accurate, and certified.
-
-The scalar balance of a scaled step: the share of a state change that the energy of a hold pays for.
+The state x of the network stores received energy only. Of the step s of the model it takes the share l with
 
     H(x + l s) - H(x) + l L = H_m
 
-H is convex along most steps but not along all (double wells), so the root is bracketed first and then found by Newton
-steps that fall back to halving the bracket. In every case at most `_EVALUATIONS` evaluations are made; the caller books
-the remaining energy, so that an early end costs fidelity and never energy.
+where H_m is the energy of the hold and L the dissipation with l = 1: the damper efforts inside the torques applied in
+that hold, times the displacement, and the dissipation inside the network. On one axis with spring and damper the method
+equals `passivity.internal_dissipation` to rounding: start by eq. 14, exact and sticky root, eq. 18 without a root,
+exit. The state drifts away from that of the model, and no torque is limited: `guarded` is more accurate, and certified.
 
-State of a network that holds only received energy: every change balances the energy of a hold.
+H is convex along most steps but not along all (double wells), so the root is bracketed first and then found by Newton
+steps that fall back to bisection. At most `EVALUATIONS` evaluations are made; the caller books the remaining energy, so
+that an early end costs fidelity and never energy.
 """
 
 from dataclasses import dataclass, field
@@ -54,11 +50,11 @@ from canhaptic.kernels import Buffer, Run, list_of_zeros, new
 from canhaptic.units import Parameters
 
 EVALUATIONS: Final = 60
-"""Most evaluations of the energy in one balance."""
+"""Largest number of evaluations of the energy in one balance."""
 _PIECES: Final = 8
-"""Pieces of a step, searched for a place that takes up the energy received where the end of the step does not."""
+"""Number of places along a step that are tried for the received energy if the end of the step takes up too little."""
 FURTHEST: Final = 2.0
-"""Largest share of a step, in either direction; a demand beyond that is left over."""
+"""Largest share of a step, in either direction; energy that needs more is booked as a remainder."""
 
 
 class StepScaling(NamedTuple):
@@ -111,7 +107,7 @@ def taken(
 
 
 def stiffness_along(tables: NetworkTables, line: LineMemory) -> float:
-    """Return s . H'' s [J] where the energy is quadratic along the line while its storages stay engaged, else -1."""
+    """Return s . H'' s [J] if the energy is quadratic along the line while its storages stay engaged, else -1."""
     total = 0.0
     if tables.by_functions:
         return -1.0
@@ -139,14 +135,14 @@ def stiffness_along(tables: NetworkTables, line: LineMemory) -> float:
 def solve_scale(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, limit: float
 ) -> StepScaling:
-    """Return the share l nearest 0, |l| <= limit, that takes up a given energy plus a proportional loss.
+    """Return the share l nearest 0, |l| <= limit, with H(x + l s) - H(x) + l L equal to a given energy.
 
     Args:
         tables: The network.
         functions: Energies given as functions.
-        line: Line along which its state moves.
+        line: Line along which the state of the network moves.
         energy: H_m, energy received by the model [J].
-        loss: L, energy taken by its dissipators with l = 1 [J].
+        loss: L, energy that the network dissipates with l = 1 [J].
         limit: Largest |l|.
     """
     stiffness = stiffness_along(tables, line)
@@ -192,7 +188,7 @@ def search_scale(
 def bracket_upwards(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, far: float
 ) -> tuple[float, bool, int]:
-    """Return a share towards `far` that absorbs at least an energy > 0, whether there is one, and the evaluations."""
+    """Return a share up to `far` that absorbs at least an energy > 0, whether one was found, and the evaluations."""
     if taken(tables, functions, line, loss, far)[0] >= energy:
         return far, True, 1
     for piece in range(1, _PIECES):
@@ -205,10 +201,10 @@ def bracket_upwards(
 def bracket_downwards(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, far: float
 ) -> tuple[float, bool, int]:
-    """Return a share that releases at least -energy, from 0 towards the lowest point before `far`.
+    """Return a share between 0 and the lowest point before `far` that releases at least -energy.
 
     Returns:
-        Also whether it suffices, otherwise the share with the largest release, and the evaluations.
+        The share, or that with the largest release; whether it releases enough; the number of evaluations.
     """
     near, here, least, best, evaluations = 0.0, far, 0.0, 0.0, 0
     for _ in range(20):  # halving has the rest of the evaluations
@@ -281,7 +277,7 @@ class ScaledSettings(NamedTuple):
 
 @dataclass(slots=True)
 class ScaledState:
-    """State kept from SYNC to SYNC, with that of the paper's flow chart (Fig. 6)."""
+    """State kept from SYNC to SYNC, including that of the paper's flow chart (Fig. 6)."""
 
     h_dis: float = 0.0  # surplus still to be dissipated [J]
     h_s: float = 0.0  # energy stored at the state, computed from it [J]
@@ -312,7 +308,7 @@ ScaledRun: TypeAlias = Run[ScaledSettings, ScaledState, ScaledMemory]
 
 
 def begin_state(world: GroupModel, run: ScaledRun) -> None:
-    """Take the first coordinates: strain there stores energy that no port supplied, and is released."""
+    """Begin at the first coordinates; strain there would store energy that no port supplied, and is released."""
     _, state, memory = run
     motion, followed = state.group.motion, memory.group.motion.network
     state.h_s, state.engaged, state.pace, state.blind, state.touched = 0.0, False, 0.0, 0, False
@@ -374,14 +370,14 @@ def start(world: GroupModel, run: ScaledRun, h_m: float, entered: bool) -> HoldA
 
 
 def lay_line(memory: ScaledMemory, step: Buffer) -> None:
-    """Set the line from the state along a step."""
+    """Set the line that begins at the state and goes along a step."""
     line, state = memory.line, memory.group.motion.network.state
     for i in range(len(state)):
         line.state[i], line.step[i] = state[i], step[i]
 
 
 def balance(world: GroupModel, run: ScaledRun, h_m: float, damped: float, power: float) -> HoldAccount:
-    """Solve the scalar balance and take its step; eq. 18 where there is no solution."""
+    """Solve the scalar balance and take its step; without a solution, use eq. 18."""
     _, state, memory = run
     tables, functions, line, before = world.tables, world.functions, memory.line, state.h_s
     step = memory.group.motion.network.room.step
@@ -400,9 +396,9 @@ def balance(world: GroupModel, run: ScaledRun, h_m: float, damped: float, power:
 
 
 def approximate(world: GroupModel, run: ScaledRun, h_m: float, power: float, deepest: float) -> HoldAccount:
-    """Dissipate the last velocity's loss, as far as available; the state takes the remaining energy (eq. 18).
+    """Dissipate the loss at the last velocity, as far as available; the state takes the remaining energy (eq. 18).
 
-    Where that frees too little, the step is taken to its largest energy release, and the rest is a deficit.
+    If that releases too little, the step is taken up to its largest energy release, and the rest is a deficit.
     """
     tables, functions, followed, h_s = world.tables, world.functions, run.memory.group.motion.network, run.state.h_s
     line, rest, model, available = run.memory.line, run.memory.rest, followed.room.step, h_s + h_m
@@ -428,7 +424,7 @@ def approximate(world: GroupModel, run: ScaledRun, h_m: float, power: float, dee
 
 
 def take(world: GroupModel, run: ScaledRun, share: float, step: Buffer) -> None:
-    """Change the state by a share of a step; it does not cross to the other side of a wall that the model touches."""
+    """Change the state by a share of a step, without crossing to the other side of a wall that the model touches."""
     tables, found, model = world.tables, run.memory.group.motion.network.state, run.memory.model
     write_model(world, run)
     for i in range(len(found)):
@@ -475,7 +471,7 @@ def leave(world: GroupModel, run: ScaledRun, account: HoldAccount, touching: boo
 
 
 def write_model(world: GroupModel, run: ScaledRun) -> None:
-    """Write the state of the model: at the ports, or a whole step further."""
+    """Write the state of the model: that at the ports, or for a moving network the state one whole step on."""
     followed, model = run.memory.group.motion.network, run.memory.model
     if world.tables.moving or not run.state.group.motion.located:
         for i in range(len(model)):
@@ -509,7 +505,7 @@ def is_pushed_inward(world: GroupModel, memory: ScaledMemory) -> bool:
 
 
 def write_state_efforts(world: GroupModel, run: ScaledRun) -> float:
-    """Write springs and dampers at the motors and their sum at the ports; return the dampers' power in a hold [J]."""
+    """Write the efforts of springs and dampers at motors and ports; return the energy of the dampers in a hold [J]."""
     _, state, memory = run
     motion, followed, tables = state.group.motion, memory.group.motion, world.tables
     holds, ports, network = motion.holds, memory.ports, followed.network
@@ -587,7 +583,7 @@ def step(
 
 
 def unsure_of(memory: ScaledMemory, ended: group_kernel.GroupHolds, missed: int) -> float:
-    """Largest error of the energy over holds of which only the total displacement is known [J]."""
+    """Largest error of the energy over lost holds, of which only the total displacement is known [J]."""
     total = 0.0
     for i in range(len(ended.displacement)):
         moved, torque, apart = ended.displacement[i], ended.applied[i], 0.0
@@ -638,7 +634,7 @@ def send(world: GroupModel, run: ScaledRun) -> float:
 
 
 class ScaledGroup(group_kernel.SteppedGroup):
-    """A network whose state holds only received energy."""
+    """A network whose state stores received energy only."""
 
     parameters_type: ClassVar[type[Parameters]] = ScaledGroupParameters
     kernel: ClassVar[group_kernel.GroupKernel] = group_kernel.GroupKernel(settings_of, ScaledState, memory_of, step)

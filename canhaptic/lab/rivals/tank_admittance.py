@@ -1,7 +1,7 @@
-"""`energy_tank` of an admittance display: no command gives out more than the tank holds.
+"""`energy_tank` of an admittance display: no command generates more energy than the tank holds.
 
 The tank receives F u T of each command and supplies it; it holds at most `capacity`. A command that would overdraw it
-is scaled down. Like the observer, it assumes a perfect drive. Franken et al., IEEE Trans. Robotics 27, 2011;
+is scaled down. Like the passivity observer, it assumes an ideal drive. Franken et al., IEEE Trans. Robotics 27, 2011;
 Schindlbeck and Haddadin, ICRA 2015.
 """
 
@@ -16,13 +16,13 @@ class TankAdmittanceParameters(Parameters):
     """Parameters of an admittance display with an energy tank."""
 
     initial: Annotated[float, quantity("J", ge=0.0, le=1e3)] = 0.0
-    """Energy in the tank at the start."""
+    """Initial energy of the tank."""
     capacity: Annotated[float, quantity("J", gt=0.0, le=1e3)] = 1.0
     """Largest energy in the tank."""
 
 
 class TankAdmittance(UnprotectedAdmittance):
-    """A virtual mass that moves by the energy in its tank."""
+    """A virtual mass whose commands are limited by the energy in its tank."""
 
     parameters_type = TankAdmittanceParameters
     _given: TankAdmittanceParameters
@@ -42,7 +42,7 @@ class TankAdmittance(UnprotectedAdmittance):
 
 
 class TankAdmittanceGroup(UnprotectedAdmittanceGroup):
-    """Virtual mass on several axes with one tank: a command that would overdraw it is scaled on all axes alike."""
+    """A virtual mass on several axes with one tank: a command that would overdraw it is scaled equally on all axes."""
 
     parameters_type: ClassVar[type[Parameters]] = TankAdmittanceParameters
 

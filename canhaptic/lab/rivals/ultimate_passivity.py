@@ -1,14 +1,14 @@
-"""`ultimate_passivity`: a switch between the plain environment and one with much damping, by observed energy.
+"""`ultimate_passivity`: the observed energy switches between the plain environment and one with additional damping.
 
-Once the energy that came in has fallen to `lower`, damping `conservative_damping` is added until it has risen to
-`upper`; in between the mode is kept. So bounded energy may be drawn before anything is felt. Source: X. Guo,
+Once the received energy has fallen to `lower`, `conservative_damping` is added until the energy has risen to `upper`;
+in between the mode is kept. So bounded energy may be drawn before the damping acts. Source: X. Guo,
 Z. Liu, V. Crocher, Y. Tan, D. Oetomo, A. H. A. Stienen, "Ultimate passivity: balancing performance and stability in
 physical human-robot interaction", IEEE Trans. Robotics 41, 2025, doi:10.1109/TRO.2025.3546856, which was not read; the
 rule is that of `M2Admittance2` in `M2AdmittanceStates.cpp` of github.com/xinlianggunimelb/UltimatePassivity, which was.
 
-Departures: an impedance with added damping, where the source is an admittance with another damping; the energy is that
-of the torque applied, exact for each hold; by default it is never set back to zero, where the source does so every 1000
-samples; the damping has the cap of the loop. It promises nothing.
+Departures: an impedance with added damping, whereas the source switches the damping of an admittance; the energy is
+that of the torque applied, exact for each hold; by default it is never reset to zero, whereas the source resets it
+every 1000 samples; the damping has the cap of the loop. It promises nothing.
 """
 
 from dataclasses import dataclass
@@ -25,16 +25,16 @@ from canhaptic.units import quantity
 
 
 class UltimatePassivityParameters(PassivityObserverParameters):
-    """The two energy levels, the damping between them, and how long energy is counted."""
+    """Parameters: the two energy levels, the added damping, and the number of holds that count."""
 
     lower: Annotated[float, quantity("J", le=0.0, ge=-1e3)] = -0.01
     """Energy at which the damping is switched on."""
     upper: Annotated[float, quantity("J", ge=-1e3, le=1e3)] = 0.0
-    """Energy at which it is switched off; above `lower`."""
+    """Energy at which the damping is switched off; above `lower`."""
     conservative_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 50.0
-    """Damping that is added; `damping_limit` or the cap of the loop bounds it."""
+    """Added damping; `damping_limit` or the cap of the loop bounds it."""
     counted_holds: Annotated[int, quantity("count", ge=0, le=1_000_000_000)] = 0
-    """Holds after which the energy counted is set to zero; 0 for never."""
+    """Number of holds after which the counted energy is reset to zero; 0: never."""
 
     @model_validator(mode="after")
     def _upper_is_above_lower(self) -> Self:

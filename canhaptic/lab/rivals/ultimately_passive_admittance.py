@@ -1,8 +1,8 @@
-"""`ultimately_passive` of an admittance display: created energy is dissipated gradually, as by eq. 19 of the paper.
+"""`ultimately_passive` of an admittance display: generated energy is dissipated gradually, like by eq. 19 of the paper.
 
-Energy that the hold created goes into a surplus H. A series slip u_pas = C F with C = alpha H takes F u_pas T of it in
-each hold, so that the sum becomes passive in the end, not at each instant. C is capped by the
-stability of the slip against the stiffest hand declared (C K T <= 0.5).
+Energy that a hold generates is added to a surplus H. A series slip u_pas = C F with C = alpha H dissipates F u_pas T of
+it in each hold, so that the sum becomes passive in the end, not at each instant. C is limited by the stability of the
+slip against the stiffest declared hand (C K T <= 0.5).
 """
 
 from typing import Annotated
@@ -17,7 +17,7 @@ class UltimatelyPassiveAdmittanceParameters(Parameters):
     alpha: Annotated[float, quantity("m/N/s/J", "rad/N/m/s/J", ge=0.0, le=1e6)] = 1.0
     """Slip per force and per joule of surplus."""
     hand_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e8)] = 5000.0
-    """Stiffest hand, an over-estimate: bounds the slip."""
+    """Upper bound of the hand's stiffness, which limits the slip."""
 
 
 class UltimatelyPassiveAdmittance(UnprotectedAdmittance):

@@ -1,14 +1,14 @@
 """`windowed_observer`: a passivity observer that forgets old dissipation.
 
-An observer that sums from the start saves up the environment's dissipation, and then lets it be drawn until it is used
-up. Here energy that came in more than `window` holds ago is subtracted from the sum, while the sum stays above zero
-without it (the equations of `computePOPCForce` in `src/POPCBilateralTeleoperation.cpp` of
+An observer that sums from the start accumulates the energy that the environment dissipates, and reacts only after as
+much was drawn. Here energy received more than `window` holds ago is subtracted from the sum, if the sum stays above
+zero without it. The equations are those of `computePOPCForce` in `src/POPCBilateralTeleoperation.cpp` of
 github.com/manips-sai-org/sai-primitives, which was read; the passivity controller is that of Hannaford and Ryu 2002,
-doi:10.1109/70.988969).
+doi:10.1109/70.988969.
 
 Departures: one port instead of the two of a teleoperator; the energy is that of the torque applied, exact for each
-hold, so that what the damper took is booked when it was taken; energy that cannot be forgotten when it leaves the
-window is never forgotten, where the source lengthens its queue. It promises nothing.
+hold, so that the energy of the damper is booked when it is dissipated; energy that cannot be subtracted when it leaves
+the window is never subtracted, whereas the source lengthens its queue. It promises nothing.
 """
 
 from dataclasses import dataclass
@@ -24,15 +24,15 @@ from canhaptic.units import quantity
 
 
 class WindowedObserverParameters(passivity_observer.PassivityObserverParameters):
-    """Limits of the passivity controller, and the time for which energy is remembered."""
+    """Limits of the passivity controller, and the window in which energy counts."""
 
     window: Annotated[int, quantity("count", ge=1, le=100_000)] = 30
-    """Holds that are remembered, independent of their energy; as in the source."""
+    """Length of the window, in holds; the default is that of the source."""
 
 
 @dataclass(slots=True)
 class _WindowedObserverState(SampledState):
-    """State kept from SYNC to SYNC; the energy of each hold in the window is in a ring [J]."""
+    """State kept from SYNC to SYNC; a ring buffer holds the energy of each hold in the window [J]."""
 
     energy: float = 0.0  # that is remembered [J]
     place: int = 0  # of the oldest hold in the window
@@ -42,7 +42,7 @@ _settings_of = partial(observer_settings, "windowed_observer")
 
 
 def respond(run: SampledRun[WindowedObserverParameters, _WindowedObserverState], hold: Hold, asked: Asked) -> Reply:
-    """Add a damper while more was drawn than was put in within the window."""
+    """Add a damper while more energy was drawn than received within the window."""
     remember(run.state, run.memory.own, hold.h_i)
     extra = controlling_damping(run.settings.limit, run.state.energy, hold) if asked.touches else 0.0
     effort = extra * hold.displacement / hold.elapsed
