@@ -21,7 +21,7 @@ from canhaptic.sim.plant.assembly import NonlinearForce as NonlinearForce
 from canhaptic.sim.plant.assembly import PlantModel as PlantModel
 from canhaptic.sim.plant.effects import EFFECTS as EFFECTS
 from canhaptic.sim.plant.effects import Effect as Effect
-from canhaptic.sim.plant.own_hand import OwnHand as OwnHand
+from canhaptic.sim.plant.user import OwnHand as OwnHand
 from canhaptic.units import Parameters as Parameters
 from canhaptic.units import quantity as quantity
 

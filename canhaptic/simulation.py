@@ -9,6 +9,7 @@ result.plot()
 
 import base64
 import html
+import importlib
 import io
 import json
 import shutil
@@ -16,7 +17,7 @@ import tempfile
 import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from math import nan
 from os import PathLike, fspath
@@ -45,11 +46,6 @@ if TYPE_CHECKING:
 
 
 _LOG_NAME: Final = "run.h5"
-_OF_PORTS: Final = (
-    *("stored", "dissipated", "deficit", "least_interaction", "certificate", "passive", "verdict", "plant_passive"),
-    *("first_active", "active_since", "advice"),
-)
-"""Figures of `PortAccount` with the names of the account."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,24 +55,23 @@ class PortAccount:
     Attributes:
         name: Name of the axis or group.
         energy_in: Energy received through the port.
-        energy_out: Energy given out through the port.
+        energy_out: Energy delivered through the port.
         stored: Energy that the virtual environment stores at the end.
         dissipated: Energy that the virtual environment dissipated.
-        deficit: Energy given out beyond the stored energy, summed.
-        margin: Least sum of interaction energy less dissipated energy (eq. 4); below 0: not passive.
-        least_interaction: Least sum of interaction energy after any hold (eq. 3), as accounted by the controller.
-        true_least_interaction: The same sum from the plant's energy; NaN for an axis without a simulated plant of its
-            own.
-        certificate: Weakest certificate of the run by name, `none` where nothing was certified.
+        deficit: Sum of the energy delivered beyond the stored energy.
+        margin: Least value of the summed interaction energy minus the dissipated energy (eq. 4); below 0: not passive.
+        least_interaction: Least value of the summed interaction energy (eq. 3), as accounted by the controller.
+        true_least_interaction: The same from the plant's energy; NaN for an axis without its own simulated plant.
+        certificate: Name of the weakest certificate of the run; `none` if nothing was certified.
         passive: Verdict on `least_interaction` from the account alone; an axis in a group has the group's verdict.
-        verdict: Displayed word: the verdict of the simulated plant where it is known, or that nothing was rendered
+        verdict: Displayed verdict: that of the simulated plant if it is known, or that nothing was rendered
             ("nothing rendered", "no contact", "dry run").
-        plant_passive: Verdict by the plant's own energy.
-        first_active: First time at which the booked sum was below 0 [s]; None: never.
-        active_since: First time at which energy had certainly been given out [s]; None: never.
-        advice: Cause and remedy where nothing was rendered; empty otherwise.
-        group: Group of the axis, whose account counts; empty for an axis outside groups.
-        mass_felt: Mass felt at an admittance display [kg or kg*m^2]; None: none asked for, or not known.
+        plant_passive: Verdict from the energy of the simulated plant.
+        first_active: First time at which the summed interaction energy was below 0 [s]; None: never.
+        active_since: First time at which the port had certainly generated energy [s]; None: never.
+        advice: Cause and remedy if nothing was rendered; empty otherwise.
+        group: Group of the axis, whose account applies; empty for an axis outside groups.
+        mass_felt: Mass felt at an admittance display [kg or kg*m^2]; None: no mass is rendered, or it is unknown.
     """
 
     name: str
@@ -126,7 +121,7 @@ class Account(Mapping[str, PortAccount]):
 
     @property
     def verdict(self) -> Headline:
-        """The worst displayed word of any port; see `PortAccount`."""
+        """The worst displayed verdict of any port; see `PortAccount`."""
         return self.raw["verdict"]
 
     @property
@@ -139,7 +134,7 @@ class Account(Mapping[str, PortAccount]):
 
 
 class EnergyLog(energy_reader.EnergyLog):
-    """An energy log opened for reading, with its account and its quantities as tables.
+    """An energy log, opened for reading, with its account and with tables of its quantities.
 
     Example:
         >>> with canhaptic.EnergyLog("run.h5") as log:  # doctest: +SKIP
@@ -169,11 +164,8 @@ class EnergyLog(energy_reader.EnergyLog):
         Raises:
             InputError: pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise InputError("to_pandas() needs pandas; install it with: pip install pandas") from error
-        table = pandas.DataFrame(self.to_numpy(), index=pandas.Index(self.time, name="time [s]"))
+        library = _imported("pandas")
+        table: pandas.DataFrame = library.DataFrame(self.to_numpy(), index=library.Index(self.time, name="time [s]"))
         table.attrs = {"units": {name: unit for name, unit, _ in self._columns()}, "status": self.status}
         return table
 
@@ -183,13 +175,11 @@ class EnergyLog(energy_reader.EnergyLog):
         Raises:
             InputError: xarray is not installed.
         """
-        try:
-            import xarray
-        except ImportError as error:
-            raise InputError("to_xarray() needs xarray; install it with: pip install xarray") from error
+        library = _imported("xarray")
         arrays = {name: ("time", values, {"units": unit}) for name, unit, values in self._columns()}
         time = ("time", self.time, {"units": "s"})
-        return xarray.Dataset(arrays, coords={"time": time}, attrs={"status": self.status})
+        dataset: xarray.Dataset = library.Dataset(arrays, coords={"time": time}, attrs={"status": self.status})
+        return dataset
 
     def _columns(self) -> list[tuple[str, str, NDArray[np.float64]]]:
         return [
@@ -232,7 +222,7 @@ class SimulationResult:
             return log.time
 
     def log(self) -> EnergyLog:
-        """Open the energy log of the run, for quantities not offered here; close it, or use it as a context.
+        """Open the energy log of the run, for further quantities; close it, or use it in a `with` statement.
 
         Example:
             >>> with result.log() as log:  # doctest: +SKIP
@@ -352,12 +342,12 @@ def simulate(
         progress: Whether a progress bar is shown in a terminal or a notebook.
         allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.
         no_torque: Whether the torque sent is always 0: a dry run, whose requests are in the log.
-        check: Whether a run that ends early by itself raises; otherwise the result carries its `error`.
+        check: Whether the error of a run that ends early is raised; otherwise it is `error` of the result.
 
     Raises:
-        SceneError: The scene is wrong; lists every fault.
-        InputError: The scene simulates nothing, a change is no plain value, or neither the scene nor the call gives a
-            duration.
+        SceneError: The scene is invalid; the error lists every fault.
+        InputError: The scene has no simulation, a change is not a plain value, or neither the scene nor the call gives
+            a duration.
         RigError: The run ended early, and `check` is true.
 
     Example:
@@ -367,8 +357,8 @@ def simulate(
     """
     loaded = load_any(scene, changes or {}, allow_code)
     if not loaded.simulated:
-        text = f"{loaded.source}: simulates nothing in this process (needs `simulation` and `bus.interface: virtual`)"
-        raise InputError(f"{text}; a real rig is started on purpose, by `canhaptic run`")
+        text = f"{loaded.source}: got a scene without `simulation` or with a real bus, expected `simulation` and"
+        raise InputError(f"{text} `bus.interface: virtual`; start a real rig by `canhaptic run`")
     length = loaded.run.duration if duration is None else RunParameters.validated({"duration": duration}).duration
     if length is None:
         text = f"{loaded.source}: duration: missing"
@@ -388,6 +378,18 @@ def simulate(
     return SimulationResult(loaded, raw, error, folder)
 
 
+def _imported(library: str) -> Any:
+    """Import a library that only a table needs.
+
+    Raises:
+        InputError: The library is not installed.
+    """
+    try:
+        return importlib.import_module(library)
+    except ImportError as error:
+        raise InputError(f"to_{library}() needs {library}; install it with: pip install {library}") from error
+
+
 def _label(scene: Scene) -> str:
     return ", ".join(scene.overrides) or Path(scene.source).name
 
@@ -395,7 +397,7 @@ def _label(scene: Scene) -> str:
 def load_any(
     scene: str | PathLike[str] | Mapping[str, object] | Scene, changes: Mapping[str, object], allow_code: bool
 ) -> Scene:
-    """Return a scene given as a file, a mapping or itself, with changes; see `simulate`."""
+    """Return the scene of a file or mapping, with changes, or a loaded scene as it is; see `simulate`."""
     overrides = [_override(path, value) for path, value in changes.items()]
     if isinstance(scene, Scene):
         if changes:
@@ -423,13 +425,14 @@ def _plain(value: object) -> object:
 def _port_account(name: str, raw: "RunResult | Inspection") -> PortAccount:
     port, truth = raw["ports"][name], raw["truth"].get(name)
     whole = cast("dict[str, Any]", raw["ports"][port["group"]] if "group" in port else port)
-    return PortAccount(
-        name=name,
-        energy_in=port["in"],
-        energy_out=port["out"],
-        margin=whole["margin"]["value"],
-        true_least_interaction=nan if truth is None else truth["least_interaction"],
-        group=port.get("group", ""),
-        mass_felt=port["mass"]["felt"] if "mass" in port else None,
-        **{key: whole[key] for key in _OF_PORTS if key in whole},
-    )
+    account = {field.name: whole[field.name] for field in fields(PortAccount) if field.name in whole}
+    account |= {
+        "name": name,
+        "energy_in": port["in"],
+        "energy_out": port["out"],
+        "margin": whole["margin"]["value"],
+        "true_least_interaction": nan if truth is None else truth["least_interaction"],
+        "group": port.get("group", ""),
+        "mass_felt": port["mass"]["felt"] if "mass" in port else None,
+    }
+    return PortAccount(**account)

@@ -105,7 +105,7 @@ def dear_holds(scene: Scene) -> list[str]:
             end = f"{motion.rows[-1][1]:.4g} {axis.parameters.unit}"
             text = f"{motion.file.name} ends after {motion.end:.4g} s; the hand then stays at {end}"
             lines.append(f"{axis.parameters.name}: {text}")
-        phase, mode = build_plant(axis.simulation, scene.bus.sample_time_ns).fastest_swing()
+        phase, mode = build_plant(axis.simulation, scene.bus.sample_time_ns).scene.fastest_swing()
         if phase > LONG_SWING:
             products = _PER_RADIAN * phase
             each = f"{products:.1g} products and about {products * _PER_PRODUCT:.1g} s each"

@@ -74,12 +74,13 @@ def test_what_swings_too_fast_to_follow_is_refused_with_a_remedy():
 
 def test_the_phase_of_the_fastest_swing_is_that_of_the_closed_form():
     plant = make_plant(STOP, user=None, mass=1e-6, damping=0.2)
-    phase, mode = plant.fastest_swing()
+    phase, mode = plant.scene.fastest_swing()
     pace = math.sqrt(STIFFNESS / 1e-6 - (0.2 / 2e-6) ** 2)  # and its damping lasts for 10 us of a sample time of 1 ms
     assert phase == pytest.approx(pace * 2e-6 / 0.2, rel=1e-9)
     assert mode == "upper_stop touching"
-    assert make_plant().fastest_swing()[0] == 0.0  # no guard looks at the hand's swing
-    assert make_plant({"type": "shaft_compliance", "stiffness": 1e9, "load_mass": 1e-9}).fastest_swing()[0] == 0.0
+    assert make_plant().scene.fastest_swing()[0] == 0.0  # no guard looks at the hand's swing
+    compliant = make_plant({"type": "shaft_compliance", "stiffness": 1e9, "load_mass": 1e-9})
+    assert compliant.scene.fastest_swing()[0] == 0.0
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -91,7 +92,7 @@ def test_no_hold_takes_more_products_than_its_fastest_swing_announces(seed):
     stop = {"type": "hard_stop", "position": PLACE, "stiffness": min(stiffness, 1e10)}
     speed = 0.5 * PLACE / (period * 1e-9)
     plant = make_plant(stop, user=None, mass=mass, damping=0.0, period=period, initial_velocity=min(speed, 1e3))
-    phase, push = plant.fastest_swing()[0], 2.0 * mass * speed / (period * 1e-9)
+    phase, push = plant.scene.fastest_swing()[0], 2.0 * mass * speed / (period * 1e-9)
     plant.begin(0)
     for hold in range(1, 9):
         before, events = plant.products, plant.events

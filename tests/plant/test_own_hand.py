@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from canhaptic.sim.plant.own_hand import OwnHand
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.plant.user import UserParameters
+from canhaptic.sim.plant.user import OwnHand, UserParameters
 
 MS = 1_000_000
 

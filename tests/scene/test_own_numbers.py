@@ -10,8 +10,8 @@ from canhaptic.errors import OwnCodeError
 from canhaptic.own_results import watch
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import declared_order, method_line, simulation_of
-from canhaptic.sim.plant.own_hand import OwnHand
 from canhaptic.sim.plant.plant import Plant, PlantParameters
+from canhaptic.sim.plant.user import OwnHand
 
 ROOT = Path(__file__).resolve().parents[2]
 KINDS = {

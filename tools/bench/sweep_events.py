@@ -110,7 +110,7 @@ def jax_rows() -> list[Row]:
     simulation: Any = scene.axes[0].simulation
     plant = build_plant(simulation, scene.bus.sample_time_ns)
     program = _JAX.replace("FLOW", repr(plant.whole_flow().tolist())).replace(
-        "START", repr(plant.initial_state().tolist())
+        "START", repr(plant.scene.initial_state().tolist())
     )
     program = program.replace("SCENES", "2000").replace("CYCLES", str(CYCLES))
     found = subprocess.run([python, "-c", program], capture_output=True, text=True, check=True)

@@ -496,7 +496,7 @@ def _of_five_bar(motion: five_bar.FiveBarMotion, left: int, right: int) -> Group
 
 def _side_by_side(plants: Sequence[Plant]) -> GroupPlant:
     """Return plants of states [position, ..., torque, 1] each as one."""
-    flows, starts = [plant.whole_flow() for plant in plants], [plant.initial_state() for plant in plants]
+    flows, starts = [plant.whole_flow() for plant in plants], [plant.scene.initial_state() for plant in plants]
     sizes = [len(start) - 2 for start in starts]
     places = [sum(sizes[:i]) for i in range(len(sizes))]
     states, motors = sum(sizes), len(plants)

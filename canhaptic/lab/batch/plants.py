@@ -518,7 +518,7 @@ def linear_motion(
         return LinearMotion(np.eye(rates.shape[-1]) + flow_changes(steps), cast(Array, starts), rates)
     distinct, which = distinct_plants(simulation, sample_time_ns, keys)
     plants = [build_plant(*values) for values in distinct]
-    flows, starts = np.array([p.whole_flow() for p in plants]), np.array([p.initial_state() for p in plants])
+    flows, starts = np.array([p.whole_flow() for p in plants]), np.array([p.scene.initial_state() for p in plants])
     return LinearMotion(flows[which], starts[which], rates)
 
 

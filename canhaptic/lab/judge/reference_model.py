@@ -22,10 +22,9 @@ import numpy as np
 from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.direct_rig import Motion
 from canhaptic.sim.plant.effects import Effect
-from canhaptic.sim.plant.own_hand import OwnHand
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.propagator import Array
-from canhaptic.sim.plant.user import RecordedMotion, UserParameters
+from canhaptic.sim.plant.user import OwnHand, RecordedMotion, UserParameters
 
 Floats = list[float]
 

@@ -1,17 +1,12 @@
-"""A python-can bus with faults: frames lost, late, doubled, out of order, truncated, corrupted, refused, or delayed.
+"""A python-can bus with simulated faults, and the parameters that a scene gives them under `simulation.bus`.
 
-It wraps one connection, the master's or the drives', and disturbs both directions. The same frames and the same seed
-give the same faults. In lock-step a delayed frame arrives at its own virtual instant, because the bus takes part in the
-simulated drives' `process` and `next_due`; in real time it does so whenever its owner receives. A scene that names no
-effect on its bus never imports this module.
+Frames are lost, delayed, duplicated, reordered, truncated, corrupted or refused. The bus wraps one connection, the
+master's or the drives', and affects both directions. The same frames and the same seed give the same faults: each
+effect draws from its own random stream once per frame, so that adding an effect does not change the others.
 
-Effects of a simulated bus on its frames, as a scene names them under `simulation.bus`. Absent: the bus is ideal.
-
-Effects on single frames, one class each; a line of a bus runs only those that its scene names.
-
-Each draws from a random stream of its own, once per frame, so that naming one more effect does not change the others.
-
-One direction of a simulated bus, and the wire that both directions share.
+With simulated time a delayed frame arrives at its exact virtual time, because the bus takes part in `process` and
+`next_due` of the simulated drives; in real time it arrives when the owner of the connection next receives. A scene
+without `simulation.bus` has an ideal bus and never imports this module.
 """
 
 import copy
@@ -47,11 +42,11 @@ class Window(Parameters):
     """A time window, once or periodic."""
 
     begin: Annotated[float, quantity("s", ge=0.0, le=1e6)] = 0.0
-    """Counted from the first SYNC; from the first frame when `bring_up` is set."""
+    """Start of the window, counted from the first SYNC; from the first frame when `bring_up` is set."""
     duration: Annotated[float, quantity("s", gt=0.0, le=1e6)]
-    """From its beginning to its end."""
+    """Length of the window."""
     every: Annotated[float, quantity("s", gt=0.0, le=1e6)] | None = None
-    """Period from one beginning to the next; None: it happens once."""
+    """Period of the window; None: it occurs once."""
 
     @model_validator(mode="after")
     def _check(self) -> "Window":
@@ -75,41 +70,41 @@ class BusEffects(Parameters):
     duplicate: _Probability = 0.0
     """Share of frames that arrive twice."""
     reorder: _Probability = 0.0
-    """Share of frames that are held back for `reorder_delay` while those behind them pass."""
+    """Share of frames that are delayed by `reorder_delay`, so that later frames overtake them."""
     reorder_delay: Annotated[float, quantity("s", gt=0.0, le=10.0)] = 1e-3
-    """For which a reordered frame is held back."""
+    """Delay of a reordered frame."""
     truncate: _Probability = 0.0
     """Share of frames that lose bytes at their end."""
     corrupt: _Probability = 0.0
-    """Share of frames that arrive with one bit of their data turned, as behind a gateway with a fault."""
+    """Share of frames that arrive with one flipped data bit, as behind a faulty gateway."""
     refuse: _Probability = 0.0
     """Share of the master's frames that its interface refuses to send (ENOBUFS)."""
     delay: Annotated[float, quantity("s", ge=0.0, le=10.0)] = 0.0
     """Delay of every frame."""
     jitter: Annotated[float, quantity("s", ge=0.0, le=10.0)] = 0.0
-    """And later again by anything between zero and this; no frame overtakes another of its direction."""
+    """Largest additional delay, random and uniform from zero; the frames of one direction stay in order."""
     direction: Literal["both", "to_drive", "to_master"] = "both"
     """Direction of the frames that are affected."""
     ids: tuple[_CobId, ...] | None = None
-    """COB-IDs that suffer; None: all."""
+    """Affected COB-IDs; None: all."""
     during: tuple[Window, ...] = ()
-    """When they suffer; empty: always."""
+    """Windows in which frames are affected; empty: always."""
     foreign_rate: Annotated[float, quantity("Hz", ge=0.0, le=1e5)] = 0.0
-    """Frames of other devices per second, at random times (Poisson), seen by master and drives."""
+    """Rate of frames from other devices, at random times (Poisson), received by master and drives."""
     foreign_ids: tuple[_CobId, ...] = (0x7F0,)
-    """COB-IDs that these frames take in turn; COB-IDs of an axis make them impostors."""
+    """COB-IDs of these frames, used in turn; with a COB-ID of an axis they imitate its frames."""
     wire_time: bool = False
-    """Whether each frame takes its worst-case time at `bus.bitrate`, one at a time, lowest COB-ID first."""
+    """Whether frames occupy the wire one at a time, lowest COB-ID first, for their worst-case time at `bus.bitrate`."""
     freeze: tuple[Window, ...] = ()
-    """When the bus carries no frame; waiting frames come at the end, in one burst."""
+    """Windows in which the bus carries no frame; the waiting frames follow at the end, in one burst."""
     stall: tuple[Window, ...] = ()
-    """When the master's host is stalled; needs the master in the same process."""
+    """Windows in which the master's host is stalled; needs the master in the same process."""
     bus_off: tuple[Window, ...] = ()
-    """Times at which nothing can be sent and arriving frames are lost."""
+    """Windows in which nothing can be sent and arriving frames are lost."""
     bring_up: bool = False
-    """Whether frames before the first SYNC suffer too."""
+    """Whether frames before the first SYNC are affected too."""
     buses: tuple[str, ...] | None = None
-    """Names of the buses that suffer, each from separate faults; None: all."""
+    """Names of the affected buses, each with its own random faults; None: all."""
 
     @model_validator(mode="after")
     def _check(self) -> "BusEffects":
@@ -122,7 +117,7 @@ class BusEffects(Parameters):
         if self.drop > most:
             raise ValueError(
                 f"drop is {self.drop:g}, expected at most {most:g} with a drop_burst of {self.drop_burst:g} frames, "
-                "since one frame at least is heard between two bursts"
+                "because at least one frame arrives between two bursts"
             )
         return self
 
@@ -137,7 +132,7 @@ class BusEffects(Parameters):
 
 
 class Schedule:
-    """Windows on integer nanoseconds.
+    """Time windows in integer nanoseconds.
 
     Args:
         windows: Windows of the scene.
@@ -149,7 +144,7 @@ class Schedule:
         )
 
     def end(self, time: int) -> int:
-        """End of the window around `time` [ns], joined with adjoining ones; 0 where there is none."""
+        """End of the window that contains `time` [ns], merged with adjoining windows; 0 if none contains it."""
         latest = time
         for begin, duration, every in self._windows * len(self._windows):  # any of them may follow any other
             since = latest - begin
@@ -169,7 +164,7 @@ class Flight(NamedTuple):
 
 
 _Count = Callable[[str, int], None]
-"""Called as count(effect, COB-ID) for each frame that an effect struck."""
+"""Called as count(effect, COB-ID) for each affected frame."""
 
 
 def _with_data(flight: Flight, data: bytearray) -> Flight:
@@ -212,15 +207,15 @@ _CHANGES: Final[dict[str, _Change]] = {
     "duplicate": lambda _effects, _random, flight: [flight, _with_data(flight, bytearray(flight.message.data))],
     "reorder": _overtaken,
 }  # fmt: skip
-"""Effect -> its action on a frame, None where there is nothing to change; in the order in which they act."""
+"""Action of each effect on a frame, None if there is nothing to change; effects act in this order."""
 _Effect = Callable[[Flight], list[Flight]]
-"""Returns the frames that one becomes."""
+"""Returns the frames that result from one frame."""
 
 
 def _effect(name: str, effects: BusEffects, random: Random, count: _Count) -> _Effect:
-    """Effect on a share of the frames, each on its own; in runs with a `drop_burst` (Gilbert, 1960: lost, received).
+    """Function that applies an effect to a random share of the frames; with `drop_burst` in runs (Gilbert, 1960).
 
-    A delay acts on every frame, and is not counted.
+    A delay acts on every frame and is not counted.
     """
     share, mean = float(getattr(effects, name)), effects.drop_burst if name == "drop" else None
     change, is_struck = partial(_CHANGES[name], effects, random), False
@@ -240,7 +235,7 @@ def _effect(name: str, effects: BusEffects, random: Random, count: _Count) -> _E
 
 
 def stream(seed: int, direction: str, effect: str) -> Random:
-    """Random numbers of one effect on one direction; the same on every machine."""
+    """Random numbers of one effect in one direction; the same on every machine."""
     return Random(f"canhaptic bus {seed} {direction} {effect}")
 
 
@@ -255,22 +250,25 @@ def frame_effects(effects: BusEffects, direction: Direction, seed: int, count: _
 _Deliver = Callable[[can.Message, int], None]
 """Called as deliver(frame, now [ns]) when it arrives."""
 Counts = Counter[tuple[str, str, int]]
-"""Frames struck, by (effect, direction, COB-ID)."""
+"""Number of affected frames by (effect, direction, COB-ID)."""
 
 
 def _worst_case_bits(length: int) -> int:
-    """Most bits of a classic frame with `length` data bytes, interframe space included.
+    """Worst-case number of bits of a classic frame with `length` data bytes, including the interframe space.
 
-    47 bits around the data and one stuff bit in every four of the 34 + 8 n that are stuffed (Davis et al. 2007, eq. 1).
+    47 bits frame the data; the 34 + 8 n bits that are stuffed get one stuff bit in four (Davis et al. 2007, eq. 1).
     """
     return 47 + 8 * length + (33 + 8 * length) // 4
 
 
 class Wire:
-    """A medium that carries one frame at a time; of the frames waiting for it, the lowest COB-ID goes first.
+    """The CAN wire, which carries one frame at a time; of the waiting frames the lowest COB-ID goes first.
 
     Args:
         bitrate: Bit rate of the wire [bit/s].
+
+    Attributes:
+        due: Time when the frame on the wire, or a freeze, ends [ns].
     """
 
     def __init__(self, bitrate: int) -> None:
@@ -278,7 +276,7 @@ class Wire:
         self._waiting: list[tuple[int, int, can.Message, _Deliver]] = []
         self._number = 0
         self._current: tuple[can.Message, _Deliver] | None = None
-        self._end = NEVER
+        self.due = NEVER
 
     def request(self, message: can.Message, deliver: _Deliver) -> None:
         """Queue a frame for the wire."""
@@ -286,26 +284,22 @@ class Wire:
         heapq.heappush(self._waiting, (message.arbitration_id, self._number, message, deliver))
 
     def run(self, now: int, frozen_until: int) -> None:
-        """End the frame that has been sent and begin the next; called at `next_due` and after each request.
+        """End the frame that has been sent and begin the next; called at `due` and after each request.
 
         Args:
             now: Time [ns].
-            frozen_until: End of a freeze, before which no frame begins [ns]; at or before `now` where there is none.
+            frozen_until: End of a freeze, before which no frame begins [ns]; not after `now` without a freeze.
         """
-        if self._current is not None and self._end <= now:
-            (message, deliver), self._current, self._end = self._current, None, NEVER
+        if self._current is not None and self.due <= now:
+            (message, deliver), self._current, self.due = self._current, None, NEVER
             deliver(message, now)
         if self._current is None and self._waiting:
             if frozen_until > now:
-                self._end = frozen_until
+                self.due = frozen_until
                 return
             _, _, message, deliver = heapq.heappop(self._waiting)
             self._current = (message, deliver)
-            self._end = now + -(-_worst_case_bits(len(message.data)) * _SECOND // self._bitrate)
-
-    def next_due(self) -> int:
-        """Time when the frame on the wire, or a freeze, ends [ns]."""
-        return self._end
+            self.due = now + -(-_worst_case_bits(len(message.data)) * _SECOND // self._bitrate)
 
 
 class Foreign:
@@ -366,7 +360,7 @@ class BusSegment:
         self._last_due = -NEVER
 
     def suffers(self, cob_id: int, time: int) -> bool:
-        """Whether the effects on single frames act on a frame, `time` [ns] after the first SYNC."""
+        """Whether a frame with this COB-ID is affected, `time` [ns] after the first SYNC."""
         return cob_id in self._ids and (self._during is None or bool(self._during.end(time)))
 
     def push(self, message: can.Message, now: int, epoch: int) -> None:
@@ -380,7 +374,7 @@ class BusSegment:
             self.enter(flight.message, due, keeps_order=flight.keeps_order)
 
     def enter(self, message: can.Message, due: int, *, keeps_order: bool = True) -> None:
-        """Take a frame without effects; it still waits for earlier ones, unless it may overtake them."""
+        """Queue a frame without effects, behind earlier frames unless `keeps_order` is False."""
         if keeps_order:
             self._last_due = due = max(due, self._last_due)
         self._number += 1
@@ -409,7 +403,7 @@ class _BusClock(Protocol):
 
 
 class FaultyBus(can.BusABC):
-    """One connection to a bus with faults; `use` a clock before the first frame.
+    """One connection to a bus with simulated faults; call `use(clock)` before the first frame.
 
     Args:
         bus: Wrapped connection; shut down together with this one.
@@ -470,7 +464,7 @@ class FaultyBus(can.BusABC):
         self.advance(now)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Return the next frame that has arrived; None when none did within `timeout` [s]; None waits for ever."""
+        """Return the next received frame, or None after `timeout` [s]; a timeout of None waits for ever."""
         now = self._awake()
         deadline = NEVER if timeout is None else now + round(timeout * _SECOND)
         while True:
@@ -506,7 +500,7 @@ class FaultyBus(can.BusABC):
     # --- time ---------------------------------------------------------------------------------------------------------
 
     def around(self, far_side: SimulatedPeer) -> SimulatedPeer:
-        """Simulated drives whose frames pass through the faults, for the master's clock to drive."""
+        """Return a peer for the master's clock: the simulated drives, with their frames passed through the faults."""
         self._is_pumped = True
         return _FaultyFarSide(self, far_side)
 
@@ -532,7 +526,7 @@ class FaultyBus(can.BusABC):
         """Time of the next event [ns]; `NEVER` when nothing is in transit."""
         due = min(self._outgoing.next_due(), self._incoming.next_due())
         if self._wire is not None:
-            due = min(due, self._wire.next_due())
+            due = min(due, self._wire.due)
         if self._foreign is not None:
             due = min(due, self._foreign.due)
         return due
@@ -554,7 +548,7 @@ class FaultyBus(can.BusABC):
     # --- frames -------------------------------------------------------------------------------------------------------
 
     def _begin(self, message: can.Message, now: int) -> int | None:
-        """Return when the faults began [ns]: with the first SYNC, or the first frame; None before."""
+        """Return when the faults began [ns]: at the first SYNC, with `bring_up` at the first frame; None before."""
         is_sync = message.arbitration_id == SYNC_FRAME_COB_ID and not message.is_extended_id
         if self._epoch is None and (self._begins_at_once or is_sync):
             self._epoch = now
@@ -563,7 +557,7 @@ class FaultyBus(can.BusABC):
         return self._epoch
 
     def _require_working(self, cob_id: int, time: int) -> None:
-        """Raise the error of a real interface that cannot send at `time` [ns] after the begin."""
+        """Raise the error of a real interface that cannot send, `time` [ns] after the faults began."""
         if self._bus_off.end(time):
             self.counts["bus_off", self._out, cob_id] += 1
             raise can.CanOperationError("bus-off: the controller takes no part in the bus")
@@ -581,7 +575,7 @@ class FaultyBus(can.BusABC):
             self._incoming.push(message, now, epoch)
 
     def _let_in(self, message: can.Message, now: int) -> None:
-        """Pass a frame of another device to the drives, and to this side unless its bus is off."""
+        """Deliver a frame of another device to both sides; this side loses it while it is bus-off."""
         epoch = self._epoch or 0
 
         def deliver(frame: can.Message, now: int) -> None:

@@ -1,4 +1,4 @@
-"""Parameters of the simulated drive beyond its dictionary. Nothing that a dictionary lacks is assumed."""
+"""Parameters of the simulated drive in addition to its object dictionary; no value that both lack is assumed."""
 
 import re
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
@@ -42,17 +42,17 @@ class AdmittanceScaling(Parameters):
     """Scales of a simulated drive that serves an admittance display."""
 
     force_object: str | None = None
-    """Object that shows the force; None: a separate node shows it."""
+    """Object that holds the force; None: a separate sensor node sends it."""
     force_node: Annotated[ForceNode, OnDemand("canhaptic.canopen.force_node:ForceNode")] | None = None
-    """That node; None: an object of the drive shows the force."""
+    """Sensor node that sends the force; None: an object of the drive holds it."""
     force_per_count: Annotated[float, quantity("N", "N*m")]
-    """Force of the hand towards +q, by one count."""
+    """Force of the hand towards +q per count."""
     force_offset_counts: Annotated[float, quantity("count")] = 0.0
-    """Counts at no force."""
+    """Counts at zero force."""
     velocity_counts: Annotated[float, quantity("count*s/m", "count*s/rad", gt=0.0)] | None = None
-    """Counts of 0x60FF for 1 m/s or 1 rad/s; None: those of the position, as for counts per second."""
+    """Counts of 0x60FF for 1 m/s or 1 rad/s; None: position counts per second."""
     ramp: Annotated[float, quantity("m/s^2", "rad/s^2", gt=0.0, le=1e6)] | None = None
-    """A ramp in the drive that no object shows, besides 0x6083 and 0x60C5; None: none."""
+    """Acceleration limit of the drive that no object shows, in addition to 0x6083 and 0x60C5; None: none."""
 
 
 class SimulatedDriveParameters(Parameters):
@@ -61,23 +61,23 @@ class SimulatedDriveParameters(Parameters):
     Attributes:
         counts_per_unit: Encoder counts of 0x6064 per m or rad, at the axis.
         rated_torque: Torque of 1000 per mille [N or N*m]; from 0x6076 of the dictionary when not given.
-        rated_torque_resolution: One count of 0x6076 [N or N*m]; milli by the standard, micro on some drives.
-        torque_limit: Limit of the drive besides 0x6072 [N or N*m]; none when not given.
+        rated_torque_resolution: Torque of one count of 0x6076 [N or N*m]; 1e-3 by the standard, 1e-6 on some drives.
+        torque_limit: Limit of the drive in addition to 0x6072 [N or N*m]; none when not given.
         objects: Object -> value, for objects listed without a value, or to replace a value. Keys are
             `0x6502` or `"0x1018.1"` (index.subindex, hexadecimal).
         encoder: Rounding of the position to counts: to the nearest, or down to the last line passed.
-        torque_read_back: Whether 0x6074 and 0x6077 of a SYNC show the hold that ended, or already the next torque.
-        acts_at_once: Whether a synchronous RPDO acts on arrival, as an event-driven one, though its type is confirmed.
-        syncs_late: Additional SYNCs until a synchronous RPDO acts, after the SYNC that follows it.
+        torque_read_back: Whether 0x6074 and 0x6077 sent at a SYNC are those of the hold that ended, or of the next.
+        acts_at_once: Whether a synchronous RPDO acts on arrival, although the drive confirms its transmission type.
+        syncs_late: Number of SYNCs by which a synchronous RPDO acts later than at the SYNC that follows it.
         torque_resolution: Fraction of the rated torque per count of 0x6071, 0x6072, 0x6074 and 0x6077.
-        torque_lag: Time constant with which 0x6077 follows the motor's torque, as a filter of the drive; none at 0.
+        torque_lag: Time constant of the drive's filter from the motor's torque to 0x6077; 0: no filter.
         torque_ripple: Variation of 0x6077 with position, as a fraction of the torque (error of a current sensor).
         torque_ripple_pitch: Period of that ripple [rad or m].
         direction: -1 for a drive mounted the other way round: position and torque both count against the axis.
         reversed: Wrong wiring: only the encoder, or only the motor, counts against the axis.
         rated_torque_stated: False for a drive whose 0x6076 is 0 until the master writes it.
         absent: Objects that the dictionary lists and the drive lacks; keys as in `objects`, or a whole index.
-        refused: Object -> value that the drive does not take, though the dictionary allows it.
+        refused: Object -> value that the drive rejects although the dictionary allows it.
         enable_delay: Time from the command to enable until OPERATION ENABLED (brake, commutation).
         follow_delay: Time in OPERATION ENABLED until the torque follows; bit 12 of the statusword is 0 until then.
         sdo_size_indicated: False for a drive that leaves out the length of expedited answers.

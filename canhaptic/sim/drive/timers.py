@@ -1,4 +1,4 @@
-"""The timers of one simulated node, on integer nanoseconds that its owner supplies."""
+"""Timers of one simulated node, in integer nanoseconds of a clock that their owner supplies."""
 
 from collections.abc import Callable
 from typing import Final
@@ -7,10 +7,10 @@ NEVER: Final = 1 << 62  # [ns], later than any clock
 
 
 class Timers:
-    """Due times, each with an action.
+    """Timers, each with a due time and an action.
 
-    Restarting a timer costs a comparison or two: a deadline that every cycle postpones is only checked when its
-    earliest value would have come.
+    Restarting a timer costs one or two comparisons: a deadline that every cycle postpones is examined only when its
+    earliest value has passed.
 
     Attributes:
         earliest: No timer is due before this [ns].
@@ -23,7 +23,7 @@ class Timers:
         self._is_exact = True  # a timer is due at `earliest`, or none is set
 
     def add(self, action: Callable[[int], None]) -> int:
-        """Number of a new, stopped timer; the action is called with the time it was due [ns]."""
+        """Add a stopped timer and return its number; `action` is called with the due time [ns]."""
         self._due.append(NEVER)
         self._actions.append(action)
         return len(self._due) - 1

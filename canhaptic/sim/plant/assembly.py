@@ -1,17 +1,16 @@
-"""A plant before it is compiled: states, bodies, parts, and the rows that the parts write for one mode.
+"""The model of a plant, from its parts, and its compilation into the data of a mode: flows, work forms and guards.
 
 The state is one vector z = [states..., torque, one]: the held torque and the constant 1 are components of it, so that
-every force, rate and guard is a row (force = row . z) and every power a quadratic form z'Sz. A scene holds only what
-its effects added; nothing is switched off at run time.
+every force, rate and guard is a row (force = row . z) and every power a quadratic form z'Sz. A model holds only what
+its effects added; nothing is switched off at run time. No scene-specific code is generated.
 
-Strict bounds on a guard between the two ends of a step, so that no dip below zero is missed.
-
-A guard is a row c; along the flow of a mode, dz/dt = F z, its value is g(t) = c z(t). With d = F z(0), the rate of the
-state at the start of a step of length h,
+Strict bounds on a guard between the two ends of a step ensure that no dip below zero is missed. A guard is a row c;
+along the flow of a mode, dz/dt = F z, its value is g(t) = c z(t). With d = F z(0), the rate of the state at the start
+of a step of length h,
 
     g(t) = g(0) + p(t) d,   p(t) = c * integral of exp(F s) ds from 0 to t,   g''(t) = c F exp(F t) d.
 
-Rows are taken component by component, so that components which stay (a held torque, a body at rest) count nothing.
+Rows are taken component by component, so that constant components (a held torque, a body at rest) add nothing.
 
 Chord.  E_j bounds |p_j(t) - (t/h) p_j(h)| for all t in [0, h]. Then g(t) >= min(g(0), g(h)) - sum_j E_j |d_j|.
         From h to 2h: with M = |p(h) - p(2h)/2|, both halves of the chord lie within M of the whole one, and the second
@@ -21,16 +20,14 @@ Bend.   S_j bounds |(c F (exp(F t) - I))_j| for all t in [0, h]. Then |g''(t) - 
 Start.  At a step h where ||F h|| <= 1/4: X = exp(|F| h) - I is at least |exp(F t) - I| for all t in [0, h], in every
         component, hence E = (|c F| + |c F| X) h^2 / 8 and S = |c F| X.
 
-All are upper bounds for every spectrum; they fall as h^2 and as h, so that halving a step decides. They are strict
+E and S are upper bounds for every spectrum; they fall as h^2 and as h, so that halving a step decides. They are strict
 up to rounding, which is below the part of a guard's largest term that `stepper.py` takes for zero.
 
-They hold at every length, also where h is a million periods of a fast mode: the doublings ask for the flow and the
-triangle inequality, and nothing of the spectrum. So a step may be as long as the hold. A mode at rest has no part
-in d and widens no bound; where one oscillates, the step is halved until its oscillation is small against the guard.
-With every level E and S of an undamped mode grow by a factor; they are capped at a number that excludes nothing and is
-finite, since infinity times a rate of 0 would not be a number.
-
-PlantModel -> data of one mode: flows, work forms and guards. No scene-specific code is made or run.
+They hold at every length, even if h is a million periods of a fast mode: the doublings need only the flow and the
+triangle inequality, not the spectrum. So a step may be as long as the hold. A mode at rest does not appear in d and
+widens no bound; if it oscillates, the step is halved until the oscillation is small against the guard. E and S of an
+undamped mode grow by a factor at every level; they are capped at a finite number that excludes nothing, because
+infinity times a rate of 0 would not be a number.
 """
 
 from collections.abc import Callable, Sequence
@@ -70,12 +67,12 @@ class Guard(NamedTuple):
 
 
 class Part:
-    """Something with forces and, possibly, modes; piecewise affine.
+    """A piecewise-affine part of a plant, with forces and possibly modes.
 
     Attributes:
         name: Name, unique in a scene.
         modes: Names of its modes; it starts in the first.
-        has_guards: Whether it has guards; False when it has one mode, or changes mode by the clock only.
+        has_guards: Whether it has guards; False if it has one mode, or changes its mode at scheduled times only.
     """
 
     name: str
@@ -87,10 +84,10 @@ class Part:
         raise NotImplementedError
 
     def constrain(self, rows: "Rows", mode: str) -> None:
-        """Called when all forces are known: may stop a body; none by default."""
+        """Stop a body if need be; called when all forces are known. Nothing by default."""
 
     def guards(self, rows: "Rows", mode: str) -> Sequence[Guard]:
-        """Return the guards of this mode, none by default; called last."""
+        """Return the guards of this mode; called last. None by default."""
         return ()
 
 
@@ -108,19 +105,19 @@ class LinearPart(Part):
 
 
 class TorqueCommand(Protocol):
-    """Changes the torque of a hold before it reaches the motor; a stateless one inherits the defaults.
+    """An effect on the torque of a hold before it reaches the motor; without state it inherits the defaults.
 
     Attributes:
-        state_names: States of its own.
-        passes: Largest torque that passes unchanged, in both directions [N or N*m]; -1 when any is changed or
-            remembered.
+        state_names: Names of its states.
+        passes: Largest torque that passes unchanged, in both directions [N or N*m]; -1 if every torque may be changed
+            or remembered.
     """
 
     state_names: tuple[str, ...] = ()
     passes: float = -1.0
 
     def reset(self) -> None:
-        """Return to the start; stateless by default."""
+        """Return to the initial state; nothing by default."""
         return
 
     def apply(self, torque: float, duration: float) -> float:
@@ -128,7 +125,7 @@ class TorqueCommand(Protocol):
 
 
 class _Encoder(Protocol):
-    """Changes the position that the encoder reports."""
+    """An effect on the position that the encoder reports."""
 
     def read(self, position: float, tick: int, seed: int) -> float:
         """Return the reading [m or rad] of `position` at `tick`; the same tick always reads the same."""
@@ -137,25 +134,25 @@ class _Encoder(Protocol):
 class NonlinearForce(Protocol):
     """A force on the motor's body that is not piecewise affine: held over a substep, solved together with its motion.
 
-    One without state or stored energy inherits the rest and defines only `account` and `force`.
+    A force without state and stored energy inherits the defaults and defines only `account` and `force`.
 
     Attributes:
-        state_names: States of its own.
-        account: Account of its work; None when it is stored.
+        state_names: Names of its states.
+        account: Energy account of its work; None if the work is stored.
     """
 
     state_names: tuple[str, ...] = ()
     account: Account | None
 
     def reset(self) -> None:
-        """Return to the start; stateless by default."""
+        """Return to the initial state; nothing by default."""
         return
 
     def force(self, position: float, travel: float, duration: float, torque: float) -> float:
         """Return the mean force [N or N*m] over a substep that starts at `position` and moves by `travel`."""
 
     def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
-        """Accept the substep; stateless by default."""
+        """Accept the substep; nothing by default."""
         return
 
     def stored(self, position: float) -> float:
@@ -165,7 +162,7 @@ class NonlinearForce(Protocol):
 
 @dataclass
 class PlantModel:
-    """Collected parts of a plant, from its parameters, the user and the effects."""
+    """Parts of a plant, collected from its parameters, the hand and the effects."""
 
     sample_time: float  # [s]
     states: dict[str, float] = field(default_factory=dict)  # name -> initial value
@@ -193,7 +190,7 @@ class PlantModel:
         """Claim a slot that only one effect may have.
 
         Raises:
-            ParameterError: Another effect has it.
+            ParameterError: Another effect has the slot.
         """
         if slot in self.slots:
             raise ParameterError(f"effects: got {self.slots[slot]} and {effect}, expected one {slot}; remove one")
@@ -219,8 +216,8 @@ class PlantModel:
     def fastest_swing(self) -> tuple[float, str]:
         """Return the phase [rad] of the fastest oscillation seen by a guard in one sample time, and its mode.
 
-        A damped oscillation counts for its time constant. The phase indicates the cost of a hold: three to five
-        products per radian while it lasts, and nothing while it is at rest. 0 where no guard sees an oscillation.
+        A damped oscillation counts for its time constant only. The phase indicates the cost of a hold: three to five
+        products per radian while it oscillates, and nothing while it is at rest. 0 if no guard sees an oscillation.
         """
         most, where, seen, found = 0.0, "", set(), [self.first_key()]
         while found:
@@ -233,25 +230,23 @@ class PlantModel:
             swings = [root for root in np.linalg.eigvals(rows.rates) if guards and root.imag > 0.0]
             phase = max((r.imag / max(1.0 / self.sample_time, abs(r.real)) for r in swings), default=0.0)
             if phase > most:
-                most, where = (
-                    float(phase),
-                    ", ".join(f"{part.name} {mode}" for part, mode in parts if len(part.modes) > 1),
-                )
+                most = float(phase)
+                where = ", ".join(f"{part.name} {mode}" for part, mode in parts if len(part.modes) > 1)
         return most, where
 
 
 class EffectParameters(Parameters):
-    """Base of the effects: exact, and added after the hand, unless one says otherwise; see `Effect`."""
+    """Base of the effects; by default an effect is exact and added after the hand. See `Effect`."""
 
     order: ClassVar[int | None] = None
     rank: ClassVar[int] = 1
 
 
 def collect(axis: Any, user: Any, effects: Sequence[Any], sample_time: float) -> PlantModel:
-    """The model of a plant: body, shaft and motor first, then the hand, then the other effects.
+    """Return the model of a plant: body, shaft and motor first, then the hand, then the other effects.
 
     Args:
-        axis: Parameters of the moving mass; it and all others have `add_to`.
+        axis: Parameters of the moving mass, with `add_to` like the hand and the effects.
         user: The hand; None for a free handle.
         effects: Effects of the scene; see `canhaptic.sim.plant.effects.Effect`.
         sample_time: T [s].
@@ -330,7 +325,7 @@ class Rows:
 
 
 _LOOSENING: Final = 1.0 + 1e-9
-"""The bounds are raised by it for their own rounding."""
+"""Factor on the bounds that covers their own rounding."""
 _USELESS: Final = 1e140  # a bound this large excludes nothing; its square is still a number
 
 
@@ -338,7 +333,7 @@ class GuardBounds(NamedTuple):
     """Bounds of one mode, for steps of T / 2^level; y = `scaled` z are the scaled rates of the state.
 
     Attributes:
-        scaled: Rates that are not always zero, each scaled, as rows, shape (m, n).
+        scaled: Rows of the scaled rates, without those that are always zero, shape (m, n).
         slack: |y| * slack[level, guard] is at least the distance of the guard from its chord; shape (levels + 1, c).
         chord: The same bound, tighter: sum of |y_j| * chord[level, guard, j]; shape (levels + 1, c, m).
         bend: Second derivative of the guard at the start of a step: bend[guard] . y; shape (c, m).
@@ -374,7 +369,7 @@ def guard_bounds(guards: Array, rates: Array, sample_time: float) -> GuardBounds
 
 
 def _bounds(guards: Array, rates: Array, sample_time: float) -> tuple[Array, Array]:
-    """Return E and S of the module's text by level, shapes (levels + 1, c, n)."""
+    """Return the bounds E and S of the module docstring by level, shapes (levels + 1, c, n)."""
     if not len(guards):
         return np.zeros((LEVELS + 1, 0, len(rates))), np.zeros((LEVELS + 1, 0, len(rates)))
     step, halvings = smallest_step(rates, sample_time)
@@ -448,7 +443,7 @@ def compile_mode(scene: PlantModel, key: tuple[str, ...]) -> Mode:
 
 
 def _forms(rows: Rows, scene: PlantModel) -> tuple[list[_Product], list[_Product]]:
-    """Return the flows, and the works evaluated with the hand's deflection in the place of the position.
+    """Return the flows, and the works as forms of the state with the hand's deflection instead of the position.
 
     In q and x_u the squares of a stiff hand would cancel: 1e6 N/m at 10 mm is 50 J, against the 0.1 J that flow.
     """

@@ -1,11 +1,11 @@
-"""The same plant and any controller without a bus: for sweeps, for the accuracy study, and to check the CAN path.
+"""A plant and a controller in one loop without a bus: for sweeps, the accuracy study, and as a check of the CAN path.
 
 With the same quantisation (encoder counts, torque quantum) it gives the same floats as the path over the bus:
 
     delay 0  the torque computed from q(k) acts from SYNC k (event RPDO in lock-step)
     delay 1  it acts from SYNC k+1 (synchronous RPDO)
 
-Motion of a plant under given torques: its state and works at the end of every hold.
+`observed` returns the motion of a plant under given torques.
 """
 
 from array import array
@@ -63,8 +63,8 @@ class DirectRig:
 
     Args:
         plant: Plant before `begin`; its epoch becomes SYNC 0.
-        controller_step: (position, torque applied in the hold that ended) -> object with the `torque` [N or N*m] for
-            the next free hold.
+        controller_step: Function of the position and the torque applied in the hold that ended; its result has the
+            `torque` [N or N*m] of the hold that begins, or of the one after it with a delay of 1.
         sample_time_ns: Time between two SYNCs [ns].
         delay: Whole holds between the computation of a torque and the hold in which it acts, 0 or 1.
         counts_per_unit: Encoder counts per m or rad; None for an ideal encoder.
@@ -72,7 +72,7 @@ class DirectRig:
         torque_limit: Largest torque commanded [N or N*m]; None for none.
 
     Raises:
-        ParameterError: A delay other than 0 or 1, a scale, quantum or limit that is not positive.
+        ParameterError: `delay` is neither 0 nor 1, or a scale, quantum or limit is not positive.
     """
 
     plant: Plant

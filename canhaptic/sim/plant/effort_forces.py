@@ -1,6 +1,6 @@
-"""Forces that are not piecewise affine, each a mean over a substep: kernels, for one plant and for loops of a batch.
+"""Forces that are not piecewise affine, each as its mean over a substep.
 
-Their equations are in the files of the effects.
+The functions are kernels, for single plants and for compiled batches. The equations are in the files of the effects.
 """
 
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class Effort:
 
 @dataclass(slots=True)
 class Bristle:
-    """State of a force."""
+    """State of a bristle force."""
 
     deflection: float = 0.0  # [m or rad]
 
@@ -113,11 +113,11 @@ def held_energy(effort: Effort, bristle: Bristle, position: float) -> float:
 
 
 class EffortForce(NonlinearForce):
-    """One of these forces as a part of a plant.
+    """A force of this module as a part of a plant.
 
     Args:
         effort: The force.
-        account: Account of its work; None when it is stored.
+        account: Energy account of its work; None if the work is stored.
     """
 
     def __init__(self, effort: Effort, account: Account | None) -> None:

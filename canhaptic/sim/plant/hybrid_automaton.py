@@ -1,18 +1,17 @@
-"""State, mode and energies of one scene, moved by the functions of `stepper.py`.
+"""The hybrid automaton of one scene: its state, mode and energies, moved by the functions of `stepper.py`.
 
 Modes are compiled when they are first entered; a scene that never slides backward does not pay for that mode.
 
-Number of whole sample times in which torques within a limit cannot reach any guard of a mode.
-
+`GuardHorizon` gives a number of whole sample times in which no torque within a limit can reach a guard of the mode.
 With z = [x, u, 1] at the start of a hold, w = z without the torque, Phi the flow over T with the torque taken out and b
 the change of x over T per unit torque, the starts of the holds are
 
     w(k) = Phi^k w(0) + sum over j < k of Phi^(k-1-j) b u(j),   |u| <= U.
 
-So a guard c is at least c Phi^k w(0) - U (sum over j < k of |c Phi^j b| + |c_u|) at both ends of a hold, c_u its factor
-of the torque. Inside a hold it is below neither end by more than slack * |y|, y the scaled rates of the state
-(`assembly.py`), and |y| has a bound of the same form. A hold with a positive remainder has no event and may
-be taken in one step. The bound is strict up to rounding, for which a part of the largest value is taken off.
+So a guard c is at least c Phi^k w(0) - U (sum over j < k of |c Phi^j b| + |c_u|) at both ends of a hold, with c_u its
+factor of the torque. Inside the hold it is at most slack * |y| below the lower end, with y the scaled rates of the
+state (`assembly.py`), and |y| has a bound of the same form. If the guard remains positive, the hold has no event and
+may be taken in one step. The bound is strict up to rounding, for which a part of the largest value is subtracted.
 """
 
 import math
@@ -29,18 +28,18 @@ from canhaptic.sim.plant.propagator import TICKS, Array, SampleClock
 from canhaptic.sim.plant.stepper import NONE, ModeTables, StepperSettings
 
 HOLDS: Final = 64
-"""Sample times that are looked ahead."""
+"""Number of sample times of the look-ahead."""
 _ROUNDING: Final = 1e-12  # of the largest row times the state
 
 
 class GuardHorizon:
-    """The bounds of one mode.
+    """Bounds on the guards of one mode over the next sample times; see the module.
 
     Args:
         guards: Rows of the guards, shape (c, n).
         scaled: Rows of the scaled rates, shape (m, n).
-        slack: Largest distance of a guard from its chord over T, per unit of their length, shape (c,).
-        flow: Flow over T under a held torque, the last component but one, shape (n, n).
+        slack: Largest distance of a guard from its chord over T, per unit length of the scaled rates, shape (c,).
+        flow: Flow over T, in which the torque, the last component but one, is constant, shape (n, n).
     """
 
     def __init__(self, guards: Array, scaled: Array, slack: Array, flow: Array) -> None:
@@ -72,7 +71,7 @@ class GuardHorizon:
 
 
 _PRODUCTS_EACH: Final = 512
-"""Products in one sample time for each event that is allowed: four times the dearest event."""
+"""Products allowed in one sample time per allowed event: four times those of the most expensive event."""
 _ACCOUNTS: Final = ("motor", "user", "dissipated")
 
 
@@ -82,9 +81,9 @@ class HybridAutomaton:
     Attributes:
         state: z, shape (n,); the torque is the last but one component.
         tick_time: T / 2^24 [s].
-        settings: Settings of its stepper.
-        modes: Every mode that is compiled, by its number.
-        targets: Number of the mode behind each guard of each mode; NONE while that mode is not compiled.
+        settings: Settings of the stepper.
+        modes: Compiled modes, by number.
+        targets: Number of the mode that each guard of each mode leads to; NONE while that mode is not compiled.
     """
 
     def __init__(self, scene: PlantModel, max_events: int, event_bits: int) -> None:
@@ -206,7 +205,7 @@ class HybridAutomaton:
             self.state[self.scene.names.index(name)] = value
 
     def set_part_mode(self, part: str, mode: str) -> None:
-        """Put one part into another mode, at a time that the plant fixed beforehand."""
+        """Switch one part to another mode, between two steps."""
         self._counts[stepper.MODE] = self.number_with(self._counts[stepper.MODE], part, mode)
 
     @staticmethod
@@ -231,8 +230,8 @@ class HybridAutomaton:
     def period(self, torque: float) -> float:
         """Take one whole sample time, known to be free of events, in one step; return the position after it.
 
-        The same as `run_free`, written flat and with motion and work in one product: this is the whole plant of most
-        scenes, at every SYNC.
+        The result is that of `run_free`; motion and work take one product, because in most scenes this is all that the
+        plant computes at a SYNC.
         """
         state, books = self.state, self._books
         moved, both, contract, vector, totals_after, item = books[0].flat
@@ -254,7 +253,7 @@ class HybridAutomaton:
         )
 
     def allow_events(self, begin: int, end: int) -> None:
-        """Allow `max_events` for each sample time that begins in [begin, end), in ticks; else the remainder of them."""
+        """Allow `max_events` per sample time that begins in [begin, end) [ticks]; if none does, the limit stays."""
         begun = -(-end // TICKS) - -(-begin // TICKS)
         if begun:
             self._most = self._counts[stepper.EVENTS] + self.settings.max_events * begun
@@ -263,7 +262,7 @@ class HybridAutomaton:
         """Move by `ticks` under constant inputs, through every event on the way; return the ticks left, 0.
 
         Raises:
-            EventLimitError: More events than `allow_events` allowed.
+            EventLimitError: There are more events than `allow_events` allowed.
         """
         self._counts[stepper.LIMIT] = self._most + 1
         self.check_limit(self._run_on(ticks))
@@ -275,10 +274,10 @@ class HybridAutomaton:
         return self._run_on(ticks)
 
     def check_limit(self, left: int) -> None:
-        """Refuse to continue when time is left in a hold that has had too many events.
+        """Refuse to continue a hold that has had too many events.
 
         Raises:
-            EventLimitError: It has.
+            EventLimitError: Ticks are `left`, and there have been more events than allowed.
         """
         if left and self.events > self._most:
             raise self._limit_error(0)
@@ -288,7 +287,7 @@ class HybridAutomaton:
         return EventLimitError(self.settings.max_events, state, products=products)
 
     def described(self, mode: int, state: Sequence[float]) -> str:
-        """Parts with their modes, and the states, as text.
+        """Text with the parts and their modes, and with the states.
 
         Args:
             mode: Number of the mode.
@@ -313,7 +312,7 @@ class HybridAutomaton:
             self.connect(counts[stepper.MODE], missing)  # so that the stepper can pass the guard at which it waits
 
     def connect(self, mode: int, guard: int) -> None:
-        """Compile the mode behind a guard of a mode, and put it into the tables."""
+        """Compile the mode that a guard of a mode leads to, and enter it in the tables."""
         through = self.modes[mode].exits[guard]
         self.targets[mode][guard] = self.number_with(mode, self.scene.parts[through.part].name, through.mode)
 
@@ -323,7 +322,7 @@ class HybridAutomaton:
         return self._mode_of((*key[:place], part_mode, *key[place + 1 :]))
 
     def _mode_of(self, key: tuple[str, ...]) -> int:
-        """Return the number of a mode, put at the end of the tables if need be."""
+        """Return the number of a mode, compiled and appended to the tables if need be."""
         if key in self._index:
             return self._index[key]
         self._index[key] = len(self.modes)
@@ -345,7 +344,7 @@ class HybridAutomaton:
 
 
 class AutomatonClock(SampleClock):
-    """Base of what an automaton moves."""
+    """Base of the plants that an automaton moves."""
 
     _machine: HybridAutomaton
 
@@ -365,9 +364,10 @@ class AutomatonClock(SampleClock):
 
 
 def _stored_by(storage: Array) -> Callable[[Array], float]:
-    """Product that gives the kinetic and elastic energy [J] of a state.
+    """Function of a state that gives its kinetic and elastic energy [J].
 
-    A single body stores in one number, its speed; the general product gives the same bits, at twenty times the price.
+    The energy of a single body depends on one state, its speed; the general product gives the same bits at twenty times
+    the cost.
 
     Args:
         storage: P with z'Pz the stored energy, shape (n, n).
@@ -386,7 +386,7 @@ def _stored_by(storage: Array) -> Callable[[Array], float]:
 
 
 def matrix_of(product: Any) -> Array:
-    """Return the matrix of a bound product."""
+    """Return the matrix of a bound product, such as `matrix.dot`."""
     matrix: Array = product.__self__
     return matrix
 
@@ -400,9 +400,9 @@ def reset_matrix(leaving: Exit, size: int) -> Array:
 
 
 def _pairs(accounts: Sequence[str]) -> tuple[int, ...] | None:
-    """Return two places of works for each account, with those of a zero behind the last work where it has fewer.
+    """Return the indices of two works for each account; missing works get the index behind the last work, a zero.
 
-    None where one has more than two works: only a sum of two is the same in whichever order it is taken.
+    None if an account has more than two works: only a sum of two does not depend on the order.
     """
     zero = len(accounts)
     places = [[place for place, a in enumerate(accounts) if a == account] for account in _ACCOUNTS]

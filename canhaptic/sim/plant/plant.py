@@ -1,10 +1,10 @@
-"""Motor and user behind one drive: exact between two torques, with the true energies of each part.
+"""The simulated motor and hand behind one drive: exact under a constant torque, with the true energy of each part.
 
 Between two SYNCs the torque is constant and the plant piecewise affine, so a hold is a few matrix-vector products and
-every energy a quadratic form of the state (`hybrid_automaton.py`); what is not piecewise affine is held over substeps
-around that core (`splitting.py`). A hold that no guard can end costs as little as one without guards
-(`hybrid_automaton.py`). A plant contains only what its parameters name. Time is an integer number of ticks of T / 2^24
-since the plant's epoch, so that k whole sample times are exactly k steps.
+every energy a quadratic form of the state (`hybrid_automaton.py`). Forces that are not piecewise affine are held over
+substeps of this core (`splitting.py`). A hold that no guard can end costs as little as one without guards. A plant
+contains only what its parameters name. Time is an integer number of ticks of T / 2^24 since the plant's epoch, so that
+k whole sample times are exactly k steps.
 """
 
 import math
@@ -16,11 +16,11 @@ import numpy as np
 from canhaptic.errors import EventLimitError, OwnCodeError, ParameterError
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, LinearPart, Mode, PlantModel, Rows, collect
+from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, LinearPart, PlantModel, Rows, collect
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.hybrid_automaton import HOLDS, AutomatonClock, HybridAutomaton
 from canhaptic.sim.plant.propagator import TICKS, Array
-from canhaptic.sim.plant.user import UserParameters
+from canhaptic.sim.plant.user import PLACE, UserParameters
 from canhaptic.units import Parameters, quantity
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _tuple: Final = tuple.__new__  # makes the energies at half the cost of calling their class
 _WORTH_LOOKING: Final = 8  # holds without events ahead: a look costs as much as two that are judged
 _TIDY: Final = TICKS << 10
-"""Ticks between two tidyings of rounding: every 1024 sample times, independent of reads in between."""
+"""Ticks between two calls of `HybridAutomaton.tidy`: 1024 sample times, independent of reads in between."""
 
 
 class PlantParameters(Parameters):
@@ -42,7 +42,7 @@ class PlantParameters(Parameters):
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """Viscous friction of the bearings."""
     initial_position: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
-    """Where it is before the start."""
+    """Initial position of the plant."""
     initial_velocity: Annotated[float, quantity("m/s", "rad/s", ge=-1e3, le=1e3)] = 0.0
     """Initial velocity of the plant."""
 
@@ -52,7 +52,7 @@ class PlantParameters(Parameters):
         scene.parts.append(LinearPart("motor", self._write))
 
     def add_body(self, scene: PlantModel, work: str) -> None:
-        """Add the body, and the works of its motor and its bearings."""
+        """Add the body, and the energy accounts of its motor and its bearings."""
         scene.add_state("position", self.initial_position)
         scene.add_state("velocity", self.initial_velocity)
         scene.bodies.append(Body("motor", self.mass, "velocity", (("position", 1.0),)))
@@ -89,14 +89,14 @@ class Plant(AutomatonClock):
         effects: Effects of `canhaptic.sim.plant.effects`, in the order of the scene.
         sample_time_ns: T [ns]; a whole sample time is cheapest.
         seed: Seed of every random effect.
-        accuracy: Events and substeps; the defaults when None.
+        accuracy: Accuracy of events and substeps; None: the defaults.
 
     Attributes:
         position: True position of the motor [m or rad].
-        encoder_position: True position after the effects of the encoder; the value that a drive reads.
+        encoder_position: Position with the effects of the encoder; the value that a drive reads.
         has_ideal_encoder: Whether the encoder has no effects, so that both positions agree.
-        is_linear: Whether nothing but a held torque acts on it: no guards, efforts, schedule or commands.
-        is_exact: Whether every effect is solved exactly between its events.
+        is_linear: Whether a hold is a single linear flow: no guards, efforts, schedule or commands.
+        is_exact: Whether every effect is solved exactly between events.
         stored_at_start: Kinetic and elastic energy at the start [J].
         state_names: Names of all states of the scene.
     """
@@ -134,7 +134,7 @@ class Plant(AutomatonClock):
         self.reset()
 
     def _chosen_hold(self) -> Callable[[int, float], None]:
-        """Function that moves this model by a hold; specialised to the effects present."""
+        """Function that moves this plant by a hold, specialised to its effects."""
         scene, machine = self.scene, self._machine
         has_guards = any(part.has_guards for part in scene.parts)
         is_timed = bool(scene.schedule or scene.settings)
@@ -178,13 +178,13 @@ class Plant(AutomatonClock):
 
     @property
     def motor_torque(self) -> float | None:
-        """Torque of the motor behind its current loop [N*m or N]; None without one, where it equals the torque held."""
+        """Torque of the motor after the current loop [N*m or N]; None without one: the torque is then the one held."""
         names = self.scene.names
         return self._machine.state.item(names.index("motor_torque")) if "motor_torque" in names else None
 
     @property
     def encoder_position(self) -> float:
-        """Position that the encoder reports [m or rad]; the same however often it is read at one instant."""
+        """Position that the encoder reports [m or rad]; repeated readings at one time agree."""
         position = self.position
         for encoder in self.scene.encoders:
             position = encoder.read(position, self.tick, self.seed)
@@ -202,27 +202,12 @@ class Plant(AutomatonClock):
 
     def move_hand(self, place: float) -> None:
         """Move a `PointerHand` to a position [m or rad] for the following holds; allowed between two holds only."""
-        from canhaptic.sim.plant.user import PLACE
-
         self.set_states({PLACE: place})
 
     @property
     def products(self) -> int:
         """Number of core steps tried since the start, a machine-independent cost."""
         return self._machine.products
-
-    def fastest_swing(self) -> tuple[float, str]:
-        """Return the phase [rad] of the fastest oscillation in one sample time, and its mode; see `PlantModel`."""
-        return self.scene.fastest_swing()
-
-    @property
-    def first_mode(self) -> Mode:
-        """Initial mode of the scene, as data."""
-        return self._machine.first_mode
-
-    def initial_state(self) -> Array:
-        """Return the state at the start, shape (n,)."""
-        return self.scene.initial_state()
 
     def begin(self, now: int) -> None:
         """Start the clock: `now` [ns] is the epoch, the state there is the initial one. Later calls change nothing."""
@@ -239,7 +224,7 @@ class Plant(AutomatonClock):
 
         Raises:
             ParameterError: `now` lies before the last call.
-            EventLimitError: More events in one sample time than `accuracy.max_events`.
+            EventLimitError: One sample time has more events than `accuracy.max_events`.
         """
         if now == self._next_period:
             self.tick = tick = self.tick + TICKS
@@ -276,16 +261,16 @@ class Plant(AutomatonClock):
             self._pause = min(self._pause, self.tick + holds * TICKS)
 
     def run(self, torques: Array) -> Array:
-        """Move by one sample time under each torque and return the positions after them; begin at 0 if need be.
+        """Move by one sample time under each torque, as by `advance_to`, and return the positions after them.
 
-        The same as `advance_to` called for each.
+        The plant begins at time 0 if it has not begun.
 
         Args:
             torques: Shape (n_holds,) [N or N*m].
 
         Raises:
             ParameterError: The plant is inside a sample time.
-            EventLimitError: More events in one sample time than `accuracy.max_events`.
+            EventLimitError: One sample time has more events than `accuracy.max_events`.
         """
         self.begin(0)
         if self._next_period < 0:
@@ -298,14 +283,11 @@ class Plant(AutomatonClock):
 
     def energy(self) -> PlantEnergy:
         """Return the true energies since the start [J]."""
-        machine = self._machine
-        motor, user, dissipated = machine.accounts()
-        stored = machine.stored()
+        motor, user, dissipated = self._machine.accounts()
         if self._splitting:
-            stored = self._stored()
             work = self._splitting.work
             motor, user, dissipated = motor + work["motor"], user + work["user"], dissipated + work["dissipated"]
-        return _tuple(PlantEnergy, (motor, user, dissipated, stored - self.stored_at_start))
+        return _tuple(PlantEnergy, (motor, user, dissipated, self._stored() - self.stored_at_start))
 
     def _stored(self) -> float:
         stored = self._machine.stored()

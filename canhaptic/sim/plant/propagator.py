@@ -1,11 +1,11 @@
 """Exact flows of a linear system over T / 2^j, j = 0..24, and the energy integrals along them.
 
-The matrix exponential is our own: a Taylor series at the smallest step, then doubling. What is doubled is the
-exponential MINUS the identity, E(2h) = 2 E(h) + E(h)^2; doubling exp(F h) itself would amplify the rounding of its ones
-by 2^24. Energies are integrals of a quadratic power z'Sz along the flow (Van Loan, IEEE Trans. Automatic Control
-23(3), 1978); they are doubled by Q(2h) = Q(h) + Phi(h)' Q(h) Phi(h).
+The matrix exponential is a Taylor series at the smallest step, doubled up to T. The doubling is that of the exponential
+MINUS the identity, E(2h) = 2 E(h) + E(h)^2: doubling exp(F h) itself would amplify the rounding of its ones by 2^24.
+Energies are integrals of a quadratic power z'Sz along the flow (Van Loan, IEEE Trans. Automatic Control 23(3), 1978);
+they are doubled by Q(2h) = Q(h) + Phi(h)' Q(h) Phi(h).
 
-The time of a plant: whole ticks of T / 2^24 since its epoch, so that k sample times are exactly k steps.
+`SampleClock` counts time in whole ticks of T / 2^24 since an epoch, so that k sample times are exactly k steps.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -26,11 +26,11 @@ _TERMS: Final = 16  # of the series of many matrices: 4^-16 / 16! is below 1e-22
 
 
 def series(first: Array, following: Callable[[Array], Array]) -> Array:
-    """Return the sum of a series, up to the term that no longer counts.
+    """Return the sum of a series, up to the first term that is lost in rounding.
 
     Args:
         first: First term.
-        following: Times k, the term of order k from the one before it.
+        following: Function of the term of order k - 1 that returns k times the term of order k.
     """
     term, total, order = first, first.copy(), 1
     while np.abs(term).max() > 1e-18 * np.abs(total).max():
@@ -64,7 +64,7 @@ def _taylor_work(rates: Array, power: Array, step: float) -> Array:
 
 
 def smallest_step(rates: Array, sample_time: float, levels: int = LEVELS) -> tuple[float, int]:
-    """Return T / 2^j [s] and j: `levels`, or more where the series needs them for the fastest mode."""
+    """Return T / 2^j [s] and j, which is `levels`, or more if the series of the fastest mode needs it."""
     needed = levels
     while float(np.abs(rates).sum(axis=0).max()) * sample_time * 0.5**needed > _LARGEST_STEP:
         needed += 1
@@ -72,7 +72,7 @@ def smallest_step(rates: Array, sample_time: float, levels: int = LEVELS) -> tup
 
 
 def doublings(rates: Array, step: float, halvings: int) -> Iterator[tuple[int, Array]]:
-    """Yield level and exp(F h) - I for h = `step`, twice that, up to 2^halvings times it, which is level 0."""
+    """Yield the level and exp(F h) - I for h = `step` at level `halvings`, doubled from level to level down to 0."""
     change = taylor_flow(rates, step)
     for level in range(halvings, -1, -1):
         yield level, change
@@ -114,9 +114,9 @@ def _congruent(works: Array, change: Array) -> Array:
 
 
 def flow_changes(rates: Array) -> Array:
-    """Return exp(F) - I of many matrices, shape (n, k, k); each is independent of the others.
+    """Return exp(F) - I of many matrices, each computed independently, shape (n, k, k).
 
-    A series of a fixed number of terms at F / 2^h with a norm of at most 1/4, then h doublings; h may differ by matrix.
+    A series with a fixed number of terms at F / 2^h, whose norm is at most 1/4, then h doublings; h differs by matrix.
 
     Args:
         rates: F, each multiplied by its step, shape (n, k, k).
@@ -137,7 +137,7 @@ def flow_changes(rates: Array) -> Array:
 
 
 class SampleClock:
-    """Base of parts that move in ticks since an epoch; at rest until `begin`.
+    """Base of plants whose time is counted in ticks since an epoch; they are at rest until `begin`.
 
     Args:
         sample_time_ns: T [ns].
@@ -164,7 +164,7 @@ class SampleClock:
             self._epoch = now
 
     def pass_until(self, now: int) -> int:
-        """Return the ticks from the last call to `now` [ns], rounded; 0 before `begin`.
+        """Advance the clock to `now` [ns], rounded to a tick, and return the ticks that passed; 0 before `begin`.
 
         Raises:
             ParameterError: `now` lies before the last call.

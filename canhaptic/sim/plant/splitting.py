@@ -1,10 +1,10 @@
-"""Forces that are not piecewise affine: one force held over each substep of the exact core, solved with its motion.
+"""Forces that are not piecewise affine: their sum is held over each substep of the exact core and solved with it.
 
-All such forces act on the motor's body. Over a substep their sum F is constant for the core, which stays exact; F is
-the mean of each force along the travel that it causes itself (a discrete gradient where the force has a potential),
-found by a bracketed secant. A substep ends at its first event, and its remainder is solved anew: a force that
-belongs to sliding never acts while the body sticks, and the order in the substep is 2 with events too. The work booked
-is F times travel, so that the balance of energies closes at every step (Gonzalez, J. Nonlinear Science 6, 1996).
+All such forces act on the motor's body. Over a substep their sum F is constant, so that the core stays exact. F is the
+sum of their means along the travel that F itself causes (a discrete gradient for a force with a potential), found by a
+bracketed secant. A substep ends at its first event, and its remainder is solved anew: a force of sliding never acts on
+a body that sticks, and the method has order 2 in the substep, with events too. The work booked is F times travel, so
+that the balance of energies closes at every step (Gonzalez, J. Nonlinear Science 6, 1996).
 """
 
 import math
@@ -24,10 +24,10 @@ _FLATTEST: Final = -0.05  # a residual flatter than that is taken as this steep
 
 
 class Splitting:
-    """The core with its efforts.
+    """The exact core together with the forces that are not piecewise affine (`efforts`).
 
     Attributes:
-        work: Work of the efforts by account since the start [J].
+        work: Work of these forces by account since the start [J].
     """
 
     def __init__(self, machine: HybridAutomaton, substeps: int) -> None:
@@ -41,7 +41,7 @@ class Splitting:
         self.reset()
 
     def reset(self) -> None:
-        """Return to the start."""
+        """Return to the initial state."""
         for effort in self._efforts:
             effort.reset()
         self.work: dict[Account, float] = {"motor": 0.0, "user": 0.0, "dissipated": 0.0}
@@ -56,7 +56,7 @@ class Splitting:
         """Move by `ticks`, in substeps that end at their first event at the latest.
 
         Raises:
-            EventLimitError: There are more events than are allowed.
+            EventLimitError: There are more events than allowed.
         """
         while ticks:
             ticks -= self._substep(min(ticks, self._substep_ticks))
@@ -85,10 +85,10 @@ class Splitting:
             self.work[account] += -work if account == "dissipated" else work
 
     def _solve(self, ticks: int) -> float:
-        """Return F with F = sum of forces(travel(F)); the machine is left at the end of the piece with that F.
+        """Return F with F = sum of forces(travel(F)); the machine is then at the end of the piece with that F.
 
-        Where none is consistent with the first event (the mean of a force that is yet to grow stops the body as soon as
-        it breaks away), the piece goes through its events with one F; it is then of order 1.
+        If no F is consistent with the first event (the mean of a force that still grows stops the body as soon as it
+        breaks away), one F is used through all events of the piece, which is then of order 1.
         """
         self._saved, self._begin, self._ticks = self._machine.save(), self._held, ticks
         self._move: Callable[[int], int] = self._machine.run_to_event
@@ -114,7 +114,7 @@ class Splitting:
 
 
 def mean_torque(begin: float, end: float, held: float) -> float:
-    """Mean of a torque that goes from `begin` to `end` as a first-order lag behind `held`."""
+    """Mean of a torque that goes from `begin` to `end` with a first-order lag behind `held`."""
     gap, left = begin - held, end - held
     if gap in (0.0, left) or not left / gap > _SETTLED:
         return end
@@ -122,7 +122,7 @@ def mean_torque(begin: float, end: float, held: float) -> float:
 
 
 def residual(piece: Any, force: float) -> float:
-    """Return target force minus force [N or N*m]; decreasing in the force."""
+    """Return the residual of a trial force [N or N*m]: the forces that it leads to, minus itself; decreasing in it."""
     found: float = piece.residual(force)
     return found
 
@@ -130,7 +130,8 @@ def residual(piece: Any, force: float) -> float:
 def fixed_point(piece: Any, start: float, slope: float) -> tuple[float, float, bool]:
     """Return (root, slope near it, True) of a decreasing residual; the root is the last argument that was evaluated.
 
-    A bracketed secant. Where the residual jumps over zero: the side of the jump with the smaller residual, and False.
+    The root is found by a bracketed secant. If the residual jumps over zero, the result is the side of the jump with
+    the smaller residual, and False.
 
     Args:
         piece: Argument of `residual`.

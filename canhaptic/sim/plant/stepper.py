@@ -1,13 +1,13 @@
-"""The one stepper as pure functions on tables: interpreted, or compiled by numba in a loop of the laboratory.
+"""The stepper of piecewise-affine plants, as pure functions on tables: interpreted, or compiled by numba in `lab`.
 
 A hold is taken in the largest steps that the mode allows. When a guard is below zero at the end of a step, or the
-strict bound of `assembly.py` does not exclude that it was inside, the step is halved, down to one tick; there the
-mode changes. After an accepted step, longer ones are tried, up to the whole hold: the flow is exact and the
-bound strict at every length, so that guards alone keep a step short, and no fast mode at rest does. No root finder, and
-no step size adapted by an error estimate. It stops at a number of events, or of products, that the caller sets.
+strict bound of `assembly.py` does not exclude that it was inside, the step is halved, down to one tick, at which the
+mode changes. After an accepted step longer ones are tried, up to the whole hold. The flow is exact and the bound strict
+at every length, so that only guards keep a step short, never a fast mode at rest, and neither a root finder nor an
+error estimate is needed. The stepper stops at a number of events, or of products, that the caller sets.
 
-The first six functions are all that process numbers in bulk. Interpreted, a table holds bound products of NumPy
-(`flow.dot`: half the cost of `numpy.dot`); compiled, it holds arrays, and these six are replaced.
+Only the first six functions work on arrays. Interpreted, a table holds bound products of NumPy (`flow.dot`: half the
+cost of `numpy.dot`); compiled, it holds arrays, and these six are replaced.
 """
 
 import math
@@ -94,12 +94,12 @@ def two_buffers(size: int, works: int) -> list[StepBuffers]:
 
 
 def move(product: Callable[[Array, Array], object], state: Array, moved: Array) -> None:
-    """Write the product with the state."""
+    """Write the product of a matrix and the state to `moved`."""
     product(state, moved)
 
 
 def evaluate(guards: Any, state: Array, values: Any) -> Any:
-    """Return all rows of the guards times the state; `values` may be written to."""
+    """Return all guard rows times the state; `values` is a buffer for the result."""
     return guards.dot(state).tolist()
 
 
@@ -137,7 +137,7 @@ def first_broken(guards: Any, count: int, values: Any, state: Array) -> int:
 def may_dip(
     tables: ModeTables, mode: int, level: int, before: Any, after: Any, guard: int, step: float, rounding: float
 ) -> bool:
-    """True when the bounds do not exclude that a guard was below `rounding` inside the step.
+    """Return True if the bounds do not exclude that a guard was below `rounding` inside the step.
 
     With `low` a lower bound of its second derivative, the guard less low t^2 / 2 is convex: it lies above its tangents
     at both ends, and so does the guard above the two parabolas of curvature `low`.

@@ -1,4 +1,4 @@
-"""Mode changes at fixed ticks, between two steps, and not by a guard."""
+"""Changes of modes and states at scheduled ticks, between two steps, instead of by a guard."""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,7 +10,7 @@ _Entry = tuple[float, Callable[[], None]]
 
 
 class Timetable:
-    """The scheduled changes of a scene, around the solver that moves it.
+    """Runs a scene's solver and makes the scheduled changes in between.
 
     Args:
         machine: Automaton whose parts change mode.

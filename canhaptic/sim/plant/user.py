@@ -4,9 +4,9 @@ Hand force on the handle: K (x_u - q) + D (v_u - v) + push, with x_u the volunta
 as two states of a harmonic oscillator, so that hand and plant together stay exactly linear. Hogan, "Impedance control",
 ASME J. Dynamic Systems 107, 1985, for the model; grips measured on hands: 100..1000 N/m, 1..10 N*s/m.
 
-A recorded motion is a table of places, joined by straight lines: between two rows the hand moves at constant speed,
-which keeps the plant exactly linear. The place is a state and its speed is set at every row; a row on a sample time
-costs nothing.
+A recorded motion is a table of positions with linear interpolation: between two rows the hand moves at constant speed,
+which keeps the plant exactly linear. The position is a state whose speed is set at every row; a row that falls on a
+sample time costs nothing.
 """
 
 import csv
@@ -16,20 +16,22 @@ from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 from pydantic import Discriminator, Tag, ValidationInfo, field_serializer, model_validator
 
+from canhaptic.errors import ParameterError
 from canhaptic.input_file import read_regular
-from canhaptic.sim.plant.assembly import Part, PlantModel, Rows
+from canhaptic.own_results import FORCE, watch
+from canhaptic.sim.plant.assembly import Account, NonlinearForce, Part, PlantModel, Rows
 from canhaptic.units import Parameters, PrintablePath, PrintableText, Unit, quantity
 
 _HAND: Final = "hand"
 """Name of the hand's part and of its work."""
 PLACE: Final = "hand_place"
-"""State that is the place of a hand that is recorded, or set from outside [m or rad]."""
+"""Name of the state with the position of a recorded or pointer hand [m or rad]."""
 SPEED: Final = "hand_speed"
-"""State that is the speed of a recorded hand [m/s or rad/s]."""
+"""Name of the state with the velocity of a recorded hand [m/s or rad/s]."""
 
 
 _MOST_BYTES: Final = 50_000_000
@@ -43,11 +45,11 @@ class SinusoidMotion(Parameters):
 
     type: Literal["sinusoid"] = "sinusoid"
     amplitude: Annotated[float, quantity("m", "rad", ge=0.0, le=1e3)]
-    """Half of the way from end to end."""
+    """Amplitude of the motion."""
     frequency: Annotated[float, quantity("Hz", gt=0.0, le=1e3)]
-    """Cycles per second."""
+    """Frequency of the motion."""
     phase: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0
-    """At the start of the plant."""
+    """Phase at the start of the plant."""
     offset: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
     """Middle of the motion."""
 
@@ -57,17 +59,17 @@ class SinusoidMotion(Parameters):
 
 
 class RecordedMotion(Parameters):
-    """Voluntary motion x_u(t) of a recording, t from the start of the plant and from the first row of the table.
+    """Voluntary motion x_u(t) from a table, with t from the start of the plant and from the first row.
 
-    Straight lines join its rows. Behind the last row the hand stays where it is.
+    It is interpolated linearly between the rows and constant after the last row.
     """
 
     type: Literal["recorded"] = "recorded"
     file: PrintablePath
-    """Table (CSV) in the folder of the scene: a heading with `time` and `position`, each in SI or with its unit as in
-    `time [ms]`, and at least two rows. A table of `inspect --csv` is one. Behind its last row the hand stays."""
+    """CSV table in the folder of the scene: a heading with `time` and `position`, each in SI or with its unit as in
+    `time [ms]`, and at least two rows, as `inspect --csv` writes it. After the last row the hand stays."""
     column: PrintableText = "position"
-    """Heading of the position, or its end: `handle.position`."""
+    """Heading of the position column, or its end: `position` also finds `handle.position`."""
 
     _rows: tuple[tuple[float, float], ...] = ()
     _digest: str = ""
@@ -91,33 +93,33 @@ class RecordedMotion(Parameters):
 
     @field_serializer("file")
     def _as_content(self, file: Path) -> str:
-        """Return name and content, so that the configuration is the same on every computer."""
+        """Return name and checksum of the file, so that the configuration is the same on every computer."""
         return f"{file.name}, SHA-256 {self._digest}"
 
     @property
     def rows(self) -> tuple[tuple[float, float], ...]:
-        """Times [s] from 0 on, and places [m or rad]."""
+        """Rows of the table: time from the first row [s], and position [m or rad]."""
         return self._rows
 
     @property
     def end(self) -> float:
-        """Time of the last row [s]; the hand stays from there on."""
+        """Time of the last row [s], after which the hand stays."""
         return self._rows[-1][0]
 
     @property
     def offset(self) -> float:
-        """Middle of the motion [m or rad]."""
+        """Middle between the extreme positions [m or rad]."""
         places = [place for _, place in self._rows]
         return 0.5 * (min(places) + max(places))
 
     @property
     def amplitude(self) -> float:
-        """Half of the way from end to end [m or rad]."""
+        """Half the distance between the extreme positions [m or rad]."""
         return max(abs(place - self.offset) for _, place in self._rows)
 
     @property
     def frequency(self) -> float:
-        """One over the length of the recording [Hz]."""
+        """Reciprocal of the duration of the table [Hz]."""
         return 1.0 / self.end
 
     def position(self, time: float) -> float:
@@ -130,10 +132,10 @@ class RecordedMotion(Parameters):
 
 
 def _rows_of(text: str, column: str, motion: Any) -> tuple[tuple[float, float], ...]:
-    """Return times from 0 on [s] and places [m or rad].
+    """Return the rows of a table: time from the first row [s], and position [m or rad].
 
     Raises:
-        ValueError: A column is missing, or a row is no number, out of range or not later than the one before.
+        ValueError: A column is missing, or a row is not numeric, out of range or not later than the row before.
     """
     lines = csv.reader(text.splitlines())
     heads = next(lines, [])
@@ -177,7 +179,7 @@ def _type_of(motion: object) -> object:
 
 
 class UserParameters(Parameters):
-    """The hand; every part is absent unless given."""
+    """Parameters of the hand; every part is absent by default."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)] = 0.0
     """Stiffness of the hand's grip, between voluntary motion and handle."""
@@ -186,7 +188,7 @@ class UserParameters(Parameters):
     push: Annotated[float, quantity("N", "N*m", ge=-1e6, le=1e6)] = 0.0
     """Constant force of the hand, towards +q."""
     rest: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
-    """Where the hand's spring is at rest; the motion comes on top of it."""
+    """Rest position of the hand's spring; the motion is added to it."""
     motion: (
         Annotated[
             Annotated[SinusoidMotion, Tag("sinusoid")] | Annotated[RecordedMotion, Tag("recorded")],
@@ -204,12 +206,12 @@ class UserParameters(Parameters):
 
     @property
     def has_equations(self) -> bool:
-        """Whether it is a grip that moves in a sinusoid or not at all: neither own code nor a recording."""
+        """Whether the hand is a grip at rest or in sinusoidal motion: neither user-defined nor recorded."""
         return type(self) is UserParameters and self.sinusoid is self.motion
 
     @property
     def sinusoid(self) -> SinusoidMotion | None:
-        """The voluntary motion where it is a sinusoid."""
+        """The voluntary motion if it is a sinusoid, else None."""
         return self.motion if isinstance(self.motion, SinusoidMotion) else None
 
     def add_to(self, scene: PlantModel) -> None:
@@ -255,7 +257,7 @@ class Hand(Part):
         self._targets.append((name, amplitude, omega))
 
     def _follow_rows(self, scene: PlantModel, rows: Sequence[tuple[float, float]]) -> None:
-        """Add the place of a recording as a state, and its speed, which is set at every row."""
+        """Add the position of a recorded hand as a state, and its speed, which is set at every row."""
         speeds = [(after - place) / (stop - start) for (start, place), (stop, after) in pairwise(rows)]
         self.add_place(scene, rows[0][1], speeds[0])
         following = zip(rows[1:], [*speeds[1:], 0.0], strict=True)
@@ -263,14 +265,14 @@ class Hand(Part):
 
     @staticmethod
     def add_place(scene: PlantModel, place: float, speed: float | None = None) -> None:
-        """Add the place of the hand as a state that no force moves; with a speed, it moves at that."""
+        """Add the position of the hand as a state that no force changes; with `speed` it moves at that speed."""
         scene.add_state(PLACE, place)
         if speed is not None:
             scene.add_state(SPEED, speed)
         scene.deflection[PLACE] = -1.0
 
     def add_grasp(self, stiffness: float, damping: float) -> str:
-        """Return the mode of a further grasp."""
+        """Add a grasp and return its mode."""
         self.modes += (f"grasp_{len(self._grasps)}",)  # in the order of time
         self._grasps.append((stiffness, damping))
         return self.modes[-1]
@@ -301,15 +303,75 @@ class Hand(Part):
 
 
 class PointerHand(UserParameters):
-    """A grip on the handle at a position that is set from outside while the plant runs, by `Plant.move_hand`.
+    """A hand whose position `Plant.move_hand` sets while the plant runs.
 
     The position is a state, so that the plant stays as exact as with any other hand.
     """
 
     place: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
-    """Where the hand is at the start."""
+    """Initial position of the hand."""
 
     def add_to(self, scene: PlantModel) -> None:
         """Add the hand and its position."""
         Hand(self).add_to(scene)
         Hand.add_place(scene, self.place)
+
+
+class OwnHand(UserParameters):
+    """Base of a user-defined hand: write the force that it adds to the grip.
+
+        class Startled(OwnHand):
+            def force(self, time: float, position: float, velocity: float) -> float:
+                return -5.0 if 1.0 < time < 1.2 else 0.0
+
+    Stiffness, damping, push and motion of the grip are as for every hand. The force is evaluated at the middle of each
+    substep, held over it and solved together with the motion (`splitting.py`): second order in the substep for a
+    smooth force.
+    """
+
+    order: ClassVar[int | None] = 2  # of the error in the substep, by the splitting
+
+    def force(self, time: float, position: float, velocity: float) -> float:
+        """Return the force on the handle, towards +q [N or N*m].
+
+        Args:
+            time: Time since the start of the plant [s].
+            position: Position of the handle [m or rad].
+            velocity: Velocity of the handle [m/s or rad/s].
+        """
+        raise NotImplementedError(f"{type(self).__name__}: write force(time, position, velocity)")
+
+    def add_to(self, scene: PlantModel) -> None:
+        """Add the grip and the force.
+
+        Raises:
+            ParameterError: A `shaft_compliance` separates the handle from the motor's body.
+        """
+        if len(scene.bodies) > 1:
+            raise ParameterError("user: a user-defined hand holds the motor's body; remove shaft_compliance", "user")
+        super().add_to(scene)
+        scene.efforts.append(_OwnForce(self))
+
+
+class _OwnForce(NonlinearForce):
+    """The force of the hand as an effort of the plant; its work is the user's."""
+
+    account: Account | None = "user"
+
+    def __init__(self, hand: OwnHand) -> None:
+        watch(type(hand), ("force",), FORCE)
+        self._hand = hand
+        self._time = 0.0
+
+    def reset(self) -> None:
+        """Return to time 0."""
+        self._time = 0.0
+
+    def force(self, position: float, travel: float, duration: float, torque: float) -> float:
+        """Return the force at the middle of a substep [N or N*m]."""
+        velocity = travel / duration if duration else 0.0
+        return self._hand.force(self._time + 0.5 * duration, position + 0.5 * travel, velocity)
+
+    def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
+        """Accept the substep."""
+        self._time += duration

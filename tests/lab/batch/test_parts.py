@@ -47,7 +47,7 @@ def test_flows_in_arrays_are_those_of_plants_made_one_by_one(effects):
             owner[name] = float(values[i])
         user = UserParameters(**of_user, motion=SinusoidMotion(**of_motion))
         plant = Plant(PlantParameters(**of_plant), user, [e.parameters for e in base.effects], int(period[i]))
-        flow, start = plant.whole_flow(), plant.initial_state()
+        flow, start = plant.whole_flow(), plant.scene.initial_state()
         assert motion.starts[i] == pytest.approx(start, abs=1e-15)
         for row in range(len(flow) - 2):
             assert motion.flows[i, row] == pytest.approx(flow[row], rel=1e-11, abs=1e-13 * np.abs(flow[row]).max())

@@ -23,6 +23,11 @@ def reference(count: int, period: float = 1e-3) -> np.ndarray:
     return integrated(chains.rates, chains.start(), wavy(count), period)  # type: ignore[arg-type]
 
 
+def stored_error(mechanism: Any) -> float:
+    """Energy of the state minus the accounts of both motors [J], from a start without stored energy."""
+    return float(mechanism.stored - sum(mechanism.energy(axis).stored for axis in (0, 1)))
+
+
 @pytest.mark.slow
 def test_the_motion_is_that_of_two_open_chains_held_together_by_multipliers():
     mechanism = five_bar(substeps=64)
@@ -86,7 +91,7 @@ def test_no_joule_is_lost_at_any_pose_even_at_coarse_steps(left: float, right: f
     for k in range(60):
         mechanism.advance_to((k + 1) * 5 * MS, tuple(random.uniform(-0.3, 0.3, 2)))
     largest = max(abs(value) for axis in (0, 1) for value in mechanism.energy(axis))
-    assert abs(mechanism.stored_error) <= 1e-10 * max(largest, 1.0)
+    assert abs(stored_error(mechanism)) <= 1e-10 * max(largest, 1.0)
     assert all(mechanism.energy(axis).dissipated >= 0.0 for axis in (0, 1))
 
 
@@ -140,7 +145,7 @@ def test_a_mechanism_flung_about_at_coarse_steps_keeps_its_energy_and_converges_
     for substeps in (1, 8, 32):
         mechanism = FiveBarLinkage(**FLUNG).build(THROWER, period, substeps)
         errors.append(np.abs(run(mechanism, torques, period) - expected[:, :2]).max())
-        assert abs(mechanism.stored_error) <= 1e-9 * mechanism.stored
+        assert abs(stored_error(mechanism)) <= 1e-9 * mechanism.stored
     assert np.abs(expected[:, 4:6]).max() > 50.0
     assert errors[-1] < 2e-4
     assert 1.8 < np.log(errors[1] / errors[2]) / np.log(4.0) < 2.2
@@ -158,7 +163,7 @@ def test_any_force_moves_the_links_or_is_told_the_singular_pose_it_drove_them_in
         torques = [(float(left), float(right)) for left, right in size * random.uniform(-1.0, 1.0, (20, 2))]
         told.append(pushed_about(mechanism, torques, period))  # type: ignore[arg-type]
         largest = max(abs(value) for axis in (0, 1) for value in mechanism.energy(axis))
-        assert abs(mechanism.stored_error) <= 1e-8 * max(largest, 1.0)
+        assert abs(stored_error(mechanism)) <= 1e-8 * max(largest, 1.0)
     assert 0 < sum(map(bool, told)) < 10
     assert all("singular pose" in error for error in told if error)
 
@@ -191,7 +196,7 @@ def test_the_elbow_stop_keeps_the_links_from_stretching():
         spans.append(math.hypot(0.1 + 0.15 * along, 0.15 * across))
     assert max(spans) < 0.381
     assert spans[-1] == pytest.approx(0.38, abs=1e-4)
-    assert abs(mechanism.stored_error) < 1e-10
+    assert abs(stored_error(mechanism)) < 1e-10
 
 
 def test_a_stop_beyond_the_singular_pose_is_refused():

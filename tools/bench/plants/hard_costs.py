@@ -1,7 +1,7 @@
 """What hard plants cost: products and milliseconds of the mean and the dearest hold, interpreted.
 
 Light bodies on stiff stops and under friction, 25 us to 25 ms; bristles and cogging at 25 ms; one hour of a wall.
-A hold above 100 ms must have been announced: `run` and `check` print a line where `Plant.fastest_swing` is long.
+A hold above 100 ms must have been announced: `run` and `check` print a line where `PlantModel.fastest_swing` is long.
 """
 
 from collections.abc import Sequence
@@ -70,7 +70,7 @@ def cost_rows() -> list[Row]:
     for name, mass, effects, period, damping in _CASES:
         hand = UserParameters(stiffness=200, damping=damping, motion=SinusoidMotion(amplitude=0.01, frequency=1))
         plant = Plant(PlantParameters(mass=mass), hand, [read_effect(effect) for effect in effects], period)
-        phase, _ = plant.fastest_swing()
+        phase, _ = plant.scene.fastest_swing()
         holds, spent, most, longest, why = moved(plant, _HOLDS)
         announced = phase > LONG_SWING
         note = f"{1e3 * spent / holds:.2g} ms and {plant.products / holds:.3g} products a hold on average"

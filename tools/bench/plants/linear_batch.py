@@ -47,7 +47,7 @@ class LinearBatch:
         self._chunks = []
         for first in range(0, len(plants), _CHUNK):
             part = slice(first, min(first + _CHUNK, len(plants)))
-            state = np.ascontiguousarray(np.array([plant.initial_state() for plant in plants[part]]).T)
+            state = np.ascontiguousarray(np.array([plant.scene.initial_state() for plant in plants[part]]).T)
             self._chunks.append(_Chunk(part, flows[part], state))
 
     def advance(self, torques: Array) -> Array:

@@ -4,7 +4,7 @@ At a SYNC it samples the position and the torque held, sends the synchronous TPD
 RPDOs received since the last SYNC. An event-driven RPDO acts on arrival. It shares with the master only the constants
 of the object dictionary: its SDO server, codecs, scaling and state machine are its own.
 
-Several simulated drives on one connection to the bus: each frame is received, and copied, once. Several buses.
+A `DriveGroup` runs all drives on one connection to the bus, and receives each frame once; `AllDrives` spans buses.
 """
 
 from collections import deque
@@ -50,13 +50,13 @@ class SimulatedDrive:
         bus: Connection of the drive to the bus.
         node_id: Node ID, 1..127.
         dictionary: Path of its EDS or DCF, or the dictionary read from it.
-        motor: Motor that it drives; at rest until the first SYNC that finds operation enabled.
+        motor: Motor that it drives; at rest until the first SYNC in OPERATION ENABLED.
         parameters: Values that the dictionary does not state.
-        sample_time_ns: Time between two SYNCs [ns], used until two arrived. A fault reaction or quick stop takes 1.5
-            times the interval between the master's own SYNCs.
+        sample_time_ns: Interval of the SYNCs [ns], until two have arrived and it is measured. A fault reaction or
+            quick stop takes 1.5 intervals.
 
     Attributes:
-        nmt_state: NMT state in its heartbeat.
+        nmt_state: NMT state of the drive.
         store: Objects of the drive.
         servo: Power stage of the drive.
         timers: Timers of the drive's own actions.
@@ -65,7 +65,7 @@ class SimulatedDrive:
 
     Raises:
         DictionaryError: The dictionary cannot be read.
-        ParameterError: Rated torque unknown, or an object in `parameters.objects` that does not exist.
+        ParameterError: The rated torque is unknown, or `parameters.objects` names an object that does not exist.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class SimulatedDrive:
             self.timers.fire(0)
 
     def handler(self, cob_id: int) -> Handler | None:
-        """Handler of frames of this COB-ID until the routes change; None without one."""
+        """Handler of frames with this COB-ID, valid until the routes change; None if the drive ignores them."""
         if self._are_routes_stale:
             self._build_routes()
         return self._routes.get(cob_id)
@@ -152,7 +152,7 @@ class SimulatedDrive:
 
     @property
     def torque(self) -> float:
-        """Torque in force at the axis [N*m or N]."""
+        """Torque held at the axis [N*m or N]."""
         return self.servo.torque
 
     def _now(self) -> int:
@@ -309,11 +309,11 @@ class SimulatedDrive:
 
 
 class DriveGroup:
-    """Drives that share a bus connection (a `SimulatedPeer`) and do not receive each other's frames: no drive needs to.
+    """Simulated drives on one bus connection (a `SimulatedPeer`); they do not receive each other's frames.
 
     Args:
         bus: The connection that the drives were made with.
-        drives: Drives, each with a node ID of its own.
+        drives: Drives with different node IDs.
     """
 
     def __init__(self, bus: can.BusABC, drives: Sequence[SimulatedDrive]) -> None:

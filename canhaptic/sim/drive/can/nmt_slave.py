@@ -1,7 +1,4 @@
-"""NMT and EMCY of the simulated drive (CiA 301, 7.2.7 and 7.2.8).
-
-EMCY of the simulated drive (CiA 301, 7.2.7): error register, history, and the frames.
-"""
+"""NMT, heartbeat and EMCY of the simulated drive (CiA 301, 7.2.7 and 7.2.8), with error register and history."""
 
 from collections.abc import Callable
 from functools import partial
@@ -53,12 +50,12 @@ class EmergencyProducer:
         self.show()
 
     def show(self) -> None:
-        """Show the present errors in the objects; the history starts empty."""
+        """Write the present errors to the error objects and clear the history."""
         self._show_present()
         self._clear_history()
 
     def announce(self, code: int) -> None:
-        """Enter an error and send its EMCY, unless it is present already."""
+        """Record an error and send its EMCY, unless it is present already."""
         if code not in self._present:
             self._present.append(code)
             for field, value in zip(self._history, [code, *(field.value for field in self._history)], strict=False):
@@ -81,7 +78,7 @@ class EmergencyProducer:
         self._register.value = register
 
     def _transmit(self, code: int) -> None:
-        """Show the present errors, and send the EMCY of the one that came, or 0."""
+        """Update the error objects and send an EMCY: the code of a new error, or 0 when errors disappeared."""
         self._show_present()
         cob_id = self._cob_id.number or self._default_cob_id
         if not cob_id & objects.COB_ID_INVALID:
@@ -120,7 +117,7 @@ class HeartbeatProducer:
         self._timer, self._time.changed = timers.add(self._beat), self.restart
 
     def restart(self) -> None:
-        """Restart with the period in the object; 0 sends none."""
+        """Restart with the period in 0x1017; at 0 no heartbeat is sent."""
         self._timers.stop(self._timer)
         if period := self._time.number * _NS_PER_MS:
             self._timers.start(self._timer, self._now() + period)
@@ -135,14 +132,14 @@ class HeartbeatProducer:
 
 
 class HeartbeatConsumer:
-    """Watches the nodes of 0x1016, each from its first heartbeat on.
+    """Monitors the heartbeats of the nodes in 0x1016, each from its first heartbeat on.
 
     Args:
         store: Object store.
         timers: Timers of the node.
         now: Returns the time [ns].
         on_lost: Called when a heartbeat is overdue.
-        on_return: Called when all that were lost are back.
+        on_return: Called when all lost heartbeats are back.
         on_change: Called when 0x1016 was written.
     """
 
@@ -160,14 +157,14 @@ class HeartbeatConsumer:
         self._lost: set[int] = set()
 
     def restart(self) -> None:
-        """Restart with the values in the objects."""
+        """Restart with the nodes and times in 0x1016."""
         for _, timer in self._slots:
             self._timers.stop(timer)
         self._lost.clear()
         self._on_change()
 
     def watched(self) -> dict[int, int]:
-        """Return COB-ID -> slot of every node watched."""
+        """Return the subentry (slot) of 0x1016 for each monitored heartbeat COB-ID."""
         nodes = ((entry.number >> 16 & 0x7F, slot) for slot, (entry, _) in enumerate(self._slots) if _time(entry))
         return {objects.HEARTBEAT_BASE + node: slot for node, slot in nodes if node}
 

@@ -1,6 +1,6 @@
-"""The process data of the simulated drive: its actions at a SYNC, on an RPDO, and on events.
+"""The process data of the simulated drive: PDO mapping, and the actions at a SYNC, on an RPDO and on events.
 
-PDOs of the simulated drive: the rules of mapping (CiA 301, 7.5.2.35-38), and one precompiled codec per PDO.
+The mapping follows CiA 301, 7.5.2.35-38; every PDO has a precompiled codec.
 """
 
 import struct
@@ -40,7 +40,7 @@ _NS_PER_INHIBIT_UNIT: Final = 100_000
 
 
 class Pdo:
-    """One PDO: its guarded objects, and its codec.
+    """One PDO: its communication and mapping objects, which check what is written to them, and its codec.
 
     Args:
         store: Object store.
@@ -49,7 +49,7 @@ class Pdo:
         on_change: Called when a communication or mapping object was written.
 
     Attributes:
-        pack: Makes the frame of a TPDO with the present values.
+        pack: Function that packs a TPDO with the present values.
         is_active: Whether its COB-ID is valid and its map is not empty.
         cob_id: CAN identifier.
         transmission_type: Transmission type: 0..240, 254, 255.
@@ -117,7 +117,7 @@ class Pdo:
             hook()
 
     def counts_sync(self) -> bool:
-        """Return whether a synchronous TPDO is due at this SYNC."""
+        """Count a SYNC and return whether a synchronous TPDO is due at it."""
         if self.transmission_type == 0:
             is_due, self.is_due = self.is_due, False
             return is_due
@@ -203,7 +203,6 @@ _SYNC_GENERATOR: Final = 1 << 30  # bit of 0x1005: the device produces SYNC, whi
 
 Content = bytes | bytearray
 Handler = Callable[[Content], None]
-_Send = Callable[[int, Content], None]
 
 
 class ProcessData:
@@ -213,14 +212,14 @@ class ProcessData:
         store: Object store.
         servo: Power stage, which measures and follows the objects.
         timers: Timers of the node.
-        emergency: Announces frames of a wrong length.
+        emergency: EMCY producer, for frames of a wrong length.
         parameters: Parameters of the drive.
         send: Called with COB-ID and content of a frame.
-        on_loss: Called with an error code when RPDO or SYNC are overdue.
+        on_loss: Called with an error code when an RPDO or the SYNC is overdue.
         on_change: Called when a write changes the routes.
 
     Attributes:
-        is_operational: Whether the NMT state lets PDOs through.
+        is_operational: Whether the NMT state permits PDOs.
     """
 
     def __init__(
@@ -230,7 +229,7 @@ class ProcessData:
         timers: Timers,
         emergency: emcy.EmergencyProducer,
         parameters: SimulatedDriveParameters,
-        send: _Send,
+        send: Callable[[int, Content], None],
         on_loss: Callable[[int], None],
         on_change: Callable[[], None],
     ) -> None:
@@ -255,7 +254,7 @@ class ProcessData:
         self.routes()
 
     def routes(self) -> dict[int, Handler]:
-        """Apply the objects; return COB-ID -> handler."""
+        """Apply the communication and mapping objects; return the handler of each COB-ID."""
         for pdo in (*self._rpdos, *self._tpdos):
             pdo.compile()
         routes: dict[int, Handler] = {}
@@ -288,7 +287,7 @@ class ProcessData:
         self._stop_timers()
 
     def sync_period(self) -> int | None:
-        """Usual time between the last SYNCs [ns], robust to one lost or late SYNC; None before two."""
+        """Median interval of the last SYNCs [ns], robust to one lost or late SYNC; None before two SYNCs."""
         steps = sorted(later - sooner for sooner, later in pairwise(self._syncs))
         return steps[(len(steps) - 1) // 2] if steps else None
 

@@ -1,6 +1,6 @@
 """The SDO server of the simulated drive (CiA 301, 7.2.4): expedited and segmented transfers, abort codes.
 
-Frames in, frames out, without bus or time. Block transfer is refused, which CiA 301 permits.
+It maps request frames to answer frames, without bus or time. Block transfer is refused, which CiA 301 permits.
 """
 
 from typing import Final
@@ -125,7 +125,7 @@ class SdoServer:
         return reply
 
     def _receive(self, request: bytes) -> SdoAbort | None:
-        """Add a segment to the download under way; return the abort code, or None."""
+        """Add a segment to the download in progress; return the abort code, or None."""
         if self._received is None:
             return SdoAbort.COMMAND_SPECIFIER
         if request[0] & 0x10 != self._toggle:

@@ -23,7 +23,7 @@ class SensorNode:
     """A transducer on the bus.
 
     Args:
-        display: Scales of the sensor, with its frame.
+        display: Scaling of the sensor and layout of its frame.
         read: Returns the present reading of the sensor.
         send: Called with COB-ID and content of a frame.
 
@@ -54,7 +54,7 @@ class SensorNode:
         return None if self._node.node_id is None else objects.SDO_REQUEST_BASE + self._node.node_id
 
     def take_sdo(self, content: Content) -> None:
-        """Answer an SDO request: its device type, and the tare (0x6139:01)."""
+        """Answer an SDO request, such as for the device type or the tare (0x6139:01)."""
         answer = None if self.state is NmtState.STOPPED else self._sdo.answer(bytes(content))
         if answer is not None and self._node.node_id is not None:
             self._send(objects.SDO_RESPONSE_BASE + self._node.node_id, answer)
@@ -82,7 +82,7 @@ class SensorNode:
             self.state = _STATES.get(command, NmtState.PRE_OPERATIONAL)
 
     def take_sync(self) -> None:
-        """Send its value, modulo its bits: a running impulse wraps as a counter does, a force saturates first."""
+        """Send the present value, modulo its number of bits, so that a running impulse wraps like a counter."""
         is_asked = self._node.node_id is None or self._type.number == objects.SYNCHRONOUS_EVERY_SYNC
         if self.state is not NmtState.OPERATIONAL or not is_asked:
             return

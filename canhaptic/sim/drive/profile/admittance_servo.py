@@ -1,20 +1,23 @@
 """The power stage of a simulated drive in the cyclic modes 8 and 9, with a force sensor at its analog input. No bus.
 
-In mode 9 the demanded velocity follows the target along the ramps of the drive: once for each SYNC, by no more than the
-smaller of 0x6083 and 0x60C5 allows in that time, or of 0x6084 and 0x60C6 towards zero; an object at 0 limits nothing.
+In mode 9 the velocity demand approaches the target in one step per SYNC. The smaller of 0x6083 and 0x60C5 limits its
+acceleration, the smaller of 0x6084 and 0x60C6 its deceleration; an object with the value 0 sets no limit.
 """
 
 from math import inf
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from canhaptic.canopen import objects
 from canhaptic.canopen.objects import CYCLIC_SYNC_POSITION, CYCLIC_SYNC_VELOCITY, DataType, StatusBit
 from canhaptic.errors import ParameterError
 from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters, parse_place
 from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
-from canhaptic.sim.drive.profile.servo import SENSOR_FAULT, Motor, Servo
+from canhaptic.sim.drive.profile.servo import SENSOR_FAULT, Servo
 from canhaptic.sim.drive.profile.state_machine import STATUSWORD as STATUSWORDS
 from canhaptic.sim.drive.profile.state_machine import DriveState
+
+if TYPE_CHECKING:
+    from canhaptic.sim.plant.velocity_drive import AdmittancePlant
 
 _FOLLOWS: Final = int(StatusBit.FOLLOWS_COMMAND)
 _BRAKING: Final = frozenset((DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE))
@@ -25,40 +28,26 @@ _SPEEDING: Final = (objects.PROFILE_ACCELERATION, objects.MAX_ACCELERATION)
 _SLOWING: Final = (objects.PROFILE_DECELERATION, objects.MAX_DECELERATION)
 
 
-class AdmittanceMotor(Motor, Protocol):
-    """A motor with a velocity loop and a force sensor; its input is a velocity."""
-
-    def power(self, *, on: bool) -> None:
-        """Switch the power stage."""
-
-    def read_force(self) -> float:
-        """Present reading of the force sensor."""
-
-    def limit_torque(self, limit: float) -> None:
-        """Lower the limit of the torque before the motor begins."""
-
-    def feed_forward(self, torque: float) -> None:
-        """Add a feed-forward torque to the output of the velocity loop."""
-
-
 class AdmittanceServo(Servo):
     """Power stage, velocity loop and force sensor of an admittance display.
 
     Raises:
-        ParameterError: The parameters lack those of the display.
+        ParameterError: `display` is missing, or the dictionary lacks its force object.
     """
 
-    motor: AdmittanceMotor
+    motor: "AdmittancePlant"
 
-    def __init__(self, store: ObjectStore, motor: AdmittanceMotor, parameters: SimulatedDriveParameters) -> None:
+    def __init__(self, store: ObjectStore, motor: "AdmittancePlant", parameters: SimulatedDriveParameters) -> None:
         display = parameters.display
         if display is None:
-            raise ParameterError("display: got none, expected scale and object of the force for a motor with a sensor")
+            raise ParameterError("display: got none, expected the scaling of the force sensor; add `display`")
         self._target_velocity: Any = store.entry(objects.TARGET_VELOCITY, DataType.INTEGER32)
         self._target_position = store.entry(objects.TARGET_POSITION, DataType.INTEGER32)
         force = None if display.force_object is None else store.find(*parse_place(display.force_object))
         if force is None and display.force_node is None:
-            raise ParameterError(f"display.force_object: the dictionary has no object {display.force_object}")
+            raise ParameterError(
+                f"display.force_object: got {display.force_object}, which the dictionary lacks; name one of its objects"
+            )
         self._force, self._per_count, self._force_offset = force, display.force_per_count, display.force_offset_counts
         self._per_velocity_count = parameters.position_sign / (display.velocity_counts or parameters.counts_per_unit)
         self._per_position_count = parameters.position_sign / parameters.counts_per_unit
@@ -121,7 +110,7 @@ class AdmittanceServo(Servo):
             self.motor.power(on=is_braking or state is DriveState.OPERATION_ENABLED)
 
     def _feed_forward(self) -> None:
-        """Apply 0x60B2; the limit of the torque, 0x6072, is taken over before the motor begins."""
+        """Apply 0x60B2, and before the motor's clock starts also the torque limit 0x6072."""
         if not self.is_running:
             self.motor.limit_torque(self._stage.largest)
         offset = self._torque_offset.number

@@ -1,7 +1,7 @@
-"""Homing mode of the simulated drive (IEC 61800-7-201, 0x6060 = 6): methods 33 and 34 (index pulse), 35 and 37 (here).
+"""Homing mode of the simulated drive (IEC 61800-7-201, 0x6060 = 6).
 
-The index comes once in each motor turn (0x608F, by default 4096 counts). The loop of the velocity is closed in the
-drive: proportional and integral, tuned for the mass of its motor.
+Methods 33 and 34 search for the index pulse, 35 and 37 take the present position. The index pulse comes once per motor
+turn (0x608F, by default 4096 counts). The drive closes a PI velocity loop, tuned for the mass of its motor.
 """
 
 from typing import Any, Final
@@ -20,11 +20,11 @@ _INTEGRAL: Final = 10.0  # [1/s]
 
 
 class Homing:
-    """Generator of the velocity and its loop.
+    """A homing motion: its velocity command and its velocity loop.
 
     Args:
-        store: The objects.
-        motor: Motor, whose mass the loop is tuned for: 1 kg or kg*m^2 where it does not say.
+        store: Object store.
+        motor: Motor whose mass tunes the loop; 1 kg or kg*m^2 if it states none.
 
     Attributes:
         zero: Encoder count at which 0x6064 is 0.
@@ -43,7 +43,7 @@ class Homing:
         self.leave()
 
     def leave(self) -> None:
-        """End homing, as when the drive is disabled or changes its mode; the zero stays."""
+        """End homing because the drive is disabled or changes its mode; `zero` stays."""
         self.bits = _REACHED
         self._was_asked = self._is_active = False
         self._integral = 0.0
@@ -55,7 +55,7 @@ class Homing:
         Args:
             now: Time [ns].
             encoder: Counts of the encoder since power-on.
-            velocity: Its velocity [count/s].
+            velocity: Velocity of the encoder [count/s].
             controlword: 0x6040.
         """
         is_asked = bool(controlword & _START)
@@ -71,7 +71,7 @@ class Homing:
         return self._mass * _BANDWIDTH * (error + self._integral)
 
     def _follow(self, encoder: int, last: int) -> int:
-        """Return the velocity towards the index [count/s]; 0 where the home position was found."""
+        """Return the velocity towards the index [count/s]; 0 once the home position is found."""
         direction = _DIRECTIONS.get(self._method.number, 0)
         turns = encoder // self._pitch, last // self._pitch
         if direction and (turns[0] - turns[1]) * direction <= 0:

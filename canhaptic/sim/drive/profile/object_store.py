@@ -44,7 +44,7 @@ class Entry:
         check: Called with a value before it is stored by SDO; returns the abort code or None.
         changed: Called after a value was stored by SDO.
         refresh: Called before a value is read by SDO.
-        refused: A value inside the range that SDO cannot store; None for none.
+        refused: A value inside the range that SDO writes are refused for; None for none.
     """
 
     __slots__ = (
@@ -107,7 +107,7 @@ class Entry:
 
 
 def refuse_unless(accepts: Callable[[int], object], abort: SdoAbort = SdoAbort.VALUE_RANGE) -> Check:
-    """Check that refuses a value with an abort code."""
+    """Return a check that refuses, with an abort code, every value that `accepts` does not accept."""
     return lambda value: None if accepts(value) else abort
 
 
@@ -116,9 +116,9 @@ class ObjectStore:
 
     Args:
         dictionary: Dictionary as read from its EDS or DCF.
-        values: (index, subindex) -> value, for objects without value or in place of theirs.
+        values: Initial values by (index, subindex), which replace those of the dictionary.
         absent: (index, subindex or None for all) of objects that the dictionary lists and the drive lacks.
-        refused: (index, subindex) -> value that SDO cannot store.
+        refused: (index, subindex) -> value that SDO writes are refused for.
 
     Raises:
         ParameterError: `values` names an object that the dictionary lacks, or a value that does not fit.
@@ -147,10 +147,10 @@ class ObjectStore:
         self.reset()
 
     def entry(self, index: int, data_type: int, subindex: int = 0) -> Entry:
-        """Return an object of the dictionary; if the dictionary lacks it, one that only the drive itself sees.
+        """Return an object of the dictionary; if the dictionary lacks it, an object internal to the drive.
 
         Raises:
-            ParameterError: The dictionary has it with another type than the drive.
+            ParameterError: Its data type in the dictionary is not the one that the drive uses.
         """
         found = self._entries.get((index, subindex))
         if found is not None and found.data_type != data_type:
@@ -163,7 +163,7 @@ class ObjectStore:
     def optional(self, index: int, data_type: int, subindex: int = 0) -> Entry:
         """Return an object as `entry` does; if its type in the dictionary differs, an object internal to the drive.
 
-        The object of the dictionary is then a value without effect, as the master needs none of these to run.
+        The object of the dictionary then has no effect; the master needs none of these objects to run.
         """
         found = self._entries.get((index, subindex))
         if found is not None and found.data_type == data_type:
@@ -226,7 +226,7 @@ class ObjectStore:
         return SdoAbort.NO_SUBINDEX if index in self._indices else SdoAbort.NO_OBJECT
 
     def _fill_counts(self) -> None:
-        """Set subindex 0 of arrays and records to its meaning (highest subindex) where the dictionary states none."""
+        """Set subindex 0 of arrays and records to the highest subindex if the dictionary states no value."""
         highest_of = {index: subindex for index, subindex in sorted(self._entries) if subindex}
         for index, highest in highest_of.items():
             count = self._entries.get((index, 0))

@@ -1,8 +1,7 @@
-"""The power stage of the simulated drive: states, cyclic torque, measurement, and the motor behind it. No bus.
+"""The power stage of the simulated drive, without a bus: power states, cyclic torque, measurement and the motor.
 
-Torque on the drive's side: per mille of rated torque to the torque at the axis, and the drive's own limits.
-
-Torque measurement of the simulated drive (0x6077): the motor's torque, through a filter, with a sensor's error.
+`TorqueStage` applies the drive's torque limits and scales per mille of the rated torque to torque at the axis.
+`TorqueMeter` measures the torque (0x6077) through a filter, with the error of a current sensor.
 """
 
 import math
@@ -27,8 +26,8 @@ if TYPE_CHECKING:
 class TorqueStage:
     """Limits a target torque (0x6071) to a demand (0x6074) and scales it to the axis.
 
-    The rated torque is the one in 0x6076, so that master and drive cannot differ by a rounding; where the dictionary
-    has no 0x6076 it is the parameter itself. A dictionary without 0x6071 gives a stage without torque.
+    The rated torque is the one in 0x6076, so that master and drive cannot differ by a rounding; without 0x6076 it is
+    the parameter itself. With a dictionary without 0x6071 the stage has no torque.
 
     Raises:
         ParameterError: No rated torque is stated anywhere, or it is not a whole number of counts of 0x6076.
@@ -105,8 +104,8 @@ _LARGEST: Final = 0x7FFF  # 0x6077 is INTEGER16
 class Motor(Protocol):
     """The plant that the drive moves: motor, load and user.
 
-    A motor's `encoder_position` and `motor_torque` are used where it has them; a motor without them, or with
-    `has_ideal_encoder`, has an ideal encoder or current loop.
+    Its optional attributes `encoder_position` and `motor_torque` are read if it has them. Otherwise the encoder, also
+    with `has_ideal_encoder`, or the current loop is ideal.
     """
 
     @property
@@ -130,8 +129,8 @@ class Motor(Protocol):
 class TorqueMeter:
     """Measures the torque of a motor.
 
-    0x6077 = filter(motor torque) * (1 + ripple * sin(2 pi position / pitch)), the filter of first order and exact for a
-    torque that is constant since the last measurement. Without lag, ripple and current loop it is the demand itself.
+    0x6077 = filter(motor torque) * (1 + ripple * sin(2 pi position / pitch)). The filter is of first order, and exact
+    for a torque that is constant between measurements. Without lag, ripple and current loop 0x6077 is the demand.
 
     Args:
         motor: Motor whose torque is measured.
@@ -155,10 +154,10 @@ class TorqueMeter:
         self._filtered, self._measured_at = 0.0, 0
 
     def counts(self, now: int, held: float, quantum: float) -> int:
-        """Measured torque at `now` [ns] in counts; 0 without a rated torque, and where the torque is not finite.
+        """Measured torque at `now` [ns] in counts; 0 without a rated torque, and for a torque that is not finite.
 
         Args:
-            now: Time [ns], never before the last one.
+            now: Time [ns], not before that of the last call.
             held: Torque held by the power stage [N*m or N].
             quantum: Torque of one count, with its sign [N*m or N].
         """
@@ -191,7 +190,7 @@ _POWERED: Final = frozenset(
 
 
 class _BrakedMotor:
-    """Moves a motor whose brake is set at first: while it holds, the motor neither moves nor ages.
+    """A motor with a holding brake, which holds at first: meanwhile neither the motor nor its clock advances.
 
     Args:
         motor: The motor.
@@ -245,16 +244,16 @@ class Servo:
 
     Args:
         store: Object store.
-        motor: Motor of the drive; at rest until the first SYNC that finds operation enabled.
+        motor: Motor of the drive; at rest until the first SYNC in OPERATION ENABLED.
         parameters: Scales and limits.
 
     Attributes:
         now: Present time [ns]; set by the owner.
-        demand: Torque demand in force [per mille of rated torque].
+        demand: Present torque demand [per mille of rated torque].
         torque: Torque at the axis for that demand [N*m or N].
         has_event: Whether the statusword changed since the owner last cleared this.
         was_reset: Whether a fault was reset since the owner last cleared this.
-        fault_code: Code of a fault that the stage itself detected, for the owner to announce; 0 for none.
+        fault_code: Code of a fault that the power stage detected, for the owner to announce; 0 for none.
     """
 
     def __init__(self, store: ObjectStore, motor: Motor, parameters: SimulatedDriveParameters) -> None:
@@ -358,7 +357,7 @@ class Servo:
         return controlword if is_due else controlword & ~_ENABLE_BIT
 
     def _follows(self) -> bool:
-        """Whether the torque follows its target already; only asked in OPERATION ENABLED."""
+        """Whether the follow delay has passed, so that the torque follows its target; for OPERATION ENABLED only."""
         if self._enabled_since < 0:
             self._enabled_since = self.now
         return self.now - self._enabled_since >= self._follow_delay
@@ -393,7 +392,7 @@ class Servo:
             self.has_event = True
 
     def _home(self, homing: "Homing") -> tuple[int, int]:
-        """Return torque demand and statusword of the homing mode, and move the zero where the home was found."""
+        """Return torque demand and statusword of the homing mode, and move the zero once the home is found."""
         per_unit, velocity = self._counts_per_unit, self.motor.velocity
         encoder = self._zero + self._position.number
         force = homing.step(self.now, encoder, velocity * per_unit, self._controlword.number)
@@ -431,7 +430,7 @@ class Servo:
     # --- measurement ------------------------------------------------------------------------------------------------
 
     def sample(self) -> None:
-        """Measure at a SYNC; the first one that finds operation enabled starts the motor's clock."""
+        """Measure at a SYNC; the first SYNC in OPERATION ENABLED starts the motor's clock."""
         motor, now, encoder = self.motor, self.now, self._read_encoder
         if self._brake is not None:
             self._brake.command(now, is_open=self._opens_brake())
@@ -454,7 +453,7 @@ class Servo:
         return bool(self._outputs.number >> self._brake_output & 1)
 
     def show_torque(self) -> None:
-        """Update 0x6074 from the demand in force, 0x6077 and 0x6078 from the measurement; current equals torque."""
+        """Update 0x6074 from the present demand, 0x6077 and 0x6078 from the measurement; current equals torque."""
         self._torque_demand.value = measured = self.demand
         if not self._meter.is_ideal:
             measured = self._meter.counts(self.now, self.torque, self._torque_sign * self._stage.quantum)
@@ -484,7 +483,7 @@ class Servo:
         entry.value = counts if -_HALF <= counts < _HALF else (counts + _HALF) % _COUNTS - _HALF
 
     def _check_mode(self, mode: int) -> SdoAbort | None:
-        """Refuse modes that 0x6502 does not list: mode m is its bit m - 1, 0 is none. A drive without it has 10."""
+        """Refuse modes that 0x6502 does not list (mode m: bit m - 1); mode 0 is none. Without 0x6502: mode 10 only."""
         listed = objects.CYCLIC_SYNC_TORQUE_BIT if self._supported_modes is None else self._supported_modes.number
         if mode == 0 or (mode > 0 and listed >> (mode - 1) & 1):
             return None

@@ -96,7 +96,7 @@ class StateMachine:
         self._controlword = 0
 
     def obey(self, controlword: int, quick_stop_option: int) -> bool:
-        """Follow a controlword; return whether the state changed.
+        """Execute a controlword; return whether the state changed.
 
         Args:
             controlword: 0x6040 as received.

@@ -1,4 +1,4 @@
-"""One simulated effect a file, and the table that names them; an effect no scene names is never imported.
+"""Simulated effects of the plant, one per file, and their table; an effect is imported only if a scene names it.
 
 An effect is a frozen parameter model with `type` (its name in a scene) and `add_to(scene)`, which adds states, parts,
 commands, encoders or efforts to a `canhaptic.sim.plant.assembly.PlantModel`.

@@ -2,14 +2,14 @@
 
 Needs `shaft_compliance`. States added: forward_flank_depth, backward_flank_depth. Exact. Energy: as `contact.py`.
 Typical: 0.1..10 mrad. Source: Nordin and Gutman, "Controlling mechanical systems with backlash - a survey", Automatica
-38(10), 2002; the creeping-back of a flank is their physical model of a damped shaft in a gap.
+38(10), 2002; a flank recovers in the gap as in their physical model of a damped shaft.
 """
 
 from typing import Annotated, Literal
 
 from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.assembly import MOTOR, EffectParameters, PlantModel
-from canhaptic.sim.plant.effects.contact import Contact
+from canhaptic.sim.plant.contact import Contact
 from canhaptic.sim.plant.effects.shaft_compliance import LOAD
 from canhaptic.units import quantity
 
@@ -22,7 +22,7 @@ class Backlash(EffectParameters):
     """Whole play, from flank to flank."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Put two flanks in the place of the shaft's spring.
+        """Replace the shaft's spring by two flanks.
 
         Raises:
             ParameterError: There is no shaft.

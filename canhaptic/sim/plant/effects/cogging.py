@@ -1,4 +1,4 @@
-"""Cogging: the detent torque of magnets and slots, F = -amplitude * sin(2 pi q / pitch + phase), torque or none.
+"""Cogging: the detent torque of magnets and slots, F = -amplitude * sin(2 pi q / pitch + phase), at any motor torque.
 
 A potential force: over a substep the mean along the travel is taken in closed form (a discrete gradient), so that the
 energy it stores is returned. States added: none (travel and effort of the splitting). Order 2.
@@ -22,7 +22,7 @@ class Cogging(EffectParameters):
     amplitude: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)]
     """Largest detent force."""
     pitch: Annotated[float, quantity("m", "rad", ge=1e-9, le=1e3)]
-    """From one detent to the next."""
+    """Distance from one detent to the next."""
     phase: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0
     """Phase of the sine at position 0."""
 

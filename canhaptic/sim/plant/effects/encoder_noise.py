@@ -1,6 +1,6 @@
-"""Encoder noise: white Gaussian error of each reading, of an analogue (sine-cosine) encoder before it is counted.
+"""Encoder noise: white Gaussian error of each reading, as of an analogue (sine-cosine) encoder before quantisation.
 
-States added: none; the error is a function of seed and tick: a reading does not depend on how often it is taken.
+States added: none; the error is a function of seed and tick, so that repeated readings at one time agree.
 Exact. Energy: none. Typical: 0.1..1 count. Source: Box and Muller, Ann. Math. Stat. 29, 1958; the generator is
 splitmix64 (Steele, Lea, Flood, OOPSLA 2014).
 """
@@ -20,7 +20,7 @@ class EncoderNoise(EffectParameters):
 
     type: Literal["encoder_noise"] = "encoder_noise"
     deviation: Annotated[float, quantity("m", "rad", gt=0.0, le=1e3)]
-    """Standard deviation."""
+    """Standard deviation of the error."""
 
     def add_to(self, scene: PlantModel) -> None:
         """Add the error of the reading."""

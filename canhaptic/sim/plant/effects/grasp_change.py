@@ -16,7 +16,7 @@ class GraspChange(EffectParameters):
 
     type: Literal["grasp_change"] = "grasp_change"
     time: Annotated[float, quantity("s", ge=0.0, le=1e6)]
-    """From the start of the plant."""
+    """Time of the change, from the start of the plant."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)]
     """Stiffness of the hand's grip from then on."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)]

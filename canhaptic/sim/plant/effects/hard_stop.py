@@ -1,13 +1,13 @@
-"""Hard stop: a stiff, damped, one-sided end of travel on the handle's side (the load, where there is a shaft).
+"""Hard stop: a stiff, damped, one-sided end of travel at the handle (at the load, with a shaft compliance).
 
-States added: <side>_stop_depth. Exact; contact and parting are bracketed to one tick. Energy: as `contact.py`.
+States added: <side>_stop_depth. Exact; contact and separation are bracketed to one tick. Energy: as `contact.py`.
 Typical: 1e5..1e7 N/m for metal on rubber to metal on metal. Source: Goldsmith, "Impact", 1960; see `contact.py`.
 """
 
 from typing import Annotated, Literal
 
 from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
-from canhaptic.sim.plant.effects.contact import Contact
+from canhaptic.sim.plant.contact import Contact
 from canhaptic.units import quantity
 
 
@@ -16,7 +16,7 @@ class HardStop(EffectParameters):
 
     type: Literal["hard_stop"] = "hard_stop"
     position: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)]
-    """Where the handle meets the stop."""
+    """Position at which the handle meets the stop."""
     side: Literal["upper", "lower"] = "upper"
     """upper: stops motion towards +q; lower: towards -q."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e10)]

@@ -7,7 +7,7 @@ The bristle takes an exponential update at the mean velocity of a substep; expli
 period. States added: bristle_deflection (and travel, effort of the splitting). Order 2.
 Energy: bristle_stiffness z^2 / 2 is stored, the rest of force times path is dissipated. With a constant bristle_damping
 LuGre is passive for every motion only if bristle_damping <= viscous * kinetic / (static - kinetic) (Barahanov and
-Ortega, IEEE Trans. Automatic Control 45(7), 2000); beyond it `dissipated` may fall for a moment.
+Ortega, IEEE Trans. Automatic Control 45(7), 2000); above this limit `dissipated` may decrease for a moment.
 Source: Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE Trans. Automatic Control 40(3), 1995.
 """
 
@@ -15,7 +15,7 @@ import math
 from typing import Annotated, ClassVar, Literal
 
 from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
-from canhaptic.sim.plant.dry_friction import DryFriction
+from canhaptic.sim.plant.contact import DryFriction
 from canhaptic.sim.plant.effort_forces import BRISTLE, Effort, EffortForce
 from canhaptic.units import quantity
 

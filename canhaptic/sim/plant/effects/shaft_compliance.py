@@ -24,7 +24,7 @@ class ShaftCompliance(EffectParameters):
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """Damping of the shaft."""
     load_mass: Annotated[float, quantity("kg", "kg*m^2", ge=LEAST_MASS, le=1e6)]
-    """Mass at the handle's end of the shaft; `plant.mass` is then that at the motor's end."""
+    """Mass at the handle's end of the shaft; `plant.mass` is then the mass at the motor's end."""
 
     def add_to(self, scene: PlantModel) -> None:
         """Add the load and the shaft."""

@@ -1,7 +1,7 @@
 """Stribeck friction: dry friction that falls from `static` to `kinetic` as the body begins to slide.
 
 F = -[kinetic + (static - kinetic) exp(-(v / stribeck_velocity)^2)] sign(v); stuck up to `static`. The constant part
-and stiction are modes of the exact core; the falling part is an effort of the mean velocity of a substep.
+and stiction are modes of the exact core; the falling part depends on the mean velocity of a substep.
 States added: none (travel and effort of the splitting). Order 2, sticking and breakaway included.
 Energy: friction times path is dissipated. Typical stribeck velocity: 1..50 mm/s.
 Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
@@ -10,7 +10,7 @@ Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
 from typing import Annotated, ClassVar, Literal
 
 from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
-from canhaptic.sim.plant.dry_friction import DryFriction
+from canhaptic.sim.plant.contact import DryFriction
 from canhaptic.sim.plant.effort_forces import FALLING, Effort, EffortForce
 from canhaptic.units import quantity
 

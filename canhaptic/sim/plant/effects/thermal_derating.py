@@ -27,7 +27,7 @@ class ThermalDerating(EffectParameters):
     copper_loss: Annotated[float, quantity("W/N^2", "W/N^2/m^2", gt=0.0, le=1e9)]
     """Heat per torque squared [W/N^2 or W/(N*m)^2]."""
     thermal_resistance: Annotated[float, quantity("K/W", gt=0.0, le=1e6)]
-    """From the winding to its surroundings."""
+    """Thermal resistance from the winding to its surroundings."""
     time_constant: Annotated[float, quantity("s", gt=0.0, le=1e6)]
     """Time constant of the winding's warming and cooling."""
     ambient: Annotated[float, quantity("K", ge=0.0, le=1e4)] = 293.15

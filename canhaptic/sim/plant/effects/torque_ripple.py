@@ -1,7 +1,7 @@
 """Torque ripple: the torque constant varies with position, F = torque * amplitude * sin(2 pi q / pitch + phase).
 
-States added: none (travel and effort of the splitting). Order 2. Energy: booked as work of the motor, so that the
-true motor work then differs from the one computed from the torque demand by at most that part.
+States added: none (travel and effort of the splitting). Order 2. Energy: booked as work of the motor; the true work of
+the motor then differs from that of the torque demand by at most the fraction `amplitude`.
 Typical: 1..5 % at the 6th electrical harmonic. Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2003.
 """
 
@@ -19,7 +19,7 @@ class TorqueRipple(EffectParameters):
     order = 2
     type: Literal["torque_ripple"] = "torque_ripple"
     amplitude: Annotated[float, quantity("1", ge=0.0, lt=1.0)]
-    """Part of the torque."""
+    """Amplitude of the ripple, as a fraction of the torque."""
     pitch: Annotated[float, quantity("m", "rad", ge=1e-9, le=1e3)]
     """Period of the ripple."""
     phase: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0

@@ -17,11 +17,11 @@ class Tremor(EffectParameters):
 
     type: Literal["tremor"] = "tremor"
     amplitude: Annotated[float, quantity("m", "rad", ge=0.0, le=1e3)]
-    """Half of the way from end to end."""
+    """Amplitude of the tremor."""
     frequency: Annotated[float, quantity("Hz", gt=0.0, le=1e3)] = 8.0
-    """Cycles per second."""
+    """Frequency of the tremor."""
     phase: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0
-    """At the start of the plant."""
+    """Phase at the start of the plant."""
 
     def add_to(self, scene: PlantModel) -> None:
         """Add an oscillator to the motion that the hand follows.

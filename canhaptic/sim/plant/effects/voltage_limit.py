@@ -3,7 +3,7 @@
     voltage = resistance i + inductance di/dt + back_emf v,   |voltage| <= supply,   torque = back_emf i
 
 Within the supply the current follows as in `current_loop`; at the supply it follows the winding's own equation. In SI
-the torque per ampere equals the back-EMF per unit of speed. Above supply / back_emf the motor brakes, torque or none.
+the torque per ampere equals the back-EMF per unit of speed. Above the speed supply / back_emf the motor always brakes.
 Needs `current_loop`. States added: none (3 modes). Exact. Energy: motor work uses the true torque.
 Typical: 24..48 V, 0.05..5 ohm, 0.05..5 mH. Source: Leonhard, "Control of Electrical Drives", 2001, ch. 5 and 7.
 """
@@ -25,7 +25,7 @@ class VoltageLimit(EffectParameters):
     supply: Annotated[float, quantity("V", gt=0.0, le=1e6)]
     """Largest voltage of the drive at the winding."""
     back_emf: Annotated[float, quantity("V*s/m", "V*s/rad", gt=0.0, le=1e6)]
-    """Voltage of the turning motor by speed; the torque by ampere is the same number."""
+    """Back-EMF per unit of speed; the torque per ampere is the same number."""
     resistance: Annotated[float, quantity("ohm", gt=0.0, le=1e6)]
     """Resistance of the winding."""
     inductance: Annotated[float, quantity("H", gt=0.0, le=1e3)]
@@ -43,10 +43,10 @@ class VoltageLimit(EffectParameters):
         scene.parts.append(_Winding(self))
 
     def slowest_lag(self, time_constant: float, torque: float, speed: float) -> float:
-        """Return the largest time constant [s] of the torque; infinite where it may not follow at all.
+        """Return the largest time constant [s] of the torque; infinite if the torque may not follow at all.
 
-        With the remaining voltage, w = supply - resistance i - back_emf v, the torque changes by back_emf w /
-        inductance, and the remainder of a step is at most 2 `torque`.
+        With the voltage that remains, w = supply - resistance i - back_emf v, the torque changes at the rate back_emf w
+        / inductance; a step of the torque is at most 2 `torque`.
 
         Args:
             time_constant: Time constant of the current loop [s].
@@ -69,7 +69,7 @@ class _Winding(Part):
         self._limit = limit
 
     def assemble(self, rows: Rows, mode: str) -> None:
-        """Keep the rate that the current loop asks for, and at the supply put the winding's own in its place."""
+        """Keep the rate of the current loop; at the supply limit, replace it by that of the winding."""
         p, current = self._limit, rows.row(motor_torque=1.0)
         back = p.back_emf * rows.velocity(MOTOR)
         self._wanted: Array = rows.rates[rows.index["motor_torque"]].copy()

@@ -1,7 +1,7 @@
-"""Mechanisms that several drives move together, one a file, and the table that names them.
+"""Simulated mechanisms that several drives move together, one per file, and their table.
 
-A mechanism is a frozen parameter model with `build(hand, sample_time_ns, substeps)`; one that a scene does not name is
-never imported. Its hand holds the handle in task space, in metres, for linear and rotary motors.
+A mechanism is a frozen parameter model with `build(hand, sample_time_ns, substeps)`; it is imported only if a scene
+names it. The hand holds the handle in task space, in metres, with linear and with rotary motors.
 """
 
 from typing import TYPE_CHECKING, ClassVar, Final, Protocol
@@ -41,14 +41,14 @@ class Mechanism(Protocol):
         """Move to `now` [ns] under torques [N*m or N] that were constant since the last call; still before `begin`.
 
         Raises:
-            ParameterError: `now` lies before the last call, or the mechanism cannot move as it is pushed.
+            ParameterError: `now` lies before the last call, or no motion is found under these torques.
         """
 
     def energy(self, axis: int) -> PlantEnergy:
         """True energies through one motor axis since the start [J].
 
-        The sum over the axes is the mechanism's. `motor` is the sum of torque times displacement of that motor,
-        so that minus it is the true sum of its h_i.
+        The sum over all axes is the energy of the mechanism. `motor` is the sum of torque times displacement of that
+        motor, the negative of its true sum of h_i.
         """
 
 
@@ -58,9 +58,9 @@ class MechanismParameters(Protocol):
     motion: ClassVar[Motion]
     """Position unit of its motor axes."""
     axes: ClassVar[int]
-    """How many motors it has."""
+    """Number of motors."""
     order: ClassVar[int | None]
-    """Order of the error in the substep; None when it is exact between its events."""
+    """Order of the error in the substep; None if the motion is exact between events."""
 
     def build(self, hand: "TaskHand | None", sample_time_ns: int, substeps: int) -> Mechanism:
         """The mechanism at rest in its initial pose, before `begin`.
@@ -71,5 +71,5 @@ class MechanismParameters(Protocol):
             substeps: Number of substeps in one sample time, for a mechanism that is not exact.
 
         Raises:
-            ParameterError: It cannot be in that pose.
+            ParameterError: The initial pose is not possible.
         """

@@ -1,17 +1,12 @@
-"""A planar five-bar that two motors move together: lengths, masses and the linkage in motion.
+"""A planar five-bar linkage that two motors move together: its geometry, its inertia, the force of a hand, its motion.
 
-Geometry and inertia of a five-bar: two motors, two proximal links, two distal links that meet in the handle.
+Two motors carry the proximal links; two distal links join their ends, the elbows, to the handle. The base points are
+(-base/2, 0) and (base/2, 0); motor angles count from +x, counterclockwise. Seen from the left elbow towards the right
+one, the handle is on the left: above them, in the usual pose. Distal links are uniform rods, whose kinetic energy
+follows from the velocities v, w of their ends: mass / 6 (v.v + v.w + w.w). The functions are kernels.
 
-The functions are kernels. The base points are (-base/2, 0) and (base/2, 0); motor angles count from +x,
-counterclockwise. The handle is to the left of the way from the left elbow to the right one: above, in the usual pose.
-Distal links are uniform rods, whose kinetic energy follows from the velocities v, w of their ends:
-mass / 6 (v.v + v.w + w.w).
-
-The force of a hand in the plane, for mechanisms that are not piecewise affine; kernels.
-
-A five-bar in motion: nonlinear, so it is stepped by a discrete gradient, which keeps every joule; kernels.
-
-With M(q) the inertia, W = 1/M, p the momentum, H = p'W p / 2 + V(q), one substep h solves
+The motion is nonlinear; it is stepped by a discrete gradient, which conserves energy exactly. With M(q) the inertia,
+W = 1/M, p the momentum, H = p'W p / 2 + V(q), one substep h solves
 
     q+ - q = h Wm (p + p+) / 2                 Wm the mean of W at both ends
     p+ - p = h (-G + tau - B (q+ - q) / h + F)   G . (q+ - q) = [p'(W+ - W) p + p+'(W+ - W) p+] / 4 + V+ - V, exactly
@@ -74,12 +69,12 @@ class Inertia(NamedTuple):
 
 
 def quadratic(matrix: Inertia, left: float, right: float) -> float:
-    """Return the quadratic form of a vector."""
+    """Return the quadratic form v'Mv of a vector."""
     return matrix.a * left * left + 2.0 * matrix.b * left * right + matrix.c * right * right
 
 
 def solved(matrix: Inertia, left: float, right: float) -> Pair:
-    """Return the inverse times a vector."""
+    """Return the inverse of a matrix times a vector."""
     determinant = matrix.a * matrix.c - matrix.b * matrix.b
     return (matrix.c * left - matrix.b * right) / determinant, (matrix.a * right - matrix.b * left) / determinant
 
@@ -108,7 +103,7 @@ def pose_at(links: Linkage, left: float, right: float) -> LinkagePose:
 
 
 def singular(links: Linkage, left: float, right: float, span: float) -> ParameterError:
-    """Error for elbows that meet, or are farther apart than the distal links reach."""
+    """Error for elbows that coincide, or are farther apart than the distal links reach."""
     return ParameterError(
         f"five_bar: at {left:.6g} and {right:.6g} rad the elbows are {span:.6g} m apart, which is a singular "
         f"pose (expected between 0, where they meet, and {2.0 * links.distal:g} m, the distal links stretched); "
@@ -134,7 +129,7 @@ def span_rates(pose: LinkagePose) -> Pair:
 
 
 def inertia_rate(links: Linkage, pose: LinkagePose, by: int) -> Inertia:
-    """Return dM/dq of one angle; the Jacobian's derivative comes from that of (r . J) = (r . u)."""
+    """Return dM/dq by one angle; the derivative of the Jacobian follows from that of (r . J) = (r . u)."""
     (x, y), u, none = pose.jacobian, pose.u, (0.0, 0.0)
     turn = (-u[by][1], u[by][0])  # d u / d angle of the motor that turns
     du_left, du_right = (turn, none) if by == 0 else (none, turn)
@@ -239,7 +234,7 @@ def hand_pull(hand: HandForce, time: float, place: Pair, speed: Pair) -> Pair:
 
 
 def mean_pull(hand: HandForce, before: Pair, after: Pair, time: float, step: float) -> Pair:
-    """Return the mean force on the handle over a substep [N]: second order, and conservative where its spring is.
+    """Return the mean force on the handle over a substep [N], of second order; the force of its spring is conservative.
 
     Args:
         hand: Hand that holds the handle.
@@ -354,7 +349,7 @@ def advance_five_bar(
 def take_substep(
     settings: FiveBarSettings, state: FiveBarState, place: FiveBarPlace, time: float, step: float, torques: Pair
 ) -> FiveBarPlace:
-    """Take one substep, in halves where the solver does not converge: part `k` of 2^`depth` of it at a time."""
+    """Take one substep, halved while the solver does not converge: part `k` of 2^`depth` parts at a time."""
     k, depth = 0, 0
     while k < 1 << depth:
         begin, part = time, step
@@ -379,7 +374,7 @@ def take_substep(
 def book_substep(
     settings: FiveBarSettings, state: FiveBarState, place: FiveBarPlace, found: Solved, step: float, torques: Pair
 ) -> None:
-    """Record the works of a substep, and its end."""
+    """Record the works of a substep and the state at its end."""
     left, right = found.after.left - place.left, found.after.right - place.right
     state.left_motor += torques[0] * left
     state.right_motor += torques[1] * right
@@ -475,7 +470,7 @@ def discrete_gradient(
 
 
 def corrected(left: float, right: float, change: Pair, value: float, tiny: float) -> Pair:
-    """Return a gradient changed along the motion, so that its product with that is `value`."""
+    """Return a gradient, corrected along the motion so that their product is `value`."""
     square = change[0] * change[0] + change[1] * change[1]
     if square <= tiny:
         return left, right
@@ -499,7 +494,7 @@ def hand_torques(
 
 
 def depth(settings: FiveBarSettings, span: float) -> float:
-    """Return how far the elbows are beyond their stop, positive where too far apart [m]."""
+    """Return how far the elbows are beyond their stop [m]; positive if too far apart, negative if too close."""
     return max(0.0, span - settings.most) - max(0.0, settings.least - span)
 
 
@@ -531,12 +526,12 @@ _Angle = Annotated[float, quantity("rad", ge=-100.0, le=100.0)]
 
 
 class ElbowStop(Parameters):
-    """Springs that keep the elbows' distance within bounds, short of where the distal links stretch or fold."""
+    """Springs that keep the distance of the elbows within bounds, away from singular poses."""
 
     least: Annotated[float, quantity("m", ge=0.0, le=1e3)] = 0.0
     """Distance of the elbows below which the spring pushes them apart."""
     most: Annotated[float, quantity("m", gt=0.0, le=1e3)]
-    """Distance above which it pulls them together."""
+    """Distance of the elbows above which the spring pulls them together."""
     stiffness: Annotated[float, quantity("N/m", gt=0.0, le=1e8)]
     """Stiffness of the springs."""
 
@@ -555,11 +550,11 @@ class FiveBarLinkage(Parameters):
     distal: Annotated[float, quantity("m", gt=0.0, le=100.0)]
     """Length of the links that carry the handle."""
     motor_inertia: Annotated[float, quantity("kg*m^2", gt=0.0, le=1e4)]
-    """Rotor and proximal link, about each motor."""
+    """Inertia of rotor and proximal link about each motor."""
     distal_mass: Annotated[float, quantity("kg", ge=0.0, le=1e4)] = 0.0
     """Mass of each distal link, a uniform rod."""
     handle_mass: Annotated[float, quantity("kg", ge=0.0, le=1e4)] = 0.0
-    """At the joint of the distal links."""
+    """Mass at the joint of the distal links."""
     damping: Annotated[float, quantity("N*m*s/rad", ge=0.0, le=1e4)] = 0.0
     """Viscous friction of the bearings of each motor."""
     elbow_stop: ElbowStop | None = None
@@ -587,7 +582,7 @@ class FiveBarLinkage(Parameters):
         """Return the five-bar at rest at its initial angles.
 
         Raises:
-            ParameterError: These are a singular pose.
+            ParameterError: The initial angles are a singular pose.
         """
         return FiveBarMotion(self, hand, sample_time_ns, substeps)
 
@@ -620,7 +615,6 @@ class FiveBarMotion(SampleClock):
         self.state = FiveBarState(*links.initial_angles)
         if not self._place.pose.is_regular:
             raise singular(linkage, *links.initial_angles, self._place.pose.span)
-        self._stored_at_start = self.stored
 
     @property
     def positions(self) -> tuple[float, ...]:
@@ -664,25 +658,20 @@ class FiveBarMotion(SampleClock):
     def energy(self, axis: int) -> PlantEnergy:
         """Return the true works done through one motor coordinate since the start [J].
 
-        The kinetic energy of coupled links belongs to no motor alone: `stored` is the balance of what this coordinate
-        received. `stored_error` is the difference of the sum over both from the energy of the state.
+        The kinetic energy of coupled links belongs to no motor alone: `stored` is the balance of the works done through
+        this coordinate. Its sum over both motors is the energy stored in the linkage, but for the integrator's error.
         """
         now = self.state
         works = (now.left_motor, now.left_user, now.left_lost), (now.right_motor, now.right_user, now.right_lost)
         motor, user, lost = works[axis]
         return PlantEnergy(motor, user, lost, motor + user - lost)
 
-    @property
-    def stored_error(self) -> float:
-        """Energy of the state minus the accounts of both motors [J]: the integrator's error."""
-        return self.stored - self._stored_at_start - sum(self.energy(axis).stored for axis in (0, 1))
-
     def _stuck(self, step: float) -> ParameterError:
-        """Reason why no motion was found: a singular pose, or forces beyond any substep."""
+        """Return the error for a failed solver: a singular pose, or forces too large for any substep."""
         left, right = self.positions
         if is_near_singular(self.settings, self._place):
             return singular(self.settings.links, left, right, self._place.pose.span)
         return ParameterError(
-            f"five_bar: no motion found at {left:.6g} and {right:.6g} rad within {step:.3g} s; raise "
-            "accuracy.substeps, or lower the stiffness of elbow_stop or hand"
+            f"five_bar: the solver found no motion at {left:.6g} and {right:.6g} rad in a substep of {step:.3g} s; "
+            "raise accuracy.substeps, or lower the stiffness of elbow_stop or hand"
         )

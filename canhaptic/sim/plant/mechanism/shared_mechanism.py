@@ -1,7 +1,7 @@
-"""One mechanism behind several drives: each drive has its motor, and every motor moves with all the others.
+"""One mechanism behind several drives: each drive has its own motor, and all motors move together.
 
-A drive moves its motor by (time, its torque); the torques of the other motors in that time are read from their drives.
-This is valid because a drive moves its motor BEFORE it changes its torque.
+When a drive moves its motor to a time, the torques of the other motors up to that time are read from their drives. This
+is valid because a drive moves its motor BEFORE it changes its torque.
 """
 
 from collections.abc import Callable
@@ -18,8 +18,8 @@ class SharedMechanism:
         axes: Number of its motors.
 
     Attributes:
-        mechanism: Mechanism, as given.
-        motors: One per axis, each for one drive; connect every one before the first SYNC.
+        mechanism: The mechanism.
+        motors: Motors in the order of the axes, one for each drive; connect all before the first SYNC.
     """
 
     def __init__(self, mechanism: Mechanism, axes: int) -> None:

@@ -26,7 +26,7 @@ class Ellipse(NamedTuple):
 
 
 class PlaneMotion(Parameters):
-    """Voluntary motion in each direction; None: none."""
+    """Voluntary motion in each direction; None: no motion."""
 
     x: SinusoidMotion | None = None
     """Voluntary motion in x."""
@@ -35,22 +35,22 @@ class PlaneMotion(Parameters):
 
 
 class TaskHand(Parameters):
-    """The hand at the handle; every part is absent unless given."""
+    """Parameters of the hand at the handle; every part is absent by default."""
 
     stiffness: Annotated[float, quantity("N/m", ge=0.0, le=1e6)] = 0.0
-    """Along the major axis of the ellipse."""
+    """Stiffness along the major axis of the ellipse."""
     stiffness_across: Annotated[float, quantity("N/m", ge=0.0, le=1e6)] | None = None
-    """Across it; None: the same."""
+    """Stiffness across the major axis; None: as along it."""
     damping: Annotated[float, quantity("N*s/m", ge=0.0, le=1e4)] = 0.0
-    """Along the major axis of the ellipse."""
+    """Damping along the major axis of the ellipse."""
     damping_across: Annotated[float, quantity("N*s/m", ge=0.0, le=1e4)] | None = None
-    """Across the major axis; None: the same."""
+    """Damping across the major axis; None: as along it."""
     angle: Annotated[float, quantity("rad", ge=-10.0, le=10.0)] = 0.0
     """Angle of the major axis, from +x towards +y."""
     push: tuple[_Force, _Force] = (0.0, 0.0)
     """Constant force of the hand on the handle."""
     rest: tuple[Length, Length] = (0.0, 0.0)
-    """Where the hand's spring is at rest; the motion comes on top of it."""
+    """Rest position of the hand's spring; the motion is added to it."""
     motion: PlaneMotion = PlaneMotion()
     """Voluntary motion, which the handle follows through the grip."""
 
@@ -78,7 +78,7 @@ class TaskHand(Parameters):
 
 
 class PointerTaskHand(TaskHand):
-    """A hand whose position is set from outside while the mechanism runs; `rest` at the start."""
+    """A hand whose position is set while the mechanism runs; initially at `rest`."""
 
 
 def _ellipse(along: float, across: float | None, angle: float) -> Ellipse:

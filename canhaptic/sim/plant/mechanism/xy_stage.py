@@ -1,8 +1,8 @@
 """An X-Y stage: a carriage on a bridge, each moved by its own motor, the handle on the carriage.
 
-The motor axes are the task axes. The masses are decoupled (what moves in x need not be what moves in y); an elliptic
-hand couples them. Piecewise affine, so it is the same exact machine as a plant of one axis: with dry friction,
-breakaway and sticking are bracketed to T / 2^24. The held forces are states that do not change.
+The motor axes are the task axes. The masses moved in x and in y may differ; an elliptic hand couples the directions.
+The stage is piecewise affine and moved by the same exact automaton as a plant of one axis: with dry friction, breakaway
+and sticking are bracketed to T / 2^24. The held forces are states that do not change.
 """
 
 import math
@@ -13,7 +13,7 @@ from canhaptic.axis_units import Motion
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant.accuracy_parameters import LEVELS
 from canhaptic.sim.plant.assembly import LEAST_MASS, Body, LinearPart, PlantModel, Rows
-from canhaptic.sim.plant.dry_friction import DryFriction
+from canhaptic.sim.plant.contact import DryFriction
 from canhaptic.sim.plant.hybrid_automaton import AutomatonClock, HybridAutomaton
 from canhaptic.sim.plant.mechanism.task_hand import Length, PointerTaskHand, TaskHand
 from canhaptic.sim.plant.propagator import TICKS
@@ -32,9 +32,9 @@ class XYStage(Parameters):
     order: ClassVar[int | None] = None
 
     mass_x: Annotated[float, quantity("kg", ge=LEAST_MASS, le=1e6)]
-    """Parts that move in x: bridge, carriage and handle."""
+    """Mass that moves in x: bridge, carriage and handle."""
     mass_y: Annotated[float, quantity("kg", ge=LEAST_MASS, le=1e6)]
-    """Parts that move in y: carriage and handle."""
+    """Mass that moves in y: carriage and handle."""
     damping_x: Annotated[float, quantity("N*s/m", ge=0.0, le=1e6)] = 0.0
     """Viscous friction of the guide in x."""
     damping_y: Annotated[float, quantity("N*s/m", ge=0.0, le=1e6)] = 0.0
@@ -44,7 +44,7 @@ class XYStage(Parameters):
     friction_y: DryFriction | None = None
     """Dry friction of the guide in y; None: none."""
     initial_position: tuple[Length, Length] = (0.0, 0.0)
-    """Where the stage is before the start."""
+    """Initial position of the stage."""
 
     def build(self, hand: TaskHand | None, sample_time_ns: int, substeps: int) -> "XYMotion":
         """Return the stage at rest; it needs no substeps."""
@@ -63,7 +63,7 @@ class XYMotion(AutomatonClock):
         state_names: Names of all states.
         force_places: Indices of the motors' forces in the state.
         position_places: Indices of the positions in the state.
-        is_linear: Whether a single flow moves it, without dry friction.
+        is_linear: Whether a hold is a single linear flow, without dry friction.
     """
 
     def __init__(self, stage: XYStage, hand: TaskHand | None, sample_time_ns: int) -> None:
@@ -94,7 +94,21 @@ class XYMotion(AutomatonClock):
 
     def model(self) -> PlantModel:
         """Model of the stage."""
-        return _scene(*self._parts)
+        stage, hand, sample_time = self._parts
+        scene = PlantModel(sample_time)
+        masses, dampings = (stage.mass_x, stage.mass_y), (stage.damping_x, stage.damping_y)
+        for body, name in enumerate(_NAMES):
+            scene.add_state(f"{name}_position", stage.initial_position[body])
+            scene.add_state(f"{name}_velocity")
+            scene.add_state(f"{name}_force")
+            scene.bodies.append(Body(name, masses[body], f"{name}_velocity", ((f"{name}_position", 1.0),)))
+            _add_axis(scene, body, name, dampings[body])
+        for body, friction in enumerate((stage.friction_x, stage.friction_y)):
+            if friction is not None:
+                friction.add_stick_slip(scene, f"{_NAMES[body]}_friction", body)
+        if hand is not None:
+            _add_hand(scene, hand)
+        return scene
 
     @property
     def handle(self) -> tuple[float, float]:
@@ -111,7 +125,7 @@ class XYMotion(AutomatonClock):
 
         Raises:
             ParameterError: `now` lies before the last call.
-            EventLimitError: More than 1000 events in one sample time.
+            EventLimitError: One sample time has more than 1000 events.
         """
         before = self.tick
         ticks = self.pass_until(now)
@@ -132,26 +146,9 @@ class XYMotion(AutomatonClock):
 
 
 def _works_of(name: str, scene: PlantModel) -> list[list[int]]:
-    """Places of one direction's works: motor, user and dissipated."""
+    """Return the indices of the works in one direction: motor, user and dissipated."""
     works = [(i, account) for i, (work, account) in enumerate(scene.works.items()) if work.startswith(f"{name}_")]
     return [[i for i, of in works if of == account] for account in ("motor", "user", "dissipated")]
-
-
-def _scene(stage: XYStage, hand: TaskHand | None, sample_time: float) -> PlantModel:
-    scene = PlantModel(sample_time)
-    masses, dampings = (stage.mass_x, stage.mass_y), (stage.damping_x, stage.damping_y)
-    for body, name in enumerate(_NAMES):
-        scene.add_state(f"{name}_position", stage.initial_position[body])
-        scene.add_state(f"{name}_velocity")
-        scene.add_state(f"{name}_force")
-        scene.bodies.append(Body(name, masses[body], f"{name}_velocity", ((f"{name}_position", 1.0),)))
-        _add_axis(scene, body, name, dampings[body])
-    for body, friction in enumerate((stage.friction_x, stage.friction_y)):
-        if friction is not None:
-            friction.add_stick_slip(scene, f"{_NAMES[body]}_friction", body)
-    if hand is not None:
-        _add_hand(scene, hand)
-    return scene
 
 
 def _add_axis(scene: PlantModel, body: int, name: str, damping: float) -> None:
