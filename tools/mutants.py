@@ -46,6 +46,9 @@ ROOMS: Final[dict[str, tuple[str, ...]]] = {  # part of the package -> folders o
     "sim": ("sim_drive", "sim_bus", "plant", "replay", "acceptance", "touch"),
     "view": ("view", "audit", "cli", "project"),
     "result.py": ("audit", "acceptance", "cli", "view"),
+    "commission": ("commission", "drive", "journeys"),
+    "lab/rivals": ("lab/rivals", *_CONTROL),
+    "control/admittance": (*_CONTROL, "acceptance"),
     "control/certificates": _CONTROL,
     "control/passivity": _CONTROL,
     "control/multi_axis": _CONTROL,
@@ -281,16 +284,15 @@ def _way(one: Mapping[str, Any]) -> str:
 
 def report(outcomes: Sequence[dict[str, Any]], at_least: float) -> int:
     """Prints how many were killed and who survived; returns the exit status."""
-    ways = {path: Counter[str]() for path in sorted({one["path"] for one in outcomes})}
+    ways = {room: Counter[str]() for room in sorted({room_of(Path(one["path"])) for one in outcomes})}
     for one in outcomes:
-        ways[one["path"]][_way(one)] += 1
-    for one in outcomes:
+        ways[room_of(Path(one["path"]))][_way(one)] += 1
         if _way(one) == "open":
             print(f"survived: {one['path']}:{one['number']}: {one['name']}")
     columns = ("recording", "test", "equivalent", "open")
-    print("| module | mutants | killed by a recording | by a test | equivalent | open |\n|---|---|---|---|---|---|")
-    for path, found in ways.items():
-        print(f"| {path} | {found.total()} | {' | '.join(str(found[column]) for column in columns)} |")
+    print("| room | mutants | killed by a recording | by a test | equivalent | open |\n|---|---|---|---|---|---|")
+    for room, found in ways.items():
+        print(f"| {room} | {found.total()} | {' | '.join(str(found[column]) for column in columns)} |")
     total = sum(ways.values(), Counter[str]())
     judged = total.total() - total["equivalent"]
     share = (judged - total["open"]) / judged if judged else 1.0

@@ -5,6 +5,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from subprocess import PIPE, Popen
 
 import numpy as np
 import pytest
@@ -14,7 +15,6 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.writer_process import EnergyLogWriter
 from canhaptic.view import live_log
 from canhaptic.view.live_log import LiveLog
-from tests.forked import command
 from tests.view.chromium import chromium
 from tests.view.synthetic_run import PORTS, append, write_run, write_troubled_run
 
@@ -91,10 +91,12 @@ def test_the_scope_wants_to_know_its_log(tmp_path: Path, capsys: pytest.CaptureF
 
 @contextlib.contextmanager
 def scope(log: Path, number: signal.Signals = signal.SIGINT) -> Iterator[str]:
-    with command("scope", str(log), "--port", "0", "--window", "3") as process:
+    words = ["scope", str(log), "--port", "0", "--window", "3"]  # of its own: a fork has the event loops of other tests
+    with Popen([sys.executable, "-m", "canhaptic", *words], text=True, stdout=PIPE, stderr=PIPE) as process:
         assert process.stdout is not None
         try:
             line = process.stdout.readline()
+            assert " at " in line
             yield line.split(" at ")[1].split()[0]
             process.send_signal(number)
             assert process.wait(20) == 128 + number
