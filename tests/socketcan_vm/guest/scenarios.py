@@ -208,6 +208,7 @@ def on_bus(channel: str) -> list[str]:
     values += ["bus.realtime.priority=20", "bus.realtime.freeze_garbage=true"]
     values += ["passivity.sync_jitter=0.05", "passivity.torque_window=0.1 ms", "passivity.current_lag=10 us"]
     values += ["passivity.device_friction_bound=0 N"]
+    values += ["axes.0.torque_verified=mass", "axes.0.position_reference=absolute"]
     return [word for value in values for word in ("--set", value)]
 
 
