@@ -1,1 +1,1 @@
-"""Host mathematics: displacement to energy balance to torque. No bus, no clock, no files."""
+"""Controllers and energy accounts: from measured motion to torque. Uses no bus, clock or file."""

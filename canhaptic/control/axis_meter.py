@@ -1,4 +1,4 @@
-"""Accuracy of an axis's booked energy, and the energy that its device dissipated.
+"""Uncertainty of an axis's booked energy, and the energy that its device certainly dissipated.
 
 **Position.** A position p_k = x_k + e_k, |e_k| <= e, is booked as -f_k (p_k - p_(k-1)). The sum of n holds is wrong by
 -sum f_k (e_k - e_(k-1)), by parts at most e (|f_n| + sum |f_k - f_(k-1)|), with f_0 = 0: a constant torque adds
@@ -7,24 +7,24 @@ no uncertainty, however long the axis moves.
 **Torque.** A motor that gives f (1 + s) + c for a torque f, |s| <= share and |c| <= offset, adds the uncertainty
 sum (share |f_k| + offset) |x_k - x_(k-1)|, if the axis does not turn back within a hold.
 
-**Late.** A torque changes within a time theta of its SYNC, window and lag together: over the run, the previous one
-acts in its place no longer than that (`certificates.hold_timing`). So each change adds |f_k - f_(k-1)| theta v,
-unless the algorithm has a tighter bound. `guarded` with damping or dry friction of the device alone knows no motion
-inside a hold, and v is the largest speed of the axis (`speed_limit`): what the device dissipates there covers the
-promise at the handle, and says nothing of the sum at the motor. For algorithms without certificates v is an estimate,
-twice the largest mean speed of the hold and its neighbour: with `speed_limit` no account would ever be judged active.
+**Late.** After its SYNC the previous torque still acts for a time theta: torque window and current lag together
+(`hold_timing`). So each change adds |f_k - f_(k-1)| theta v, with v the speed in that time, unless the algorithm has a
+tighter bound. `guarded` bounds no motion inside a hold if only damping or dry friction of the device is declared; v is
+then the largest speed of the axis (`speed_limit`). What the device dissipates there covers the promise at the handle,
+but says nothing about the sum at the motor. For algorithms without certificates v is an estimate, twice the larger mean
+speed of the hold and the one before: with `speed_limit` no account would ever be judged active.
 
 **Lost.** After lost process data the displacement D of n holds is known, and the torque f of the last of them, read
 back. Booked is -f D, true is -sum f_j D_j, where f_j is a torque sent since then, or the previous one if commands were
-lost too: |f_j - f| <= a. So the error is at most a sum over j < n of |D_j|, for any torques in any order. Of
-the D_j nothing is known but the largest speed v of the axis, which is declared (`speed_limit`; a rig that sees
-a higher one stops it): |D_j| <= v T_j. The uncertainty is
+lost too: |f_j - f| <= a. So the error is at most a sum over j < n of |D_j|, for any torques in any order. Each D_j
+is bounded by the declared largest speed v of the axis alone (`speed_limit`; a faster axis is stopped):
+|D_j| <= v T_j. The uncertainty is
 
     a v (T_1 + ... + T_(n-1)),
 
-with T_n as well where the last torque is not read back for its own hold, and what the algorithm subtracted. It is
-a bound for every hand, so that for a slow one it is large; an algorithm that knows the hand's force does better
-(`certificates.lost_samples`).
+with T_n as well if the last torque is not read back for its own hold, plus the energy that the algorithm subtracted. It
+is a bound for every hand, and large for a slow one; an algorithm with a declared hand force has a smaller bound
+(`certified_torque`).
 
 **Device.** A damping of at least b dissipates at least b D^2 / t in a time t in which the axis moves by D
 (Cauchy-Schwarz), for every torque. A dry friction of at least f_c dissipates f_c along its path. The path is at
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """Largest errors of an axis's booked energy, and its device's certain dissipation."""
+    """Declared errors of position and torque of an axis, and bounds of its device's damping and friction."""
 
     sample_time: float = 1e-3  # longest period [s]
     position: float = 0.0  # error of a position, a constant part left out [m or rad]
@@ -86,18 +86,18 @@ class AxisMeter:
     Args:
         accuracy: Accuracy of the axis.
         environment: Environment rendered on it; None if a group renders it or it is unknown.
-        watch: Comparison of the motion with declared friction; None where nothing can be compared.
+        watch: Check of the motion against the declared friction; None: no check.
 
     Attributes:
-        accuracy: Accuracy, as given.
-        watch: Comparison, as given.
+        accuracy: Accuracy of the axis.
+        watch: Check of the motion against the declared friction, or None.
         resolution: Largest error so far of the booked energy, by sensors and drive [J]; never decreases.
         dissipated: Least energy dissipated by the device so far [J].
         damping_asked: Damping of the environment [N*s/m or N*m*s/rad].
         position: Last booked position [m or rad].
         asked: Force of the environment's spring at the last position; 0 out of contact [N or N*m].
-        books_least: Whether the algorithm books the least energy that may have come in.
-        felt: Fit of the mass that is felt, of an admittance display whose environment is a mass.
+        books_least: Whether the booked energy is a lower bound of the energy received.
+        felt: Fit of the apparent mass; only for an admittance display that renders a mass.
     """
 
     books_least: ClassVar[bool] = False
@@ -138,7 +138,7 @@ class AxisMeter:
             self.resolution += energy
 
     def take(self, position: float, torque: float, deadline: float, touches: bool) -> None:
-        """Take a booked hold.
+        """Add the uncertainty and dissipation of a booked hold.
 
         Args:
             position: Position at the end of the hold [m or rad].
@@ -216,7 +216,7 @@ class SilentMeter(AxisMeter):
     """Meter of an admittance display: its algorithm itself subtracts the uncertainty of its sensors.
 
     Args:
-        felt: Fit of the mass that is felt; None where the environment is no mass.
+        felt: Fit of the apparent mass; None if the display renders no mass.
     """
 
     books_least = True
@@ -226,10 +226,10 @@ class SilentMeter(AxisMeter):
         self.felt = felt
 
     def leave_open(self, torque: float, time: int, booked: float) -> None:
-        """No-op."""
+        """Do nothing: the algorithm has subtracted this uncertainty."""
 
     def take(self, position: float, torque: float, deadline: float, touches: bool) -> None:
-        """Take the position [m or rad], and the mass that is felt from it and the force."""
+        """Store the position [m or rad], and add it with the force to the fit of the mass."""
         self.position = position
         if self.felt is not None:
             self.felt.take(position, torque, int(deadline))

@@ -1,12 +1,10 @@
-"""EnergyBalance: the account of one step of a controller.
+"""Energy balance of one controller step, and sums of many balances without drift.
 
-Identity of every step, for every algorithm (to 1e-12 of the largest term); for axes in a group, of the group's step:
+Every algorithm keeps this identity in every step, to 1e-12 of the largest term; a group of axes keeps it as a whole:
 
     h_s - h_s_before + h_r - h_i - gen + h_pas - deficit + leak = 0
     h_dis - h_dis_before = gen + deficit - h_pas - paid
     paid = min(leak, max(0, h_dis_before + gen + deficit - h_pas))
-
-Running sums of many terms of both signs, without drift.
 """
 
 from dataclasses import dataclass
@@ -38,11 +36,10 @@ def add(running: RunningSum, term: float) -> float:
 
 
 def interaction_energy(torque: float, displacement: float) -> float:
-    """Return the energy [J] that entered the environment during one hold of constant torque (eq. 2): exact.
+    """Return the exact energy [J] that entered the environment during one hold of constant torque (eq. 2).
 
-    The sign is written here, once: energy INTO the virtual environment is positive (eq. 1). A torque is the one that
-    the actuator applies to the user's side, so a wall that pushes back against motion in -q has a positive torque and
-    takes energy in.
+    This defines the sign: energy INTO the virtual environment is positive (eq. 1). The torque is the one that the
+    actuator applies to the user, so a wall that resists motion in -q has a positive torque and receives energy.
 
     Args:
         torque: Torque held by the actuator during the whole hold [N*m or N].
@@ -66,7 +63,7 @@ class Branch(IntEnum):
 
 
 class Certificate(IntEnum):
-    """Certificate that bounded the torque of the next hold; numbered as in the logs, see `WEAKEST_LAST`."""
+    """Certificate that bounded the torque of the next hold, by its number in the logs."""
 
     EXACT = 0  # no bound was active
     DEVICE_DAMPING = 1  # by what the device dissipates, in dry friction too: for every hand
@@ -84,7 +81,7 @@ WEAKEST_LAST: Final = (
     *(Certificate.HAND_FORCE, Certificate.HAND_SPEED, Certificate.VELOCITY_LOOP),
     *(Certificate.LARGEST_HAND_FORCE, Certificate.DECLARED_HAND, Certificate.NONE),
 )
-"""The certificates by how much they promise."""
+"""The certificates in order of what they promise, the weakest last."""
 RANKS: Final = tuple(WEAKEST_LAST.index(certificate) for certificate in Certificate)
 """Place of each certificate in `WEAKEST_LAST`."""
 
@@ -110,14 +107,14 @@ class EnergyBalance(NamedTuple):
 
 
 OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value, Branch.HELD.value, Branch.GROUP.value)
-"""Branches of holds without a contact of their own; a prolonged hold is booked, and counted, with the next."""
+"""Branches that do not count as contact; a prolonged hold (HELD) is booked and counted with the next."""
 
 AT_REST: Final = EnergyBalance(*(0.0,) * 11, Branch.FREE.value, 0.0, Certificate.EXACT.value, 0.0)
 """The balance of the first call after a reset: nothing held, nothing stored."""
 
 
 def residual(balance: EnergyBalance, stored_before: float) -> float:
-    """Residual of one step in the identity of this module [J]."""
+    """Return the residual of one step in the identity of the stored energy [J]; see the module."""
     flows_out = (balance.h_s - stored_before) + balance.h_r - balance.h_i - balance.gen + balance.h_pas
     return flows_out - balance.deficit + balance.leak
 

@@ -1,18 +1,16 @@
-"""Dampers of a controller: the velocity on which they act, and the modulated damper that recovers surplus energy.
+"""Damping in a controller: velocity from encoder counts, limits of a sampled damper, and the modulated damper.
 
-Velocity for the damper from an encoder: the longest recent window that one straight line fits.
+**Velocity.** A difference over one sample turns one count into count / T: 1 m/s for 0.1 mm at 10 kHz. First-order
+adaptive windowing (Janabi-Sharifi, Hayward and Chen 2000) takes the slope over the longest recent window whose
+end-to-end line stays within one count of every sample in it: long and quiet at rest, short and quick in motion.
 
-A difference over one sample turns one count into count / T: 1 m/s at 10 kHz and 0.1 mm. First-order adaptive windowing
-(Janabi-Sharifi, Hayward and Chen 2000) takes the slope over the longest window whose end-to-end line stays within one
-count of every sample in it: long and quiet at rest, short and quick in motion.
+The oldest sample of the window is its anchor. The lines from it that pass every later sample within the tolerance have
+slopes in an interval. A new sample whose line lies in this interval narrows it and lengthens the window by one.
+Otherwise a new window is searched backwards from the newest sample, over at most half of the old one, so that the mean
+cost per sample is constant. The published search covers the whole window every time, and can find a window up to twice
+as long after a change of speed.
 
-The oldest sample of the window is its anchor. The slopes of lines from it that pass every sample since within the
-tolerance form an interval; a new sample whose line lies in it narrows it and lengthens the window by one. Otherwise
-a new window is searched backwards from the newest sample, over at most half of the old one: a search over n samples
-is paid by the n samples that lengthened the window before. The published search goes over the whole window every
-time and can keep up to twice the length after a change of speed; that is the price.
-
-Recovery of surplus energy: the modulated damper of eq. 19, with its total capped for the actual delay.
+**Modulated damper.** It recovers surplus energy (eq. 19); the total damping is capped for the actual delay.
 """
 
 import math
@@ -57,7 +55,7 @@ class DamperVelocity(Parameters):
 
 @dataclass(slots=True)
 class VelocityWindow:
-    """The samples through which the line of the newest velocity passes; the samples themselves are in a ring."""
+    """Window of a velocity estimate; its samples are in a ring buffer."""
 
     newest: int = 0  # place of the newest sample in the ring
     length: int = 0  # samples from the anchor to the newest
@@ -109,10 +107,7 @@ def update(window: VelocityWindow, ring: Buffer, tolerance: float, sample_time: 
 
 
 def search(window: VelocityWindow, ring: Buffer, tolerance: float, furthest: int) -> None:
-    """Take the longest window that fits, of at most `furthest` samples; else a window of one sample.
-
-    It then admits only slopes that pass each of its samples within the tolerance.
-    """
+    """Set the window to the longest one that a line fits, of at most `furthest` samples, and its interval of slopes."""
     newest = window.newest  # an index below 0 wraps, as the ring does
     position, least, most, length = ring[newest], -inf, inf, 0
     for distance in range(1, max(1, furthest) + 1):
@@ -176,8 +171,8 @@ def least_oscillating_damping(delay: int, mass: float, sample_time: float) -> fl
 def largest_stable_damping(delay: int, mass: float, sample_time: float) -> float:
     """Return the damping [N*s/m or N*m*s/rad] above which a sampled damper makes a free mass diverge.
 
-    On z = exp(i theta) the equation above has (z - 1) / (z + 1) = i tan(theta / 2), so theta = pi / 2n and
-    d T / m = 2 tan(pi / 4n): 2, 0.828, 0.536 for delay 0, 1, 2.
+    On z = exp(i theta) the equation of `least_oscillating_damping` has (z - 1) / (z + 1) = i tan(theta / 2), so
+    theta = pi / 2n and d T / m = 2 tan(pi / 4n): 2, 0.828, 0.536 for delay 0, 1, 2.
     """
     return 2.0 * mass / sample_time * math.tan(math.pi / (4.0 * (1 + delay)))
 
@@ -190,10 +185,10 @@ def damping_cap(delay: int, mass: float | None, sample_time: float) -> float:
 def modulated_damping(
     alpha: float, surplus: float, model_damping: float, cap: float, displacement: float = 0.0, sample_time: float = 1.0
 ) -> float:
-    """Return d_pas of eq. 19 [N*s/m or N*m*s/rad]: proportional to the surplus, the total not above the cap.
+    """Return d_pas of eq. 19 [N*s/m or N*m*s/rad]: proportional to the surplus, with a cap on the total damping.
 
-    It never exceeds what dissipates the surplus in one hold like the last: eq. 19 alone would remove more than there
-    is where alpha is large, and set up an oscillation of its own.
+    It is also limited to the damping that would dissipate the whole surplus in a hold like the last: with a large
+    alpha, eq. 19 alone would remove more than the surplus and oscillate.
 
     Args:
         alpha: Damping per joule of surplus [s/m^2 or s/rad^2].

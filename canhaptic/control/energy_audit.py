@@ -1,4 +1,4 @@
-"""Comparison of a run's accounts with its simulated plant; loaded only where there is one."""
+"""Comparison of a run's energy accounts with its simulated plant; loaded in simulated runs only."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ class EnergyAudit:
         groups: Axes that render together.
 
     Attributes:
-        least: Least true sum of h_i after any hold, per axis, then per group: of its motors and movers together [J].
+        least: Least true sum of h_i after any hold, of each axis, then of each group with its movers [J].
         least_at_handle: The same, including what friction and bearings have dissipated [J].
         interaction: True sum of h_i, per axis and group [J].
         dissipated: Energy dissipated by friction and bearings, per axis and group [J].
@@ -38,13 +38,12 @@ class EnergyAudit:
         self._groups = [(axes + place, group) for place, group in enumerate(groups)]
 
     def compare(self, ledgers: Sequence[Ledger], truths: Sequence[Truth], balances: Sequence[EnergyBalance]) -> None:
-        """Take the true energies of the SYNC whose balances the ledgers have just taken.
+        """Compare the true energies at a SYNC with the ledgers, after they have taken its balances.
 
         Args:
             ledgers: Ledger of each axis.
             truths: True energies of each axis.
-            balances: Balance of each axis; where its position was lost, nothing was booked and the comparison waits for
-                the next.
+            balances: Balance of each axis; if its position was lost, nothing is booked and the next is compared.
         """
         for axis in self._axes:
             _, (motor, _, dissipated, _) = truths[axis]

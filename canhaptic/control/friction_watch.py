@@ -5,16 +5,15 @@ falling over the second, the equation of motion m a = tau + u - s F gives by par
 
     m s (v_2 - v_1) = integral of w (s tau + s u - F).
 
-With m at least `moving_mass`, F at least the declared f_c, and the hand's force within its declared bounds (in contact:
-F_h out of it, a push into it), an axis that gains speed by more than the right side can gain contradicts the
-declarations of the device or of the hand: either way the certificates rest on something false. Subtracted from the
-errors of the positions (half a count each), of the times (jitter), and of a torque that comes late; what remains is
-an error of its size is not.
+m is at least `moving_mass`, F at least the declared f_c, and in contact the hand pulls out with at most F_h and pushes
+in with at most `hand_push`. If the axis gains more speed than the right side allows, a declaration of the device or of
+the hand is false, and the certificates rest on it. The errors of the positions (half a count each), of the times
+(jitter) and of a late torque are subtracted from the excess, so that none of them can cause it.
 
-Out of contact nothing is declared of the hand, and a hand without a bound explains every motion: there is no test. So a
-missing friction shows while a wall pushes the handle out faster than F_h and f_c let it. Where that never happens in a
-run, measure again (canhaptic commission). A motion that stops inside a hold, between two positions, is not seen; the
-certificates are then withdrawn in vain.
+Out of contact the force of the hand has no declared bound and can explain every motion, so nothing is checked there.
+Missing friction therefore shows only while a wall pushes the handle out faster than F_h and f_c permit; if that never
+happens in a run, measure the friction again (canhaptic commission). A stop inside a hold, between two positions, is not
+seen, and may withdraw certificates without cause.
 """
 
 from dataclasses import dataclass
@@ -26,7 +25,7 @@ _STRETCH: Final = 0.01  # [s]
 
 @dataclass(frozen=True, slots=True)
 class FrictionDeclared:
-    """Declared friction and hand that a run is checked against: only numbers, so that a log can hold them."""
+    """Declared bounds of friction and hand that a run is checked against; numbers only, so that a log can hold them."""
 
     friction: float  # f_c, at least [N or N*m]
     mass: float  # at least [kg or kg*m^2]
@@ -40,7 +39,7 @@ class FrictionDeclared:
 
 @dataclass(slots=True)
 class _Stretch:
-    """One part of a motion one way."""
+    """One of the two consecutive parts of a motion in one direction."""
 
     way: float = 0.0  # 1 or -1; 0: it stood still, turned, or was out of contact
     hand: float = 0.0  # largest force of the hand along it [N or N*m]
@@ -52,13 +51,13 @@ class _Stretch:
 
 
 class FrictionWatch:
-    """Compares the motion of a run with the declarations, hold by hold.
+    """Compares the motion of a run with the declared friction and hand, hold by hold.
 
     Args:
         declared: Declared friction and hand.
 
     Attributes:
-        excess: Largest force by which the motion exceeded declared friction [N or N*m]; 0: none.
+        excess: Largest force by which the motion contradicts the declarations [N or N*m]; 0: none.
     """
 
     def __init__(self, declared: FrictionDeclared) -> None:
@@ -71,7 +70,7 @@ class FrictionWatch:
         self._now, self._before = _Stretch(), _Stretch()
 
     def take(self, position: float, torque: float, deadline: int, asked: float) -> None:
-        """Take a hold; after a gap the comparison restarts.
+        """Add a hold; after a gap restart the comparison.
 
         Args:
             position: Position at the end of the hold [m or rad].
@@ -102,7 +101,7 @@ class FrictionWatch:
             self._before, self._now, self._taken = now, _Stretch(), 0
 
     def _compare(self, first: _Stretch, second: _Stretch) -> None:
-        """Compare two stretches that follow each other, each of as many holds."""
+        """Compare two consecutive stretches with the same number of holds."""
         way, of = second.way, self._declared
         if way == 0.0 or first.way != way:
             return

@@ -1,7 +1,4 @@
-"""Ledger: the sums of the account of every hold over a whole run.
-
-Check of the energy that a port gave out against its declared limit, independent of the controller.
-"""
+"""Sums of a port's energy account over a run, and an independent limit on the energy that it gives out."""
 
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -23,9 +20,8 @@ from canhaptic.signals import Sample
 class EnergyLossMeter:
     """Energy received through one port, from the applied torques and measured positions alone.
 
-    The uncertainty due to lost samples is not subtracted: a controller books it at its worst, and a run would end for
-    energy that was never given out. The certain dissipation of the device is added, as a damping certificate
-    counts on it.
+    Unlike in a controller's account, the uncertainty of lost samples is not subtracted: a run would end for energy that
+    was never given out. The certain dissipation of the device is added, because a damping certificate relies on it.
 
     Args:
         name: Name of the port.
@@ -60,8 +56,7 @@ class EnergyLossMeter:
         """Count the hold that ended; return whether more was given out than allowed.
 
         Args:
-            samples: Samples of the whole rig; where one of the port's is not fresh, the next fresh one counts for all
-                holds.
+            samples: Samples of the whole rig. Holds of this port without a fresh sample are counted with the next one.
             deadline: Sample times from the first SYNC to this one, skipped SYNCs included.
         """
         booked_at, positions = self._booked_at, self._positions
@@ -110,7 +105,7 @@ class LedgerSummary(NamedTuple):
 
     @property
     def certificate(self) -> Certificate:
-        """The weakest certificate that bounded a torque; EXACT where no torque acted."""
+        """The weakest certificate that bounded a torque; EXACT if no torque acted."""
         return self.certificates[-1] if self.certificates else Certificate.EXACT
 
     def as_json(self, sample_time: float) -> PortResult:

@@ -1,4 +1,4 @@
-"""The mass that a hand feels at an admittance display, fitted to the samples of a run: its own forces and positions.
+"""Apparent mass of an admittance display, as a hand feels it, fitted to the forces and positions of a run.
 
 Over two stretches of equal time T_s, with a weight w that rises from 0 to 1 over the first and falls over the second,
 m v' + b v + F_0 = F - k q gives by parts, for the positions q_0, q_1, q_2 at the ends of the stretches,
@@ -8,9 +8,9 @@ m v' + b v + F_0 = F - k q gives by parts, for the positions q_0, q_1, q_2 at th
 so that no velocity is estimated, and a count of the encoder enters over T_s^2. Least squares give m, b and F_0.
 Left out are stretches next to a wall or a limit of the position, and those with a lost sample or a skipped SYNC.
 
-The mass is known where the motion excites it: in 30 pairs of stretches at least, with a root mean square of the
-acceleration (what damper and offset do not explain) of 10 times what the counts of the encoder alone give, so that
-these shift it by 1 % at most, and with a standard error of a tenth of the mass at most.
+The fit counts only if the motion excites the mass. It needs at least 30 pairs of stretches, and a standard error of at
+most a tenth of the mass. The root mean square of the acceleration that damper and offset do not explain has to be 10
+times the one that encoder counts alone give, so that they shift the mass by at most 1 %.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ _LARGEST_ERROR: Final = 0.1  # standard error over the mass
 
 @dataclass(frozen=True, slots=True)
 class MassAsked:
-    """Declared mass that the one felt is compared with: numbers alone, so that a log can hold them."""
+    """Requested mass, with spring and limits of the display; only numbers, so that a log can store them."""
 
     mass: float  # [kg or kg*m^2]
     stiffness: float  # of the spring to ground [N/m or N*m/rad]; where it is at rest counts as part of F_0
@@ -37,13 +37,13 @@ class MassAsked:
 
 
 class MassFelt:
-    """Fits the mass to force and position, hold by hold.
+    """Fits the apparent mass to force and position, hold by hold.
 
     Args:
-        asked: Declared mass, spring and limits.
+        asked: Requested mass, spring and limits.
 
     Attributes:
-        asked: As given.
+        asked: Requested mass, spring and limits.
     """
 
     def __init__(self, asked: MassAsked) -> None:
@@ -56,7 +56,7 @@ class MassFelt:
         self._sums = [0.0] * 16  # products of speed, 1, acceleration and force
 
     def take(self, position: float, torque: float, deadline: int) -> None:
-        """Take a sample; after a gap the stretches begin anew.
+        """Add a sample; after a gap begin a new stretch.
 
         Args:
             position: Position at the SYNC [m or rad].
@@ -77,7 +77,7 @@ class MassFelt:
         self._deadline, self._taken = deadline, self._taken + 1
 
     def _end(self, position: float) -> None:
-        """End a stretch at a position [m or rad]; with the one before it is a pair."""
+        """End a stretch at a position [m or rad], and add the pair with the one before to the sums."""
         start, before, moved = self._start, self._before, position - self._start
         mean, near = start + (self._way + 0.5 * moved) / self._holds, abs(moved) + self.asked.count
         is_free = min(start, position) - near > self.asked.low and max(start, position) + near < self.asked.high
@@ -90,7 +90,7 @@ class MassFelt:
 
     @property
     def mass(self) -> float | None:
-        """Mass that fits best [kg or kg*m^2]; None where the motion does not excite it, see the module."""
+        """Mass that fits best [kg or kg*m^2]; None if the motion does not excite it enough, see the module."""
         import numpy as np
 
         sums = np.reshape(self._sums, (4, 4))

@@ -1,19 +1,20 @@
-"""PortResult: the account of a port after a run. Verdicts: whether the account shows the port passive.
+"""Verdicts on a port after a run: whether its energy account shows that it was passive.
 
-**Active.** A sum of energy that is booked with an error of at most R fell below -A for certain where booked + R < -A,
-at any time. R grows in a run and the sum may recover, so the end of a run does not show it: a run notes the first such
-hold of each port, and the verdict stays "no" from there on. A is the energy that may be given out (`energy_allowance`).
-At the motor this refutes every certificate, unless damping or friction of the device is declared. Then the promise is
-that at the handle, and it is refuted where booked + R + D < -A, with D the most that the device can have dissipated.
-An R that is an estimate, and no bound, refutes nothing.
+A is the energy that may be given out (`energy_allowance`), and R the largest error of the booked sum of energy.
 
-**Passive.** "Yes, measured" where booked - R >= -A after every hold: no more came out, whether or not the declarations
-of hand and device are right; those of timing and hold it rests on too. "Yes, by certificate" where every torque was
-certified, nothing refutes it, and R at the end is at most a tenth of what came in, or A, or 10 uJ: a certificate rests
-on the positions too. For a spring pressed to a depth, R over what came in is 2 counts over the depth. Of a real drive a
-hands-off test must have found in which hold its torques act. Otherwise "in doubt", with the reason.
+**Active: "no".** If booked + R < -A at any time, the true sum certainly fell below -A. R grows in a run and the sum may
+recover, so that the values at the end need not show it: a run notes the first such hold of each port, and the verdict
+is "no" from then on. At the motor this refutes every certificate, unless damping or friction of the device is declared.
+Then the certificates promise the sum at the handle. It is refuted if booked + R + D < -A, with D the most that the
+device can have dissipated. An R that is only an estimate refutes nothing.
 
-The account of a dry run, in which no torque was sent: a positive result proves nothing about the controller.
+**Passive: "yes".** "Measured": booked - R >= -A after every hold. So no more energy came out, even if the declarations
+of hand and device are false; the declared timing and hold must be true. "By certificate": every torque was certified,
+nothing refutes the certificates, and R at the end is at most a tenth of the energy received, or A, or 10 uJ, because a
+certificate relies on the positions too. For a spring pressed to a depth, R over the energy received is 2 counts over
+the depth. For a real drive a hands-off test must also have found the hold in which its torques act.
+
+**Otherwise "in doubt"**, with the reason. A dry run sends no torque and proves nothing about the controller.
 """
 
 from collections.abc import Mapping
@@ -23,24 +24,24 @@ from typing import Final, Literal, NotRequired, TypedDict
 from canhaptic.control.balance import Certificate
 
 Verdict = Literal["yes", "no", "in doubt"]
-"""Whether a port was passive; "in doubt" where uncertain energy decides."""
+"""Whether a port was passive; "in doubt" if the uncertain energy decides."""
 Headline = Literal["yes", "no", "in doubt", "nothing rendered", "no contact", "dry run"]
 """Displayed word of a port: the verdict of its simulated plant, else of its account, or why there is none."""
 
 PASSIVE_TOLERANCE: Final = 1e-6
-"""Energy below zero that still counts as zero, for counts of the encoder, where its resolution is not known [J]."""
+"""Energy below zero that still counts as zero if the resolution is not known: an allowance for encoder counts [J]."""
 ROUNDING: Final = 1e-9
-"""The same where the resolution of the energy is known [J]."""
+"""Energy below zero that still counts as zero if the resolution is known: an allowance for rounding [J]."""
 ACTIVE_AT_MOTOR: Final = 1
 """Bit of the column `active`: the sum at the motor fell below the allowance for certain."""
 ACTIVE_AT_HANDLE: Final = 2
 """The same for the sum at the handle."""
 NOT_CHECKED: Final = "not checked"
-"""`hold` of a port without a hands-off test of the hold in which its torques act."""
+"""Value of `hold` without a hands-off test of the hold in which the torques act."""
 _LARGEST_DOUBT: Final = 0.1
-"""Resolution over the energy that came in beyond which no certificate says yes."""
+"""Largest resolution, over the energy received, for a yes by certificate."""
 _SMALLEST_DOUBT: Final = 1e-5
-"""Resolution that is never too large [J]."""
+"""Resolution that permits a yes by certificate for any energy received [J]."""
 _LEAST_RENDERED: Final = 0.1
 """Part of the requested torque in contact below which nothing counts as rendered."""
 _SUSPECTS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -54,7 +55,7 @@ _SUSPECTS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """Declarations behind each certificate, the likeliest to be wrong first."""
 _OF_EVERY_TORQUE: Final = ("current_lag", "torque_window", "delay")
-"""Declarations behind the account itself."""
+"""Declarations behind the account itself, whichever the certificate."""
 
 
 class Extremes(TypedDict):
@@ -80,7 +81,7 @@ class LeastMargin(TypedDict):
 
 
 class ContactHolds(TypedDict):
-    """Holds in contact; the last three only for a single axis."""
+    """Number of holds in contact, and the torques in them; the last three keys are for a single axis only."""
 
     holds: int
     without_torque: int
@@ -90,7 +91,7 @@ class ContactHolds(TypedDict):
 
 
 class RenderedShares(TypedDict):
-    """Share of the environment that was rendered in contact; None: none requested."""
+    """Share of the requested stiffness and damping that was rendered in contact; None: none requested."""
 
     stiffness: float | None
     damping: float | None
@@ -181,12 +182,12 @@ def passive_verdict(
         resolution: Largest difference between booked and true sum at the end [J].
         energy_in: Total energy received [J].
         is_promised: Whether certificates of every hold exclude a lower value.
-        has_open_hold: Whether the run ended in holds that are not booked, because no further position arrived. What is
-            promised holds for them too: a torque that acts for longer than its certificate covers loses it.
+        has_open_hold: Whether the run ended in holds that are not booked, because no further position arrived.
+            Certificates cover them too: a torque that acts for longer than its certificate covers loses it.
         allowance: Energy that may be given out [J].
-        is_estimated: Whether the resolution is an estimate, so that a sum below it proves nothing.
-        certain: Least value of the sum less its resolution then [J]; None: the resolution at the end is used.
-        books_least: Whether the booked energy is the least that may have come in, at any resolution.
+        is_estimated: Whether the resolution is an estimate; a sum below it then proves nothing.
+        certain: Least value of sum minus resolution after any hold [J]; None: `least` minus the resolution at the end.
+        books_least: Whether the booked energy is a lower bound of the energy received.
     """
     floor = -(allowance + ROUNDING)
     if least + resolution < floor and not is_estimated:
@@ -207,7 +208,7 @@ def passive_verdict(
 
 
 def _too_coarse(resolution: float, energy_in: float) -> str:
-    """Return why a resolution [J] is too coarse, in counts of an encoder: see the module."""
+    """Return why a resolution [J] is too coarse, as the depth of a contact in encoder counts; see the module."""
     deep, needed = 2.0 * energy_in / resolution, 2.0 / _LARGEST_DOUBT
     return f"the contact acts as if {deep:.2g} counts deep, {needed:.0f} needed"
 
@@ -219,9 +220,9 @@ def is_certified(account: PortResult) -> bool:
 
 
 def account_verdict(account: PortResult) -> tuple[Verdict, str]:
-    """Whether a port was passive at the motor (eq. 3), by the energy received against the motor's torque, and why.
+    """Return whether a port was passive at the motor (eq. 3), by the energy received against its torque, and why.
 
-    Where a damping of the device is declared, certificates guarantee the sum at the handle, not this one.
+    If damping or friction of the device is declared, certificates guarantee the sum at the handle, not this one.
 
     Args:
         account: Sums of `LedgerSummary.as_json`, with the port's other figures.
@@ -238,10 +239,11 @@ def account_verdict(account: PortResult) -> tuple[Verdict, str]:
 def handle_verdict(account: PortResult) -> tuple[Verdict, str] | None:
     """Return whether a port was passive at the handle, including the device's certain dissipation, and why.
 
-    None without a declared damping of the device. It may have dissipated more: a sum below zero proves nothing.
+    None without declared damping or friction of the device. A booked sum below zero proves nothing here, because the
+    device may have dissipated more.
 
     Args:
-        account: The same as for `account_verdict`.
+        account: Sums of `LedgerSummary.as_json`, with the port's other figures.
     """
     least = account.get("least_at_handle")
     if least is None:
@@ -315,9 +317,9 @@ def add_verdicts(account: PortResult, plant: tuple[float, float] | None = None) 
 
 
 def headline(account: PortResult) -> Headline:
-    """Headline word of a port, from its verdicts and contacts.
+    """Return the headline word of a port, from its verdicts and contacts.
 
-    Passive at the handle counts as passive: the port is there where the device is part of the guarantee.
+    Passive at the handle counts as passive: a guarantee that includes the device holds there.
 
     Args:
         account: Account of a port, with its verdicts.
@@ -338,7 +340,7 @@ def headline(account: PortResult) -> Headline:
 def _is_silent(account: PortResult, contact: ContactHolds) -> bool:
     """Return whether less than a tenth of the requested efforts, or else of the damping, was rendered.
 
-    The request is unknown for a group, or an admittance display: there no torque at all is silence.
+    Where the request is unknown, as for a group or an admittance display: whether no torque acted at all.
     """
     if contact.get("asked"):
         return contact["sent"] < _LEAST_RENDERED * contact["asked"]
@@ -349,7 +351,7 @@ def _is_silent(account: PortResult, contact: ContactHolds) -> bool:
 
 
 def claim_nothing(account: PortResult) -> None:
-    """Remove everything from a port's account that only a sent torque can prove: certificates and rendered shares.
+    """Remove from a port's account what only a sent torque can prove: certificates and rendered shares.
 
     Args:
         account: Account of the port; changed.

@@ -1,96 +1,89 @@
-"""The largest torque of the next hold by all certificates, and the energy reserved for the queued torques.
+"""Largest torque of the next hold by all certificates together, and the energy reserved for the queued torques.
 
-All certificates of one axis as one: the declared hand bounds the displacement, the device dissipates the energy.
+The certificates of one axis are combined: the declared hand bounds the displacement, and the device dissipates energy.
 
 The budget is the energy received and the device's certain dissipation, S = E + sum((b/T) D_i^2 + f_c |D_i|); with
-neither b nor f_c declared that is E. A hold of torque f >= 0 along and displacement D along takes from S
+neither b nor f_c declared it is E. A hold with a torque f >= 0 and a displacement D along it takes from S
 
     g(f, D) = f D - (b/T) D^2 - f_c |D|,
 
-concave in D. Nothing is known of D but D <= R, the least of the reach of the hand force (`next_displacement`, which
-chains over the queued holds), v_max T of the hand speed, and infinity. With n = f - f_c the largest value of g is
+concave in D. Only D <= R is known, R being the smallest of the reach of the hand force (`next_displacement`, chained
+over the queued holds), v_max T of the hand speed, and infinity. With n = f - f_c the largest value of g is
 
-    R <= 0:                        f R, at most: energy comes in for certain
+    R <= 0:                        f R at most: energy certainly comes in
     n <= 0 < R:                    0: dry friction pays for the whole torque, at any speed of any hand
     n > 0, R < n T / 2b:           R (n - b R / T)
     else:                          n^2 T / 4b                                                                     (1)
 
-(`taken`). The sum over the queued holds and the next one is the most by which S can fall in them, for each D_i
-has a bound of its own. So S stays >= 0 where the sum is <= S before every hold: S after the hold is S - g(f, D) >= the
-sum over the holds that are left. A torque against adds what it may take in its own direction.
+(`taken`). The sum over the queued holds and the next one is the most by which S can fall in them, because each D_i
+has its own bound. So S stays >= 0 if the sum is <= S before every hold: S after the hold is S - g(f, D) >= the
+sum over the remaining holds. A queued torque in the other direction adds what it may take in its own direction.
 
-**The largest torque.** (1) grows with f, by itself and through R = base + gain f, so that the torques with
-(1) <= S' (what the queued holds leave) form an interval. Its end is f_c + sqrt(4 b S' / T) for an unknown
-hand; else the larger of the ends for each reach, where that of the hand force solves a quadratic in f:
+**Largest torque.** (1) grows with f, by itself and through R = base + gain f, so that the torques with (1) <= S'
+(the budget left by the queued holds) form an interval. For an unknown hand its end is f_c + sqrt(4 b S' / T).
+Otherwise it is the larger of the ends for each reach. The end for the hand force solves a quadratic in f,
 
     f^2 gain (1 - q) + f (base (1 - 2q) - f_c gain) <= S' + f_c base + (b/T) base^2,   q = (b/T) gain,
 
-if the displacement at its root is below n T / 2b, and is the end for any hand if not: the quadratic is (1) with a
-displacement that the hand would not choose, its root never the smaller one. q < 1, as `during` is that of a damping b.
+if the displacement at its root is below n T / 2b; if not, it is the end for an unknown hand. The quadratic is then (1)
+with a displacement that the hand would not choose, and its root is never the smaller one. q < 1, because `during`
+includes the damping b.
 
-Each certificate alone is the same with the others left out, and none has a larger end.
+Each certificate alone is the same with the other terms left out, and none has a larger end.
 
-**For every hand no law sends more.** An unknown hand may move the axis anywhere by each SYNC: it can
-take (1) with R infinite in every queued hold and in the next one, so that at any larger torque there is a hand that
-brings S below 0. With b = 0 the end is f_c: at f > f_c a hand that moves by D > S' / (f - f_c) within the hold takes
-out more than there is. With b it is f_c + sqrt(4 b S' / T), and what friction took on the way to the wall counts in S'.
-So a wall k is held at a force F for every hand if (1 + delay) (F - f_c)^2 T / 4b is no more than F^2 / 2k + f_c F / k
-and the budget before the contact (`start_energy`). k <= 2 f_c / (v T) (Diolaiti 2006) is for hands up to a speed v,
-and b > k T / 2 with k <= 2 f_c / count (Abbott and Okamura 2005) pays for the encoder's quanta with f_c: neither is a
-promise for every hand by f_c alone. With `hand_speed` v the end is f_c + S' / v T.
+**For every hand no control law can send more.** An unknown hand may move the axis anywhere by each SYNC: it can
+take (1) with R infinite in every queued hold and in the next one, so that for any larger torque some hand brings S
+below 0. With b = 0 the end is f_c: at f > f_c a hand that moves by D > S' / (f - f_c) within the hold takes out more
+than the budget. With b it is f_c + sqrt(4 b S' / T), and the dissipation by friction on the way to the wall is in S'.
+So a wall k is held at a force F for every hand if (1 + delay) (F - f_c)^2 T / 4b is at most F^2 / 2k + f_c F / k
+plus the budget before the contact (`start_energy`). k <= 2 f_c / (v T) (Diolaiti 2006) is for hands up to a speed v,
+and b > k T / 2 with k <= 2 f_c / count (Abbott and Okamura 2005) uses f_c up for the encoder's quantization: neither
+is a promise for every hand by f_c alone. With `hand_speed` v the end is f_c + S' / v T.
 
-Largest torque after late torques, by the reach of the hand's force; see `certified_torque`.
-
-n is the part of a torque above f_c, which friction pays for: f_c is 0 for A, and that of the device for B.
-
-The sum of certificates where torques come late, holds are uneven, or frames may be lost.
-
-`certified_torque` has the sum for holds with one torque each, `hold_timing` the effect of a late torque. Here both:
-at every instant the device dissipates b v^2 + f_c |v|, so that torques u = f (1 - p) + older ones take from S no more
-than the integral of
+**Late torques, uneven holds, lost frames.** Above, each hold has one torque; `scalar_bounds` has the effect of a late
+torque on the displacement. Together: at every instant the device dissipates b v^2 + f_c |v|, so that torques
+u = f (1 - p) + older ones take from S no more than the integral of
 
     phi = u v - b v^2 - f_c |v|
 
 over the motions v <= v* that the hand allows. phi is concave in v, and with n the part of a torque above f_c,
 (u - f_c)+ <= n_f (1 - p) + n_older p. So a hold takes no more than each of
 
-    A  what the torques give out along v*, as in `hold_timing`:     phi <= u v* where v* < 0 or u v* > 0
+    A  what the torques give out along v*, as in `scalar_bounds`:   phi <= u v* where v* < 0 or u v* > 0
     B  the same with n in place of every torque:                    phi <= (u - f_c)+ v*, and u v* <= n v* for v* < 0
     C  (n_f^2 T + theta max(0, n_g^2 - n_f^2)) / 4b:                phi <= (u - f_c)+^2 / 4b, and squares are convex
     D  v_max (n_f T + theta max(0, n_g - n_f)):                     phi <= (u - f_c)+ |v|
 
-with g the largest older torque, and the least of them counts (`taken_in_hold`): A and B need the hand's force (the
-motion is that of the whole torques), C the device's damping, or torques that are all below f_c, and D the hand's speed.
-Torques in both directions are charged each for its own; friction and damping are used where v is along the torque
-alone, so that no part of them counts twice. The tail of the last torque is charged as if no torque followed.
+with g the largest older torque, and the smallest of them counts (`taken_in_hold`). A and B need the hand's force (v* is
+computed with the whole torques), C the device's damping, or torques that are all below f_c, and D the hand's speed.
+Torques in opposite directions are each charged in their own direction. Friction and damping are used only while v is
+along the torque, so that no part of them counts twice. The tail of the last torque is charged as if no torque followed.
 
-**Lost frames.** In each queued hold any of the last torques sent may act: A to D are taken at the largest, an energy
-that comes in at the least of them. A new torque may act in 1, 2, ... holds, and each of A to D is summed over them.
+If frames may be lost, any of the last torques sent may act in each queued hold: A to D are taken with the largest of
+these torques, received energy with the smallest. A new torque may act in 1, 2, ... holds, and each of A to D is summed
+over them. The functions below write n for the part of a torque above f_c; in bound A, f_c is 0.
 
-**Remaining budget.** S includes what the device dissipated. The least energy that may have come in is booked: by the
-hand's force or speed, or by the damping for an arbitrary hand (`for_any`).
-
-**In debt** (a budget below zero) there may be no torque that meets it. Then a torque is sent only as far as it
-absorbs energy by itself, its tail included, at any older torques (`takes_in`).
-
-State of the certificates of one axis: the holds that ended, and the uncertainty of their energy.
+**Budget.** S includes the dissipation of the device. The least energy that may have come in is booked: by the hand's
+force or speed, or by the damping for an arbitrary hand (`for_any`). If S is below zero, no torque may satisfy the sum.
+Then a torque is sent only as far as it absorbs energy by itself, its tail included, after any older torques
+(`takes_in`).
 
 **Uncertainty due to an encoder, with dry friction.** A position x_k = p_k + e_k is read as p_k, |e_k| <= c / 2, and
-friction dissipates f_c |x_(k+1) - x_k| at least. Let G_k(e) be the least that came in and was dissipated, less what is
-booked, over all motions that end at e. With D = p_(k+1) - p_k and the torque f of the hold
+friction dissipates at least f_c |x_(k+1) - x_k|. Let G_k(e) be the least energy received and dissipated, minus the
+booked energy, over all motions that end at e. With D = p_(k+1) - p_k and the torque f of the hold
 
     G_(k+1)(e') = min over e of G_k(e) - f (e' - e) + f_c |D + e' - e|.
 
-It starts flat. Where |D| >= c the sign of the motion is known, and G becomes a straight line, of any G before, with
-the slope -f + f_c sign(D); where D = 0 its slope is limited to -f +- f_c. So a line it stays, exactly, and one number
-has the slope s. Its least value is G(0) - |s| c / 2, and each hold changes G(0) by f_c |D| - |s' - s| c / 2. Without
+G_0 is constant. If |D| >= c, the sign of the motion is known, and any G becomes a straight line of slope
+-f + f_c sign(D); if D = 0, the slope is limited to -f +- f_c. So G remains a straight line, and one number, its slope
+s, describes it. Its least value is G(0) - |s| c / 2, and each hold changes G(0) by f_c |D| - |s' - s| c / 2. Without
 friction that is |f - f'| c / 2 for each change of torque.
 
 For a spring f = -k p that is rendered in full, dither over one edge costs nothing up to k = 2 f_c / c. A motion over
-many counts costs k c^2 for each of them, of which friction covers f_c c: k = f_c / c is sustained at any speed of any
-hand, and no more. For the same counts result from a hand that rests at every edge and crosses the next count
-within one hold: it takes out k c^2 a count, and nothing in its counts tells it from a slow one. For a hand that is
-slower than c / 2 T throughout, 2 f_c / c would do.
+many counts costs k c^2 for each of them, of which friction covers f_c c: exactly up to k = f_c / c it is sustained at
+any speed of any hand. A stiffer spring is not, because the same counts result from a hand that rests at every edge and
+crosses the next count within one hold. It takes out k c^2 per count, and its counts do not differ from those of a slow
+hand. For a hand that is always slower than c / 2 T, 2 f_c / c would suffice.
 """
 
 from dataclasses import dataclass
@@ -102,12 +95,12 @@ from canhaptic.control.certificates.scalar_bounds import WINDOW, hand_force_boun
 from canhaptic.kernels import Buffer, MakeBuffer, new
 
 _WHOLE: Final = 1.0 - 1e-9
-"""Part of a count from which on a displacement is one or more of them; less is an encoder that shows parts."""
+"""Share of a count from which a displacement counts as at least one; the margin is for rounding."""
 
 
 @dataclass(frozen=True, slots=True)
 class Declared:
-    """Declared properties of axis and hand."""
+    """Declared properties of axis and hand on which the certificates rely."""
 
     sample_time: float  # longest hold [s]
     delay: int  # whole holds between computation and action
@@ -126,7 +119,7 @@ class Declared:
 
 @dataclass(slots=True)
 class TorqueBound:
-    """The hold that ended, and the uncertain part of the energy."""
+    """State of the certificates of one axis: the hold that ended, and the uncertainty of the energy."""
 
     displacement: float = 0.0  # [m or rad]
     torque: float = 0.0  # [N or N*m]
@@ -154,7 +147,7 @@ class TorqueBound:
 
 
 class BoundMemory(NamedTuple):
-    """Buffers of the bound for sequences; changed in place."""
+    """Ring buffers of the torque bound; changed in place."""
 
     displacements: Buffer  # of the last holds, a ring of `WINDOW` [m or rad]
     torques: Buffer  # held in them; where torques come late, what counts along + [N or N*m]
@@ -163,23 +156,23 @@ class BoundMemory(NamedTuple):
 
 
 def bound_memory(declared: Declared, under_way: Buffer, make_buffer: MakeBuffer) -> BoundMemory:
-    """Return the buffers of a bound on the queued torque."""
+    """Return the buffers of the torque bound of an axis with a ring of queued torques."""
     window = WINDOW if declared.encoder_count > 0.0 else 0
     against = window if declared.late > 0.0 else 0
     return BoundMemory(make_buffer(window), make_buffer(window), make_buffer(against), under_way)
 
 
 def look_for_turn(declared: Declared, bound: TorqueBound, memory: BoundMemory, moved: float, holds: float) -> None:
-    """Return whether any hold that matters for the next torque may contain a reversal of the effort.
+    """Set `bound.turns` if any hold that matters for the next torque may contain a reversal of the effort.
 
-    There the way out of one contact is the way into another, so that the hand may do in either direction what
-    it may do in one. The hold that ended counts, as its force is in the next displacement, and so do those up to the
-    end of the next torque, and one more. The result of the previous SYNC is kept for the hold that ended: a hand that
-    turned beyond a crest and came back within it leaves no trace in the positions.
+    At a reversal the way out of one contact is the way into another, so that the larger of the hand's pull and push
+    counts in both directions. The hold that ended matters, because its forces still affect the next displacement; so do
+    those up to the end of the next torque, and one more. The result of the previous SYNC counts for the hold that
+    ended: a hand that went beyond a crest and came back within the hold leaves no trace in the positions.
 
     Args:
         declared: Declared properties of axis and hand.
-        bound: State of the axis's torque bound and its stretch; modified.
+        bound: State of the axis's torque bound, with the interval of constant direction; changed.
         memory: Buffers of the bound.
         moved: Displacement since the last position [m or rad].
         holds: Number of holds since then.
@@ -193,7 +186,7 @@ def look_for_turn(declared: Declared, bound: TorqueBound, memory: BoundMemory, m
 
 
 def reaches_turn(declared: Declared, bound: TorqueBound, memory: BoundMemory, torque: float) -> bool:
-    """Whether the axis can reach the end of its stretch while the next torque acts, or in the hold after it."""
+    """Return whether the axis can reach a reversal of the effort while the next torque acts, or one hold later."""
     up = down = 0.0
     for place in range(len(memory.under_way)):
         up, down = max(up, memory.under_way[place]), min(down, memory.under_way[place])
@@ -202,9 +195,9 @@ def reaches_turn(declared: Declared, bound: TorqueBound, memory: BoundMemory, to
 
 
 def reach(declared: Declared, bound: TorqueBound, sign: float, torque: float) -> float:
-    """Largest distance that the axis moves along `sign` until the hold after the next torque, by a torque along it.
+    """Return the largest distance along `sign` up to the end of the hold after the next torque [m or rad].
 
-    In [m or rad]; the hand pulls along the effort's torque and pushes against it.
+    The given torque along `sign` [N or N*m] is assumed in every hold, with the hand's pull or push in that direction.
     """
     hand = declared.response.hand if sign * bound.out > 0.0 else declared.response.push
     displacement = sign * bound.displacement + declared.encoder_count + bound.position_uncertainty
@@ -216,14 +209,14 @@ def reach(declared: Declared, bound: TorqueBound, sign: float, torque: float) ->
 
 
 def hand_along(declared: Declared, bound: TorqueBound, sign: float) -> float:
-    """Displacement by the hand in two holds along `sign` [m or rad]: a pull outward, or a push inward."""
+    """Return the displacement by the hand in two holds along `sign` [m or rad]: by its pull outward, or push inward."""
     if sign * bound.out < 0.0 or bound.turns:
         return declared.response.push
     return declared.response.hand
 
 
 def acted(declared: Declared, bound: TorqueBound, sign: float) -> float:
-    """Torque along `sign` counted as held in the hold that ended [N or N*m]."""
+    """Return the torque along `sign` that counts as held in the hold that ended [N or N*m]."""
     if declared.late > 0.0:
         return bound.most if sign > 0.0 else -bound.least
     return sign * bound.torque
@@ -232,10 +225,10 @@ def acted(declared: Declared, bound: TorqueBound, sign: float) -> float:
 def end_hold(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, displacement: float, torque: float, lasted: float = 1.0
 ) -> float:
-    """Take the hold that ended: displacement [m or rad], the torque held in it [N or N*m], its length [sample times].
+    """Update the bound by the hold that ended: displacement [m or rad], torque [N or N*m], length [sample times].
 
     Returns:
-        Largest shortfall of the energy received against the booked energy, because the torque came late [J].
+        Largest amount by which less energy was received than booked, because the torque came late [J].
     """
     count, late, doubt = declared.encoder_count, declared.late, 0.0
     if declared.damping:
@@ -273,14 +266,12 @@ def dissipate(bound: TorqueBound, energy: float) -> None:
 
 
 def for_any(bound: TorqueBound) -> float:
-    """Energy that the device dissipated beyond the uncertainty for an arbitrary hand [J]."""
+    """Return the energy that the device dissipated, less the uncertainty for an arbitrary hand [J]."""
     return min(bound.certain, bound.dissipated)
 
 
 def pass_within_count(bound: TorqueBound, count: float, friction: float, displacement: float, torque: float) -> None:
-    """Take a hold whose ends are known to one count: dissipation by dry friction, less the uncertainty of the count.
-
-    See the module: the least of G changes by the friction along the counts, less half a count times the slope change.
+    """Add the dissipation by dry friction in a hold, less the uncertainty of a coarse encoder; see G in the module.
 
     Args:
         bound: State of the axis's torque bound; changed.
@@ -308,7 +299,7 @@ def pass_within_count(bound: TorqueBound, count: float, friction: float, displac
 def shorten(declared: Declared, bound: TorqueBound, lasted: float) -> None:
     """Replace the hold that ended, longer than T and of one torque, by its last sample time.
 
-    In it the axis moved at the mean speed of the whole, up to what torque and hand gain in half of the rest.
+    The axis is assumed to move at the mean speed of the whole hold; the possible difference is kept as an uncertainty.
 
     Args:
         declared: Declared properties of axis and hand.
@@ -332,7 +323,7 @@ def shorten(declared: Declared, bound: TorqueBound, lasted: float) -> None:
 
 
 def take_late(declared: Declared, bound: TorqueBound, torque: float) -> None:
-    """Record the torque of the hold that ended, and the range of older torques that acted in it [N or N*m]."""
+    """Store the torque of the hold that ended, and the range of older torques that acted in it [N or N*m]."""
     above, below = bound.highest - torque, torque - bound.lowest
     counts, left = declared.response.late, declared.left
     bound.most = bound.highest = bound.least = bound.lowest = torque
@@ -347,12 +338,13 @@ def take_late(declared: Declared, bound: TorqueBound, torque: float) -> None:
 def doubt_of_late(
     declared: Declared, bound: TorqueBound, displacement: float, torque: float, lasted: float = 1.0
 ) -> float:
-    """Largest shortfall of the energy received against the booked energy, in a hold whose torque came late [J].
+    """Return by how much less energy may have been received than booked in a hold whose torque came late [J].
 
-    See `hold_timing`. The hand's force is used in the direction out of the contact alone. Damping and dry
-    friction of the device alone bound no motion inside a hold, and their promise at the handle needs none: it covers
-    each torque at every instant. For friction an estimate is subtracted, for an axis no faster than twice the mean of
-    this hold or the previous one; `AxisMeter` adds the uncertainty at the motor for a hand of the largest speed.
+    See `scalar_bounds`. The bound of the hand's force is used only in the direction out of the contact. Without it, and
+    without a hand speed, no motion inside a hold is bounded. The promise at the handle, by damping and dry friction of
+    the device, needs no such bound: it covers each torque at every instant. With friction alone an estimate is
+    subtracted, for an axis at most twice as fast as the mean of this hold or the previous one; `AxisMeter` adds the
+    uncertainty at the motor for the largest speed of the axis.
 
     Args:
         declared: Declared properties of axis and hand.
@@ -393,11 +385,11 @@ def doubt_of_late(
 def reach_of_late(
     declared: Declared, bound: TorqueBound, sign: float, displacement: float, torque: float, lasted: float
 ) -> tuple[float, float]:
-    """Largest displacement of older torques along `sign`, and against it, in the hold that ended.
+    """Return the largest motion under older torques in the hold that ended, along `sign` and against it [m or rad].
 
-    In [m or rad]. In a hold of n sample times torque and hand have n times as long to move the axis there and back
-    before it ends at the measured position, so that the way back grows n times; s of `hold_timing` grows at most to
-    1 + 2 n times its excess over 1 in one sample time.
+    In a hold of n sample times torque and hand have n times as long to move the axis away and back to the measured
+    position, so that the way back grows n times; s of `scalar_bounds` grows at most to 1 + 2 n times its excess over 1
+    in one sample time.
 
     Args:
         declared: Declared properties of axis and hand.
@@ -425,12 +417,12 @@ def end_gap(
     declared: Declared, bound: TorqueBound, displacement: float, torque: float, holds: int, largest: float,
     apart: float,
 ) -> float:  # fmt: skip
-    """Book several holds of which only the total displacement is known; return the uncertainty of their energy [J].
+    """Book several holds with only their total displacement known; return the uncertainty of their energy [J].
 
-    In all but the last hold, whose torque was read back, any torque sent may have acted, and the previous one if
-    commands may be lost. The energy is wrong by at most the difference of the torques times the excursion in the hold.
-    The displacement alone does not bound it, as a reversal has almost none: the reach of the hand does,
-    or its speed, or what the device dissipates in an excursion.
+    The torque of the last hold was read back. In the others any torque sent may have acted, or the one before them if
+    commands may be lost. The energy is wrong by at most the difference of the torques times the excursion in each hold.
+    A reversal has a large excursion without displacement, so that the reach of the hand bounds it, or its speed, or the
+    dissipation of the device in it.
 
     Args:
         declared: Declared properties of axis and hand.
@@ -475,9 +467,9 @@ def end_gap(
 def spread_of_gap(bound: TorqueBound, torque: float, apart: float) -> float:
     """Widen the range of acting torques to all that may have acted in lost holds; return its width [N or N*m].
 
-    A late torque u is at every instant a mean of torques in this range, and the one read back, f, is one of them. By
-    parts the energy is wrong by the integral of (u - f) dx = [(u - f)(x - x_end)] - integral of (x - x_end) du: no more
-    than the width times the excursion for each of the changes at the beginnings of the holds, and twice more.
+    A late torque u is at every instant a mean of torques in this range, which includes the torque f read back. By
+    parts, the energy is wrong by the integral of (u - f) dx = [(u - f)(x - x_end)] - integral of (x - x_end) du. This
+    is at most the width times the excursion, once for the change at the start of each hold and twice more.
 
     Args:
         bound: State of the axis's torque bound; changed.
@@ -492,9 +484,9 @@ def spread_of_gap(bound: TorqueBound, torque: float, apart: float) -> float:
 
 
 def excursion_unseen(declared: Declared, bound: TorqueBound, displacement: float, holds: int, largest: float) -> float:
-    """Largest excursion of the axis by the hand within several holds [m or rad]; see `end_gap`.
+    """Return the largest excursion of the axis by the hand within several holds [m or rad]; see `end_gap`.
 
-    The uncertainty of the last displacement is then in `bound.position_uncertainty`.
+    It also sets `bound.position_uncertainty` to the uncertainty of the last displacement.
     """
     response, further = declared.response, 1.0
     hand = response.push if response.push < inf else response.hand
@@ -515,19 +507,19 @@ class Dissipated(Protocol):
 
 
 def keep(bound: Dissipated, energy: float, enough: float) -> None:
-    """Discard the device's dissipation beyond the amount that reaches `enough` [J] together with `energy`.
+    """Discard the device's dissipation by which the sum with `energy` exceeds `enough` [J].
 
-    Otherwise a contact could live, and buzz, on what the device dissipated long ago.
+    Otherwise a contact could vibrate on energy that the device dissipated long ago.
     """
     if energy + bound.dissipated > enough:
         bound.dissipated = min(bound.dissipated, max(0.0, enough - energy))
 
 
 def outward(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> float:
-    """Largest displacement of the hold that ended, counted along `sign` [m or rad].
+    """Return the largest displacement along `sign` in the hold that ended [m or rad].
 
-    The displacement is known to one count. A mean over j holds is known to count / j, and the hand and the torques
-    can have raised the last one above the mean only so far; the smallest of these bounds counts.
+    The displacement is known to one count, the mean over j holds to count / j. Hand and torques have a bound for the
+    difference of the last displacement from the mean; the smallest of the resulting bounds is returned.
     """
     if bound.kept < 2:  # of an ideal encoder none is kept
         return sign * bound.displacement + declared.encoder_count + bound.position_uncertainty
@@ -542,7 +534,7 @@ def outward(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: f
 
 
 def outward_by_windows(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> float:
-    """Smallest of the bounds from the mean over the last 1, 2, 3, ... holds [m or rad]."""
+    """Return the smallest of the bounds by the mean over the last 1, 2, 3, ... holds [m or rad]; see `outward`."""
     response, count = declared.response, declared.encoder_count
     lost, enough, more = 1.0 - response.retained, 2.0 * count, response.growth - 1.0
     torques = memory.against if declared.late > 0.0 and sign < 0.0 else memory.torques
@@ -572,12 +564,12 @@ def outward_by_windows(declared: Declared, bound: TorqueBound, memory: BoundMemo
 
 
 def taken(declared: Declared, torque: float, reach: float) -> float:
-    """Largest energy that a torque takes in a hold, beyond what the device dissipates in it: (1) [J].
+    """Return the largest energy that a torque takes out in a hold, less the dissipation of the device in it: (1) [J].
 
     Args:
         declared: Declared properties of axis and hand.
         torque: Torque along the direction, >= 0 [N or N*m].
-        reach: Largest displacement along it; infinite: unknown [m or rad].
+        reach: Largest displacement along it [m or rad]; infinite: unknown.
     """
     if reach <= 0.0:
         return torque * reach
@@ -595,11 +587,11 @@ def taken(declared: Declared, torque: float, reach: float) -> float:
 def taken_along(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, speed: float
 ) -> tuple[float, float]:
-    """Energy that the queued torques along `sign` take together [J], and the base of the next one.
+    """Return the energy that the queued torques along `sign` take out together [J], and the base of the next torque.
 
-    They take less while the axis still moves inward, and more afterwards: what they take until then is at most
-    what they take by the end, or zero. The base is the largest displacement in the next hold without a torque; infinite
-    for an unknown hand. `speed` is the hand's [m/s or rad/s]; 0: unused.
+    First the axis may still move inward, later outward, so that at any time they have taken out at most this energy, or
+    0. The base is the largest displacement in the next hold without a torque [m or rad], infinite for an unknown hand.
+    `speed` is that of the hand [m/s or rad/s]; 0: not used.
     """
     response, torques, first = declared.response, memory.under_way, bound.first
     hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
@@ -624,7 +616,7 @@ def taken_along(
 
 
 def free_in_sum(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
-    """Part of `energy`, with the device's dissipation, that the queued torques do not need [J]."""
+    """Return the part of `energy`, with the device's dissipation, that the queued torques do not need [J]."""
     free = energy + bound.dissipated
     if declared.delay:
         pushes = pulls = False
@@ -641,14 +633,14 @@ def free_in_sum(declared: Declared, bound: TorqueBound, memory: BoundMemory, ene
 def largest_in_sum(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
 ) -> tuple[float, float, float]:
-    """Largest torque along `sign` [N or N*m]: by all certificates, for any hand, and without the hand speed.
+    """Return the largest torque along `sign` [N or N*m]: by all certificates, for any hand, and without the hand speed.
 
     Args:
         declared: Declared properties of axis and hand.
         bound: State of the axis's torque bound.
         memory: Buffers of the bound.
         sign: 1 or -1.
-        energy: Energy budget, without what the device dissipated [J].
+        energy: Energy budget, without the device's dissipation [J].
     """
     by_any = 0.0  # largest energy that the queued torques take, for an arbitrary hand
     for place in range(bound.first, bound.first + declared.delay):
@@ -673,7 +665,7 @@ def largest_in_sum(
 def left_under_way(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float
 ) -> tuple[float, float]:
-    """Energy left by the queued torques [J], and the base of `taken_along` [m or rad]."""
+    """Return the energy that the queued torques leave [J], and the base of `taken_along` [m or rad]."""
     given, base = taken_along(declared, bound, memory, sign, speed)
     energy -= given
     for place in range(bound.first, bound.first + declared.delay):
@@ -684,14 +676,14 @@ def left_under_way(
 
 
 def for_any_hand(declared: Declared, budget: float) -> float:
-    """Largest torque covered by the device's dissipation, for an arbitrary hand [N or N*m]."""
+    """Return the largest torque for an arbitrary hand, by the device's dissipation alone [N or N*m]."""
     if budget <= 0.0:
         return declared.friction
     return declared.friction + sqrt(4.0 * declared.damping / declared.sample_time * budget)
 
 
 def by_reach(declared: Declared, budget: float, base: float, for_all: float) -> float:
-    """Return the largest torque by the reach of the hand force [N or N*m]; 0 where that is infinite."""
+    """Return the largest torque by the reach of the hand force [N or N*m]; 0 if the reach is infinite."""
     if base == inf:
         return 0.0
     friction, gain = declared.friction, declared.response.during
@@ -715,7 +707,7 @@ def by_fastest(declared: Declared, budget: float, fastest: float, for_all: float
 
 
 class LateMotion(NamedTuple):
-    """Largest displacement along the torque by the end of a hold, and the torques that act in the hold."""
+    """Largest displacement along the torque in a hold, and the torques that act in it."""
 
     displacement: float  # in that hold; infinite: the hand is unknown [m or rad]
     counted: float  # torque that counts as held in it, >= 0 [N or N*m]
@@ -724,13 +716,13 @@ class LateMotion(NamedTuple):
 
 
 def by_reach_of_late(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Largest part n of a torque above `friction` [N or N*m] by bound A of the module, or by B where friction is not 0.
+    """Return the largest part n of a torque above `friction` [N or N*m], by bound A, or by B if friction is not 0.
 
     Args:
         declared: Declared properties of axis and hand.
         hand: Displacement by the hand [m or rad].
         motion: Motion in the last queued hold.
-        friction: Friction, which pays for the rest of every torque [N or N*m].
+        friction: Dry friction, which covers the rest of every torque [N or N*m].
         energy: Energy budget [J].
     """
     if declared.losses:
@@ -745,10 +737,10 @@ def by_reach_of_late(declared: Declared, hand: float, motion: LateMotion, fricti
 def own_share(
     declared: Declared, hand: float, motion: LateMotion, friction: float
 ) -> tuple[float, float, float, float]:
-    """Start and gain of n (start + gain n), the energy that a torque takes by itself, its base, and its late part.
+    """Return (start, gain, base, late): a torque takes n (start + gain n) by itself, from its base, with a late part.
 
     It takes n D + (n - l) x and its tail n X, with D = base + during F the displacement in its hold and F = n + f_c.
-    The tail counts the displacement where it is outward: `start` is without that.
+    An outward displacement adds to the tail; `start` leaves this part out.
     """
     response, displacement = declared.response, motion.displacement
     base = next_displacement(displacement, motion.counted, 0.0, response, hand) + response.during * friction
@@ -759,10 +751,10 @@ def own_share(
 
 
 def takes_in(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Largest n for a torque that absorbs energy by itself, limited to the debt [N or N*m].
+    """Return the largest n of a torque that absorbs energy by itself, for a budget below zero [N or N*m].
 
-    Older torques push the axis while it acts: as if all of `late` of them were held, and `left` of them after the hold.
-    Below -start / gain the axis goes inward in the hold of the torque, so that its tail takes none of that motion.
+    Older torques push the axis while it acts, with a share of `late` in its hold and `left` after it. For n below
+    -start / gain the axis moves inward in the hold, so that this motion adds nothing to the tail.
     """
     response = declared.response
     start, gain, _, _ = own_share(declared, hand, motion, friction)
@@ -772,7 +764,7 @@ def takes_in(declared: Declared, hand: float, motion: LateMotion, friction: floa
 
 
 def above_older(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Return the largest n as if it were no smaller than the older ones; arguments as for `by_reach_of_late`."""
+    """Return the largest n, assumed not to be below the older torques; arguments as for `by_reach_of_late`."""
     start, gain, base, late = own_share(declared, hand, motion, friction)
     energy += max(0.0, motion.lowest - friction) * late
     share = declared.response.share
@@ -781,9 +773,9 @@ def above_older(declared: Declared, hand: float, motion: LateMotion, friction: f
 
 
 def below_older(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Return the largest n as if it were smaller than the older ones.
+    """Return the largest n, assumed to be below the older torques.
 
-    With g the largest of these above f_c it takes n D + (g - n) X_0 + (n - l) x and the tail G X, where
+    With g the largest older part above f_c, it takes n D + (g - n) X_0 + (n - l) x and the tail G X, where
     D = base + during (late g + (1 - late) F), G = c g + (1 - c) n, and (n - l) x is at most n x (g - l) / g.
     All is convex in n and joins `above_older` at n = g. Arguments as for `by_reach_of_late`.
     """
@@ -812,10 +804,10 @@ def below_older(declared: Declared, hand: float, motion: LateMotion, friction: f
 def if_held_on(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
     """Return the largest n of a torque that may act in 1, 2, ... holds until another arrives.
 
-    With D_i the displacements in them, g the older torques above f_c and X as in `hold_timing`, it takes n sum(D_i) +
+    With D_i the displacements in them, g the older torques above f_c and X as in `scalar_bounds`, it takes n sum(D_i) +
     g X_1 + c g sum(X_i) + n x and its tail (n + c g) X; each X_i after the first is at most that of the sum of all
-    outward displacements. If the new torque is lost, the older ones stay: they were certified for it. Arguments as for
-    `by_reach_of_late`.
+    outward displacements. If the new torque is lost, the older ones stay; they were certified for this. Arguments as
+    for `by_reach_of_late`.
     """
     response, left = declared.response, declared.left
     displacement, before, highest, _ = motion
@@ -841,7 +833,7 @@ def if_held_on(declared: Declared, hand: float, motion: LateMotion, friction: fl
 def sum_of_displacements(
     response: scalar_bounds.DisplacementResponse, base: float, gain: float, hand: float, friction: float, holds: int
 ) -> tuple[float, float, float]:
-    """Sum of the displacements over several holds of one torque.
+    """Return the sum of the displacements over several holds of one torque, as a function of the torque.
 
     Args:
         response: Displacement response of the axis.
@@ -852,7 +844,7 @@ def sum_of_displacements(
         holds: Number of holds.
 
     Returns:
-        Sum without the torque, its gain, and the outward part of the first [m or rad, m/N or rad/(N*m), m or rad].
+        (sum without the torque [m or rad], its gain [m/N or rad/(N*m)], outward part of the first [m or rad]).
     """
     start, more, ahead = base, gain, max(0.0, base)
     for _ in range(1, holds):
@@ -873,7 +865,7 @@ _ANY, _SENT, _HELD_ON = 0, 1, 2
 def pass_hold(
     declared: Declared, hand: float, speed: float, motion: LateMotion, most: float, least: float
 ) -> tuple[LateMotion, float]:
-    """Motion in the next hold, and the largest energy taken beyond what the device dissipates [J].
+    """Return the motion in the next hold, and the largest energy taken out, less the device's dissipation [J].
 
     Args:
         declared: Declared properties of axis and hand.
@@ -900,7 +892,10 @@ def pass_hold(
 def taken_in_hold(
     declared: Declared, hand: float, speed: float, motion: LateMotion, most: float, least: float, following: float
 ) -> float:
-    """Return the least of bounds A to D of a hold [J]; `following` is its displacement, the rest as for `pass_hold`."""
+    """Return the least of bounds A to D of a hold [J].
+
+    `following` is its displacement [m or rad]; the other arguments are those of `pass_hold`.
+    """
     friction, hold, late, taken = declared.friction, declared.sample_time, declared.late, inf
     net = most - friction if most > friction else 0.0
     older = motion.highest - friction if motion.highest > friction else 0.0
@@ -923,7 +918,7 @@ def taken_in_hold(
 def along_reach(
     declared: Declared, motion: LateMotion, friction: float, most: float, least: float, following: float, reach: float
 ) -> float:
-    """Return the most energy that torques give out in a hold [J]: bound A, or B where friction is not 0."""
+    """Return the most energy that torques give out in a hold [J]: bound A, or B if friction is not 0."""
     most, least = max(0.0, most - friction), max(0.0, least - friction)
     highest, lowest = motion.highest - friction, max(0.0, motion.lowest - friction)
     taken = (most if following > 0.0 else least) * following
@@ -935,7 +930,7 @@ def along_reach(
 
 
 def tail_of(declared: Declared, hand: float, speed: float, motion: LateMotion) -> float:
-    """Return the most energy that the torques take after the last hold [J]."""
+    """Return the most energy that the torques take out after the last hold [J]."""
     net = motion.highest - declared.friction
     if declared.late == 0.0 or net <= 0.0:
         return 0.0
@@ -948,9 +943,9 @@ def tail_of(declared: Declared, hand: float, speed: float, motion: LateMotion) -
 
 
 def may_act(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, hold: int) -> float:
-    """Return the largest torque along `sign` that may act in one of the next holds [N or N*m], >= 0.
+    """Return the largest torque along `sign` that may act in a hold, 1 being the next [N or N*m], >= 0.
 
-    Any torque sent may stay for the declared losses.
+    Any torque sent may act for as many further holds as losses are declared.
     """
     most = 0.0
     for place in range(max(0, hold - declared.losses), min(hold, declared.delay) + 1):
@@ -961,7 +956,7 @@ def may_act(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: f
 
 
 def smallest_acting(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, hold: int) -> float:
-    """Return the smallest torque along `sign` that may act in one of the next holds [N or N*m], >= 0."""
+    """Return the smallest torque along `sign` that may act in a hold, 1 being the next [N or N*m], >= 0."""
     least = inf
     for place in range(max(0, hold - declared.losses), min(hold, declared.delay) + 1):
         least = min(least, sign * (memory.under_way[bound.first + place - 1] if place else bound.torque))
@@ -971,7 +966,7 @@ def smallest_acting(declared: Declared, bound: TorqueBound, memory: BoundMemory,
 def taken_under_way(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, speed: float, holds: int, which: int
 ) -> tuple[float, float, LateMotion]:
-    """Worst energy that the queued torques along `sign` take together, tail included [J], and the last motion.
+    """Return the energy that queued torques along `sign` take out [J], the worst with tail [J], and the last motion.
 
     Args:
         declared: Declared properties of axis and hand.
@@ -980,7 +975,7 @@ def taken_under_way(
         sign: 1 or -1.
         speed: Largest speed of the hand; 0: not used [m/s or rad/s].
         holds: Number of holds in which they act.
-        which: `_ANY`: any torque that may act; else, in the next hold, the torque as sent or the previous one held on.
+        which: `_ANY`: any torque that may act. `_SENT` or `_HELD_ON`: in the next hold the one sent, or the one before.
     """
     hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
     highest, lowest = (bound.highest, bound.lowest) if sign > 0.0 else (-bound.lowest, -bound.highest)
@@ -1000,9 +995,9 @@ def taken_under_way(
 
 
 def for_every_hand(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float, holds: int) -> float:
-    """Energy left after all queued torques, for an arbitrary hand [J].
+    """Return the energy left after all queued torques, for an arbitrary hand [J].
 
-    The integral of (u - f_c)+^2 is at most the sum of n_k^2 (T + theta), u being a mean of the torques.
+    The integral of (u - f_c)+^2 is at most the sum of n_k^2 (T + theta), because u is a mean of the torques.
     """
     older = max(bound.highest, -bound.lowest) - declared.friction
     squares = declared.late * older * older if older > 0.0 else 0.0
@@ -1017,7 +1012,7 @@ def for_every_hand(declared: Declared, bound: TorqueBound, memory: BoundMemory, 
 
 
 def free_of_late(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
-    """Part of `energy`, with the device's dissipation, that the queued torques do not need [J]."""
+    """Return the part of `energy`, with the device's dissipation, that the queued torques do not need [J]."""
     holds, known = declared.delay + declared.losses, energy + bound.dissipated
     free = 0.0
     if declared.by_hand_force or declared.hand_speed > 0.0:
@@ -1032,10 +1027,7 @@ def free_of_late(declared: Declared, bound: TorqueBound, memory: BoundMemory, en
 def largest_of_late(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
 ) -> tuple[float, float, float]:
-    """Largest torque along `sign` [N or N*m]: by all certificates, for any hand, and without the hand speed.
-
-    Arguments as for `largest_in_sum`.
-    """
+    """Return the torques of `largest_in_sum` [N or N*m] if torques come late or frames may be lost."""
     longest = (declared.sample_time + declared.late) * (declared.losses + 1)
     for_all = declared.friction
     left = for_every_hand(declared, bound, memory, energy + for_any(bound), declared.delay)
@@ -1054,7 +1046,7 @@ def largest_of_late(
 def largest_of_known(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float
 ) -> float:
-    """Largest torque along `sign` for a hand of bounded force, speed, or both [N or N*m].
+    """Return the largest torque along `sign` for a hand of bounded force, speed, or both [N or N*m].
 
     Args:
         declared: Declared properties of axis and hand.
@@ -1076,7 +1068,10 @@ def largest_of_known(
 def largest_after(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float, which: int
 ) -> float:
-    """Return `largest_of_known` after some torques of `taken_under_way`, minus the energy taken by opposing ones."""
+    """Return the largest torque of `largest_of_known` after the queued torques named by `which`.
+
+    `energy` is the budget less the energy that opposing torques take [J].
+    """
     given, _, motion = taken_under_way(declared, bound, memory, sign, speed, declared.delay, which)
     budget, friction, losses = energy - given, declared.friction, declared.losses
     hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
@@ -1096,7 +1091,7 @@ def largest_after(
 
 
 def free_energy(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
-    """Part of `energy` [J] that the certificates of the queued torques do not need."""
+    """Return the part of `energy` [J] that the certificates of the queued torques do not need."""
     if declared.losses == 0 and declared.late == 0.0:
         return free_in_sum(declared, bound, memory, energy)
     return free_of_late(declared, bound, memory, energy)
@@ -1105,7 +1100,7 @@ def free_energy(declared: Declared, bound: TorqueBound, memory: BoundMemory, ene
 def largest_torques(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
 ) -> tuple[float, float, float]:
-    """Largest torque along `sign` [N or N*m]: by all certificates, for any hand, and without the hand speed.
+    """Return the largest torque along `sign` [N or N*m]: by all certificates, for any hand, and without the hand speed.
 
     `energy` [J] is the budget, without the device's dissipation.
     """
@@ -1120,7 +1115,7 @@ def largest_torques(
 def by_hand_force(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float) -> float:
     """Return the largest torque along `sign` [N or N*m] for a hand within its declared force.
 
-    It equals the result of `largest_in_sum` where nothing else is declared. `energy` [J] is the budget.
+    If no other property is declared, `largest_in_sum` gives the same torque. `energy` [J] is the budget.
     """
     response, before, hand = declared.response, sign * bound.torque, hand_along(declared, bound, sign)
     if hand == inf:  # the hand is unknown along it

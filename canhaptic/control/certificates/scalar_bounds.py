@@ -1,8 +1,8 @@
-"""Bounds on the torque of the next hold: three certificates, each a proof for the users it names.
+"""Bounds behind the certificates of one axis: how far it can move along a torque, and which torque that permits.
 
-Only the torque of a hold and the displacement in it exchange energy (eq. 2), so the question of every step is how far
-axis can move OUT (along the torque) while the torque cannot be changed. All formulas below are written for a torque
-that acts in the positive direction and for displacements counted positive with it; the caller mirrors.
+Only the torque of a hold and the displacement in it exchange energy (eq. 2), so every step has to bound how far the
+axis can move OUT (along the torque) while the torque cannot be changed. All formulas below are for a torque in the
+positive direction, and displacements are positive along it; the caller mirrors.
 
 **Hand force.** An axis m v' + b v = f(t) + u(t), f held constant in each hold, outward hand force u <= F_h, inward hand
 force without limit. With D_i the displacement in hold i and K the response of the displacement to a force,
@@ -11,35 +11,35 @@ force without limit. With D_i the displacement in hold i and K the response of t
 
 so D_1 grows with u, and u = F_h throughout is the worst user after any motion. The integrals have closed forms
 (`DisplacementResponse`); without damping they are T^2/2m for the torque of either hold and T^2/m for the hand.
-Where b and m are only bounded, every coefficient is taken at its worst end: e^(-bT/m) <= 1 for D_0 > 0; for D_0 < 0
+If b and m are only bounded, every coefficient is taken at its worst end: e^(-bT/m) <= 1 for D_0 > 0; for D_0 < 0
 its least value, at the upper bound of b and the under-estimate of m; each response is largest at the under-estimates
-of m and b; a torque in the other direction helps by an amount that an over-estimate of m would be needed for, and
-counts as 0.
-Since D_1 is bounded by a rising function of D_0, bounds chain over the holds whose torque is queued (delay), and
-the energy taken out, sum(f_i D_i) + F D, is largest when every D_i is: a bound D_1 < 0 therefore certifies energy that
+of m and b. A torque in the other direction counts as 0, because its help is known only with an over-estimate of m.
+D_1 is bounded by a rising function of D_0, so that bounds chain over the holds whose torque is queued (delay), and
+the energy taken out, sum(f_i D_i) + F D, is largest if every D_i is: a bound D_1 < 0 therefore certifies energy that
 comes IN. The largest F with F (base + gain F) <= budget is the certified torque (`hand_force_bound`).
 Dry friction F_c of the device may push out as well as hold: F_h + F_c takes the place of F_h (`device_friction_bound`).
 
-**Friction that brakes.** Cogging, weight and the wind-up of a gear pull; dry friction r opposes the motion, and pushes
-out of a motion inward alone. What brakes is `device_friction_bound` less `device_cogging_bound`, F_c from here on. At a
-reversal bristles give back what the motion inward put into them: by a stiffness sigma (`presliding_stiffness`) no more
-than F_c^2 / 2 sigma, within d = F_c / sigma of the way out; let w = F_c / sqrt(sigma m), a = (f + F_h) / m the largest
-acceleration without friction, and q the last instant of hold 0 at which the axis does not move outward. Then, besides
-the bound above,
+**Friction that only brakes.** Cogging, weight and the wind-up of a gear can pull. Dry friction r opposes the motion, so
+that it pushes outward only during an inward motion. The part that only brakes is `device_friction_bound` less
+`device_cogging_bound`, F_c from here on. At a reversal the bristles give back the energy of the inward motion: with a
+stiffness sigma (`presliding_stiffness`) no more than F_c^2 / 2 sigma, within d = F_c / sigma of the way out. Let
+w = F_c / sqrt(sigma m), a = (f + F_h) / m the largest acceleration without friction, and q the last instant of hold 0
+at which the axis does not move outward. Then, besides the bound above,
 
     D_1 <= max(D_0, 0) + the terms of both torques and of F_h + F_c (T^2 / 8m + 1.5 T / sqrt(sigma m) + 4 / sigma).
 
-v_T being the speed at the end of hold 0, hold 1 moves no farther than max(v_T, 0) T + T^2 a_1 / 2, and w T if the
-reversal is in it: after one, m v^2 / 2 <= the integral of m a v + m w^2 / 2, so that v <= a t + w.
+With v_T the speed at the end of hold 0, hold 1 moves no farther than max(v_T, 0) T + T^2 a_1 / 2, plus w T if the
+reversal is in it: after a reversal, m v^2 / 2 <= the integral of m a v + m w^2 / 2, so that v <= a t + w.
 If q >= T/2, v_T <= a (T - q) + w, so that v_T T <= a T^2 / 2 + w T. If q < T/2, let q_2 be where the friction has left
 its d. From q_2 on it brakes: with x(q) - x(0) >= -(a + F_c / m) q^2 / 2,
 
     v_T T - D_0 <= a T^2 / 2 + F_c q^2 / 2m + (v_2 q_2 - a (q_2^2 - q^2) / 2),   v_2 <= w + min(a t, sqrt(2 a d)),
 
 t = q_2 - q: the bracket is at most w T + min(a t^2 / 2, T (sqrt(2 a d) - a t / 2)) <= w T + 4 d. An axis that moves
-outward throughout, its bristles not yet unloaded, has v_2 <= sqrt(2) w + sqrt(2 a d) and the same with 1.5 w T + d.
-Damping lowers each of these; an older torque of a late one counts in full, (g - f) theta T / m, wherever it acts. So
-friction may be any part of F_c in either direction, and the bound falls with D_0: `brake` is what it takes off.
+outward throughout, its bristles not yet unloaded, has v_2 <= sqrt(2) w + sqrt(2 a d) and the same bound with
+1.5 w T + d. Damping lowers each of these. An older torque of a late one counts in full, (g - f) theta T / m, at any
+time in the hold. So friction may be any part of F_c in either direction; `brake` is the amount by which it lowers the
+bound of a motion outward or from rest.
 
 **Device damping.** The device itself dissipates at least (b/T) D^2 in a hold of displacement D (Cauchy-Schwarz). For
 every D, -F D + (b/T) D^2 >= -F^2 T / 4b, so F^2 <= 4 b E_d / T, less the squares of the queued torques, keeps
@@ -47,16 +47,15 @@ E_d = E + (b/T) sum(D^2) >= 0 for every user.
 
 **Hand speed.** D <= v_max T, so F <= E / (v_max T), E after the worst of the queued torques.
 
-Timing of a real hold: the effect of jitter and of a late torque on every certificate.
-
-Declared: every hold lasts T_k with T (1 - j) <= T_k <= T (1 + j); a new torque acts at the latest a time w after its
-SYNC (event RPDO, wire time); and the torque of the motor follows the one held with a first-order lag of at most tau.
+**Timing of a real hold** (`hold_timing`): jitter and late torques affect every certificate. Declared are: every hold
+lasts T_k with T (1 - j) <= T_k <= T (1 + j); a new torque acts at the latest a time w after its SYNC (event RPDO, wire
+time); and the torque of the motor follows its command with a first-order lag of at most tau.
 With theta = w + tau, f_k the torque of hold k and g >= every older torque still felt at its SYNC, the true torque is
 
     u(t) = f_k (1 - p(t)) + older torques with weights of sum p(t);  1 >= p >= 0, falling, and in the hold
     integral p dt <= theta,   integral p t dt <= theta^2                                                          (1)
 
-for p is 1 until the change and exp(-(t - change) / tau) after it. At the end of the hold at most
+because p is 1 until the change and exp(-(t - change) / tau) after it. At the end of the hold at most
 c = exp(-(T (1 - j) - w) / tau) of p is left, so that g' = f_k + c max(0, g - f_k): this bounds the tails of ALL earlier
 torques.
 
@@ -67,53 +66,52 @@ r >= e^(-beta T_0) min(1, T_1 / T_0). K grows with T_0 and T_1, so that each res
 undamped ones by (1 + j)^2. An older torque g > f adds (g - f) p: K falls in the hold and rises in the one before, so by
 (1) it counts as no more than min(1, 2 theta / T) (g - f) held throughout: `late`.
 
-**Energy of the next hold.** Of all motions of the same D_0 the one with the largest force throughout is the fastest at
-every time, v <= v* = D_0/T_0 + (growing part). The torques along f give out integral(u v), at most with v* for v. The
-older ones lie between l p and g p (l = 0 where one of them has the other sign), so that
+**Energy of the next hold.** Of all motions with the same D_0, the one with the largest force throughout is the fastest
+at every time, v <= v* = D_0/T_0 + (growing part). The torques along f give out integral(u v), at most with v* for v.
+The older ones lie between l p and g p (l = 0 if one of them has the other sign), so that
 
     integral(u v) <= f D* + max(0, g - f) X + max(0, f - l) min(r, theta/T) max(0, -D_0)
     X = theta/T max(0, D_0) + (theta T/2m) f_before + (theta^2/m) max(f, g) + (theta (T/2 + theta) / m) F_h       (2)
 
-with X the most that p v can integrate to: `tail_reach`. A torque is certified together with its tail in the hold after
-it, g' X', as if no torque followed; a smaller torque than the one before it then has what the larger leaves running.
+with X the largest integral of p v (`tail_reach`). A torque is certified together with its tail in the hold after it,
+g' X', as if no torque followed; so if a smaller torque follows, the tail of the larger one is already covered.
 
 **Energy of the hold that ended.** Booked is -f D; true is -f D + (f_k - f_(k-1)) X_k + e Y_k, |e| <= the rest of the
 older torques, X_k and Y_k integrals of p v. Upwards (2) bounds both. Downwards D_k is known and m x'' + b x' <= A, so x
 lies above the solution with equality through the same ends: X >= -s (theta/T max(0, -D_k) + A theta T / 2m), where
 s = y / (1 - e^-y), y = beta T (phi(t)/phi(T) <= s t/T, and the solution from 0 to 0 begins with -s A T / 2m at most).
-A hand without a limit inwards is covered: only its force along the torque is used. See `doubt_of_late`.
+This covers a hand without a limit inward, because only its force along the torque is used. See `doubt_of_late`.
 
 **Hand speed.** |X| <= v_max theta. **Device damping**, for every hand: e = f - u, |e| <= d p, and
 integral(e v + b v^2) over motions of sum D is least at e D/T - e^2 / 4b + b D^2 / T, so less than booked by no more
 than d |D| theta / T + d^2 theta / 4b; and integral(u^2) <= sum of f_k^2 (T_k + theta), u being a mean of the torques.
 
-**A torque that is measured (0x6077)** is no better bound of any of this, and is not taken for one. A TPDO carries one
-value u_n of it at the SYNC that ends the hold, with an error e (`torque_tolerance`: current sensor, filter, cogging).
-(i) Of the hold that ended, -f D + (f_k - f_(k-1)) X_k needs p(t) inside the hold: two courses of p, one that falls at
-once and one that falls at theta, both allowed by (1), end in the same u_n up to c |f_k - f_(k-1)|, and their energies
-differ by the whole of (f_k - f_(k-1)) X_k. So u_n does not reduce the uncertainty of that hold unless c is near 1,
-with a lag as long as the hold. (ii) Of the next hold it would bound the older torques still felt, by |u_n - f_k| + e in
-place of c |f_(k-1) - f_k|: less only where e < c |f_(k-1) - f_k|. With tau = T / 5 and no window, c is 0.7 %: a sensor
-of 1 % of the rated torque is better only for steps beyond 1.5 times that torque; one of 5 % (the default), for steps of
-0.7 of it, only with lags above 0.38 T. (iii) Booked with u_n in place of the demand the error of every hold gains
-e |D|, whether the torque changes or not. So the demand is read back first (`read_back: auto`).
+**A measured torque (0x6077)** would not improve these bounds, and is not used for them. A TPDO carries one value u_n of
+it at the SYNC that ends the hold, with an error e (`torque_tolerance`: current sensor, filter, cogging).
+(i) In the hold that ended, -f D + (f_k - f_(k-1)) X_k needs p(t) inside the hold. If p falls at once, or at theta (both
+allowed by (1)), u_n is the same up to c |f_k - f_(k-1)|, but the energies differ by the whole of (f_k - f_(k-1)) X_k.
+So u_n does not reduce the uncertainty of that hold unless c is near 1, with a lag as long as the hold. (ii) In the next
+hold it would bound the older torques still felt by |u_n - f_k| + e in place of c |f_(k-1) - f_k|: less only if
+e < c |f_(k-1) - f_k|. With tau = T / 5 and no window, c is 0.7 %: a sensor of 1 % of the rated torque is better only
+for steps beyond 1.5 times that torque; one of 5 % (the default), for steps of 0.7 of it, only with lags above 0.38 T.
+(iii) Booked with u_n in place of the demand, the error of every hold grows by e |D|, whether the torque changes or not.
+So the demand is read back first (`read_back: auto`).
 
-Energy that a wall needs before a contact, so that the hand-force certificate holds it from the first hold on.
-
-At rest at a force F every hold may give out F D_i, the hand pulling with F_h, while the spring of stiffness k has taken
-in F^2 / 2k. What is lacking is largest at some force on the way in,
+**Energy before a contact** (`start_energy`), so that the hand-force certificate holds a wall from the first hold on. At
+rest at a force F every hold may give out F D_i while the hand pulls with F_h, and the spring of stiffness k has
+received F^2 / 2k. The missing energy is largest at some force on the way in,
 
     E = max over F of (sum of F D_i)(F) - F^2 / 2k,
 
-with D_i of the queued holds and the next one (`scalar_bounds`). Undamped the sum is h F (F + F_h), h = T^2 / m at
-delay 0 and 3 T^2 / m at delay 1, so that E = (h F_h)^2 / 4 a with a = 1 / 2k - h. A faster contact needs less: its own
-inward motion brings energy in. A drag f earns f times the distance, in
-motion above the speed of `start_speed`: slower, the hand may turn within the queued holds and pull the drag along.
+with D_i of the queued holds and the next one. Undamped the sum is h F (F + F_h), h = T^2 / m at delay 0 and 3 T^2 / m
+at delay 1, so that E = (h F_h)^2 / 4 a with a = 1 / 2k - h. A faster contact needs less, because its own inward motion
+brings energy in. A drag f earns f times the distance, but only above the speed of `start_speed`: in a slower motion the
+hand may turn within the queued holds and pull the drag along.
 
-For every hand of any force, what the device dissipates permits a torque: with b and f_c certain a torque F at
-rest needs a budget of (1 + delay) (F - f_c)^2 T / 4b (`certified_torque`), of which the wall has F^2 / 2k and the
-friction on the way in f_c F / k. The rest must be there before (`energy_for_any_hand`); friction earns it over
-rest / f_c of any motion, without a drag.
+For a hand of any force, the dissipation of the device permits a torque: with b and f_c certain, a torque F at rest
+needs a budget of (1 + delay) (F - f_c)^2 T / 4b (`certified_torque`), of which the wall provides F^2 / 2k and the
+friction on the way in f_c F / k. The rest must be stored before the contact (`energy_for_any_hand`); friction earns it
+over a motion of rest / f_c, without a drag.
 """
 
 import math
@@ -135,7 +133,7 @@ class HoldTiming:
 
 
 def hold_timing(sample_time: float, jitter: float, window: float, lag: float) -> HoldTiming:
-    """Timing that holds for every hold.
+    """Return the bounds of the timing of every hold.
 
     Args:
         sample_time: T [s].
@@ -177,7 +175,7 @@ class DisplacementResponse:
 
 
 NO_RESPONSE: Final = DisplacementResponse(1.0, 0.0, 0.0, 0.0)
-"""Where the hand-force certificate is not declared."""
+"""Response if the hand-force certificate is not declared."""
 
 
 def displacement_response(
@@ -204,8 +202,8 @@ def displacement_response(
         damping_most: Upper bound of that damping.
         hand_push: Largest inward force of the hand [N or N*m]; infinite: no bound is known.
         timing: Timing of the holds; None: exact.
-        friction: Dry friction in `hand_force` and `hand_push` that brakes, and its presliding stiffness
-            [N or N*m, N/m or N*m/rad].
+        friction: Part of `hand_force` and `hand_push` that is friction which only brakes [N or N*m], and its presliding
+            stiffness [N/m or N*m/rad].
     """
     timing = timing or HoldTiming(sample_time, sample_time, 0.0, 0.0)
     longest, shortest, late = timing.longest, timing.shortest, timing.late
@@ -268,7 +266,7 @@ def tail_reach(
 ) -> float:
     """Return the largest distance over which older torques may act in the hold after one of `displacement` [m or rad].
 
-    Equation (2) of `hold_timing`; arguments as for `next_displacement`, `torque` is the largest that acts in the hold.
+    X of equation (2); arguments as for `next_displacement`, `torque` is the largest that acts in the hold.
     """
     reach = response.tail_hand * hand + response.tail_during * torque
     if torque_before > 0.0:
@@ -279,7 +277,7 @@ def tail_reach(
 def hand_force_bound(budget: float, base: float, gain: float) -> float:
     """Return the largest torque F >= 0 [N or N*m] with F (base + gain F) <= budget; infinite if all satisfy it.
 
-    Where none does (a budget below zero by more than an inward motion can bring in): the one that brings in most.
+    If none does (the budget is further below zero than an inward motion can bring in): the torque that brings in most.
     For a group the torques are l W: base and gain belong to W, in [J], and the result is the share l.
 
     Args:
@@ -297,8 +295,8 @@ def hand_force_bound(budget: float, base: float, gain: float) -> float:
 def renderable_by_hand_force(response: DisplacementResponse, delay: int, torque: float) -> float:
     """Return the largest static stiffness [N/m or N*m/rad] that the hand-force certificate holds at a torque.
 
-    At rest every hold has the same torque F and the stored energy F^2 / 2k must cover sum(F D_i) over the holds under
-    way and the next one. Undamped: k <= (m / 2T^2) F / (F + F_h) at delay 0 and (m / 6T^2) F / (F + F_h) at delay 1.
+    At rest every hold has the same torque F, and the stored energy F^2 / 2k must cover sum(F D_i) over the queued holds
+    and the next one. Undamped: k <= (m / 2T^2) F / (F + F_h) at delay 0 and (m / 6T^2) F / (F + F_h) at delay 1.
     """
     extracted = _given_out(response, delay, torque)
     return torque * torque / (2.0 * extracted) if extracted > 0.0 else math.inf
@@ -326,15 +324,15 @@ def sustained_by_friction(friction: float, count: float) -> float:
 
 
 WINDOW: Final = 32
-"""Holds looked back for the outward speed when the encoder is coarse."""
+"""Number of past holds used to bound the outward speed with a coarse encoder."""
 
 
 def start_speed(response: DisplacementResponse, sample_time: float, delay: int, count: float = 0.0) -> float:
     """Return the inward speed [m/s or rad/s] above which a contact starts from zero energy.
 
-    (1 + delay) F_h T / m with an ideal encoder. Over j holds one count leaves the speed uncertain by count / (j T), in
-    which the hand can have gained F_h T (j - 1) / 2m; at high rates the best j gives sqrt(2 count F_h / m) in all,
-    at every rate. A slower start needs a credit or certain device damping.
+    It is (1 + delay) F_h T / m with an ideal encoder. Over j holds one count leaves the speed uncertain by
+    count / (j T), and the hand can have added F_h T (j - 1) / 2m; at high rates the best j gives sqrt(2 count F_h / m)
+    in total, independent of the rate. A slower start needs an energy allowance or certain device damping.
     """
     uncertainty = min(count / holds + 0.5 * (holds - 1) * response.hand for holds in range(1, WINDOW + 1))
     kept = sample_time * response.retained ** (1 + delay)
@@ -345,7 +343,7 @@ _FIRST: Final = 1e-3  # [N or N*m]
 
 
 def start_energy(response: DisplacementResponse, delay: int, stiffness: float) -> float:
-    """Return the energy [J] that suffices to hold a contact of any speed; infinite where the stiffness is too large.
+    """Return the energy [J] that suffices to hold a contact of any speed; infinite if the stiffness is too large.
 
     Args:
         response: Displacement response of the axis, with the force of the hand.
@@ -373,7 +371,7 @@ def _given_out(response: DisplacementResponse, delay: int, torque: float) -> flo
 def energy_for_any_hand(
     damping: float, friction: float, sample_time: float, delay: int, stiffness: float, push: float
 ) -> float:
-    """Return the energy [J] that a wall needs before a contact, so that it holds every hand up to a push; >= 0.
+    """Return the energy [J], >= 0, that a wall needs before a contact to hold every hand up to a push.
 
     Args:
         damping: Certain viscous damping of the device, > 0 [N*s/m or N*m*s/rad].

@@ -1,4 +1,4 @@
-"""One virtual environment a file, and the table that names them."""
+"""Virtual environments of one axis, each in its own file, and the table of their names."""
 
 from typing import Final
 

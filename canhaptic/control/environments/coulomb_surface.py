@@ -9,7 +9,7 @@ from canhaptic.units import quantity
 class CoulombSurface(LinearSpring):
     """Friction along the axis, everywhere: an elastic bristle that yields at the friction effort.
 
-    A storage that yields is passive, and it has no switching velocity; its presliding stiffness is finite.
+    A bristle that yields is passive and needs no sign of the velocity; its presliding stiffness is finite.
     """
 
     friction: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)]
@@ -20,6 +20,6 @@ class CoulombSurface(LinearSpring):
     relaxes: ClassVar[bool] = True
 
     def relaxed(self, state: float, sample_time: float) -> float:
-        """The state, or the strain at which the bristle yields; the released energy is friction heat."""
+        """Return the state, limited to the strain at which the bristle yields; the released energy becomes heat."""
         limit = self.friction / self.stiffness
         return min(max(state, -limit), limit)

@@ -38,12 +38,12 @@ class Detents(Everywhere, Parameters):
         return offset - round(offset / self.pitch) * self.pitch
 
     def admissible(self, state: float, true: float) -> float:
-        """Return the state, a whole pitch away where that is nearer to the true one, kept within the stretch."""
+        """Return the state, moved by whole pitches to the one nearest the true state, and limited to its stretch."""
         nearest = state - round((state - true) / self.pitch) * self.pitch
         return min(max(nearest, 0.0), self.pitch) if true >= 0.0 else max(min(nearest, 0.0), -self.pitch)
 
     def one_way(self, position: float) -> tuple[float, float]:
-        """Return the ends of the flank: a resting position and a crest [m or rad]."""
+        """Return the ends of the flank around a position: a resting position and a crest [m or rad]."""
         half = 0.5 * self.pitch
         begin = self.position + math.floor((position - self.position) / half) * half
         return begin, (begin + half if position > begin else begin)

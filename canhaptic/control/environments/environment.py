@@ -1,4 +1,4 @@
-"""Interface of every virtual environment of one axis: a storage, a damper in parallel, and its zones of contact.
+"""Interface and common parts of virtual environments of one axis: a storage, a damper in parallel, contact zones.
 
 The torque of an environment is always
 
@@ -7,15 +7,9 @@ The torque of an environment is always
 with `state` the displacement of its storage and `velocity` the velocity of that state. A passivity algorithm decides
 which state and velocity the energy account permits; the environment maps them to energy and effort.
 
-An environment as a plain object with the same methods, without pydantic.
-
-A pydantic model routes every attribute access through a Python hook, at ten times the price of a plain object, and its
-methods read several. The functions here belong to the model's class; they are no copies. Properties are evaluated
-once: an environment never changes.
-
-Common part of environments with a surface: its solid side, and a storage that stays on that side.
-
-Common part of environments with a linear spring: stored energy, effort, and the damper in parallel.
+In the cycle an environment is a plain object (`plain`) instead of a pydantic model, whose attributes take ten times as
+long to read. The plain object has the functions of the model's class. Its properties are evaluated once, because an
+environment never changes.
 """
 
 from collections import namedtuple
@@ -31,8 +25,8 @@ from canhaptic.units import Parameters, quantity
 class Environment(Protocol):
     """A virtual environment of one axis. Immutable: everything that changes belongs to the controller.
 
-    One with more than one way out may also have `one_way(position)`: the ends [m or rad] of the interval around
-    a position in which the effort points one way. Without it the effort may reverse anywhere.
+    An environment with more than one way out may also have `one_way(position)`: the ends [m or rad] of the interval
+    around a position in which the effort keeps its direction. Without it the effort is assumed to reverse anywhere.
     """
 
     @property
@@ -41,14 +35,14 @@ class Environment(Protocol):
 
     @property
     def linear_stiffness(self) -> float | None:
-        """Stiffness k when the stored energy is k x^2 / 2 [N/m or N*m/rad]; None when it is anything else.
+        """Stiffness k if the stored energy is k x^2 / 2 [N/m or N*m/rad]; None for any other storage.
 
         A number lets the algorithms use the closed solution of eq. 16, None the safeguarded solve of eq. 8.
         """
 
     @property
     def relaxes(self) -> bool:
-        """True when `relaxed` may change a state."""
+        """Whether `relaxed` may change a state."""
 
     def contact(self, position: float) -> int:
         """Return 0 out of contact, else the number of the zone of contact at a position [m or rad] (eq. 12).
@@ -67,9 +61,10 @@ class Environment(Protocol):
         """
 
     def admissible(self, state: float, true: float) -> float:
-        """Return the state [m or rad], or the nearest one in the contact zone of the state `true`.
+        """Return the state [m or rad], or the nearest one that is possible in the contact zone of the state `true`.
 
-        Behind the surface of a wall there is no tension spring: the nearest is then 0. The identity where any state is.
+        A wall does not pull: it replaces a state outside its surface by 0. An environment without a surface changes
+        nothing.
         """
 
     def stored_energy(self, state: float) -> float:
@@ -85,9 +80,9 @@ class Environment(Protocol):
         """
 
     def relaxed(self, state: float, sample_time: float) -> float:
-        """State after one hold of internal relaxation or yield; never stores more.
+        """Return the state after one hold of internal relaxation or yield, which never stores more energy.
 
-        The energy lost is dissipated, not leaked. The identity where `relaxes` is False.
+        The energy lost is dissipated, not leaked. Without `relaxes` the state does not change.
         """
 
 
@@ -97,20 +92,20 @@ def nowhere(_environment: object, position: float) -> tuple[float, float]:
 
 
 def outside_of(environment: Environment) -> float:
-    """Direction out of an environment, 1 or -1; 0 where it has none or several, or may move."""
+    """Return the direction out of an environment, 1 or -1; 0 if it has none or several, or if its surface may move."""
     side = {"below": 1.0, "above": -1.0}.get(getattr(environment, "side", ""), 0.0)
     return side if _is_ours(environment, "contact", "true_state") else 0.0
 
 
 def knows_turns(environment: Environment) -> bool:
-    """Whether `one_way` of an environment is reliable: it states where the effort of this contact reverses."""
+    """Return whether an environment states reliably, by `one_way`, where the effort of a contact reverses."""
     if not hasattr(environment, "one_way"):
         return False
     return not _is_ours(environment, "one_way") or _is_ours(environment, "contact", "true_state")
 
 
 def _is_ours(environment: Environment, *methods: str) -> bool:
-    """Whether methods come from this package, whose surfaces are fixed in space."""
+    """Return whether methods come from this package, whose environments have surfaces fixed in space."""
     ours = __name__.rpartition(".")[0]
     return all(getattr(type(environment), name).__module__.startswith(ours) for name in methods)
 
@@ -119,14 +114,14 @@ _Environment = TypeVar("_Environment")
 
 
 class _Form(NamedTuple):
-    """Additions of a model's classes to `Parameters`."""
+    """Members that a model's classes add to `Parameters`, as a plain class."""
 
     plain: Any  # class with the methods and the values of the class
     derived: Mapping[str, Callable[[Any], Any]]  # properties
 
 
 def plain(environment: _Environment) -> _Environment:
-    """Return an object with the same methods and numbers; one that is not a parameter model is returned unchanged."""
+    """Return a plain object with the same methods and numbers; what is no parameter model is returned unchanged."""
     kind: Any = type(environment)
     if _form_of(kind) is None or getattr(environment, "__pydantic_private__", None):
         return environment
@@ -134,7 +129,7 @@ def plain(environment: _Environment) -> _Environment:
 
 
 def plain_with(kind: Any, fields: Mapping[str, Any]) -> Any:
-    """Plain object of a model's class with given fields, without validation."""
+    """Return a plain object of a model's class with given fields, without validation."""
     form = _form_of(kind)
     if form is None:
         raise TypeError(f"{kind.__name__}: expected a class of parameters")
@@ -147,7 +142,7 @@ def plain_with(kind: Any, fields: Mapping[str, Any]) -> Any:
 
 
 def _numbers_of(twin: Any) -> dict[str, float]:
-    """Every number of a plain object by name, including its class attributes; NaN for None."""
+    """Return every number of a plain object by name, including its class attributes; NaN for None."""
     values = {
         **{name: value for base in type(twin).__mro__[-2::-1] for name, value in vars(base).items()},
         **vars(twin),
@@ -173,7 +168,7 @@ def _tuple_type(kind: Any, fields: tuple[str, ...]) -> Any:
 
 @cache
 def _form_of(kind: Any) -> _Form | None:
-    """Return the plain form of a model's class; None where it would not be the same."""
+    """Return the plain form of a model's class; None if it would behave differently."""
     if not issubclass(kind, Parameters):
         return None
     members: dict[str, Any] = {}
@@ -210,20 +205,20 @@ Side = Literal["below", "above"]
 
 
 class Everywhere:
-    """Common part of environments that are felt everywhere, follow the axis, and never relax."""
+    """Common part of environments that act at every position and never relax; their state follows the axis."""
 
     relaxes: ClassVar[bool] = False
 
     def contact(self, position: float) -> int:
-        """Return 1: it is everywhere."""
+        """Return 1: every position is in contact."""
         return 1
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Return the motion since the start [m or rad], before anything relaxes."""
+        """Return the motion since the start [m or rad], before any relaxation."""
         return previous + displacement
 
     def admissible(self, state: float, true: float) -> float:
-        """Return the state: it has no surface."""
+        """Return the state: there is no surface."""
         return state
 
     def relaxed(self, state: float, sample_time: float) -> float:
@@ -301,7 +296,7 @@ class LinearSpring(Everywhere, Parameters):
         return self.stiffness * state
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Return sqrt(2 H / k) with the sign of `like`; eq. 18 prints it positive, where contact has x < 0."""
+        """Return sqrt(2 H / k) with the sign of `like`; eq. 18 prints the positive root, but contact has x < 0."""
         if self.stiffness == 0.0:
             return 0.0
         return copysign(sqrt(2.0 * energy / self.stiffness) if energy > 0.0 else 0.0, like)

@@ -1,4 +1,4 @@
-"""Free space: nothing to touch. For feeling the device itself, and for checking that a controller adds nothing."""
+"""Free space: no contact anywhere, to feel the bare device, and to check that a controller adds no torque."""
 
 from typing import ClassVar
 

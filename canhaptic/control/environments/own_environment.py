@@ -1,4 +1,4 @@
-"""Base of a user-defined environment: write its force, or its potential; the rest follows.
+"""Base class of a user-defined environment, which needs only its force or its potential.
 
     class CenteringSpring(OwnEnvironment):
         stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0)] = 200.0
@@ -6,10 +6,10 @@
         def effort(self, state: float) -> float:
             return self.stiffness * state
 
-The energy is the integral of the force (adaptive Gauss-Kronrod quadrature, to 1e-12 of its size), kept at every place
-where the quadrature had to halve, so that a force with a kink costs no more than a smooth one. The state of an energy
-is found by Newton's method inside a bracket. Each takes some tens of calls of the force: where the closed forms are
-known, override `stored_energy` and `state_of_energy` as well.
+The energy is the integral of the force (adaptive Gauss-Kronrod quadrature, to 1e-12 of its size). It is stored at the
+end of every panel of the quadrature, so that a force with a kink costs no more than a smooth one. The state that stores
+a given energy is found by Newton's method inside a bracket. Each takes some tens of calls of the force: if the closed
+forms are known, override `stored_energy` and `state_of_energy` as well.
 """
 
 import math
@@ -51,17 +51,17 @@ _MIDDLE: Final = (0.209482141084727828012999174891714, 0.41795918367346938775510
 
 
 class OwnEnvironment(Everywhere, Parameters):
-    """A storage with a damper, given by `effort` or by `potential`; felt on both sides of `position`, or on one.
+    """A storage with a damper, given by `effort` or by `potential`; it acts on both sides of `position`, or on one.
 
-    `effort` must point back to state 0, where nothing is stored: effort(x) x >= 0. A scene whose force does not, up to
-    1 m or rad, is refused, and a run that meets such a force ends. A force that turns on the way, as between notches,
-    needs a zone of contact for each resting position, as `detents` have.
+    The torque, minus `effort`, must point back to state 0, where nothing is stored: effort(x) x >= 0. A scene that
+    violates this up to 1 m or rad is refused, and a run that meets such a force ends. A force that changes sign between
+    resting positions, as in notches, needs a contact zone for each of them, as `detents` have.
     """
 
     position: Annotated[float, quantity("m", "rad")] = 0.0
     """Where the state is 0: the resting position, or the surface."""
     side: Literal["both", "below", "above"] = "both"
-    """Where it is felt: everywhere, or only below or above its position, as a wall is."""
+    """Where it acts: everywhere, or, like a wall, only below or above its position."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
     """Damping coefficient; the damper acts in contact only."""
 
@@ -107,7 +107,7 @@ class OwnEnvironment(Everywhere, Parameters):
         return () if self.side == "both" else (self.position,)
 
     def contact(self, position: float) -> int:
-        """Return 1 where the environment is felt, else 0."""
+        """Return 1 where the environment acts, else 0."""
         beyond = position < self.position if self.side == "below" else position > self.position
         return int(self.side == "both" or beyond)
 
@@ -116,11 +116,11 @@ class OwnEnvironment(Everywhere, Parameters):
         return position - self.position
 
     def admissible(self, state: float, true: float) -> float:
-        """Return the state, or 0 where it lies across the surface of a wall."""
+        """Return the state, or 0 if it lies outside the surface of a wall."""
         return state if self.side == "both" else kept_on_side(state, true)
 
     def one_way(self, position: float) -> tuple[float, float]:
-        """Return the side of state 0 on which a position lies [m or rad]; valid for both sides and this `contact`."""
+        """Return the interval on the side of state 0 on which a position lies [m or rad]."""
         if position == self.position:
             return position, position
         return (-math.inf, self.position) if position < self.position else (self.position, math.inf)
@@ -130,7 +130,7 @@ class OwnEnvironment(Everywhere, Parameters):
         return self.potential(state)
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Return the state on the side of `like` that stores `energy` [J], or the farthest where none does."""
+        """Return the state on the side of `like` that stores `energy` [J]; the farthest one tried if none does."""
         return state_of(self.stored_energy, self.effort, energy, like)
 
 
@@ -151,9 +151,9 @@ def _turned(method: Callable[[float], float], state: float, force: float) -> Own
 
 
 class _Work:
-    """Work of a force from 0 to any state on one side, kept at the ends of the panels of its quadrature.
+    """Work of a force from 0 to any state on one side, stored at the ends of the panels of its quadrature.
 
-    Octave by octave from `_SMALLEST` on, so that the panels do not depend on the states that were asked for.
+    The table grows by octaves from `_SMALLEST`, so that its panels do not depend on the order of the calls.
     """
 
     def __init__(self, force: Callable[[float], float]) -> None:
@@ -240,9 +240,9 @@ def _jump(function: Callable[[float], float], middle: float, half: float) -> flo
 
 
 def state_of(stored: Callable[[float], float], effort: Callable[[float], float], energy: float, like: float) -> float:
-    """Return the state with the sign of `like` that stores an energy [J]; the farthest state tried where none does.
+    """Return the state with the sign of `like` that stores an energy [J]; the farthest one tried if none does.
 
-    Newton's method, and bisection wherever a step would leave the bracket.
+    Newton's method, with bisection if a step would leave the bracket.
     """
     if energy <= 0.0:
         return 0.0

@@ -1,4 +1,4 @@
-"""One passivity algorithm a file, and the table that names them."""
+"""Passivity algorithms of one axis, each in its own file, and the table of their names."""
 
 from typing import Final
 
@@ -19,7 +19,7 @@ LITERATURE: Final[dict[str, str]] = {
     "energy_tank": f"{_RIVALS}.energy_tank:EnergyTank",
     "ultimate_passivity": f"{_RIVALS}.ultimate_passivity:UltimatePassivity",
 }
-"""Algorithms of other authors, for comparison, as `ALGORITHMS`: none bounds its torque by a proof."""
+"""Algorithms of other authors, for comparison, in the form of `ALGORITHMS`; none has a proven bound on its torque."""
 
 ALGORITHMS: Final[dict[str, str]] = {
     "unprotected": f"{_HERE}.unprotected:Unprotected",
@@ -44,10 +44,10 @@ def build_controller(
         algorithm_name: A name of `ALGORITHMS`.
         parameters: The algorithm's own `parameters_type`; None for its defaults.
         loop: Sample time, delay and other properties of the loop.
-        hold_dither: Amplitude of the sign sequence of `guarded` [N or N*m]; None: there is none.
+        hold_dither: Amplitude of the random sign sequence that `guarded` adds [N or N*m]; None: no sequence.
 
     Raises:
-        ParameterError: Unknown name, parameters of another algorithm, or a value that the algorithm cannot do without.
+        ParameterError: Unknown name, parameters of another algorithm, or a missing value that the algorithm needs.
     """
     algorithm, chosen = load_algorithm(ALGORITHMS, algorithm_name, "passivity algorithm", parameters)
     if hold_dither is not None and algorithm_name == "guarded":  # the scene refuses others

@@ -1,11 +1,11 @@
-"""Torques requested by a program, and their guard: the account as an energy tank, within the certificates of `guarded`.
+"""Guard of the torques that a user's program requests: an energy tank within the certificates of `guarded`.
 
-What a program stores is unknown. So nothing is rendered, predicted or dissipated here: energy that came in and was
-not given back is in the account, up to `earned_energy` where that is given, and the declared certificates bound
-each torque by the account as in `guarded`. A torque beyond that is reduced; any other is sent as
-requested. Device dissipation is discarded beyond what the requested torque needs, as in `guarded`.
+The energy that a program stores is unknown, so nothing is rendered, predicted or dissipated here. The tank is the
+account: it holds the energy received and not yet given back, up to `earned_energy` if that is set. The declared
+certificates bound each torque by it, as in `guarded`; a larger torque is reduced, any other is sent as requested.
+Device dissipation beyond the need of the requested torque is discarded, as in `guarded`.
 
-A program without a guard has an account, and no certificate.
+A program without a guard has an account but no certificate.
 """
 
 from dataclasses import dataclass
@@ -33,11 +33,11 @@ _LONGEST_WINDOW = 0.02
 
 
 class Program(FreeSpace):
-    """A program in place of an environment; nothing is known about it."""
+    """A user's program in place of an environment; its behaviour is unknown."""
 
 
 class AskedEffort(StoresNothing):
-    """The program as an environment: an effort that is the same everywhere and stores nothing.
+    """The program as an environment, whose effort is the same at every position and stores nothing.
 
     Attributes:
         asked: Requested torque [N or N*m].
@@ -130,11 +130,11 @@ class _Asks(SteppedController):
         return self._effort.asked
 
     def ask(self, torque: float) -> None:
-        """Ask for the torque of the next step [N or N*m]; finite."""
+        """Request a finite torque for the next step [N or N*m]."""
         self._effort.asked = torque
 
     def velocity(self, position: float, periods: int) -> float:
-        """Take a position; return the velocity there, by a window as long as one encoder count allows [m/s or rad/s].
+        """Add a position to the adaptive window of the velocity, and return the velocity there [m/s or rad/s].
 
         Args:
             position: Position at this SYNC [m or rad].
@@ -153,7 +153,7 @@ class _Asks(SteppedController):
 def _settings_of(
     environment: AskedEffort, parameters: guarded.GuardedParameters, loop: LoopProperties
 ) -> guarded.GuardedSettings:  # fmt: skip
-    """Constants of a run whose torque may turn at any SYNC: the hand's push counts in both directions.
+    """Return the constants of a run whose torque may reverse at any SYNC: the hand's push counts in both directions.
 
     Args:
         environment: The program.
@@ -167,7 +167,7 @@ def _settings_of(
 
 
 class GuardedProgram(_Asks, guarded.Guarded):
-    """A program's torques as far as the certificates allow."""
+    """Sends a program's torques as far as the certificates permit."""
 
     parameters_type = guarded.GuardedParameters
     kernel = Kernel(_settings_of, AskedState, guarded.memory_of, step)
@@ -183,7 +183,7 @@ class GuardedProgram(_Asks, guarded.Guarded):
 
 
 class UnguardedProgram(_Asks):
-    """A program's torques without a guard."""
+    """Sends a program's torques without a guard."""
 
     parameters_type = Unprotected.parameters_type
     kernel = Unprotected.kernel

@@ -1,4 +1,4 @@
-"""Interface of every passivity algorithm of one axis: an environment and the loop, stepped once per SYNC."""
+"""Interface of a passivity algorithm of one axis, stepped once per SYNC, and the properties of its control loop."""
 
 from typing import Annotated, Protocol
 
@@ -21,22 +21,23 @@ class LoopProperties(Parameters):
     device_damping_bound: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] | None = None
     """Upper bound of the device damping (b_max of the hand-force certificate). None: not known."""
     device_friction: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
-    """Certain dry friction of the device while it moves, a lower bound. None: not known, none is counted on."""
+    """Certain dry friction of the device while it moves, a lower bound. None: not known, taken as 0."""
     device_friction_bound: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
-    """Upper bound of the dry friction and cogging of the device, which may push out of a contact as well as hold.
-    None: not known; 0 in a bare loop."""
+    """Upper bound of the dry friction and cogging of the device, which may push the handle out of a contact as well as
+    hold it. None: not known, taken as 0 by a controller."""
     device_cogging_bound: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
-    """Part of that bound that pulls: cogging, weight, wind-up of a gear. The rest only brakes where
-    `presliding_stiffness` is declared too. None: all of it pulls, as in a group."""
+    """Part of `device_friction_bound` that can pull: cogging, weight, wind-up of a gear. The rest only brakes, if
+    `presliding_stiffness` is declared too. None: all of it can pull, as always in a group."""
     presliding_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0)] | None = None
-    """Lower bound of the stiffness of dry friction before it slides. It has to be some 20 times
-    the moving mass over T^2, or nothing is gained. None: not known."""
+    """Lower bound of the stiffness of dry friction before it slides. It improves the bound only above some 20 times
+    the moving mass over T^2. None: not known."""
     sync_jitter: Annotated[float, quantity("1", ge=0.0, le=0.5)] | None = None
-    """Every hold, from position to position, lasts T (1 +- jitter). None: not known; 0 in a bare loop."""
+    """Largest relative deviation of a hold from T: from position to position it lasts T (1 +- jitter).
+    None: not known, taken as 0 by a controller."""
     torque_window: Annotated[float, quantity("s", ge=0.0, le=1.0)] | None = None
-    """Latest time after a SYNC at which its torque acts (event RPDO, wire time). None: not known, as above."""
+    """Latest time after a SYNC at which its torque acts (event RPDO, wire time). None: not known, taken as 0."""
     current_lag: Annotated[float, quantity("s", ge=0.0, le=1.0)] | None = None
-    """Largest time constant of the motor's torque. None: not known, as above."""
+    """Largest time constant of the motor's torque. None: not known, taken as 0."""
     encoder_count: Annotated[float, quantity("m", "rad", ge=0.0)] = 0.0
     """Displacement of one encoder count; 0 for an ideal encoder."""
     torque_quantum: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
@@ -72,10 +73,10 @@ class Controller(Protocol):
         """Clear the state: zero stored energy, no queued torque, no last position."""
 
     def sample_lost(self) -> EnergyBalance:
-        """Balance of a SYNC whose position was lost: the last command is repeated, and nothing booked.
+        """Return the balance of a SYNC whose position was lost: the last command is repeated, and nothing is booked.
 
-        The next `step` then books one displacement over several holds. Where their torques differed the energy is known
-        only to the difference times the excursion, and it is booked at its worst.
+        The next `step` then books one displacement for several holds. If their torques differed, the energy is
+        uncertain by the difference times the excursion, and its lowest value is booked.
         """
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:

@@ -1,48 +1,42 @@
 """`guarded`: the paper's energy balance with a certified bound on the torque of every hold. The default for rigs.
 
-The environment is rendered at its true state, predicted to the hold in which the torque acts (`prediction`). A
-torque held at the middle value lets a spring absorb, and give back, what a continuous one would; a torque held at the
-starting value gives k D^2 / 2 too much in every hold, which is where the energy of a sampled wall comes from. Aimed a
-quarter of a hold further ahead, a spring without a damper calms down. The damper uses the predicted velocity too.
+**Rendering.** The environment is rendered at its true state, predicted to the hold in which the torque acts. If the
+torque has the value of the middle of its hold, a spring absorbs and gives back as much energy as a continuous one. If
+it has the value of the start, the spring gives out k D^2 / 2 too much in every hold: this is the energy that a sampled
+wall creates. Predicting a quarter of a hold further calms a spring without a damper. The damper uses the predicted
+velocity too.
 
-The account is (8) with the damper between port and ground: h_r = f_d D with f_d the damper effort inside the torque
-was applied, never negative, never more than the queued torques leave. Nothing is created at the start of
-contact: the stored energy begins at zero and pushing in fills it. What the account does not cover is not rendered:
+**Account.** It is (8) with the damper between port and ground: h_r = f_d D, with f_d the damper effort inside the
+torque that was applied, never negative, never more than the queued torques leave. Nothing is created at the start of
+contact: the stored energy begins at zero, and pushing in fills it. What the account does not cover is not rendered:
 
-* the spring effort stays below that of a spring with the energy in the account, as stiff as the certificate holds;
+* the spring effort is limited to that of a spring with the energy in the account and the largest certified stiffness;
 * beyond it, only while moving inward, a damper brings in the missing energy, all of it stored; and a spring whose
   account is short is predicted as if no torque slowed the axis down;
-* and the torque stays below what all declared certificates together permit (`certified_torque`): that is the proof.
+* the torque stays below what all declared certificates together permit (`certified_torque`): that is the proof.
 
-Energy beyond what is stored (from a drag in free motion, or a wall left behind), or dissipated by the device, is
-kept for later contacts up to `earned_energy`. From zero energy no torque begins below an inward speed of
+Energy received beyond what is stored (from a drag in free motion, or a wall left behind), or dissipated by the device,
+is kept for later contacts up to `earned_energy`. From zero energy no torque begins below an inward speed of
 (1 + delay) F_h T / m: a hand of F_h could turn every slower motion outward before the torque ends, so that energy would
 come out first. Only certain dissipation of the device allows a slower start.
 
-For every user without exception, sum(h_i) >= 0 admits no torque at all: a larger promise relies on something known
-of the hand or of the device. A hand force of 0 is the usual setting: it covers every hand that does not pull the axis
-along the torque, and is not the same as "never active". Where stiffness or damping cannot be rendered the environment
-gets softer, and the balance says so: `certificate` is not EXACT, `damping_rendered` is below the requested one.
+**Promise.** For every user without exception, sum(h_i) >= 0 admits no torque at all: a larger promise relies on a known
+property of the hand or of the device. A hand force of 0 is the usual setting. It covers every hand that does not pull
+the axis along the torque, and does not mean "never active". If stiffness or damping cannot be rendered, the environment
+gets softer and the balance shows it: `certificate` is not EXACT, or `damping_rendered` is below the requested damping.
 
-The account of `guarded`: its state between two SYNCs, and the booking of a hold that ended.
-
-The torque of `guarded` for the next free hold: the requested one, within account and certificates.
-
-Parameters of `guarded`, and the constants derived from them and from the loop.
-
-Prediction of the axis to the hold in which the next torque acts: a model of the moving mass, corrected every hold.
-
-With v the velocity at the last SYNC, f_1 ... f_n the queued torques and w the rest of the force on the mass,
+**Prediction.** A model of the moving mass predicts the axis to the hold in which the next torque acts. With v the
+velocity at the last SYNC, f_1 ... f_n the queued torques and w the rest of the force on the mass,
 
     x_i = x_(i-1) + v_(i-1) T + (f_i + w) T^2 / 2m,   v_i = v_(i-1) + (f_i + w) T / m.
 
 The displacement of the hold that ended corrects v at once: v = D/T + (f_0 + w) T / 2m. It corrects w by a small share,
-so that at rest w is what the hand holds against the torque, and nothing is predicted. A prediction from the last
-displacement alone has no f: one sample late it turns unstable at k T^2 / m = 0.01, and this one for no k that is
-certified. The share is small because a mass that is declared too small makes w follow the torque. With the share of
-1/16 that is taken here, no motion of a free mass at a spring that is certified grows for true masses up to 3 times the
-declared one at a delay of one sample (2 times at two), and by no more than 0.51 % a hold for any. w has a rise that is
-learnt in the same way, so that a hand that presses ever harder is followed.
+so that at rest w balances the torque and no motion is predicted. A prediction from the last displacement alone omits f:
+with a delay of one sample it becomes unstable at k T^2 / m = 0.01, and this one at no certified k. The share is small
+because w follows the torque if the mass is declared too small. With the share of 1/16 used here, no motion of a free
+mass at a certified spring grows for true masses up to 3 times the declared one at a delay of one sample (2 times at
+two), and by at most 0.51 % a hold for any mass. The rate of change of w is learnt in the same way, so that the
+prediction follows a hand that presses harder and harder.
 """
 
 from dataclasses import dataclass, field, replace
@@ -87,15 +81,15 @@ from canhaptic.kernels import Buffer, Kernel, MakeBuffer, Run, new
 from canhaptic.units import Parameters, quantity
 
 PREDICTION_HOLDS: Final = 0.75
-"""Prediction beyond the delay [holds]: 0.5 aims at the middle of the hold, and a larger value calms a spring."""
+"""Prediction beyond the delay [holds]: 0.5 is the middle of the hold, and a larger value calms a spring."""
 _LEARNT: Final = 0.0625
 """Share of a prediction error that corrects the force of the hand in a hold."""
 _RISE_LEARNT: Final = _LEARNT * _LEARNT / 4.0
 """The same for its rate of change."""
 _QUIET: Final = 0.25
-"""Share of an error that corrects the velocity where counts of the encoder can explain it."""
+"""Share of a prediction error that corrects the velocity, if encoder counts can explain the error."""
 _COUNTS: Final = 4.0
-"""Error that counts of the encoder can explain [counts]."""
+"""Largest prediction error that encoder counts can explain [counts]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +127,7 @@ def prediction_settings(loop: LoopProperties, beyond: float) -> PredictionSettin
 
 
 def observe(settings: PredictionSettings, motion: PredictedMotion, displacement: float, torque: float) -> None:
-    """Take the hold that ended: displacement [m or rad] and the torque held in it [N or N*m]."""
+    """Correct the motion by the hold that ended: its displacement [m or rad] and its torque [N or N*m]."""
     gain, step, noise = settings.gain, motion.step, settings.noise
     push = gain * torque + motion.push - settings.lost * step
     error = displacement - step - 0.5 * push
@@ -145,21 +139,21 @@ def observe(settings: PredictionSettings, motion: PredictedMotion, displacement:
 
 
 def observe_mean(motion: PredictedMotion, displacement: float) -> None:
-    """Take the mean displacement per hold [m or rad] of several holds with unknown separate displacements."""
+    """Set the velocity to the mean displacement per hold [m or rad], after holds without their own positions."""
     motion.step = displacement
 
 
 def predicted(
     settings: PredictionSettings, motion: PredictedMotion, torques: Buffer, first: int, travel: float
 ) -> tuple[float, float]:
-    """Predicted displacement of the axis where the next torque acts, and its motion in a hold there [m or rad].
+    """Return the displacement predicted for the hold of the next torque, and the motion per hold there [m or rad].
 
     Args:
         settings: Constants of the run.
         motion: Motion at the last SYNC.
         torques: Ring of torques, queued ones included [N or N*m].
         first: Index of the torque that acts first; negative indices wrap.
-        travel: Present motion per hold [m or rad], used where a coarse encoder resolves nothing finer.
+        travel: Present motion per hold [m or rad], used for motions that a coarse encoder does not resolve.
     """
     way, step, gain, lost, rest = 0.0, motion.step, settings.gain, settings.lost, motion.push
     for place in range(first, first + settings.delay):
@@ -182,37 +176,37 @@ _LARGEST: Final = 1e9  # [N or N*m]
 
 
 class GuardedParameters(Parameters):
-    """Assumptions behind the certificates of an axis or a group. Mass and damping of the device belong to the loop.
+    """Declared properties of the hand, and other choices, for `guarded` on an axis or a group.
 
-    A group refuses keys that only one axis can honour: `drag`, `earned_energy`, and a `hand_push` above `hand_force`.
+    A group refuses what only a single axis supports: `drag`, `earned_energy`, and a `hand_push` above `hand_force`.
     """
 
     hand_force: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = 0.0
-    """Largest force with which the hand pulls out of the contact: along the torque of its effort, where the handle is.
+    """Largest force with which the hand pulls out of the contact, along the torque of the environment at the handle.
     In a group, on each motor axis along any torque, Coriolis forces included. None: the certificate is not used."""
     hand_push: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = None
-    """Largest force with which the hand pushes into the contact, against that torque. It certifies torques that pull
-    the handle back while it leaves the contact (of a damper). None: not known, and the hand force certifies no such
-    torque. Where an environment has more than one way out, or none (detents, a slot, a medium), it is needed: near each
-    place where the way turns, or without an effort, the hand may do either way the larger of both. In a group
-    `hand_force` counts for it."""
+    """Largest force with which the hand pushes into the contact, against the torque of the environment. It certifies a
+    damper's torque that pulls the handle back while it leaves the contact. None: not known, and the hand force
+    certifies no such torque. Environments with several ways out or none (detents, a slot, a medium) need it: where the
+    effort is 0 or about to reverse, the hand may apply the larger of `hand_force` and `hand_push` in both directions.
+    In a group `hand_force` takes its place."""
     hand_speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
-    """Largest speed of the hand, in a group of every motor axis. None: the certificate is not used. Alone it begins
-    only with an energy allowance."""
+    """Largest speed of the hand; in a group, of every motor axis. None: the certificate is not used. As the only
+    certificate it permits torque only with an energy allowance."""
     energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
     """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -energy_allowance."""
     earned_energy: Annotated[float, quantity("J", ge=0.0)] | None = None
-    """Energy that came in beyond what is stored, or that the device dissipated, kept for later contacts, so that a
-    contact under a hand force starts at any speed. sum(h_i) stays >= 0. None: as much as the environment needs for
-    that, by the hand's force or speed, and none in a group; 0: none."""
+    """Largest energy kept for later contacts, so that a contact under a hand force starts at any speed: energy received
+    beyond what is stored, or dissipated by the device. sum(h_i) stays >= 0. None: as much as the environment needs for
+    that, by the hand's force, and none in a group; 0: none."""
     drag: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
-    """Largest drag felt in free motion, while less than `earned_energy` is stored; 0: none. There too the hand pulls
-    away from the environment with no more than `hand_force`."""
+    """Largest drag in free motion, while less than `earned_energy` is stored; 0: none. In free motion too, the hand has
+    to pull away from the environment with no more than `hand_force`."""
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
     max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
-    """Consecutive cycles without a new torque at the drive, of any axis of a group, that the certificates survive; each
-    costs stiffness. 0 in a group: all axes always apply together what was sent."""
+    """Largest number of consecutive cycles without a new torque at the drive, in a group at any of its drives, that the
+    certificates cover; each costs stiffness. 0 in a group: all axes always apply the torques of the same SYNC."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,7 +245,7 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
     """Constants of a run.
 
     Raises:
-        ParameterError: No declared property certifies any torque, or too few do; a drag that earns nothing.
+        ParameterError: The declared properties certify no torque, or a drag has no energy to earn.
     """
     of_loop, outside = _settings_of_loop(parameters, loop), outside_of(environment)
     response, turns = of_loop.declared.response, of_loop.declared.by_hand_force and not outside
@@ -270,10 +264,10 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
 
 @lru_cache(maxsize=4)
 def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> GuardedSettings:
-    """Settings that do not depend on the environment; cached, for a sweep needs them for every scene.
+    """Return the settings that do not depend on the environment; cached, because a sweep needs them for every scene.
 
     Raises:
-        ParameterError: No declared property certifies any torque, or too few do.
+        ParameterError: The declared properties certify no torque.
     """
     sample_time, mass, damping = loop.sample_time, loop.moving_mass, loop.device_damping or 0.0
     timing, response, speed = loop.timing, hand_response(parameters, loop), parameters.hand_speed or 0.0
@@ -312,13 +306,13 @@ def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> Gu
 def kept_for_contacts(
     environment: Environment, parameters: GuardedParameters, loop: LoopProperties, response: DisplacementResponse
 ) -> float:
-    """Energy that is kept for later contacts [J]; see `start_energy`.
+    """Return the energy that is kept for later contacts [J]; see `start_energy`.
 
-    If the environment is not a spring, or is stiffer than half what the certificate permits at the largest force, it is
-    the energy for that half, which allows any contact up to a push of half the hand's pull.
+    If the environment is not a spring, or is stiffer than half the stiffness that the certificate permits at the
+    largest force, it is the energy for that half. This allows any contact up to a push of half the hand's pull.
 
     Raises:
-        ParameterError: A drag that earns nothing.
+        ParameterError: A drag has no energy to earn.
     """
     kept, stiffness = parameters.earned_energy, environment.linear_stiffness
     if kept is None and response is not scalar_bounds.NO_RESPONSE and response.hand > 0.0 and stiffness != 0.0:
@@ -343,7 +337,7 @@ def _require_certifiable(parameters: GuardedParameters, loop: LoopProperties, *,
 
 
 def declared_of(parameters: GuardedParameters, loop: LoopProperties, response: DisplacementResponse) -> Declared:
-    """Declared properties behind the certificates."""
+    """Return the declared properties behind the certificates."""
     timing, by_hand_force = loop.timing, response is not scalar_bounds.NO_RESPONSE
     damping, friction, speed = loop.device_damping or 0.0, loop.device_friction or 0.0, parameters.hand_speed or 0.0
     return Declared(
@@ -364,7 +358,7 @@ def declared_of(parameters: GuardedParameters, loop: LoopProperties, response: D
 
 
 def calm_stiffness_of(loop: LoopProperties) -> float:
-    """Largest stiffness rendered without oscillation at this rate [N/m or N*m/rad]."""
+    """Return the largest stiffness that this rate renders without oscillation [N/m or N*m/rad]."""
     if loop.moving_mass is None:
         return _NO_CAP
     ideal = scalar_bounds.displacement_response(loop.sample_time, loop.moving_mass, 0.0, 0.0, 0.0, 0.0, loop.timing)
@@ -373,7 +367,7 @@ def calm_stiffness_of(loop: LoopProperties) -> float:
 
 
 def hand_response(parameters: GuardedParameters, loop: LoopProperties) -> DisplacementResponse:
-    """Return the response of the hand-force certificate; `NO_RESPONSE` where that is not declared.
+    """Return the response of the hand-force certificate; `NO_RESPONSE` if that is not declared.
 
     Raises:
         ParameterError: The damping of the device has no upper bound.
@@ -494,8 +488,7 @@ def book(run: GuardedRun, h_i: float, h_pas: float, damped: float, ceiling: floa
         h_i: Interaction energy of the hold [J].
         h_pas: Energy taken by the modulated damper [J].
         damped: Damper effort inside the applied torque times the displacement [J].
-        ceiling: Energy that the environment stores at its true state [J]; at most `earned_energy` is kept
-            beyond it.
+        ceiling: Energy that the environment stores at its true state [J]; at most `earned_energy` more is kept.
     """
     settings, state, slack = run.settings, run.state, 0.0
     axis = state.axis
@@ -536,7 +529,7 @@ def render(
     environment: Environment, run: GuardedRun, true: float, spring: float, ceiling: float, travel: float, inside: float,
     moved: float, same: bool,
 ) -> tuple[float, float, float, float, int]:  # fmt: skip
-    """Return (torque for the next free hold, damper and modulated effort in it, damping rendered, certificate).
+    """Return (torque for the next free hold, damper effort, modulated effort, damping rendered, certificate).
 
     Args:
         environment: Environment rendered.
@@ -587,9 +580,7 @@ def render(
 
 
 def permitted_size(run: GuardedRun, torque: float, energy: float, moved: float) -> tuple[float, int]:
-    """Permitted part of a torque's magnitude [N or N*m], and its certificate.
-
-    Limits and certificates bound it.
+    """Return the size that limits and certificates permit for a torque [N or N*m], and its certificate.
 
     Args:
         run: Run of the axis.
@@ -617,10 +608,10 @@ def permitted_size(run: GuardedRun, torque: float, energy: float, moved: float) 
 
 
 def certain_energy(state: GuardedState, energy: float) -> float:
-    """Part of an energy that the next torques may give out with an encoder of finite resolution [J].
+    """Return the part of an energy that the next torques may give out, with an encoder of finite resolution [J].
 
     Energy that was dissipated or leaked cannot be given out again, but it covers the uncertainty of the encoder: (4)
-    holds for the energy of the account, (3) for the true one.
+    holds for the booked energy, (3) for the true energy.
     """
     lacking = state.bound.uncertainty - state.unrecovered
     return energy - lacking if lacking > 0.0 else energy
@@ -629,7 +620,7 @@ def certain_energy(state: GuardedState, energy: float) -> float:
 def within_limits(settings: GuardedSettings, newest: float, sign: float, moved: float) -> float:
     """Return the largest torque along `sign` that the limiter permits [N or N*m]; see `drive.profile.limiter`.
 
-    If the limiter reduced a certified torque, it would absorb less energy than the next torque counts on.
+    A certified torque that the limiter reduced would absorb less energy than the next torque relies on.
 
     Args:
         settings: Constants of the run.
@@ -653,7 +644,7 @@ def efforts(
     run: GuardedRun, true: float, spring: float, lead: float, ahead: float, velocity: float, energy: float,
     ceiling: float,
 ) -> tuple[float, float, float, bool]:  # fmt: skip
-    """Return efforts of spring, lead and damper [N or N*m], and whether the account covers all of them."""
+    """Return the efforts of spring, prediction and damper [N or N*m], and whether the account covers all of them."""
     settings, bound = run.settings, run.state.bound
     damper, size, speed = settings.damping * velocity, abs(spring), abs(velocity)
     room, led = settings.cap * speed, settings.calm * abs(ahead)
@@ -687,11 +678,11 @@ def efforts(
 def soft_and_further(
     settings: GuardedSettings, bound: TorqueBound, size: float, depth: float, energy: float
 ) -> tuple[float, float]:
-    """Effort of the spring that dry friction sustains, and the largest effort beyond it [N or N*m].
+    """Return the effort of the spring that dry friction sustains, and the largest effort beyond it [N or N*m].
 
-    That spring's stored energy is reserved for it, so that the wall gets softer and never vanishes; the rest covers
-    further efforts, and the count that raising and lowering them leaves uncertain. With less than half of it left,
-    after a motion too fast for friction to cover, the spring is softer still.
+    The energy of that spring is reserved for it, so that a wall gets softer but never vanishes. The rest of the energy
+    covers further efforts, and the energy that one count leaves uncertain when they rise and fall. If less than half of
+    the reserve is left, after a motion too fast for friction to cover, the spring is softer still.
 
     Args:
         settings: Constants of the run.
@@ -718,7 +709,7 @@ def energy_permitted(
 
     Args:
         settings: Constants of the run.
-        bound: State of the torque bound; device dissipation beyond the need of the efforts is forgotten.
+        bound: State of the torque bound; device dissipation beyond the need of the efforts is discarded.
         whole: All efforts together [N or N*m].
         energy: Energy budget [J].
         ceiling: Energy stored at the true state [J].
@@ -737,10 +728,10 @@ def energy_permitted(
 
 
 def drag(run: GuardedRun, moved: float) -> tuple[float, int]:
-    """Return the torque out of contact and its certificate: a drag, until enough energy is earned [N or N*m].
+    """Return the torque out of contact [N or N*m] and its certificate: a drag until `earned_energy` is stored.
 
     Args:
-        run: Run of the axis; earns while its energy is below `earned_energy`.
+        run: Run of the axis.
         moved: Displacement in a hold [m or rad].
     """
     settings, state = run.settings, run.state
@@ -819,9 +810,9 @@ def start(run: GuardedRun, position: float) -> EnergyBalance:
 
 
 def take_stretch(environment: Any, settings: GuardedSettings, bound: TorqueBound, position: float, true: float) -> None:
-    """Store the stretch around a position [m or rad] in which the effort points one way, and its torque's direction.
+    """Store the interval around a position [m or rad] in which the effort keeps its direction, and the way out of it.
 
-    The environment has `one_way` where `knows_turns` is true.
+    If `knows_turns` is set, the environment has `one_way`.
     """
     bound.out = bound.above = bound.below = 0.0
     effort = environment.effort(true) if settings.knows_turns and environment.contact(position) else 0.0
@@ -833,7 +824,7 @@ def take_stretch(environment: Any, settings: GuardedSettings, bound: TorqueBound
 def motion_inside(
     environment: Environment, run: GuardedRun, travel: float, displacement: float, holds: float, true: float, same: bool
 ) -> tuple[float, float]:
-    """Return the motion of storage and damper in a hold [m or rad], smoothed where an encoder is coarse.
+    """Return the motion of storage and damper in a hold [m or rad], smoothed if the encoder is coarse.
 
     Args:
         environment: Environment rendered.
@@ -855,7 +846,7 @@ def motion_inside(
 
 
 class Guarded(stepped.SteppedController):
-    """An environment rendered as far as the certificates allow."""
+    """Renders an environment as far as the certificates permit."""
 
     parameters_type: ClassVar[type[Parameters]] = GuardedParameters
     kernel: ClassVar[Kernel] = Kernel(settings_of, GuardedState, memory_of, step)
@@ -867,22 +858,19 @@ class Guarded(stepped.SteppedController):
 
     @property
     def lacks_push(self) -> bool:
-        """Whether the direction out of the environment changes while the hand's push is undeclared."""
+        """Whether the direction out of the environment can change, but the hand's push is not declared."""
         settings: GuardedSettings = self._settings
         return settings.turns and settings.declared.response.push == inf
 
     @property
     def energy_resolution(self) -> float:
-        """Uncertainty of the sum of h_i where torques came late or samples were lost [J].
-
-        Its lower end is booked.
-        """
+        """Uncertainty of the sum of h_i due to late torques and lost samples [J]; its lower end is booked."""
         resolution: float = self._state.bound.resolution
         return resolution
 
     def sample_lost(self) -> EnergyBalance:
         """Repeat the last command at a SYNC without a position; see `Controller.sample_lost`.
 
-        The next `step` books the displacement over all holds with the torque read back, less the uncertainty.
+        The next `step` books the displacement of all these holds with the torque read back, less the uncertainty.
         """
         return super().sample_lost()._replace(damping_rendered=0.0, certificate=_NOT_BOUND)

@@ -1,26 +1,24 @@
-"""A sign sequence in the torques of `guarded`, from which a run itself finds the hold in which they act.
+"""Test of the hold in which the torques of `guarded` act, made during a run by a random sign sequence in the torques.
 
-Smooth motion in contact does not show a shift by one hold: to first order it looks like a hand's damping. So every
-torque f in contact becomes f or f - 2 a towards zero, as a random sign d = 1 or -1 says: f - a + a d, which no
-certificate of f excludes, for each holds for every smaller torque too. With y_k the second difference of the positions
-p_k, p_(k-1), p_(k-2), and d_k the sign of the torque that acts from p_k on,
+Smooth motion in contact does not show a shift by one hold: to first order it looks like damping of the hand. So every
+torque f in contact becomes f or f - 2 a towards zero, by a random sign d = 1 or -1: f - a + a d. A certificate of f
+covers both, because it covers every smaller torque. With y_k the second difference of the positions p_k, p_(k-1),
+p_(k-2), and d_k the sign of the torque that acts from p_k on,
 
-    R(n) = sum over k of y_k d_(k-n),
+    R(n) = sum over k of y_k d_(k-n).
 
-R(0) is a sum of fair coin tosses wherever the drive acts in its hold, for every hand, friction, shaft and fault: y_k is
-past when d_k begins to act. So P(|R(0)| >= z s) <= 2 exp(-z^2 / 2) with s^2 = sum (y_k d_k)^2; 7.5e-6 at 5 a look. A
-drive that acts a hold early fails it.
+**Early.** If the drive acts in the declared hold, R(0) is a sum of fair coin tosses, for every hand, friction, shaft
+and fault, because y_k is past when d_k begins to act. So P(|R(0)| >= z s) <= 2 exp(-z^2 / 2) with
+s^2 = sum (y_k d_k)^2: 7.5e-6 for z = 5 in each test. A drive that acts a hold early fails it.
 
-A mass that is pushed in its hold has R(1) = R(2) > 0 and R(3) = 0, a hold later R(1) = 0 and R(2) = R(3) > 0: late is
-R(3) - R(1) beyond 5 of its own s, with |R(1)| at most a quarter of R(3). This is a statement about the plant, not about
-causality alone: a lag of half a hold looks like it, so that it is asked only where window and lag together are declared
-as at most a quarter of a hold.
+**Late.** A mass that is pushed in the declared hold has R(1) = R(2) > 0 and R(3) = 0; pushed a hold later, it has
+R(1) = 0 and R(2) = R(3) > 0. So the drive is found late if R(3) - R(1) is at least 5 of its own s, and |R(1)| at most a
+quarter of R(3). This relies on the plant and not on causality alone. A lag of half a hold looks the same, so that the
+test is made only if window and lag together are declared as at most a quarter of a hold.
 
-From then on the resolution is all the energy that torques and motion could have exchanged in these holds: nothing that
-is booked is known any more.
-
-A look is taken each time the number of signs has doubled. After a lost sample or a skipped SYNC both sequences begin
-anew.
+After such a finding no booked energy is certain: the resolution is all the energy that torques and motion could have
+exchanged. The sums are tested each time the number of signs has doubled. After a lost sample or a skipped SYNC both
+sequences restart.
 """
 
 import random
@@ -41,15 +39,15 @@ LATE: Final = "acts a hold late, run canhaptic commission"
 
 
 class HoldWatch:
-    """Correlates the motion with signs.
+    """Correlates the motion with the random signs of the torques.
 
     Args:
         delay: Declared whole holds between the computation of a torque and the hold in which it acts.
-        tells_late: Whether a drive that acts late differs from one that lags.
+        tells_late: Whether to test for a late drive too; possible only if the declared lag is short.
 
     Attributes:
-        found: Contradictions of the declared hold; empty: none so far.
-        looks: Looks so far.
+        found: How the drive contradicts the declared hold; empty: no contradiction so far.
+        looks: Number of tests so far.
     """
 
     def __init__(self, delay: int, *, tells_late: bool) -> None:
@@ -60,7 +58,7 @@ class HoldWatch:
         self.begin_anew()
 
     def begin_anew(self) -> None:
-        """Forget positions and signs, not the sums: after a sample that was lost."""
+        """Restart the sequences of positions and signs, but keep the sums, as after a lost sample."""
         self._signs = [0] * (self._delay + 3)  # newest first: of the torques computed one, two, ... samples ago
         self._before = self._last = 0.0
         self._positions = 0  # in a row
@@ -101,7 +99,7 @@ class HoldWatch:
 
 
 class DitheredGuarded(Guarded):
-    """`guarded` with a random sign in every torque in contact; certified until they contradict the declared hold.
+    """`guarded` with a random sign in every torque in contact; certified until the test contradicts the declared hold.
 
     The signs follow from the first position, so that a log of the run recomputes and replays them.
 
@@ -123,7 +121,7 @@ class DitheredGuarded(Guarded):
         super().__init__(environment, parameters, loop)
 
     def reset(self) -> None:
-        """Clear the state and the findings."""
+        """Clear the state and the result of the test."""
         super().reset()
         self._random: random.Random | None = None
         self._open = self._applied = self._moved = 0.0
@@ -131,12 +129,12 @@ class DitheredGuarded(Guarded):
 
     @property
     def hold_found(self) -> str:
-        """Contradictions of the declared hold; empty: none so far."""
+        """How the drive contradicts the declared hold; empty: no contradiction so far."""
         return self._watch.found
 
     @property
     def energy_resolution(self) -> float:
-        """That of `guarded`; of torques in another hold all that they could have exchanged [J]."""
+        """Resolution of `guarded`; after a contradiction, plus all energy that the torques could have exchanged [J]."""
         return super().energy_resolution + (self._open if self._watch.found else 0.0)
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
@@ -161,7 +159,7 @@ class DitheredGuarded(Guarded):
         return balance._replace(certificate=_NONE) if watch.found else balance
 
     def _lowered(self, balance: EnergyBalance) -> EnergyBalance:
-        """Return a balance whose torque is 2 a nearer to zero, as in the queued commands."""
+        """Return the balance with a torque 2 a nearer to zero; the queued command is changed too."""
         torque, quantum, steps = balance.torque, self._settings.quantum, self._steps
         down = -self._down if torque < 0.0 else self._down
         lowered = (round(torque / quantum) - (steps if torque > 0.0 else -steps)) * quantum if steps else torque - down
@@ -172,6 +170,6 @@ class DitheredGuarded(Guarded):
         return balance._replace(torque=lowered, damping_rendered=balance.damping_rendered * share)
 
     def sample_lost(self) -> EnergyBalance:
-        """Repeat the last command, sign and all; see `Guarded.sample_lost`."""
+        """Repeat the last command with its sign; see `Guarded.sample_lost`."""
         balance = super().sample_lost()
         return balance._replace(certificate=_NONE) if self._watch.found else balance

@@ -1,36 +1,34 @@
-"""`internal_dissipation`: the paper's algorithm. Dissipation follows from the state change that balances it (eq. 8).
+"""`internal_dissipation`: the paper's algorithm, whose state change balances stored and dissipated energy (eq. 8).
 
-Flow of one step (Fig. 6): out of contact - free, or exit; in contact without stored energy - the deadlock, left by a
-first-order start (eq. 14); else the exact solution (eqs. 15-17), or without one the approximate solution (eq. 18).
-Surplus energy is recovered by the modulated damper (eq. 19).
+Flow of one step (Fig. 6): out of contact it is free, or an exit. In contact without stored energy it is deadlocked
+until a first-order start (eq. 14). Otherwise the exact solution (eqs. 15-17) is used, or the approximate one (eq. 18)
+if there is none. Surplus energy is recovered by the modulated damper (eq. 19).
 
 Departures from the printed equations, and their reasons:
 
-- eq. 18 takes the state on the side of the contact; the printed sign is positive, where contact has x < 0.
+- eq. 18 takes the state on the side of the contact; the printed sign is positive, but contact has x < 0.
 - eq. 16 is solved for the root nearest zero: the printed one or, when sticking, the other (below).
-- eq. 15 is computed with the damper effort that was inside the torque applied in that very hold. Without delay this is
-  the printed one; with delay the printed one is unstable.
-- a motion that reverses would make H_R of eq. 15 negative, dissipation that gives energy: it is solved without it.
-- eq. 14 takes the velocity from the displacement, and only once the user pushes inward: switched on deep inside a wall,
-  x / T is not a velocity. A store emptied inside the contact is the same deadlock, left in the same way.
-- the state never crosses to the other side of the contact: there is no tension spring behind a wall.
+- eq. 15 uses the damper effort inside the torque that was applied in the hold. Without delay this is the printed
+  effort; with delay the printed one is unstable.
+- a motion that reverses would make H_R of eq. 15 negative, a damper that gives out energy: the balance is then solved
+  without H_R.
+- eq. 14 takes the velocity from the displacement, and starts only when the user pushes inward: switched on deep inside
+  a wall, x / T is not a velocity. A store emptied in contact is the same deadlock and restarts in the same way.
+- the state never crosses to the other side of the contact, because a wall does not pull.
 - the hold in which the contact ends, and those whose torque was still queued, are booked; the rest is leaked.
 
 Kept as printed: every start creates k x^2 / 2, and the state creeps away from the true penetration under tremor.
 
-The step shared with `a_priori_dissipation`, which renders a stored state too. They differ in how a hold changes the
-state, `touch` and `exchange`. The rest is shared: opening a hold, following the contact, the first-order start
-(eq. 14), the approximate step (eqs. 6, 7, 18), the exit, and deriving the command from the state. Each rule moves the
-storage and returns its account of the hold. The state never holds energy that was not received.
+`a_priori_dissipation` shares this step; it has its own `touch` and `exchange`, which change the state in a hold. Each
+rule moves the storage and returns its account of the hold.
 
-The energy balance of eq. 8 solved for the state change: closed for a linear spring, safeguarded for any other.
-
-Eq. 16 prints dx = (-b - sqrt(b^2 - 4 a c)) / 2 a. That loses all digits where k or the displacement is small, divides
-by zero at k = 0, and needs the other sign for the sticky rule. The root nearest zero in the form
+**Solution of eq. 8** for the state change: closed for a linear spring, iterative in a bracket for any other. Eq. 16
+prints dx = (-b - sqrt(b^2 - 4 a c)) / 2 a. That loses all digits if k or the displacement is small, divides by zero at
+k = 0, and needs the other sign for the sticky rule. The root nearest zero in the form
 
     dx = 2 H / (b + sgn(b) sqrt(b^2 + 2 k H)),    b = k x + f_d,    H = energy received
 
-has neither fault and covers the sticky rule. Near the double root the discriminant cancels, so it is formed from
+has none of these faults and covers the sticky rule. Near the double root the discriminant cancels, so it is formed from
 exact products (Dekker 1971) and an exact sum.
 """
 
@@ -77,14 +75,14 @@ def _product_error(a: float, b: float, product: float) -> float:
 
 
 def solve_balance(stiffness: float, effort: float, energy: float, displacement: float) -> float:
-    """Return the root nearest zero of k dx^2 / 2 + b dx = H [m or rad], or NaN where no state change balances.
+    """Return the root nearest zero of k dx^2 / 2 + b dx = H [m or rad], or NaN if it has no real root.
 
     Args:
         stiffness: k >= 0 [N/m or N*m/rad].
         effort: b, the whole effort opposing motion at the old state: k x + f_d [N or N*m].
         energy: H, energy received by the model [J].
-        displacement: Measured motion of the hold [m or rad]; its sign decides between roots equally near zero, and it
-            is the answer itself where nothing opposes motion and nothing was received (k = b = 0).
+        displacement: Measured motion of the hold [m or rad]. Its sign decides between roots equally near zero. It is
+            the result if no effort opposes motion and no energy was received (k = b = H = 0).
     """
     if energy == 0.0:
         return displacement if stiffness == 0.0 and effort == 0.0 else 0.0
@@ -121,19 +119,19 @@ def slope(environment: Environment, old: Balance, change: float) -> float:
 def solve_balance_nonlinear(
     environment: Environment, old: Balance, energy: float, limit: float, tolerance: float
 ) -> float:
-    """Return the root nearest zero of gain(dx) = H for a nonlinear storage, or NaN where no state change balances.
+    """Return the root nearest zero of gain(dx) = H [m or rad] for a nonlinear storage, or NaN if there is none.
 
-    The direction follows from the sign of H and of the slope at 0. Within it the root is bracketed - by the limit, or
-    by the point where the slope reverses - and found by Newton steps that fall back to bisection when they leave the
-    bracket or do not halve; never more than 80 of them.
+    The direction follows from the signs of H and of the slope at 0. In that direction the root is bracketed by the
+    limit, or by the point where the slope reverses. At most 80 Newton steps find it, with bisection if a step leaves
+    the bracket or does not halve the error.
 
     Args:
         environment: Environment with a nonlinear storage.
         old: Previous state.
         energy: H, energy received by the model [J].
-        limit: Largest state change to consider [m or rad]; its sign decides where nothing opposes motion at first.
+        limit: Largest state change to consider [m or rad]; its sign decides if no effort opposes motion at first.
             If more was received than the limit takes up, the result is the limit, and the caller leaks the rest.
-        tolerance: Rounding of `gain` [J]; convergence is no finer.
+        tolerance: Rounding error of `gain` [J], at which the iteration ends.
     """
     if energy == 0.0 or limit == 0.0:
         return 0.0 if energy >= 0.0 else nan
@@ -148,7 +146,7 @@ def solve_balance_nonlinear(
 
 
 def _turning_point(environment: Environment, old: Balance, far: float) -> float:
-    """Return the last place before the slope changes its sign between 0 and `far`."""
+    """Return the last state change before the slope changes sign between 0 and `far` [m or rad]."""
     near, rising = 0.0, slope(environment, old, 0.0) > 0.0
     for _ in range(_ITERATIONS):
         middle = 0.5 * (near + far)
@@ -162,7 +160,7 @@ def _turning_point(environment: Environment, old: Balance, far: float) -> float:
 
 
 def _newton(environment: Environment, old: Balance, energy: float, far: float, tolerance: float) -> float:
-    """Return the root between 0 and `far`, where |gain| rises from 0 to at least |H|."""
+    """Return the root between 0 and `far` [m or rad]; |gain| rises from 0 to at least |H| between them."""
     effort = slope(environment, old, 0.0)
     near, gain_far = 0.0, gain(environment, old, far)
     guess = energy / effort if effort != 0.0 else far
@@ -192,9 +190,9 @@ def _newton(environment: Environment, old: Balance, energy: float, far: float, t
 
 
 def _between(near: float, far: float, energy: float, gain_far: float) -> float:
-    """Return a place inside the bracket: its middle, or, while it begins at 0, where a parabola would have the root.
+    """Return the middle of the bracket or, while it begins at 0, the root of a parabola through its ends [m or rad].
 
-    Halving alone would not get from a motion of a millimetre to the root of a vanishing energy.
+    Halving alone would take too many steps from a motion of a millimetre to the root of a vanishing energy.
     """
     if near == 0.0 and gain_far != 0.0:
         return far * min(0.5, sqrt(energy / gain_far))
@@ -210,7 +208,7 @@ UNTOUCHED: Final = HoldAccount(Branch.FREE.value, 0.0, 0.0, 0.0, 0.0)
 
 @dataclass(slots=True)
 class Storage:
-    """State, velocity and stored energy of one environment, and the state of the continuous environment."""
+    """Rendered state of one environment with its velocity and energy, and the state of the continuous environment."""
 
     zone: int = 0  # of contact, 0 out of contact
     true: float = 0.0  # state of the continuous environment [m or rad]
@@ -220,17 +218,17 @@ class Storage:
 
 
 def empty(storage: Storage) -> None:
-    """The deadlock: nothing stored, no velocity, no torque until the user pushes inward."""
+    """Deadlock the storage: no energy, no velocity, and no torque until the user pushes inward."""
     storage.state = storage.velocity = storage.h_s = 0.0
 
 
 def is_deadlocked(storage: Storage) -> bool:
-    """Return whether the storage is empty and at rest, so that it gives no torque."""
+    """Return whether the storage is empty and its velocity 0, so that it gives no torque."""
     return storage.h_s == 0.0 and storage.velocity == 0.0
 
 
 def follow(environment: Environment, storage: Storage, position: float, displacement: float, elapsed: float) -> bool:
-    """Follow the contact over a hold of given time [s]; return True when a zone was entered or left in it."""
+    """Update contact zone and true state over a hold of given time [s]; return whether the zone changed in it."""
     zone = environment.contact(position)
     changed = zone != storage.zone
     storage.zone = zone
@@ -241,18 +239,18 @@ def follow(environment: Environment, storage: Storage, position: float, displace
 
 
 def pushed_inward(environment: Environment, storage: Storage, displacement: float) -> bool:
-    """Return True when the motion [m or rad] stores energy, or when there is nothing to store it in."""
+    """Return whether the motion [m or rad] stores energy, or the environment has no effort to store it with."""
     effort = environment.effort(storage.true)
     return effort * displacement > 0.0 or (effort == 0.0 and displacement != 0.0)
 
 
 def entered_by(environment: Environment, storage: Storage, displacement: float) -> float:
-    """Part of a motion [m or rad] inside the contact."""
+    """Return the part of a motion that lies inside the contact [m or rad]."""
     return storage.true - environment.admissible(storage.true - displacement, storage.true)
 
 
 def start(environment: Environment, storage: Storage, change: float, elapsed: float, h_m: float) -> HoldAccount:
-    """First-order start (eq. 14): the state is the true one, and the energy for it is created.
+    """Start a contact to first order (eq. 14): set the state to the true one, and create the energy for it.
 
     Args:
         environment: The rendered environment.
@@ -271,16 +269,16 @@ def start(environment: Environment, storage: Storage, change: float, elapsed: fl
 def move(
     environment: Environment, storage: Storage, change: float, elapsed: float, h_r: float, h_m: float, limited: bool
 ) -> tuple[float, float]:
-    """Take a state change found by eq. 8; return (h_r including dissipation by relaxation, leak) [J].
+    """Apply a state change found by eq. 8; return (h_r including dissipation by relaxation, leak) [J].
 
     Args:
         environment: The rendered environment.
         storage: Storage; its state is updated.
         change: Change of the state [m or rad].
         elapsed: Time of the hold [s].
-        h_r: Energy dissipated with it [J].
+        h_r: Energy that the damper dissipates in this change [J].
         h_m: Energy received [J].
-        limited: True when the change takes up less than was received; the remainder leaks.
+        limited: Whether the change may take up less than was received; the remainder leaks.
     """
     before = storage.h_s
     moved = storage.state + change
@@ -317,7 +315,7 @@ def approximate(
 
 
 def relax(environment: Environment, storage: Storage, state: float, h_s: float, elapsed: float, h_r: float) -> float:
-    """Take a state and its energy after one hold of relaxation; return h_r with the relaxation's dissipation [J]."""
+    """Store a state and its energy after one hold of relaxation; return h_r with the relaxation's dissipation [J]."""
     if environment.relaxes:
         strained = h_s
         state = environment.relaxed(state, elapsed)
@@ -328,13 +326,13 @@ def relax(environment: Environment, storage: Storage, state: float, h_s: float, 
 
 
 def rest_of(available: float, used: float) -> float:
-    """Remainder of an energy [J]; rounding errors count as 0."""
+    """Return the remainder of an energy [J]; rounding errors count as 0."""
     rest = available - used
     return rest if rest > _ROUNDING * available else 0.0
 
 
 def leave(storage: Storage, account: HoldAccount) -> HoldAccount:
-    """Convert the account of a contact's last hold into an exit: everything left is leaked."""
+    """Return the account of a contact's last hold as an exit, in which all stored energy is leaked."""
     _, h_r, gen, deficit, leak = account
     leak += storage.h_s
     empty(storage)
@@ -342,7 +340,7 @@ def leave(storage: Storage, account: HoldAccount) -> HoldAccount:
 
 
 class StoredModelParameters(DamperVelocity):
-    """Velocity of the damper, and recovery of the surplus."""
+    """Parameters of an algorithm with a stored state: velocity of the damper, and recovery of the surplus."""
 
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
@@ -451,7 +449,7 @@ _EXACT, _STICKY = Branch.EXACT.value, Branch.STICKY.value
 
 
 class InternalDissipationParameters(StoredModelParameters):
-    """Parameters that the paper does not fix."""
+    """Parameters of `internal_dissipation`, which the paper leaves open."""
 
 
 @dataclass(slots=True)
@@ -466,8 +464,8 @@ def touch(
 ) -> HoldAccount:
     """Account for a hold that ended in contact.
 
-    After a start the user does not feel a torque before `delay` more holds have ended. Until then no energy can be
-    exchanged, and the first-order approximation continues.
+    After a start no torque acts until `delay` more holds have ended. Until then no energy can be exchanged, and the
+    first-order approximation continues.
     """
     storage, displacement = state.storage, hold.displacement
     fresh = entered or is_deadlocked(storage)
@@ -481,7 +479,7 @@ def touch(
 
 
 def exchange(environment: Environment, settings: StoredModelSettings, storage: Storage, hold: Hold) -> HoldAccount:
-    """Change the state by the solution of eq. 8, or by eq. 18 where there is none."""
+    """Change the state by the solution of eq. 8, or by eq. 18 if there is none; return the account of the hold."""
     damper, h_m = hold.damper, hold.h_i - hold.h_pas
     change = solve(environment, settings, storage, hold.displacement, damper, h_m)
     if damper * change < 0.0:

@@ -1,10 +1,10 @@
-"""`passivity_observer`: PO/PC of ref. [9] in its exact sampled form.
+"""`passivity_observer`: passivity observer and controller (PO/PC) of ref. [9] in exact sampled form.
 
-The observer sums the interaction energy (eq. 2), which for a held torque is exact and needs no estimate of velocity.
-While the sum is negative - more was drawn than ever put in - the passivity controller adds a damper that recovers the
-shortfall back in one hold like the last. It guards eq. 3 and knows nothing of what the model should have dissipated
-(eq. 4): a spring and damper that creates energy may feel like a spring alone before it acts, as sec. II of the paper
-says.
+The observer sums the interaction energy (eq. 2), which is exact for a held torque and needs no velocity estimate.
+While the sum is negative, so that more energy came out than went in, the passivity controller adds a damper that would
+recover the shortfall in one hold like the last. It enforces eq. 3, but not the dissipation of the model (eq. 4): as
+sec. II of the paper says, a spring and damper that creates energy may feel like a spring alone before the controller
+acts.
 """
 
 from dataclasses import dataclass, field
@@ -27,8 +27,8 @@ class PassivityObserverParameters(DamperVelocity):
     """Limit of the passivity controller's braking."""
 
     damping_limit: Annotated[float, quantity("N*s/m", "N*m*s/rad", gt=0.0)] | None = None
-    """Damping limit of the passivity controller. Without it the cap from moving mass, delay and sample time holds, so
-    one of the two must be known: the damper wanted grows without bound as the motion comes to rest."""
+    """Largest damping of the passivity controller. None: the cap by moving mass, delay and sample time. One of the two
+    must be known, because the damping that recovers the shortfall grows without bound as the motion comes to rest."""
 
 
 @dataclass(slots=True)
@@ -41,10 +41,10 @@ class ObserverState(unprotected.SampledState):
 def observer_settings(
     algorithm: str, environment: Environment, parameters: PassivityObserverParameters, loop: LoopProperties
 ) -> unprotected.SampledSettings[Any]:
-    """Constants of a run of an algorithm with a passivity controller, whose damping it limits.
+    """Return the constants of a run of an algorithm with a passivity controller, with the limit of its damping.
 
     Raises:
-        ParameterError: Nothing bounds the damper.
+        ParameterError: Neither `damping_limit` nor the moving mass is known.
     """
     limit = parameters.damping_limit
     if limit is None and loop.moving_mass is None:
@@ -59,7 +59,7 @@ def observer_settings(
 
 
 def respond(run: unprotected.SampledRun[PassivityObserverParameters, ObserverState], hold: Hold, asked: Asked) -> Reply:
-    """Add a damper while more energy was drawn than was put in."""
+    """Add a damper while more energy came out than went in."""
     observed = add(run.state.observed, hold.h_i)
     extra = controlling_damping(run.settings.limit, observed, hold) if asked.touches else 0.0
     effort = extra * hold.displacement / hold.elapsed

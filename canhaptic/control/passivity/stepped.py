@@ -1,15 +1,9 @@
-"""A passivity algorithm in the cycle: keeps the state of the kernel, and refuses values that are not finite.
-
-Commands between their computation and the end of the hold in which they acted.
+"""Common parts of passivity algorithms: a kernel with its state in the cycle, queued commands, account of one hold.
 
 With a delay of n samples, n + 1 commands are queued when a new one is computed (a synchronous RPDO delays by one).
-The damper and modulated efforts of a command are kept with it, so that the hold is booked with the efforts that were
-parts of the torque applied in that very hold. Booked with the newest efforts instead, the velocity of the paper's
-algorithm has a pole at -1.618 for a delay of one sample.
-
-Division of one hold's energy between stored energy and surplus, as in `guarded` for one axis and for a group.
-
-Opening and closing the account of one hold: the energy that came in, and the next command.
+The damper and modulated efforts of a command are stored with it, so that each hold is booked with the efforts inside
+the torque that was applied in it. Booked with the newest efforts instead, the velocity of the paper's algorithm has a
+pole at -1.618 for a delay of one sample.
 """
 
 from collections.abc import Callable
@@ -26,14 +20,14 @@ from canhaptic.kernels import Buffer, Kernel, MakeBuffer, Run, list_of_zeros, ne
 from canhaptic.units import Parameters
 
 _WHOLE: Final = 2.0**53
-"""Least floating-point number from which on all are whole."""
+"""Floating-point numbers from here on are whole."""
 
 
 class Commands(NamedTuple):
-    """Torques of the holds that have not ended and their component efforts, rings of shape (delay + 1,) [N or N*m].
+    """Queued torques and their damper and modulated efforts, ring buffers of shape (delay + 1,) [N or N*m].
 
     torque = -(spring + damper + modulated). With n = delay + 1 and `oldest` the index of the command whose hold ends
-    next, those that act after it are at oldest + 1 - n, oldest + 2 - n, ... and the newest is at oldest - 1.
+    next, the later commands are at oldest + 1 - n, oldest + 2 - n, ... and the newest is at oldest - 1.
     """
 
     torques: Buffer
@@ -42,7 +36,7 @@ class Commands(NamedTuple):
 
 
 def send(commands: Commands, oldest: int, torque: float, damper: float, modulated: float) -> int:
-    """Replace the command whose hold ended; return the index of the oldest one left."""
+    """Replace the command whose hold ended by a new one; return the index of the oldest command left."""
     commands.torques[oldest] = torque
     commands.dampers[oldest] = damper
     commands.modulated[oldest] = modulated
@@ -51,13 +45,13 @@ def send(commands: Commands, oldest: int, torque: float, damper: float, modulate
 
 
 def repeat(commands: Commands, oldest: int) -> int:
-    """Account for a hold without a new command: the drive repeats the last one. Returns the index as `send` does."""
+    """Queue the last command again, as the drive repeats it without a new one; return the index like `send`."""
     newest = oldest - 1
     return send(commands, oldest, commands.torques[newest], commands.dampers[newest], commands.modulated[newest])
 
 
 def as_far_as_limit(torque: float, torque_limit: float) -> float:
-    """Clip a sent torque to the limits of limiter and drive [N or N*m]."""
+    """Return a sent torque, clipped to the limit of limiter and drive [N or N*m]."""
     return min(max(torque, -torque_limit), torque_limit)
 
 
@@ -70,7 +64,7 @@ def towards_zero(torque: float, quantum: float) -> float:
 
 
 def efforts_inside(commands: Commands, oldest: int, torque_applied: float) -> tuple[float, float]:
-    """Return the damper and modulated effort inside the torque that was applied in the hold that ended [N or N*m].
+    """Return the damper and modulated efforts inside the torque that was applied in the hold that ended [N or N*m].
 
     A clipped torque scales both in proportion.
     """
@@ -87,9 +81,9 @@ def settle(
     """Return (h_s, surplus, h_r, deficit, leak, paid) after a hold [J].
 
     Args:
-        h_s: Stored energy including the hold's; below 0 is a deficit.
+        h_s: Stored energy with the energy of the hold; below 0 it is a deficit.
         surplus: Energy still to be dissipated.
-        lost: Energy that the dissipators of the model took; negative values count as 0.
+        lost: Energy that the model dissipates; negative values count as 0.
         ceiling: Energy that the model stores at its true state; the stored energy is limited to it.
         slack: Part of `h_s` that the certificates of the queued torques do not need; the rest must be kept.
     """
@@ -118,7 +112,7 @@ _HELD = Branch.HELD.value
 
 
 class SteppedController:
-    """A kernel with the state of one axis; see `Controller`."""
+    """Controller that runs a kernel with the state of one axis, and refuses values that are not finite."""
 
     parameters_type: ClassVar[type[Parameters]]
     kernel: ClassVar[Kernel]
@@ -134,7 +128,7 @@ class SteppedController:
         """Refuse a kernel whose step takes settings, state and memory one by one, as kernels once did.
 
         Raises:
-            ParameterError: It does.
+            ParameterError: The step has other than four arguments.
         """
         kernel = vars(cls).get("kernel")
         if kernel is not None and kernel.step.__code__.co_argcount != 4:  # environment, run, position, torque applied
@@ -144,7 +138,7 @@ class SteppedController:
             )
 
     def __init__(self, environment: object, parameters: Parameters, loop: Parameters) -> None:
-        """Prepare a run; `parameters` is of `parameters_type`.
+        """Prepare a run with parameters of `parameters_type`.
 
         Raises:
             ParameterError: A property that the algorithm needs is unknown.
@@ -163,7 +157,7 @@ class SteppedController:
         self._last = AT_REST
 
     def sample_lost(self) -> EnergyBalance:
-        """Answer a SYNC whose position was lost; nothing is booked. See `Controller.hold`."""
+        """Return the balance of a SYNC whose position was lost; see `Controller.sample_lost`."""
         command = self._command_unseen() if self._axis.started else self._last.torque
         return self._last._replace(
             torque=command, branch=_HELD, h_i=0.0, h_pas=0.0, h_m=0.0, h_r=0.0, gen=0.0, deficit=0.0, leak=0.0, paid=0.0
@@ -175,11 +169,11 @@ class SteppedController:
         return self._last.torque
 
     def lasted(self, periods: float) -> None:
-        """Record that the hold that the next `step` ends lasted this number of sample times, as SYNCs were skipped."""
+        """Set the length of the hold that ends at the next `step` [sample times]: more than 1 after skipped SYNCs."""
         self._axis.lasted += periods - 1.0
 
     def withhold(self) -> None:
-        """Record that the command of the last `step` is not sent: in a dry run the drive holds no torque."""
+        """Replace the command of the last `step` by no torque, because a dry run does not send it."""
         commands = getattr(getattr(self._memory, "axis", None), "commands", None)
         if commands is not None:  # own code may keep none
             send(commands, self._axis.oldest - 1, 0.0, 0.0, 0.0)
@@ -207,7 +201,7 @@ class SteppedController:
 
 @dataclass(frozen=True, slots=True)
 class HoldSettings:
-    """Settings of the account of a hold."""
+    """Constants of the account of a hold."""
 
     sample_time: float  # [s]
     delay: int  # whole holds between computation and action
@@ -262,7 +256,7 @@ class HoldAccount(NamedTuple):
 
 
 def hold_settings(parameters: DamperVelocity, loop: LoopProperties, certificate: Certificate) -> HoldSettings:
-    """Return the settings with which every hold of a run is accounted for.
+    """Return the constants of the account of every hold of a run.
 
     Raises:
         ParameterError: A windowed velocity without an encoder count.
@@ -294,7 +288,7 @@ class HoldMemory(NamedTuple):
 
 
 def hold_memory(settings: Any, make_buffer: MakeBuffer, own: int = 0) -> HoldMemory:
-    """Return the buffers of one axis for an algorithm whose settings have a `hold`, and its own of this length."""
+    """Return the buffers of one axis, by `settings.hold`, and one of length `own` for its algorithm."""
     axis = axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
     return HoldMemory(axis, make_buffer(own))
 
@@ -338,8 +332,9 @@ def let_samples_pass(
 ) -> float:
     """Account for lost samples; return the largest error of torque applied times displacement [J].
 
-    Within the holds the axis may have gone out and back, so that the excursion is not the displacement; it is taken
-    as that and the motion before, for every lost hold. Any torque of the gap may have acted while SYNCs were skipped.
+    The axis may have moved out and back within the holds, so that its excursion exceeds the displacement. It is taken
+    as the displacement plus the motion of the hold before, once for every lost hold. While SYNCs were skipped, any
+    torque of the gap may have acted.
 
     Args:
         axis: The axis; its count of missing samples is cleared.
@@ -363,7 +358,7 @@ def close_hold(
     run: Run[Any, Any, HoldMemory], hold: Hold, account: HoldAccount, efforts: tuple[float, float, float],
     rendered: float, state: float, h_s: float,
 ) -> EnergyBalance:  # fmt: skip
-    """Send a command of given efforts (spring, damper, modulated) and return the balance of the hold.
+    """Queue a command of given efforts (spring, damper, modulated) and return the balance of the hold.
 
     Args:
         run: Run of the algorithm; surplus and commands of its axis are updated.
@@ -389,7 +384,7 @@ def close_hold(
 
 
 def surplus_after(axis: Axis, hold: Hold, account: HoldAccount) -> tuple[float, float]:
-    """Surplus after a hold, and the part of the leak that reduced it [J]."""
+    """Return the surplus after a hold, and the part of the leak that reduced it [J]."""
     _, _, gen, deficit, leak = account
     surplus = axis.h_dis + gen + deficit - hold.h_pas
     paid = min(leak, surplus) if leak > 0.0 and surplus > 0.0 else 0.0

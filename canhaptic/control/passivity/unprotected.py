@@ -1,15 +1,13 @@
-"""The unprotected environment, and the step shared by every algorithm that renders it.
+"""`unprotected`: the sampled environment without protection, and the step of every algorithm that modifies it.
 
-The state and velocity of the model come straight from the position. `unprotected` is exactly this; every other
-algorithm changes its efforts. What sampling creates is booked as `gen`, what it loses as `leak`, so that the account
-closes like every other. Such an algorithm is a parameter model, its own state beyond an axis's common one, and
-one function `respond`; `sampled_kernel` makes the kernel of them::
+State and velocity of the model come directly from the position, as in most haptic loops, and sampling creates energy.
+It is booked as `gen`, energy lost by sampling as `leak`, so that the account is balanced. Other algorithms change the
+efforts of this model. Each consists of a parameter model, a state beyond the common one of an axis, and one function
+`respond`, from which `sampled_kernel` makes the kernel::
 
     class Limp(SteppedController):
         parameters_type = LimpParameters
         kernel = sampled_kernel(respond, LimpState)
-
-`unprotected`: the sampled environment without protection, as most haptic loops run it; sampling creates energy.
 """
 
 from collections.abc import Callable
@@ -31,7 +29,7 @@ _FREE, _START, _EXACT, _EXIT = Branch.FREE.value, Branch.START.value, Branch.EXA
 
 @dataclass(slots=True)
 class SampledModel:
-    """The true state of an environment, and the state that is rendered."""
+    """True state of an environment, and the state that is rendered with its energy."""
 
     zone: int = 0  # of contact
     true: float = 0.0  # [m or rad]
@@ -40,7 +38,7 @@ class SampledModel:
 
 
 class Asked(NamedTuple):
-    """Outcome of the sampled environment in one hold, and its request for the next."""
+    """Result of the sampled environment for one hold, and the efforts it requests for the next."""
 
     branch: int
     h_r: float  # [J]
@@ -51,7 +49,7 @@ class Asked(NamedTuple):
 
 
 def follow(environment: Environment, model: SampledModel, position: float, hold: Hold) -> Asked:
-    """Follow one hold; return its dissipation and the efforts for the next. `settle` must follow.
+    """Move the true state over one hold; return the dissipation and the efforts for the next. `settle` must follow.
 
     Args:
         environment: The sampled environment.
@@ -147,9 +145,9 @@ def sampled_settings(
 
 
 def respond(run: SampledRun[Any, Any], hold: Hold, asked: Asked) -> Reply:
-    """Render the model directly: torque = -effort(x) - d v with x and v straight from the position.
+    """Render the model unchanged: torque = -effort(x) - d v with x and v directly from the position.
 
-    An algorithm has its own function in this place, which receives the model's efforts for the next hold.
+    Other algorithms replace this function by their own, which changes the model's efforts for the next hold.
     """
     return new(Reply, (1.0, asked.spring, asked.damper, 0.0, asked.damping))
 
@@ -183,7 +181,7 @@ def sampled_kernel(
     """Return the kernel of an algorithm that samples its environment.
 
     Args:
-        respond_as: Step function of the algorithm, replacing `respond`.
+        respond_as: Function of the algorithm that replaces `respond`.
         state: Factory of the state at rest.
         settings: (environment, parameters, loop) -> constants of a run.
         kept: Length of the algorithm's own buffer.
@@ -200,7 +198,7 @@ class UnprotectedParameters(DamperVelocity):
 
 
 class Unprotected(stepped.SteppedController):
-    """torque = -effort(x) - d v."""
+    """The sampled environment without protection: torque = -effort(x) - d v."""
 
     parameters_type = UnprotectedParameters
     kernel = sampled_kernel(respond)
