@@ -1,6 +1,6 @@
-"""Admittance displays: force in, velocity out. Tables of environments and algorithms.
+"""Admittance displays, with force in and velocity out: the tables of their environments and algorithms.
 
-Every scene reads the tables; the other modules of this room are loaded only where a scene has a display.
+Every scene reads these tables; the other modules of this package are loaded only if a scene has an admittance display.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ DISPLAY_NETWORKS: Final[dict[str, str]] = {
     "virtual_mass": f"{_HERE}.group_environment:GroupMass",
     "guided_path": f"{_HERE}.group_environment:PathMass",
 }
-"""The same for environments of several displays."""
+"""Environments of several displays, in the same form."""
 
 DISPLAY_GROUP_ALGORITHMS: Final[dict[str, str]] = {
     "unprotected": f"{_HERE}.sampled_group:UnprotectedAdmittanceGroup",
@@ -47,7 +47,7 @@ DISPLAY_GROUP_ALGORITHMS: Final[dict[str, str]] = {
     "energy_tank": f"{_RIVALS}.tank_admittance:TankAdmittanceGroup",
     "guarded": f"{_HERE}.admittance_group:GuardedAdmittanceGroup",
 }
-"""The same for algorithms of several displays; every class takes (environment, parameters, properties of each)."""
+"""Algorithms for several displays, in the same form; a class takes (environment, parameters, properties of each)."""
 
 
 def build_display_controller(
@@ -62,7 +62,7 @@ def build_display_controller(
         properties: Declared properties of loop, sensor and limits.
 
     Raises:
-        ParameterError: Unknown name, parameters of another algorithm, or a value that the algorithm cannot do without.
+        ParameterError: Unknown name, parameters of another algorithm, or a missing value that the algorithm needs.
     """
     algorithm, chosen = load_algorithm(DISPLAY_ALGORITHMS, algorithm_name, "admittance algorithm", parameters)
     controller: Controller = algorithm(environment, chosen, properties)
@@ -83,7 +83,7 @@ def build_display_group(
         algorithm_name: A name of `DISPLAY_GROUP_ALGORITHMS`.
         parameters: The algorithm's own `parameters_type`.
         properties: Declared properties of each axis.
-        kinematics: Map between the axes and task space; None where the axes are the task coordinates.
+        kinematics: Map between the axes and task space; None if the axes are the task coordinates.
 
     Raises:
         ParameterError: Unknown name, or parts that do not fit together.

@@ -1,9 +1,7 @@
-"""Environments of an admittance display: a velocity in response to a force, with walls that limit the position.
+"""Environments of an admittance display, the axis on which one is rendered, and the base of its controllers.
 
-Commands change at SYNCs only. An environment with states of its own follows the command that was sent, which limits and
-certificates may have reduced.
-
-Motion of the rendered environment, its limits, and the queued commands.
+An environment answers a force with a velocity; its walls limit the position. Commands change at SYNCs only. An
+environment with its own states follows the command that was sent, which limits and certificates may have reduced.
 
 `virtual_mass` is a mass with a damper, a spring to ground and walls:
 
@@ -11,10 +9,9 @@ Motion of the rendered environment, its limits, and the queued commands.
 
 The spring acts at the measured position; a wall limits the position and absorbs the remaining momentum (plastic).
 
-A controller of an admittance display in the cycle; see `canhaptic.control.passivity.stepped`.
-
-It has the interface of an impedance display: `torque_applied` is the force of the display on the hand (minus the
-sensor's reading), and the `torque` of its balance is the commanded velocity [m/s or rad/s].
+A controller has the interface of an impedance display (`canhaptic.control.passivity.stepped`): `torque_applied` is the
+force of the display on the hand, minus the reading of the sensor, and the `torque` of its balance is the commanded
+velocity [m/s or rad/s].
 """
 
 from math import inf
@@ -31,11 +28,11 @@ from canhaptic.units import Parameters, quantity
 
 
 class AdmittanceEnvironment(Parameters):
-    """Parameters and methods of an environment on one axis."""
+    """Base class of an environment of one admittance display."""
 
     display: ClassVar[Literal["admittance"]] = "admittance"
     states: ClassVar[int] = 0
-    """Number of states kept from SYNC to SYNC: `inner` of its methods, zeros at first."""
+    """Number of states kept from SYNC to SYNC: the list `inner` of its methods, initially 0."""
 
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """Damping to ground."""
@@ -56,7 +53,7 @@ class AdmittanceEnvironment(Parameters):
         raise NotImplementedError
 
     def speed_after(self, inner: Buffer, speed: float, force: float, position: float, time: float) -> float:
-        """Speed after another hold under a constant force [m/s or rad/s].
+        """Return the speed after another hold under a constant force [m/s or rad/s].
 
         Args:
             inner: States of the environment.
@@ -71,11 +68,11 @@ class AdmittanceEnvironment(Parameters):
         """Advance the states by a hold at a speed; `before` is the speed of the previous hold [m/s or rad/s]."""
 
     def stored(self, inner: Buffer, speed: float, position: float) -> float:
-        """Stored energy [J]."""
+        """Return the stored energy [J]."""
         raise NotImplementedError
 
     def stretch(self, position: float) -> float:
-        """Displacement of the spring, for logs; 0 without one [m or rad]."""
+        """Return the displacement of the spring for logs [m or rad]; 0 without a spring."""
         return 0.0
 
 
@@ -84,14 +81,14 @@ _BACK: Final = 0.125
 
 
 class Commands(list[float]):
-    """Ring of the commands sent [m/s or rad/s].
+    """Ring buffer of the commands sent [m/s or rad/s].
 
     Args:
-        kept: Length of the ring.
+        kept: Length of the ring buffer.
 
     Attributes:
-        newest: Place of the last command.
-        speed: The last command.
+        newest: Index of the last command.
+        speed: Last command [m/s or rad/s].
     """
 
     __slots__ = ("newest", "speed")
@@ -111,13 +108,13 @@ class Commands(list[float]):
 
 
 class AdmittanceAxis:
-    """Account of the port, limits and commands of one axis.
+    """Energy account, limits and commands of one axis of an admittance display.
 
     Args:
         environment: Environment of the axis.
-        properties: Its declared properties.
-        kept: Number of commands to be kept.
-        lag: Moving mass of the drive over its gain: overshoot per speed [s].
+        properties: Declared properties of the axis.
+        kept: Number of past commands to store.
+        lag: Moving mass of the drive over the gain of its velocity loop [s]: overshoot per speed.
     """
 
     def __init__(
@@ -130,15 +127,15 @@ class AdmittanceAxis:
         self.port, self.commands = Port(self.properties), Commands(kept)
 
     def begin(self, position: float, force: float) -> None:
-        """Take the first sample."""
+        """Start the account at the first position [m or rad] and force [N or N*m]."""
         self.port.begin(position, force)
 
     def limited(self, request: float, position: float, velocity: float) -> float:
-        """Return the nearest command that speed, acceleration and position limits allow [m/s or rad/s].
+        """Return the nearest command that the limits of speed, acceleration and position allow [m/s or rad/s].
 
-        A command may always go to zero. Towards a position limit, room is left for the queued commands and for the
-        distance that the drive needs to follow. Beyond it the command leads back, slowly: a drive without an integral
-        yields to a pushing hand.
+        The command may always go to zero. It leaves enough distance to a position limit for the queued commands and for
+        the overshoot of the drive. Beyond the limit it leads back slowly, because a drive without an integral yields to
+        a pushing hand.
         """
         properties, commands, lag, step = self.properties, self.commands, self._lag, self._step
         last, time, most = commands.speed, properties.sample_time, properties.speed_limit
@@ -167,14 +164,14 @@ class AdmittanceAxis:
 
 
 class AdmittanceMass(AdmittanceEnvironment):
-    """A mass moved by the hand."""
+    """`virtual_mass`: a mass that the hand moves, with a damper, a spring to ground and walls."""
 
     mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
     """Virtual mass felt at the sensor."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)] = 0.0
     """Stiffness of a spring to ground."""
     rest: Annotated[float, quantity("m", "rad", ge=-1e3, le=1e3)] = 0.0
-    """Where that spring is at rest."""
+    """Position at which the spring exerts no force."""
 
     @property
     def inertia(self) -> float:
@@ -182,7 +179,7 @@ class AdmittanceMass(AdmittanceEnvironment):
         return self.mass
 
     def speed_after(self, inner: Buffer, speed: float, force: float, position: float, time: float) -> float:
-        """Return the speed after another hold [m/s or rad/s]: implicit in the damper."""
+        """Return the speed after another hold [m/s or rad/s], with the damper integrated implicitly."""
         push = (force - self.stiffness * (position - self.rest)) * time
         return (self.mass * speed + push) / (self.mass + time * self.damping)
 
@@ -200,12 +197,12 @@ class AdmittanceMass(AdmittanceEnvironment):
         return -self.stiffness * (position - self.rest)
 
     def stretch(self, position: float) -> float:
-        """Return the displacement of the spring; 0 without one [m or rad]."""
+        """Return the displacement of the spring [m or rad]; 0 without a spring."""
         return position - self.rest if self.stiffness else 0.0
 
 
 class AdmittanceController(SteppedController):
-    """An admittance algorithm on one axis; `_account` is its own."""
+    """Base class of an admittance algorithm on one axis, which implements `_account`."""
 
     _environment: AdmittanceEnvironment
     _display: AdmittanceAxis
@@ -219,7 +216,7 @@ class AdmittanceController(SteppedController):
     def __init__(
         self, environment: AdmittanceEnvironment, parameters: Parameters, properties: AdmittanceProperties
     ) -> None:
-        """Prepare a run; `parameters` is of `parameters_type`.
+        """Prepare a run with parameters of `parameters_type`.
 
         Raises:
             ParameterError: A property that the algorithm needs is unknown.

@@ -1,9 +1,9 @@
-"""Several admittance displays with one account: energy that entered at one axis may leave at another.
+"""`guarded` for several admittance displays with one account: energy that entered at one axis may leave at another.
 
-Each axis has its own drive, so that the margins of `velocity_loop` add up: W = E - sum V_i, and the losses of all
-queued commands add up too. A request that does not fit is reduced in all axes by one factor, so that it
-keeps its direction: the loss is convex in the factor, hence the chord between a factor that fits and one that does not
-gives a larger one that fits.
+Each axis has its own drive, so that the margins of `velocity_loop` add up, W = E - sum V_i, and so do the losses of all
+queued commands. A request whose loss exceeds the margin is reduced by one factor on all axes, which keeps its
+direction. The loss is convex in the factor, so that the chord between a permitted factor and a larger one that is not
+permitted leads to a permitted factor between them.
 """
 
 from collections.abc import Sequence
@@ -60,7 +60,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         self._is_unsure = uneven and self._parameters.integral_gain > 0.0
 
     def sample_lost(self) -> GroupBalance:
-        """Answer a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
+        """Return the balance of a SYNC without the sample of an axis, with zero velocities; see `GroupController`."""
         balance = super().sample_lost()
         if self._started:
             self._watch_limit()
@@ -125,10 +125,10 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         return holds, proved - free
 
     def _require_agreement(self, holds: Sequence[BookedHold], forces: Sequence[float], *, is_first: bool) -> None:
-        """Compare every force with the motion, axis by axis: each drive has its own loop.
+        """Compare the force of every axis with its motion.
 
         Raises:
-            ForceContradictedError: They do not agree.
+            ForceContradictedError: A force contradicts the motion.
         """
         for number, (axis, hold, force) in enumerate(zip(self._each, holds, forces, strict=True), 1):
             text = axis.contradiction(f"force sensor of motor axis {number}", hold, force, is_first=is_first)
@@ -163,19 +163,19 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         return Certificate.VELOCITY_LOOP.value
 
     def _used_at(self, request: Sequence[float], part: float) -> float:
-        """Energy used [J] with a part of the requested speeds as the newest commands."""
+        """Make a part of the requested speeds the newest commands; return the loss of all queued commands [J]."""
         for axis, speed in zip(self._each, request, strict=True):
             axis.commands[axis.commands.newest] = axis.commands.speed = axis.whole(part * speed)
         return sum(axis.used() for axis in self._each)
 
     def _watch_limit(self) -> None:
-        """Determine whether a drive with an integral may reach its torque limit: nothing is certified then."""
+        """End the certificate if a drive with an integral may reach its torque limit."""
         for axis in self._each:
             if axis.loop.integral > 0.0 and not self._is_unsure:
                 self._is_unsure = axis.loop.may_limit(axis.drive, axis.commands.speed, axis.port.missed)
 
     def _settle(self, h_i: float, before: list[float], velocities: Sequence[float], certificate: int) -> EnergyBalance:
-        """Dissipate and leak what neither the mass nor the drives can give back; return the account."""
+        """Dissipate and leak the energy that neither mass nor drives can give back; return the account."""
         environment, under_way = self._environment, sum(axis.used() for axis in self._each)
         speeds, carried = [axis.commands.speed for axis in self._each], under_way
         for axis, velocity in zip(self._each, velocities, strict=True):

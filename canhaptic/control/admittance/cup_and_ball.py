@@ -1,12 +1,12 @@
-"""`cup_and_ball`: a cup that the hand moves to and fro, and a ball that swings in it as a pendulum.
+"""`cup_and_ball`: a cup that the hand moves to and fro, with a ball that swings in it like a pendulum.
 
     (M + m) u' + m l (w' cos a - w^2 sin a) = F - b u,       l w' + u' cos a + g sin a = 0,       a' = w
 
-The command is constant in a hold, so that the ball swings there in a frame at rest (Stoermer and Verlet), and the force
-of the ball on the cup is known as the change of the ball's momentum along the path, m l cos(a) w. At a SYNC the speed
-changes at once by du: the ball takes dw = -du cos(a) / l, and the cup resists with M + m sin(a)^2.
-The task of Hasson, Shen and Sternad, J. Neurophysiology 108, 2012; 2.4 kg, 0.6 kg and 0.45 m are that rig's, as
-they are usually cited; the source was not consulted.
+The command is constant in a hold, so that the ball swings in an inertial frame (integrated by Stoermer and Verlet), and
+the force of the ball on the cup is the change of its momentum along the path, m l cos(a) w. At a SYNC the speed jumps
+by du: the rate of the ball changes by dw = -du cos(a) / l, and the cup resists with M + m sin(a)^2.
+The task is that of Hasson, Shen and Sternad, J. Neurophysiology 108, 2012; 2.4 kg, 0.6 kg and 0.45 m are the usually
+cited values of their rig; the source was not consulted.
 """
 
 from math import cos, sin
@@ -33,7 +33,7 @@ class CupAndBall(AdmittanceEnvironment):
 
     @property
     def inertia(self) -> float:
-        """Cup and ball together [kg]."""
+        """Mass of cup and ball together [kg]."""
         return self.cup + self.ball
 
     def speed_after(self, inner: Buffer, speed: float, force: float, position: float, time: float) -> float:
@@ -43,7 +43,7 @@ class CupAndBall(AdmittanceEnvironment):
         return (mass * speed + force * time + inner[2]) / (mass + time * self.damping)
 
     def go_along(self, inner: Buffer, before: float, speed: float, time: float) -> None:
-        """Let the ball take the change of speed, then swing for a hold."""
+        """Apply the change of speed to the ball, and let it swing for a hold."""
         angle, pull = inner[0], _GRAVITY / self.length
         rate = inner[1] - cos(angle) * (speed - before) / self.length
         momentum = cos(angle) * rate

@@ -1,36 +1,39 @@
-"""How fast a drive without an integral may be commanded where the hand is declared, by its impedance or its force.
+"""Certificates of an admittance display that rely on a declared hand, and its stability border without a guard.
+
+All are for a drive without an integral, whose torque must not reach its limit (`VelocityLoop.may_limit`).
+
+**Hand declared by its impedance** (`DeclaredHand`):
 
     F = K (x - q) + b (x' - v) - m v',     0 <= K <= K_e, 0 <= b <= B, 0 <= m <= N, abs(x') <= w, all constant but x
 
-x is the arm's end of the grip; q and v = q' belong to the mass before the sensor, M v' = c (r - v) + F - f, with the
-friction f = f_c + d v, f_c v >= 0, abs(f_c) <= f_d, 0 <= d <= d_d. E >= -allowance at every time, for every such hand.
+x is the position of the arm behind the grip; q and v = q' belong to the mass before the sensor,
+M v' = c (r - v) + F - f, with the friction f = f_c + d v, f_c v >= 0, abs(f_c) <= f_d, 0 <= d <= d_d.
+Claim: E >= -allowance at every time, for every such hand.
 
-Proof. Let g be the velocity due to the commands alone, l g' = r - g for a chosen l, and s = v - g the hand's
-part. With D = (c - M / l) (r - g), M s' = F - f - c s + D, so that for A = E - M s^2 / 2
+Proof. Let g be the velocity due to the commands alone, l g' = r - g for a chosen l, and s = v - g the part due to the
+hand. With D = (c - M / l) (r - g), M s' = F - f - c s + D, so that for A = E - M s^2 / 2
 
     A' = F g + c s^2 + f s - D s        and        f s >= -f_d abs(g) - d_d g^2 / 4                                (1)
 
 At a SYNC all commands are known, and with them g, the distance y that it covers until a later time, and the largest
-distance P still to be covered at any time. F is known there, and with it the spring's part: F + m a + b v, a = v'. The
-hand force then changes with the spring, the arm and the axis, so that integration by parts gives
+distance P still to be covered at any time. F is known there, and with it the part of the spring: F + m a + b v, a = v'.
+Afterwards the hand force changes with the spring, the arm and the axis, and integration by parts gives
 
     int F g  >=  (F + m a + b v) y - K_e y^2 / 2 - b int g^2 - m (g_1^2 - g_0^2) / 2 + m (s_0 g_0 - s_1 g_1)
                  - K_e w int P - 2 B w P_0 - int (K P + b abs(g) + m abs(g')) abs(s)                               (2)
 
-where 0 is the SYNC and 1 the later time. In the sum of (1) and (2) the last term and D s are covered by c s^2: they
-cost (K P + b abs(g) + m abs(g') + abs(D))^2 / 4c at most. M s_1^2 / 2 covers m s_1 g_1 but for m^2 g_1^2 / 2M. What is
-known is the `loss` of the commands. E >= A >= -allowance at every later time follows from
-loss <= A + allowance, for the queued commands, the new one, and zeros behind them. So does the next SYNC: zero is
-the same sequence, which was proved before. The loss is convex in K, b and m, largest at an end of each; and in the
-new command, so that every command between two that fit fits.
+where 0 is the SYNC and 1 the later time. In the sum of (1) and (2), c s^2 covers the last term and D s up to
+(K P + b abs(g) + m abs(g') + abs(D))^2 / 4c, and M s_1^2 / 2 covers m s_1 g_1 up to m^2 g_1^2 / 2M. All that remains is
+known: it is the `loss` of the commands. E >= A >= -allowance at every later time follows from loss <= A + allowance,
+for the queued commands, the new one, and zeros after them. At the next SYNC the command zero always fits, because it
+continues the sequence that was proved here. The loss is convex in K, b and m, so that it is largest at an end of each
+range. It is convex in the new command too, so that every command between two that fit also fits.
 
-A is known from below by E at the sensor less the largest M s^2 / 2, and by (1) from the SYNC before. A force that is
-late makes the sequence longer by as many holds. The two studies of `tools/displays/declared_hands.py` are the cases
-b = m = 0 and l = 0. The drive must not reach its torque limit (`VelocityLoop.may_limit`).
+A is bounded from below by E at the sensor less the largest M s^2 / 2, and by (1) from the SYNC before. A late force
+makes the sequence longer by as many holds. The two studies of `tools/displays/declared_hands.py` are the cases
+b = m = 0 and l = 0.
 
-Largest certified speed of a drive without an integral, for a hand of bounded force: abs(F) <= f.
-
-With r = 0 such a hand can take from a speed v just
+**Hand of bounded force** (`LargestForce`): abs(F) <= f. With r = 0 such a hand can take from a speed v just
 
     G(v) = f (M / c) (v - (f / c) ln(1 + c v / f)),        less than M v^2 / 2 and than f v M / c
 
@@ -41,15 +44,14 @@ by braking with f until the handle stops. For commands r, with E' = F v and M v'
 Proof. G' = f M v / (f + c v) for v >= 0; for v < 0 turn the signs of v, r and F. Then (E - G)' + f abs(r) is
 F v - f v (c (r - v) + F - friction) / (f + c v) + f abs(r). The terms of r are f (abs(r) - r c v / (f + c v)) >= 0.
 That of friction is not negative. Those of F are F c v^2 / (f + c v), least at F = -f; the rest, f c v^2 / (f + c v),
-makes up for them. At v = 0 both sides have G' = 0. The drive must not reach its torque limit, as above.
+compensates them. At v = 0 both sides have G' = 0.
 
-So commands with f T (sum abs(u_i) under way + n abs(u)) <= E - G + allowance keep E >= -allowance for every hand that
-never pushes or pulls harder than f. The range of a force sensor does not promise that.
+So commands with f T (sum abs(u_i) of the queued ones + n abs(u)) <= E - G + allowance keep E >= -allowance for every
+hand that never pushes or pulls harder than f. The range of a force sensor does not guarantee that the hand does not.
 
-Least damping with which a light virtual mass is stable against a spring to ground, without any guard.
-
-A drive M v' = c (r - v) + F, the command r of m r' = F - b r after a lag tau, and F = -K q. At the border the loop
-swings at w, and the real and imaginary parts of its equation vanish:
+**Stability border without a guard** (`damping_border`): the least damping with which a light virtual mass is stable
+against a spring to ground. The drive is M v' = c (r - v) + F, the command r follows m r' = F - b r after a lag tau, and
+F = -K q. At the border the loop oscillates at w, and the real and imaginary parts of its equation vanish:
 
     w^2 (m + M b / c) = K (cos w tau + b / c)
     b = K sin(w tau) / w + m (M w^2 - K) / c
@@ -69,13 +71,13 @@ from canhaptic.control.environments.environment import plain
 
 
 class LargestForce(NamedTuple):
-    """A hand whose force is bounded, at a drive without an integral."""
+    """Certificate for a hand of bounded force at a drive without an integral."""
 
     force: float  # f [N or N*m]
     loop: VelocityLoop
 
     def reserve(self, speed: float) -> float:
-        """Return G for a largest force [N or N*m] at the largest possible speed [J]."""
+        """Return G, the energy that the hand can take from a largest possible speed [J]."""
         gain = self.loop.gain_least
         rest = speed - self.force / gain * log1p(gain * speed / self.force)
         return self.force * self.loop.mass / gain * rest
@@ -88,8 +90,9 @@ class LargestForce(NamedTuple):
     def fastest(self, commands: Commands, budget: float) -> float:
         """Return the largest speed that may be commanded now [m/s or rad/s].
 
-        In each hold that a lost RPDO may lengthen, the largest command that may act counts: the new one in all its
-        holds where it is the largest of all, else only in its last one, where it is no larger than the one before.
+        If RPDOs may be lost, the largest command that may act in a hold counts. A new command larger than all others
+        counts in all its holds. A smaller one counts in its last hold only, in which it is at most as large as the one
+        before.
         """
         left = budget / (self.force * self.loop.sample_time)
         for age in range(self.loop.delay):
@@ -120,7 +123,7 @@ _OF_COMMANDS, _OF_WAY = 0.3125, 2.5
 
 
 class HeardForce(NamedTuple):
-    """A received force and the hold that it closes."""
+    """A received force with the hold at whose end it was measured."""
 
     energy: float  # E there, at least [J]
     moved: float  # in that hold [m or rad]
@@ -131,16 +134,16 @@ class HeardForce(NamedTuple):
 
 
 class DeclaredHand:
-    """The hand as declared: what follows for drive and sensor, and its state at the SYNC of the last force.
+    """Certificate for a hand declared by its impedance, with its state at the SYNC of the last received force.
 
     Args:
-        given: K_e, w, N and B of the hand, f_d and d_d of the drive.
+        given: Declared properties: K_e, w, N and B of the hand, f_d and d_d of the drive.
         loop: Velocity loop of the drive.
         properties: Properties of drive and sensor.
 
     Attributes:
-        known: A, at least [J].
-        holds: Holds from the SYNC of the last force to the one at which a new command acts.
+        known: Lower bound of A [J].
+        holds: Number of holds from the SYNC of the last force to the one at which a new command acts.
     """
 
     def __init__(
@@ -188,7 +191,7 @@ class DeclaredHand:
         self.down, self.down_with_mass = self._forces(heard, -1.0, error)
 
     def _gained(self, heard: HeardForce, begin: float) -> float:
-        """Least change of A in a hold by (1), with half of c s^2 reserved for D; -inf behind a filter [J]."""
+        """Return the least change of A in a hold by (1), with half of c s^2 reserved for D [J]; -inf with a filter."""
         loop, port, end = self.loop, self.port, self.before
         if port.lag > 0.0:
             return -inf
@@ -210,10 +213,10 @@ class DeclaredHand:
         return mean * way + 0.5 * loop.gain_least * added * added / time - doubt
 
     def _forces(self, heard: HeardForce, sign: float, error: float) -> tuple[float, float]:
-        """Return the least F in a direction at the SYNC without a mass, and the least F + N a with one [N or N*m].
+        """Return the least force in a direction at the SYNC: F of a hand without mass, and F + N a [N or N*m].
 
-        A mean belongs to the whole hold: by its end the spring may have lost K_e times half the displacement, and the
-        arm moved on. The mean of the acceleration follows from the drive.
+        A mean force belongs to the whole hold: by its end the spring may have lost K_e times half the displacement, and
+        the arm may have moved. The mean acceleration follows from the drive.
         """
         loop, port, time = self.loop, self.port, self.loop.sample_time
         along, late = sign * heard.force - error, 0.0
@@ -235,11 +238,11 @@ class DeclaredHand:
         return 0.5 * self.lag * lead * lead * (1.0 - self.decay * self.decay)
 
     def loss(self, commands: Sequence[float], newest: int, speed: float) -> float:
-        """Largest decrease of A at any time, by the queued commands and a new one [J].
+        """Return the largest decrease of A at any time, by the queued commands and a new one [J].
 
         Args:
-            commands: Ring of the commands sent.
-            newest: Index of the oldest command that differs from the new one.
+            commands: Ring buffer of the commands sent.
+            newest: Index of the last command before the new one.
             speed: New command [m/s or rad/s].
         """
         loop, lag, holds, g, given = self.loop, self.lag, self.holds, self.before, self.given
@@ -281,9 +284,10 @@ class DeclaredHand:
         return fixed + largest
 
     def fastest_speed(self, commands: Commands, request: float, allowance: float) -> float:
-        """Largest certified speed in the direction of the request, unsigned [m/s or rad/s].
+        """Return the largest certified speed in the direction of the request, unsigned [m/s or rad/s].
 
-        The loss is convex: a chord between a speed that fits and one that does not meets the budget at one that fits.
+        The loss is convex, so that the chord between a certified speed and one that is not certified meets the budget
+        at a certified speed.
         """
         budget, newest = self.known + allowance, commands.newest
         if self.waiting > 0 or self.up == -inf:
@@ -306,13 +310,13 @@ class DeclaredHand:
         return abs(fits)
 
     def used(self, commands: Commands) -> float:
-        """Largest energy that commands still able to act can extract, the newest included [J]; inf if unknown."""
+        """Return the largest energy that the queued commands, the newest included, can take out [J]; inf if unknown."""
         if self.waiting > 0 or self.up == -inf:
             return inf
         return self.loss(commands, commands.newest - 1, commands[commands.newest])
 
     def lightest(self, speed: float) -> float:
-        """Smallest virtual mass that keeps its speed with such a hand when nothing pushes it [kg or kg*m^2]."""
+        """Return the smallest virtual mass that keeps its speed with such a hand and no force [kg or kg*m^2]."""
         steady = copy(self)
         steady.before = steady.slowest = steady.fastest = speed
         steady.up = steady.down = steady.up_with_mass = steady.down_with_mass = 0.0
@@ -323,7 +327,7 @@ _ROUNDS: Final = 60
 
 
 def damping_border(moved: float, gain: float, mass: float, stiffness: float, lag: float) -> float:
-    """Return the virtual damping at the stability border; 0 where none is needed [N*s/m or N*m*s/rad].
+    """Return the virtual damping at the stability border [N*s/m or N*m*s/rad]; 0 if no damping is needed.
 
     Args:
         moved: M, mass moved by the drive [kg or kg*m^2].

@@ -1,12 +1,13 @@
-"""`internal_dissipation` of an admittance display: the paper's algorithm carried over, port u J, state p = m u.
+"""`internal_dissipation` of an admittance display: the paper's algorithm with the port energy u J and the state m u.
 
-Energy that flows in at the held velocity is u J; the damper takes T b u u+. The next speed is the root of
+Here u is the velocity held and J the impulse of the force: the energy that flows in is u J, and the damper takes
+T b u u+. The next speed is the root of
 
     m u+^2 / 2 + T b u u+ - [m u^2 / 2 + u J - (U(x+) - U(x))] = 0
 
-that keeps the sign. At rest it begins with J / m, which creates J^2 / 2m. Where there is no root the stored energy is
-overdrawn: the mass stops, and the shortfall is a deficit. A perfect drive is assumed, so that it bounds what the
-sampling creates and not what the drive does.
+that keeps the sign. From rest the mass starts with J / m, which creates J^2 / 2m. If there is no root, more energy left
+than was stored: the mass stops, and the shortfall is a deficit. A perfect drive is assumed, so that the algorithm
+bounds the energy created by sampling, but not the energy created by the drive.
 """
 
 from math import sqrt
@@ -18,7 +19,7 @@ from canhaptic.errors import ParameterError
 
 
 def next_speed(environment: AdmittanceMass, time: float, speed: float, impulse: float, risen: float) -> float:
-    """Return the root that keeps the sign of the speed; 0 where there is none [m/s or rad/s].
+    """Return the root that keeps the sign of the speed [m/s or rad/s]; 0 if there is none.
 
     Args:
         environment: Virtual mass and damper.

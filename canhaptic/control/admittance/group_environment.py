@@ -1,12 +1,13 @@
-"""What several admittance displays render together: a mass that moves on all axes, or along a path.
+"""Environments that several admittance displays render together: a mass that moves on all axes, or along a path.
 
-Environment of several displays in the task space of a mechanism, seen from its motor axes.
+`TaskEnvironment` renders them in the task space of a mechanism. With u the speeds of the motors, F the forces of the
+sensors on the motor axes, p' the velocity and f the force of the hand in task space:
 
-    p' = J u,   force of the hand in task space f with J' f = F,   speeds of the motors u with J u = p' rendered
+    p' = J u,   J' f = F
 
-F are the forces of the sensors, one on each motor axis. Energy and certificate stay in motor axes: F u = f p'. Where
-the pose is singular or outside its workspace nothing is commanded. Walls are limits in task space here; room is left
-for the distance that queued commands and drives still cover, at the speed of the last command.
+Energy and certificate are those of the motor axes: F u = f p'. In a pose that is singular or outside the workspace the
+commanded velocities are zero. Walls are limits in task space; the command leaves enough distance for the motion that
+queued commands and drives still cause, at the speed of the last command.
 """
 
 from collections.abc import Sequence
@@ -49,10 +50,10 @@ class GroupMass(Parameters):
         return self
 
     def require(self, axes: int) -> None:
-        """Check the fit with the number of axes.
+        """Check that the walls fit a number of axes.
 
         Raises:
-            ParameterError: It does not.
+            ParameterError: The number of walls differs.
         """
         for name, walls in (("lower", self.lower), ("upper", self.upper)):
             if walls and len(walls) != axes:
@@ -69,7 +70,7 @@ class GroupMass(Parameters):
         )  # fmt: skip
 
     def speeds_after(self, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
-        """Speeds after another hold under the forces of the hand [m/s or rad/s].
+        """Return the speeds after another hold under the forces of the hand [m/s or rad/s].
 
         Args:
             speeds: Speeds of the last commands [m/s or rad/s].
@@ -85,20 +86,20 @@ class GroupMass(Parameters):
         return 0.5 * self.mass * dot(speeds, speeds)
 
     def lost(self, speeds: _Vector, time: float) -> float:
-        """Energy that the damper dissipates in a time [J]."""
+        """Return the energy that the damper dissipates in a time [J]."""
         return self.damping * dot(speeds, speeds) * time
 
 
 class PathMass(GroupMass):
-    """`guided_path`: a mass that moves only along straight pieces from point to point.
+    """`guided_path`: a mass that moves only along straight segments from point to point.
 
-    Along the path the hand feels the mass; across it the drives hold still. A handle off the path is led back.
+    Along the path the hand feels the mass; across the path the drives do not yield. A handle off the path is led back.
     """
 
     points: tuple[Coordinates, ...]
     """Corners [m or rad], two at least, one coordinate for each axis."""
     closed: bool = False
-    """Whether the last point is joined to the first."""
+    """Whether a segment connects the last point to the first."""
     return_time: Annotated[float, quantity("s", gt=0.0, le=10.0)] = 0.1
     """Time constant with which a handle is led back to the path."""
 
@@ -163,12 +164,12 @@ _Rows = Sequence[Sequence[float]]
 
 
 class TaskEnvironment:
-    """A mass in task space with the interface of a group of displays; see `GroupMass`.
+    """A mass in task space, with the interface of `GroupMass` for the motor axes.
 
     Args:
         environment: Environment in task space.
         kinematics: Map between motor axes and equally many task coordinates.
-        time_ahead: Longest time for which the last command continues [s].
+        time_ahead: Longest time for which the last command continues to act [s].
 
     Raises:
         ParameterError: The mechanism has more or fewer task coordinates than axes.
@@ -185,7 +186,11 @@ class TaskEnvironment:
         self.damping = environment.damping
 
     def require(self, axes: int) -> None:
-        """Check the fit with the number of motor axes; raise ParameterError."""
+        """Check that kinematics and walls fit a number of motor axes.
+
+        Raises:
+            ParameterError: The numbers differ.
+        """
         if axes != self._kinematics.axes:
             raise ParameterError(f"kinematics: has {self._kinematics.axes} motor axes, expected {axes} as in the group")
         self._environment.require(self._kinematics.dimensions)
@@ -221,11 +226,11 @@ class TaskEnvironment:
         return found
 
     def stored(self, speeds: _Vector) -> float:
-        """Return the energy of the mass at speeds of the motors [J]; 0 where nothing is rendered."""
+        """Return the energy of the mass at speeds of the motors [J]; 0 in a pose where nothing is rendered."""
         return self._environment.stored(_times(self._jacobian, speeds))
 
     def lost(self, speeds: _Vector, time: float) -> float:
-        """Energy that the damper dissipates in a time [J]."""
+        """Return the energy that the damper dissipates in a time [J]."""
         return self._environment.lost(_times(self._jacobian, speeds), time)
 
 

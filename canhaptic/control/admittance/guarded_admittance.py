@@ -1,20 +1,22 @@
 """`guarded` of an admittance display: a virtual mass whose every command is certified by the drive's own velocity loop.
 
 The promise: E, the energy that came in through the sensor, never falls below -energy_allowance, for every hand. It
-rests on the declarations of the drive (`velocity_loop`) and of the sensor (`port`), and on nothing about the hand.
+relies on the declared properties of the drive (`velocity_loop`) and of the sensor (`port`), and on none of the hand.
 
-Each SYNC: the hold of a received force is booked with its uncertainty; W, the energy that the drive can still give
-out safely, is updated by force and encoder, whichever proves more; the virtual mass advances under the last force; its
-speed is reduced to the largest certified one, and the mass keeps that speed; the account is then reduced to what the
-mass, or the drive with the queued commands, can give back.
+At each SYNC
 
-A drive with an integral is certified as long as its torque is certain to stay below its limit; from the first hold on
-in which it may reach the limit, nothing is certified any more and the account rests on the force alone.
+* the hold of a received force is booked with its uncertainty;
+* W, the energy that the drive can still give out safely, is updated by the larger of its bounds by force and encoder;
+* the virtual mass advances under the last force, and its speed is reduced to the largest certified one;
+* the account is reduced to the energy that the mass, or the drive with the queued commands, can give back.
 
-Where a largest force of the hand is declared (`largest_hand_force`), or the hand as a spring with damper and mass
-(`hand_stiffness`), a command may rest on that instead: see `hand_force` and `declared_hand`.
+A drive with an integral is certified as long as its torque is certain to stay below its limit. From the first hold in
+which it may reach the limit, no command is certified any more, and the account uses the force alone.
 
-Where the mass asked for is lighter than the drive carries safely, the hand feels a heavier one; nothing else changes.
+If a largest force of the hand is declared (`largest_hand_force`), or the hand as a spring with damper and mass
+(`hand_stiffness`), a command may be certified by that instead: see `declared_hand`.
+
+If the requested mass is lighter than the drive can render safely, the hand feels a heavier mass; nothing else changes.
 """
 
 from math import inf
@@ -105,7 +107,7 @@ class GuardedAdmittance(AdmittanceController):
         ))  # fmt: skip
 
     def _certified(self, request: float) -> tuple[float, int]:
-        """Nearest certified speed [m/s or rad/s], and the certificate that reduced it."""
+        """Return the nearest certified speed [m/s or rad/s], and the certificate that limited it."""
         loop, commands, budget = self._display.loop, self._commands, self._margin.known + self._allowance
         sign = 1.0 if request >= 0.0 else -1.0
         most = loop.fastest(self._display.drive.lead, commands, budget, sign)
@@ -125,9 +127,9 @@ class GuardedAdmittance(AdmittanceController):
         return sign * most, certificate
 
     def _watch_limit(self) -> None:
-        """Determine whether the torque may reach its limit under the newest command; end certificates that this voids.
+        """End the certificates that a torque at its limit voids, if the newest command may bring it there.
 
-        The loop without an integral may certify all that is under way: a torque at its limit then ends nothing.
+        Without an integral, the velocity loop alone may certify all queued commands; then no certificate ends.
         """
         display = self._display
         loop, drive, speed = display.loop, display.drive, self._commands.speed
@@ -143,8 +145,8 @@ class GuardedAdmittance(AdmittanceController):
     def _command_unseen(self) -> float:
         """Handle a SYNC without a sample; return the command [m/s or rad/s].
 
-        Without an integral the last command continues as long as it is certified for any motion in the hold; with one
-        the command is 0 at once, and all queued commands count as lost.
+        Without an integral the last command continues as long as it is certified for any motion in the hold. With an
+        integral the command is 0 at once, and the largest loss of all queued commands is deducted.
         """
         display, commands = self._display, self._commands
         self._let_pass(display.unseen())
@@ -157,7 +159,7 @@ class GuardedAdmittance(AdmittanceController):
         return commands.speed
 
     def sample_lost(self) -> EnergyBalance:
-        """Answer a SYNC without a sample; see `Controller.sample_lost`."""
+        """Return the balance of a SYNC without a sample; see `Controller.sample_lost`."""
         balance = super().sample_lost()
         return balance._replace(certificate=_NONE) if self._is_unsure else balance
 
@@ -175,7 +177,7 @@ class GuardedAdmittance(AdmittanceController):
         self._watch_limit()
 
     def _let_pass(self, change: float) -> None:
-        """Account for a hold without a sample, in which the margin changed by at least this amount [J]."""
+        """Account for a hold without a sample, by a lower bound on the change of the margin [J]."""
         self._display.let_pass()
         self._fall(change)
 
@@ -220,9 +222,15 @@ class GuardedAdmittance(AdmittanceController):
             self._declared.go_on(commands.sent(display.loop.delay))
 
     def _settle(self, h_i: float, before: float, speed: float) -> tuple[float, float, float, float, float]:
-        """Dissipate and leak what neither the mass nor the drive can give back; return (h_s, h_r, deficit, leak, paid).
+        """Dissipate and leak the energy that neither mass nor drive can give back.
 
-        Where h_i [J] came in, `before` was the command before the newest and `speed` is the handle's largest now.
+        Args:
+            h_i: Energy received in the hold [J].
+            before: Command before the newest [m/s or rad/s].
+            speed: Largest speed that the handle may have now [m/s or rad/s].
+
+        Returns:
+            (h_s, h_r, deficit, leak, paid) [J].
         """
         display, commands, environment = self._display, self._commands, self._environment
         under_way, allowance = display.used(), self._allowance

@@ -1,32 +1,31 @@
-"""One axis of a guarded display: the velocity loop of its drive, and its force against its motion.
+"""One axis of a guarded admittance display: its energy margin, and the check of its force against its motion.
 
-Whether the measured force is plausible: its energy and its momentum against encoder and commands.
+**Margin** (`LateMargin`). Between two SYNCs the margin W decreases by no more than the commands can cause: its
+`change`. A late force gives a bound on W at an earlier SYNC, and the changes since then bring it up to date. The larger
+of the two bounds counts.
 
-By the force at most `by_force` came in; by encoder and commands, E - V is at least `by_encoder` (see
-`velocity_loop`), and V is not negative. If the encoder shows more than the force does, one of them is wrong.
+**Energy of the force.** By the force at most `by_force` came in; by encoder and commands, E - V is at least
+`by_encoder` (see `velocity_loop`), and V is not negative. If the encoder proves more energy than the force, one of them
+is wrong.
 
-Lower bound of an energy margin W, where forces arrive late by whole samples.
-
-Between two SYNCs W decreases by no more than the commands can cause: its `change`. A force that belongs to an
-earlier SYNC gives a bound on W then; the changes since bring it up to date. The larger of the two bounds counts.
-
-Consistency of the measured force with the motion: the momentum of the mass that the drive moves.
+**Momentum of the force** (`MomentumCheck`), for the mass that the drive moves:
 
     F = M v' + c (v - r) - k lead + friction
 
 Encoder and commands give the right side, up to the declared bounds of the drive; the sensor gives the left. Both are
-averaged with a hat, which rises for a time H and falls for H. The mean of v' is then (q_2 - 2 q_1 + q_0) / H^2, so that
-no encoder is differentiated twice. With abs(F') <= L, abs(v') <= A and an encoder count e, the means differ by at most
+averaged with a triangular weight, which rises for a time H and falls for H. The mean of v' is then
+(q_2 - 2 q_1 + q_0) / H^2, without differentiating the encoder twice. With abs(F') <= L, abs(v') <= A and an encoder
+count e, the means differ by at most
 
     error + L T^2 / 6H + friction + damping (mean of abs(v) + A T / 4)
     + c (A T^2 / 6H + e / H) + k (e + A T^2 / 8) + 2 M e / H^2      and half the range of M, c and k times their terms;
 
 the terms in T^2 / 6H come from a weight that changes inside a hold. Point samples add the error of `port`. A SYNC
 that comes early or late by up to j T shifts a weight, which costs j T / H (2 max + total change) of the force, and c
-times that of the command. The energy of a constant offset o is o times the displacement, so that until it is noticed it
-gives out o times the distance moved, and never more than o times the range between the position limits.
-A push of the hand and an offset of the sensor are the same signal where the friction of the drive is not known: without
-a declared one nothing is compared, nor where the torque of the drive may have been at its limit.
+times that of the command. A constant offset o of the sensor gives out o times the distance moved until it is noticed,
+and never more than o times the range between the position limits.
+If the friction of the drive is unknown, an offset of the sensor cannot be told from a push of the hand. So nothing is
+compared without declared friction, nor if the torque of the drive may have been at its limit.
 """
 
 from collections import deque
@@ -40,16 +39,16 @@ from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParamete
 
 
 class LateMargin:
-    """A lower bound of the margin W, with rings over the SYNCs whose forces have not arrived.
+    """Lower bound of the margin W, with ring buffers over the SYNCs whose forces have not arrived.
 
     Args:
         latency: Delay of a force in samples.
 
     Attributes:
-        known: W, at least [J].
-        place: Place of this SYNC in the rings.
-        changes: Changes of W in the holds that ended there [J].
-        before: W there, with all that was taken from the account before [J].
+        known: Lower bound of W [J].
+        place: Index of this SYNC in the ring buffers.
+        changes: Change of W in the hold that ended at each SYNC [J].
+        before: W at each SYNC, plus all energy withdrawn from the account before it [J].
     """
 
     def __init__(self, latency: int) -> None:
@@ -65,12 +64,12 @@ class LateMargin:
         self.before[self.place] = self.known + taken
 
     def oldest(self) -> int:
-        """Index of the SYNC to which the received force belongs."""
+        """Return the index of the SYNC to which the received force belongs."""
         then = self.place + 1
         return then if then < len(self.changes) else 0
 
     def known_then(self, known: float) -> float:
-        """Present bound, minus the changes since the SYNC of the received force [J]."""
+        """Return a present bound less the changes since the SYNC of the received force [J]."""
         then = self.oldest()
         for place, change in enumerate(self.changes):
             if place != then:
@@ -78,7 +77,7 @@ class LateMargin:
         return known
 
     def rise(self, then: int, value: float, taken: float) -> None:
-        """Raise the bound to W at the index `then`, as the force shows it [J]."""
+        """Raise the bound to the value of W that the force proves for the index `then` [J]."""
         if then != self.place:
             for place, change in enumerate(self.changes):
                 if place != then:
@@ -94,7 +93,7 @@ ROUNDING: Final = 1e-9
 
 
 def contradiction(of: str, by_force: float, by_encoder: float) -> str:
-    """Message that a sensor contradicts the encoder, with the remedy.
+    """Return the message that a sensor contradicts the encoder, with the remedy.
 
     Args:
         of: Name of the sensor.
@@ -113,7 +112,7 @@ _FEWEST: Final = 8  # holds in it
 
 
 class MovedHold(NamedTuple):
-    """The hold that ended, according to encoder and commands."""
+    """Motion and command of a hold, by encoder and commands."""
 
     moved: float  # [m or rad]
     command: float  # that acted [m/s or rad/s]
@@ -130,7 +129,7 @@ class Disagreement(NamedTuple):
     over: float  # time that the means are taken over [s]
 
     def text(self, of: str = "force sensor") -> str:
-        """Return the disagreement in words, with the remedy."""
+        """Return the message of the disagreement, with the remedy."""
         return (
             f"{of}: it shows {self.shown:.3g} on average over {self.over:g} s, but encoder and commands put the force "
             f"between {self.low:.3g} and {self.high:.3g} [N or N*m]: its offset, sign or scale is wrong, it is frozen, "
@@ -141,7 +140,7 @@ class Disagreement(NamedTuple):
 
 @dataclass(slots=True)
 class _Half:
-    """Sums over the holds of one half of a hat: as they are, and with the weight of a rise."""
+    """Sums over the holds of one half of the triangular weight: unweighted, and with the rising weight."""
 
     begin: float  # position [m or rad]
     sums: list[float] = field(default_factory=lambda: [0.0] * 4)  # of force, v - r, lead and uncertainty of each hold
@@ -155,7 +154,7 @@ class _Half:
 
 @dataclass(slots=True)
 class _Memory:
-    """State kept from SYNC to SYNC."""
+    """State of a momentum check, kept from SYNC to SYNC."""
 
     position: float = 0.0  # at the end of the last hold that was taken [m or rad]
     force: float = 0.0  # shown there
@@ -168,11 +167,11 @@ class _Memory:
 
 
 class MomentumCheck:
-    """Comparison of force and momentum on one axis.
+    """Compares the measured force with the momentum of one axis.
 
     Args:
-        parameters: Parameters with a `drive_friction`.
-        port: Settings of the force sensor.
+        parameters: Declared properties of the drive.
+        port: Declared properties of the force sensor.
         loop: Declared velocity loop of the drive.
     """
 
@@ -188,7 +187,7 @@ class MomentumCheck:
         self._memory = _Memory(position, force, 0.0, lead, filling=_Half(position))
 
     def take(self, hold: MovedHold, force: float) -> Disagreement | None:
-        """Take the hold that ended and the received force; return a disagreement, if there is one.
+        """Add the hold that ended and the received force; return a disagreement, or None.
 
         Args:
             hold: The hold by encoder and commands.
@@ -232,7 +231,7 @@ class MomentumCheck:
         memory.force, memory.command, memory.lead = force, hold.command, hold.lead
 
     def _mean_force(self, force: float, before: float) -> tuple[float, float]:
-        """Mean force of a hold and its uncertainty besides the error of a sample [N or N*m]."""
+        """Return the mean force of a hold, and its uncertainty without the error of a sample [N or N*m]."""
         port, change, doubt = self._port, force - before, 0.0
         if not port.is_mean:
             length = port.sample_time * (1.0 + port.jitter)
@@ -243,7 +242,7 @@ class MomentumCheck:
         return force + change * port.lag / port.sample_time, doubt
 
     def _compared(self, first: _Half, second: _Half) -> Disagreement | None:
-        """Compare the means over a whole hat."""
+        """Compare the means over the whole triangular weight; return a disagreement, or None."""
         holds, loop = self._holds, self._loop
         halves = zip(first.rising, second.sums, second.rising, strict=True)
         force, slip, lead, loose = [(rising + whole - falling) / holds for rising, whole, falling in halves]
@@ -261,7 +260,7 @@ class MomentumCheck:
         return Disagreement(force, low - margin, high + margin, 2.0 * self._half)
 
     def _margin(self, first: _Half, second: _Half) -> float:
-        """Largest admissible difference of the means, without the uncertainty of each hold [N or N*m]."""
+        """Return the largest permitted difference of the means, without the uncertainty of each hold [N or N*m]."""
         port, loop, half = self._port, self._loop, self._half
         time = port.sample_time
         turned = time * time / (6.0 * half)
@@ -282,14 +281,14 @@ class MomentumCheck:
 def momentum_check(
     parameters: GuardedAdmittanceParameters, port: AdmittanceProperties, loop: VelocityLoop
 ) -> MomentumCheck | None:
-    """Return the comparison where `drive_friction` is declared and the drive's integral is known."""
+    """Return the momentum check; None if `drive_friction` is not declared or the drive's integral is unknown."""
     if parameters.drive_friction is None or (loop.integral > 0.0 and port.jitter > 0.0):
         return None
     return MomentumCheck(parameters, port, loop)
 
 
 class GuardedAxis(AdmittanceAxis):
-    """Port, commands and drive of one axis.
+    """Energy account, commands and drive of one axis of a guarded display.
 
     Args:
         environment: Environment of the axis.
@@ -298,13 +297,13 @@ class GuardedAxis(AdmittanceAxis):
 
     Attributes:
         loop: Declared velocity loop of the drive.
-        drive: Its motion.
-        leads: Its leads at the SYNCs whose forces have not come [m or rad].
-        by_encoder: E - V by encoder and commands alone, at least [J].
-        by_force: E by the force, at most [J].
+        drive: Motion of the drive.
+        leads: Lead of the drive at each SYNC whose force has not arrived [m or rad].
+        by_encoder: Lower bound of E - V by encoder and commands alone [J].
+        by_force: Upper bound of E by the force [J].
 
     Raises:
-        ParameterError: Losses or a hand are declared where their proof does not hold.
+        ParameterError: Losses or a hand are declared that the proof does not cover for this drive.
     """
 
     def __init__(
@@ -321,7 +320,7 @@ class GuardedAxis(AdmittanceAxis):
         self._margin, self._check = LateMargin(latency), momentum_check(parameters, self.properties, self.loop)
 
     def begin(self, position: float, force: float) -> None:
-        """Take the first sample."""
+        """Start the account and the momentum check at the first sample."""
         super().begin(position, force)
         if self._check is not None:
             self._check.begin(position, force, 0.0)
@@ -344,13 +343,13 @@ class GuardedAxis(AdmittanceAxis):
         return hold, change
 
     def unseen(self) -> float:
-        """Lower bound on the change of the margin in a hold without a sample [J]."""
+        """Return a lower bound on the change of the margin in a hold without a sample [J]."""
         if self.loop.integral == 0.0:
             return -self.loop.lost_unseen(self.commands)
         return 0.0 if self.port.missed else -self.used()
 
     def change_of_skip(self, skipped: int) -> tuple[float, float]:
-        """Return the change of the margin in the first and in each further hold where SYNCs are skipped [J]."""
+        """Return the change of the margin in the first and in each further hold of skipped SYNCs [J]."""
         if self.loop.integral > 0.0:
             return -self.loop.loss_of_skip(self.drive.lead, self.commands, skipped), 0.0
         lost = -self.loop.lost_unseen(self.commands)
@@ -368,10 +367,10 @@ class GuardedAxis(AdmittanceAxis):
         self.leads[self._margin.place] = self.drive.lead
 
     def contradiction(self, of: str, hold: BookedHold, force: float, *, is_first: bool) -> str:
-        """Reason why force and motion cannot both be right, or "". Call it at every SYNC, after `send`.
+        """Return why force and motion cannot both be right, or "". Call it at every SYNC, after `send`.
 
         Args:
-            of: The sensor.
+            of: Name of the sensor.
             hold: The hold as it was booked.
             force: Received force [N or N*m].
             is_first: Whether samples were lost before this one.
@@ -391,11 +390,11 @@ class GuardedAxis(AdmittanceAxis):
         return "" if found is None else found.text(of)
 
     def used(self) -> float:
-        """Largest loss of the margin by all queued commands [J]."""
+        """Return the largest loss of the margin by all queued commands [J]."""
         return self.loop.loss_under_way(self.drive.lead, self.commands)
 
     def acted(self) -> float:
-        """Displacement commanded in the hold that ended [m or rad]."""
+        """Return the displacement commanded in the hold that ended [m or rad]."""
         return self.commands.sent(self.loop.delay) * self.properties.sample_time
 
     def reserve(self, speed: float) -> float:

@@ -1,6 +1,6 @@
-"""`passivity_observer` of an admittance display: a series slip whenever the observed energy falls below zero.
+"""`passivity_observer` of an admittance display: an added velocity (slip) while the observed energy is below zero.
 
-The observer counts F u T, force times velocity commanded, as if the drive tracked perfectly: its known weakness.
+The observer sums F u T, force times commanded velocity, as if the drive tracked perfectly: its known weakness.
 The controller adds C F to the command, with C = -E / (F^2 T), so that the observed energy is zero after the hold.
 Hannaford and Ryu, IEEE Trans. Robotics and Automation 18, 2002, in the form for a velocity output.
 """
@@ -9,10 +9,10 @@ from canhaptic.control.admittance.unprotected_admittance import SampledHold, Unp
 
 
 class ObservedAdmittance(UnprotectedAdmittance):
-    """A virtual mass with observer and series slip."""
+    """A virtual mass with passivity observer and added slip."""
 
     def respond(self, hold: SampledHold) -> tuple[float, float, float]:
-        """Observe the energy of the command and add the slip that it lacks."""
+        """Add the energy of the last command to the sum, and return the slip that raises the sum to zero."""
         force, slip = hold.force, 0.0
         h_pas = force * self._slip * hold.elapsed
         self._energy += force * (hold.before + self._slip) * hold.elapsed

@@ -1,7 +1,8 @@
-"""The port of an admittance display: force times displacement at the sensor, with its uncertainty.
+"""Energy through the port of an admittance display, with its uncertainty, and the declared properties of the display.
 
 Energy INTO the display is positive: F dq, with F the force of the hand on the mass before the sensor. A `Sample` holds
--F as its `torque_applied`, the force of the display on the hand, so that eq. 2 of the paper is the same for both kinds.
+-F as its `torque_applied`, the force of the display on the hand, so that eq. 2 of the paper is valid for both kinds of
+display.
 
 One hold of length H, with abs(F') <= L and abs(v') <= A:
 
@@ -13,10 +14,8 @@ bounded slope. For the second, F differs from its chord by e(t) with e = 0 at bo
 integral abs(e) <= (L^2 H^2 - dF^2) / 4L; the chord's slope dF / H against v is the first bound again.
 A filter of first order, F = F_f + F_f' / w_f, adds dF_f dq / (w_f H), off by at most L A H^2 / 4 w_f.
 An error eps of the force costs eps abs(dq). The encoder's error of half a count at each end, summed by parts, costs
-half a count times the change of the force; its share of the last force is part of the account until the next. Where an
-energy that was proved otherwise takes the place of the account, that share is open again: see `Port.reopen`.
-
-Declared properties of an admittance display: its loop of SYNCs, its force sensor, its limits.
+half a count times the change of the force; its share for the last force is charged now and refunded in the next hold.
+If another proof replaces the booked energy, that share stays charged (`Port.reopen`).
 """
 
 from dataclasses import dataclass, field
@@ -28,34 +27,35 @@ from canhaptic.units import Parameters, quantity
 
 
 class AdmittanceProperties(Parameters):
-    """The loop around a controller that takes forces and commands velocities."""
+    """Declared properties of an admittance display: its control loop, its force sensor, and its limits."""
 
     sample_time: Annotated[float, quantity("s", ge=1e-6, le=1.0)]
     """Time T from SYNC to SYNC."""
     jitter: Annotated[float, quantity("1", ge=0.0, le=0.5)] = 0.0
-    """Every hold, from sample to sample, lasts T (1 +- jitter)."""
+    """Largest relative deviation of a hold from T: from sample to sample it lasts T (1 +- jitter)."""
     delay: Annotated[int, quantity("count", ge=0, le=16)] = 1
     """Whole holds between the computation of a command and the hold in which it acts."""
     sampling: Literal["point", "mean", "impulse"] = "point"
-    """Meaning of one force: its value at a SYNC, its mean since the one before or the last that came (impulse)."""
+    """Meaning of one force: `point`: value at a SYNC; `mean`: mean since the SYNC before; `impulse`: mean since the
+    last force that arrived."""
     latency: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Delay of a force in whole samples."""
     filter: Annotated[float, quantity("Hz", ge=0.0, le=1e6)] = 0.0
-    """Corner of the sensor's first-order filter; 0: none."""
+    """Corner frequency of the sensor's first-order filter; 0: no filter."""
     force_slew: Annotated[float, quantity("N/s", "N*m/s", gt=0.0)]
-    """Largest slew of the force, an upper bound."""
+    """Upper bound of the rate of change of the force."""
     handle_acceleration: Annotated[float, quantity("m/s^2", "rad/s^2", gt=0.0)]
-    """Largest acceleration of the mass with the encoder, an upper bound."""
+    """Upper bound of the acceleration of the mass with the encoder."""
     force_error: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
-    """Largest error of one force: offset after the tare, drift, noise and quantisation, an upper bound."""
+    """Upper bound of the error of one force: offset after the tare, drift, noise and quantization."""
     encoder_count: Annotated[float, quantity("m", "rad", ge=0.0)] = 0.0
     """Displacement of one encoder count; 0 for an ideal encoder."""
     speed_quantum: Annotated[float, quantity("m/s", "rad/s", ge=0.0)] = 0.0
     """Smallest step of the command; 0: any."""
     speed_limit: Annotated[float, quantity("m/s", "rad/s", gt=0.0)]
-    """Largest speed commanded."""
+    """Largest speed that may be commanded."""
     acceleration_limit: Annotated[float, quantity("m/s^2", "rad/s^2", gt=0.0)]
-    """Largest rise of the speed commanded per second; a fall to zero is never slowed."""
+    """Largest rate at which the commanded speed may rise; it may always fall to zero at once."""
     position_low: Annotated[float, quantity("m", "rad")] = -1e9
     """Least position to which a command may lead."""
     position_high: Annotated[float, quantity("m", "rad")] = 1e9
@@ -65,17 +65,17 @@ class AdmittanceProperties(Parameters):
 
     @property
     def longest_hold(self) -> float:
-        """Longest duration of a hold [s]: the energy at risk and its uncertainty grow with it."""
+        """Longest duration of a hold [s]."""
         return self.sample_time * (1.0 + self.jitter)
 
     @property
     def is_mean(self) -> bool:
-        """Whether one force is the mean over a hold, and not its value at the SYNC."""
+        """Whether a force is the mean over a hold instead of the value at the SYNC."""
         return self.sampling != "point"
 
     @property
     def is_impulse(self) -> bool:
-        """Whether the mean covers the time since the last received force, however many were lost."""
+        """Whether the mean covers the time since the last received force, even if others were lost in it."""
         return self.sampling == "impulse"
 
     @property
@@ -85,7 +85,7 @@ class AdmittanceProperties(Parameters):
 
 
 class BookedHold(NamedTuple):
-    """Energy increments of one SYNC."""
+    """Result of booking at one SYNC: bounds of the energy that came in, and the motion."""
 
     energy: float  # that came in, at least [J]
     speed: float  # largest, at the time to which the account now reaches [m/s or rad/s]
@@ -97,7 +97,7 @@ class BookedHold(NamedTuple):
 
 @dataclass(slots=True)
 class Port:
-    """Account of one axis, kept from SYNC to SYNC."""
+    """Energy account of one axis of an admittance display, kept from SYNC to SYNC."""
 
     settings: AdmittanceProperties
     positions: list[float] = field(init=False)  # of the SYNCs whose forces have not come, (latency + 1,) [m or rad]
@@ -116,12 +116,12 @@ class Port:
         self.positions = [0.0] * (self.settings.latency + 1)
 
     def begin(self, position: float, force: float) -> None:
-        """Take the first position and force."""
+        """Start the account at the first position [m or rad] and force [N or N*m]."""
         self.started, self.position, self.origin, self.force = True, position, position, force
         self.positions = [position] * len(self.positions)
 
     def reopen(self) -> None:
-        """Charge the encoder's error at the last booked SYNC in full: its energy no longer comes from the account."""
+        """Keep the encoder's error at the last booked SYNC charged: another proof replaces the booked energy there."""
         self.mean = 0.0
 
     def book(self, position: float, force: float) -> BookedHold:
@@ -154,7 +154,7 @@ class Port:
         self.positions[self.newest] = position
 
     def _energy(self, moved: float, force: float, samples: int) -> tuple[float, float, float]:
-        """Least energy that came in [J], the largest speed at the end [m/s or rad/s], and the most energy [J]."""
+        """Return the least energy received [J], the largest speed at the end [m/s or rad/s], the most energy [J]."""
         settings = self.settings
         length, way = samples * settings.sample_time * (1.0 + settings.jitter), abs(moved)
         shortest = samples * settings.sample_time * (1.0 - settings.jitter)

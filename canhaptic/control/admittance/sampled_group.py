@@ -1,7 +1,7 @@
-"""Several admittance displays with one account and without a certificate: `unprotected` and observer.
+"""`unprotected` and `passivity_observer` for several admittance displays with one account, and the base of such groups.
 
-What sampling, the drives and the uncertainty of the account create is booked as `gen`, what they lose as `leak`, as on
-one axis (`unprotected_admittance`). The observer counts the sum of F u T over all axes.
+Energy created by sampling, drives and the uncertainty of the account is booked as `gen`, energy lost by them as `leak`,
+as on one axis (`unprotected_admittance`). The observer sums F u T over all axes.
 """
 
 from abc import ABC, abstractmethod
@@ -25,7 +25,7 @@ _Axis = TypeVar("_Axis", bound=AdmittanceAxis)
 
 
 class AdmittanceGroup(ABC, Generic[_Axis]):
-    """Common part of every `GroupController` of displays; `_answer` is the algorithm's own.
+    """Base class of a `GroupController` of displays; an algorithm implements `_answer`.
 
     Args:
         environment: Environment to render.
@@ -36,7 +36,7 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
         axes: Number of axes.
 
     Raises:
-        ParameterError: Parts do not fit together.
+        ParameterError: The axes differ in sample time, delay or latency, or do not fit the environment.
     """
 
     is_certified: ClassVar[bool] = False
@@ -68,7 +68,7 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
         return 2.0 * sum(axis.port.doubt for axis in self._each)
 
     def sample_lost(self) -> GroupBalance:
-        """Answer a SYNC at which the sample of an axis was lost: no command; see `GroupController`."""
+        """Return the balance of a SYNC without the sample of an axis, with zero velocities; see `GroupController`."""
         speeds, last = (0.0,) * self.axes, self._last.account
         if self._started:
             self._miss()
@@ -125,7 +125,7 @@ class UnprotectedAdmittanceGroup(AdmittanceGroup[AdmittanceAxis]):
         self._slips, self._energy = [0.0] * self.axes, self._begin()
 
     def _begin(self) -> float:
-        """Initial energy of the algorithm's own [J]."""
+        """Return the initial energy of the observer or tank [J]."""
         return 0.0
 
     def _miss(self) -> None:
@@ -150,10 +150,10 @@ class UnprotectedAdmittanceGroup(AdmittanceGroup[AdmittanceAxis]):
         return self._closed(holds, h_pas, before)
 
     def _observe(self, energy: float) -> None:
-        """Add the energy that came in by force and command in the hold that ended [J]."""
+        """Add the energy of the hold that ended, force times commanded velocity, to the observed energy [J]."""
 
     def _protected(self, request: _Vector, forces: _Vector) -> tuple[_Vector, _Vector]:
-        """Speeds of the mass, and additional speeds that dissipate [m/s or rad/s]."""
+        """Return the speeds of the mass, and additional speeds that dissipate energy [m/s or rad/s]."""
         return request, [0.0] * self.axes
 
     def _closed(self, holds: list[BookedHold], h_pas: float, before: _Vector) -> GroupBalance:
@@ -174,7 +174,7 @@ class UnprotectedAdmittanceGroup(AdmittanceGroup[AdmittanceAxis]):
 
 
 class ObservedAdmittanceGroup(UnprotectedAdmittanceGroup):
-    """An unprotected group with a slip along the force whenever the observed energy falls below zero."""
+    """An unprotected group with a slip along the force while the observed energy is below zero."""
 
     def _observe(self, energy: float) -> None:
         self._energy += energy

@@ -1,7 +1,7 @@
-"""`unprotected` of an admittance display: the virtual mass without protection, in the step of the protected ones.
+"""`unprotected` of an admittance display: the virtual mass without protection, and the base of other algorithms.
 
-The other algorithms without a certificate override `respond`. What sampling, the drive and the uncertainty of the
-account create is booked as `gen`, what they lose as `leak`, so that the account closes like every other.
+The other algorithms without a certificate override `respond`. Energy created by sampling, the drive and the uncertainty
+of the account is booked as `gen`, energy lost by them as `leak`, so that the account is balanced.
 """
 
 from typing import ClassVar, NamedTuple
@@ -15,7 +15,7 @@ _EXACT, _FREE, _NONE = Branch.EXACT.value, Branch.FREE.value, Certificate.NONE.v
 
 
 class NothingToChoose(Parameters):
-    """Parameters of an admittance algorithm without any."""
+    """Empty parameters, for an admittance algorithm that has none."""
 
 
 class SampledHold(NamedTuple):
@@ -42,15 +42,15 @@ class UnprotectedAdmittance(AdmittanceController):
         self._created = 0.0  # by sampling in the last hold; below 0 it was lost [J]
 
     def first_energy(self, position: float) -> float:
-        """Energy with which the algorithm starts at the first position [J]."""
+        """Return the energy with which the algorithm starts at the first position [J]."""
         return 0.0
 
     def respond(self, hold: SampledHold) -> tuple[float, float, float]:
-        """Return the command after a hold.
+        """Return the parts of the next command, and the energy that the last one dissipated.
 
         Returns:
-            Speed of the mass, a speed in addition that dissipates [m/s or rad/s], and the energy of the hold that the
-            latter took in the last command [J].
+            Speed of the mass [m/s or rad/s], additional speed that dissipates energy [m/s or rad/s], and the energy
+            that this additional speed dissipated in the hold that ended [J].
         """
         return hold.request, 0.0, 0.0
 

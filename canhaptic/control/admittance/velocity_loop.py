@@ -1,28 +1,26 @@
-"""Largest certified speed command: the drive's own velocity loop as a certificate for every hand.
+"""Certificate by the drive's velocity loop: the largest speed that may be commanded, for every hand.
 
 The drive moves the mass before the sensor, M v' = f_m + F - friction, by f_m = c (r - v) + f_I with f_I' = k (r - v).
-r is the command. With r = 0 the hand can take V = M v^2 / 2 + f_I^2 / 2k, and
+r is the command. With r = 0 the hand can take out V = M v^2 / 2 + f_I^2 / 2k, and
 
     (E - V)' = friction v - c (r - v) v - f_I r,         E' = F v
 
-so that W = E - V never falls at r = 0. Over a sequence of commands r(s) of length H, with f_0 the integral at its begin
-and rho(s) the integral of r from s to H, W falls by at most (maximum over every motion v)
+so that W = E - V never falls at r = 0. Over a sequence of commands r(s) of length H, with f_0 the value of f_I at its
+start and rho(s) the integral of r from s to H, W falls by at most (maximum over every motion v)
 
     f_0 R + k R^2 / 4 + (c / 4) int r^2 + (k^2 / 4c) int rho^2,     R = int r
 
 (complete the square in v; int r rho = R^2 / 2). Within a hold this is convex in H, so that its largest value is at a
-SYNC. Commands that satisfy `loss <= W + allowance`, all queued ones and the new one, keep E >= -allowance for
-every hand: after any motion in the first hold, the rest of the sequence still fits what is left. A command of 0 adds
-nothing and always fits; so does any between 0 and one that fits, as the loss is convex in it.
+SYNC. If the queued commands and the new one satisfy `loss <= W + allowance`, E stays >= -allowance for every hand:
+after any motion in the first hold, the rest of the sequence satisfies the condition again. A command of 0 adds no loss
+and is always certified. So is any command between 0 and a certified one, because the loss is convex in the command.
 
-W is known from below in two ways, and the larger counts: from the force, E less the largest V; and from the encoder
-alone, as (E - V)' >= c v (v - r) - f_I r over a hold of which displacement and command are known.
+W has two lower bounds, and the larger counts: by the force, E less the largest V; and by the encoder alone,
+(E - V)' >= c v (v - r) - f_I r over a hold with known displacement and command.
 
-No friction is counted; it only helps. With a torque limit: without an integral the loss is smaller still, and so is
-what the encoder proves (`VelocityLoop._by_damping`). With one the bound holds only where the limit is not reached
-(`VelocityLoop.may_limit`).
-
-Parameters of `guarded` of an admittance display: its drive and the hand.
+Friction is not counted; it only lowers the loss. At a torque limit the loss without an integral is smaller still, and
+so is the energy that the encoder proves (`VelocityLoop._by_damping`). With an integral the bound holds only if the
+limit is not reached (`VelocityLoop.may_limit`).
 """
 
 from dataclasses import dataclass, replace
@@ -46,7 +44,7 @@ class LoopState:
 
 
 def _within(commands: Commands, speed: float, own: int, losses: int) -> float:
-    """The speed if it is the largest command in exactly this number of its holds, else 0."""
+    """Return the speed, reduced to be the largest command in exactly `own` of its holds; 0 if that is impossible."""
     first = losses + 1 - own  # the first hold in which it is to be the largest
     if first < losses and speed * speed < largest_square(commands, 0, losses - 1 - first):
         return 0.0
@@ -55,7 +53,7 @@ def _within(commands: Commands, speed: float, own: int, losses: int) -> float:
 
 
 def largest_square(commands: Commands, newest: int, oldest: int) -> float:
-    """Return the largest square of the commands of some ages [m^2/s^2 or rad^2/s^2]."""
+    """Return the largest square of the commands with ages from `newest` to `oldest` [m^2/s^2 or rad^2/s^2]."""
     largest = 0.0
     for age in range(newest, oldest + 1):
         command = commands.sent(age)
@@ -65,7 +63,7 @@ def largest_square(commands: Commands, newest: int, oldest: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class VelocityLoop:
-    """The velocity loop of a drive as declared."""
+    """Declared bounds of a drive's velocity loop, and the certificate that follows from them."""
 
     sample_time: float  # the longest hold [s]
     delay: int
@@ -89,10 +87,10 @@ class VelocityLoop:
         return value
 
     def may_limit(self, loop: LoopState, command: float, missed: int) -> bool:
-        """Whether the torque may reach its limit while a command acts: certificates by its braking fail then.
+        """Return whether the torque may reach its limit while a command acts, which voids certificates by braking.
 
         Args:
-            loop: Known velocity and lead; the displacement in lost samples is not subtracted from the lead.
+            loop: Known velocity and lead; the lead does not include the displacement since the last sample.
             command: The new command [m/s or rad/s].
             missed: Number of samples lost since the velocity was measured.
         """
@@ -106,11 +104,11 @@ class VelocityLoop:
         return torque >= self.torque_limit
 
     def gained(self, lead: float, commands: Commands, moved: float) -> float:
-        """Least change of W over the hold that ended, from encoder and commands [J].
+        """Return the least change of W over the hold that ended, by encoder and commands [J].
 
         Args:
             lead: Lead at the beginning of the hold [m or rad].
-            commands: Ring of the commands sent.
+            commands: Ring buffer of the commands sent.
             moved: Displacement in the hold [m or rad].
         """
         if self.integral > 0.0:
@@ -121,16 +119,16 @@ class VelocityLoop:
         return least
 
     def lost_unseen(self, commands: Commands) -> float:
-        """Largest loss of W in a hold without a sample, for a drive without an integral [J]."""
+        """Return the largest loss of W in a hold without a sample, for a drive without an integral [J]."""
         square = largest_square(commands, self.delay, self.delay + self.losses)
         return 0.25 * self.gain * self.sample_time * square
 
     def _by_damping(self, command: float, moved: float) -> float:
-        """Least c D (D / T - r) for D within one count and c within its range [J].
+        """Return the least c D (D / T - r), with D known to one count and c within its range [J].
 
-        Where the torque may be at its limit F, it is that of a gain between F / abs(v - r) and c, which may change
-        within the hold. The integral of v^2 - r v then counts by the smaller one, and its negative part, r^2 T / 4 at
-        most, by c.
+        A torque at its limit F corresponds to a gain between F / abs(v - r) and c, which may change within the hold.
+        The integral of v^2 - r v is then multiplied by the smallest such gain, and its negative part, at most
+        r^2 T / 4, by c.
         """
         time, count = self.sample_time, self.count
         turn = 0.5 * command * time  # D of the least value
@@ -148,7 +146,7 @@ class VelocityLoop:
         return (self.gain_least if power > 0.0 else self.gain) * power
 
     def _gained_with_integral(self, lead: float, command: float, moved: float) -> float:
-        """The same for a drive with an integral, for which no RPDO may be lost.
+        """Return the least change of W over the hold for a drive with an integral, of which no RPDO may be lost [J].
 
         Minimum over v(t) with int v = D of int [c v^2 - c r v - f_I r], f_I = f_0 + k (r t - x):
         c D (D / T - r) - f_0 r T - k r^2 T^2 / 2 + k r D T / 2 - k^2 r^2 T^3 / 48c.
@@ -162,13 +160,13 @@ class VelocityLoop:
         return change - gain * gain * command * command * time * time * time / (48.0 * least)
 
     def _turned(self, lead: float, way: float) -> float:
-        """Largest f_0 R for a displacement R [J]."""
+        """Return the largest f_0 R for a commanded displacement R [J]."""
         product = lead * way
         share = self.integral if product > 0.0 else self.integral_least
         return share * product + self.integral * self.count * abs(way)
 
     def sequence_loss(self, lead: float, commands: Commands, holds: int, oldest: int) -> float:
-        """Largest loss of W over consecutive commands, the first of which has the age `oldest` [J]."""
+        """Return the largest loss of W over `holds` consecutive commands, the first of age `oldest` [J]."""
         time, way, squares, shifts = self.sample_time, 0.0, 0.0, 0.0
         newest = commands.newest - oldest + holds - 1
         for place in range(newest, newest - holds, -1):  # from the last to the first; below 0 it wraps
@@ -184,12 +182,12 @@ class VelocityLoop:
         return loss
 
     def fastest(self, lead: float, commands: Commands, budget: float, sign: float) -> float:
-        """Largest speed in a direction that may be commanded now [m/s or rad/s].
+        """Return the largest speed in a direction that may be commanded now [m/s or rad/s].
 
         Args:
             lead: Lead at this SYNC [m or rad].
-            commands: Ring of the commands sent.
-            budget: W and the energy allowance [J].
+            commands: Ring buffer of the commands sent.
+            budget: Sum of W and the energy allowance [J].
             sign: 1.0 or -1.0.
         """
         if self.integral == 0.0:
@@ -209,10 +207,10 @@ class VelocityLoop:
         return hand_force_bound(room, line, square) if line * line + 4.0 * square * room > 0.0 else 0.0
 
     def _fastest_by_damping(self, commands: Commands, budget: float) -> float:
-        """The same without an integral: c T / 4 times the squares of all commands that may act.
+        """Return the largest speed for a drive without an integral, whose loss is c T / 4 times the sum of squares.
 
-        In each queued hold the largest of the commands that may act counts, as up to `losses` RPDOs in a row may be
-        lost. The new one may act in 1 + losses holds; in the first of them an older one may, where it is larger.
+        Up to `losses` RPDOs in a row may be lost, so that in each queued hold the largest command that may act counts.
+        The new command may act in 1 + losses holds; in the first of them a larger older command may act instead.
         """
         delay, losses = self.delay, self.losses
         left = 4.0 * budget / (self.gain * self.sample_time)
@@ -251,7 +249,7 @@ class VelocityLoop:
         return 0.25 * self.gain * self.sample_time * total
 
     def loss_of_skip(self, lead: float, commands: Commands, skipped: int) -> float:
-        """Largest loss of W by all queued commands where SYNCs are skipped and the oldest acts longer [J]."""
+        """Return the largest loss of W by all queued commands if SYNCs are skipped and the oldest acts longer [J]."""
         holds = [self.delay] * skipped + [*range(self.delay, -1, -1)]
         acting = Commands(len(holds))
         for age in holds:
@@ -260,7 +258,7 @@ class VelocityLoop:
 
 
 class GuardedAdmittanceParameters(Parameters):
-    """Parameters of an admittance display on which its certificate rests."""
+    """Parameters of `guarded` for admittance displays: declared properties of drive and hand."""
 
     drive_mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
     """Upper bound of the mass that the drive moves up to the sensor."""
@@ -269,23 +267,27 @@ class GuardedAdmittanceParameters(Parameters):
     integral_gain: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e12)] = 0.0
     """Upper bound of the loop's integral gain; of a position loop: its gain times `loop_gain`. 0: no integral."""
     spread: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.2
-    """The gains are at least (1 - spread) times the declared ones; with a `drive_friction` the mass too."""
+    """The gains are at least (1 - spread) times the declared ones; so is the mass if `drive_friction` is declared."""
     energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
     """Energy that may be given out before any came in: the promise becomes E >= -energy_allowance."""
     max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
-    """Consecutive cycles without a new command at the drive that the certificate survives; only without an integral."""
+    """Largest number of consecutive cycles without a new command at the drive that the certificate covers; only for a
+    drive without an integral."""
     largest_hand_force: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] = 0.0
-    """Upper bound of the force of the hand: lighter masses, for such hands only; not with an integral. 0: none."""
+    """Upper bound of the force of the hand. It permits lighter masses, but the promise then holds for such hands only.
+    Not with an integral. 0: not declared."""
     drive_friction: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
-    """Upper bound of the dry friction of the drive: force and motion are then compared, and the rig stops where they
-    do not agree. None: they are not compared. Needed with hand_stiffness; 0 where there is none."""
+    """Upper bound of the dry friction of the drive. Force and motion are then compared, and the rig stops if they
+    disagree. None: they are not compared. Required with hand_stiffness; 0 for a drive without dry friction."""
     drive_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
-    """Upper bound of the damping of its bearings, for both."""
+    """Upper bound of the damping of the drive's bearings; used with drive_friction and hand_stiffness."""
     hand_stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)] = 0.0
-    """Upper bound of the stiffness of sensor, grip and hand: lighter masses, for such hands only. 0: not declared.
+    """Upper bound of the stiffness of sensor, grip and hand together. It permits lighter masses, but the promise then
+    holds for such hands only. 0: not declared.
 
-    Constant while it touches: a hand that stiffens by dK at a stretch x gives dK x^2 / 2 more each time. Not with an
-    integral, lost commands or jitter; drive_mass too must then be at least 1 - spread of its declared value.
+    The stiffness must be constant while the hand touches: a hand that stiffens by dK at a stretch x gives out
+    dK x^2 / 2 more each time. Not with an integral, lost commands or jitter; the moving mass must then be at least
+    (1 - spread) drive_mass.
     """
     hand_speed: Annotated[float, quantity("m/s", "rad/s", ge=0.0, le=1e3)] = 0.0
     """Upper bound of the speed of the arm behind the grip; with hand_stiffness."""
@@ -296,10 +298,10 @@ class GuardedAdmittanceParameters(Parameters):
 
 
 def loop_settings(parameters: GuardedAdmittanceParameters, properties: AdmittanceProperties) -> VelocityLoop:
-    """Declared velocity loop; a hold counts at its longest duration, where it costs most and proves least.
+    """Return the declared velocity loop, with the longest duration of a hold, at which its bounds are the worst.
 
     Raises:
-        ParameterError: Losses or a hand are declared for a drive with an integral, or a hand where its proof fails.
+        ParameterError: Losses or a hand are declared with an integral, or the declaration of a hand is incomplete.
     """
     _require_what_a_hand_needs(parameters, properties)
     refused = {
@@ -322,7 +324,7 @@ def loop_settings(parameters: GuardedAdmittanceParameters, properties: Admittanc
 
 
 def _require_what_a_hand_needs(parameters: GuardedAdmittanceParameters, properties: AdmittanceProperties) -> None:
-    """Refuse an incomplete declaration of a hand as spring, damper and mass, and values that contradict one."""
+    """Refuse an incomplete declaration of a hand as spring, damper and mass, and properties that its proof excludes."""
     if not parameters.hand_stiffness:
         for key in ("hand_speed", "hand_mass", "hand_damping"):
             if getattr(parameters, key):
