@@ -312,14 +312,14 @@ def _felt_hints(axis: AxisScene, response: bounds.DisplacementResponse, lag: int
     push, stiffness = LEAN * axis.parameters.torque_limit, _asked(axis, "stiffness")
     limit = bounds.renderable_by_hand_force(response, lag, push)
     what = f"stiffness felt at a push of {push:.3g} {effort_unit(axis.parameters.unit)}"
-    slowest, earned = bounds.start_speed(response, axis.loop.sample_time, lag), min(stiffness or limit, limit)
+    slowest = bounds.start_speed(response, axis.loop.sample_time, lag, axis.loop.encoder_count)
     begins, name, unit = "from zero energy", axis.parameters.name, f"{axis.parameters.unit}/s"
     if friction := axis.loop.device_friction:
         slowest, begins = 0.0, f"up to device_friction {friction:g} at once, more with the energy below"
     return [
         _hint(axis, what, limit, f"{text}{_share(limit, stiffness)}"),
         Hint(name, "approach speed for a first torque, from", slowest, None, unit, f"{begins}; {text}"),
-        *_energy_hint(axis, response, lag, earned),
+        *_energy_hint(axis, response, lag, min(stiffness or limit, limit)),
     ]
 
 
