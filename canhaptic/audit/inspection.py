@@ -19,7 +19,7 @@ import numpy as np
 
 from canhaptic.canopen.objects import StatusBit
 from canhaptic.control import verdict
-from canhaptic.control.balance import OUT_OF_CONTACT, Branch, Certificate, certificates_of
+from canhaptic.control.balance import OUT_OF_CONTACT, Branch, Certificate
 from canhaptic.control.friction_watch import FrictionDeclared, FrictionWatch
 from canhaptic.control.ledger import LedgerSummary
 from canhaptic.control.mass_felt import MassAsked, MassFelt
@@ -247,7 +247,7 @@ class PortRecord(PortFigures):
 
     def account(self) -> PortResult:
         """Figures so far, by the names of `run --json`, without verdicts."""
-        certificates = [certificate.name.lower() for certificate in certificates_of(self._certificates)]
+        certificates = [certificate.name.lower() for certificate in Certificate.of(self._certificates)]
         account: PortResult = {
             "in": self._in,
             "least_interaction": self._least,
@@ -495,7 +495,7 @@ def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> Led
         margin_deadline=deadline,
         least_interaction=_least(running)[0],
         first_below=_first_below(log, running, rows.start),
-        certificates=certificates_of(
+        certificates=Certificate.of(
             sum(1 << int(number) for number in np.unique(certificates[column("torque_command") != 0.0]))
         ),
         branches={member.name.lower(): int((branch == member).sum()) for member in Branch},

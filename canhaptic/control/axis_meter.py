@@ -154,7 +154,8 @@ class AxisMeter:
         booked_at, self._booked_at = self._booked_at, deadline
         moved, self.position = abs(position - self.position), position
         if booked_at < 0:
-            self._begin(position, torque)
+            self._lazy = position - self.accuracy.position, position + self.accuracy.position
+            self._compare(position, torque)
             return
         holds = deadline - booked_at
         if holds < 0.5:  # no two SYNCs are nearer
@@ -170,11 +171,6 @@ class AxisMeter:
             self._leave_open(torque, moved, holds)
         else:
             self._speed = moved / holds
-
-    def _begin(self, position: float, torque: float) -> None:
-        position_uncertainty = self.accuracy.position
-        self._lazy = position - position_uncertainty, position + position_uncertainty
-        self._compare(position, torque)
 
     def _compare(self, position: float, torque: float) -> None:
         if self.watch is not None:

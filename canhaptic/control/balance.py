@@ -35,19 +35,6 @@ def add(running: RunningSum, term: float) -> float:
     return total + running.error
 
 
-def interaction_energy(torque: float, displacement: float) -> float:
-    """Return the exact energy [J] that entered the environment during one hold of constant torque (eq. 2).
-
-    This defines the sign: energy INTO the virtual environment is positive (eq. 1). The torque is the one that the
-    actuator applies to the user, so a wall that resists motion in -q has a positive torque and receives energy.
-
-    Args:
-        torque: Torque held by the actuator during the whole hold [N*m or N].
-        displacement: Motion of the same axis from the start to the end of the hold [rad or m].
-    """
-    return -torque * displacement
-
-
 class Branch(IntEnum):
     """Rule that booked the hold."""
 
@@ -75,6 +62,11 @@ class Certificate(IntEnum):
     DEVICE_FRICTION = 7  # no larger than the dry friction of the device: for every hand
     DECLARED_HAND = 8  # of an admittance display: the hand is a spring, a damper and a mass as declared
 
+    @staticmethod
+    def of(bits: int) -> "tuple[Certificate, ...]":
+        """Return the certificates in a bit set, weakest last."""
+        return tuple(certificate for certificate in WEAKEST_LAST if bits & 1 << certificate)
+
 
 WEAKEST_LAST: Final = (
     *(Certificate.EXACT, Certificate.DEVICE_DAMPING, Certificate.DEVICE_FRICTION),
@@ -87,7 +79,11 @@ RANKS: Final = tuple(WEAKEST_LAST.index(certificate) for certificate in Certific
 
 
 class EnergyBalance(NamedTuple):
-    """One step of a controller: the torque to apply next and the account of the hold that ended. Energies in [J]."""
+    """One step of a controller: the torque to apply next and the account of the hold that ended. Energies in [J].
+
+    Energy INTO the virtual environment is positive (eq. 1), h_i = -torque * displacement. The torque is the one that
+    the actuator applies to the user, so a wall that resists motion in -q has a positive torque and receives energy.
+    """
 
     torque: float  # command for the next free hold [N*m or N]
     h_i: float  # interaction: energy that came in with the whole applied torque (eq. 2)
@@ -117,8 +113,3 @@ def residual(balance: EnergyBalance, stored_before: float) -> float:
     """Return the residual of one step in the identity of the stored energy [J]; see the module."""
     flows_out = (balance.h_s - stored_before) + balance.h_r - balance.h_i - balance.gen + balance.h_pas
     return flows_out - balance.deficit + balance.leak
-
-
-def certificates_of(bits: int) -> tuple[Certificate, ...]:
-    """Return the certificates in a bit set, weakest last."""
-    return tuple(certificate for certificate in WEAKEST_LAST if bits & 1 << certificate)

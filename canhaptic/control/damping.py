@@ -63,14 +63,13 @@ class VelocityWindow:
     least: float = -inf  # slopes of the lines that pass every sample within the tolerance, per sample
     most: float = inf
     velocity: float = 0.0  # [m/s or rad/s]
-    scanned: int = 0  # samples that searches looked at since the start, to prove the cost
 
 
 def restart(window: VelocityWindow, ring: Buffer, position: float) -> None:
     """Restart at a position [m or rad], at rest."""
     for place in range(len(ring)):
         ring[place] = position
-    window.newest = window.length = window.scanned = 0
+    window.newest = window.length = 0
     window.anchor, window.velocity = position, 0.0
     window.least, window.most = -inf, inf
 
@@ -131,16 +130,13 @@ def search(window: VelocityWindow, ring: Buffer, tolerance: float, furthest: int
         if high < most:
             most = high
     window.length, window.anchor, window.least, window.most = length, anchor, least, most
-    window.scanned += 2 * length
 
 
 def _with_unit(value: Any) -> Any:
-    bare = isinstance(value, (int, float)) and value != 0
-    if isinstance(value, str):
-        try:
-            bare = float(value) != 0.0
-        except ValueError:
-            return value
+    try:
+        bare = float(value) != 0.0
+    except (TypeError, ValueError):
+        return value
     if bare:
         raise ValueError("damping per joule has no natural unit: write it, as in '200 s/m^2' or '5 s/rad^2'")
     return value
@@ -183,7 +179,7 @@ def damping_cap(delay: int, mass: float | None, sample_time: float) -> float:
 
 
 def modulated_damping(
-    alpha: float, surplus: float, model_damping: float, cap: float, displacement: float = 0.0, sample_time: float = 1.0
+    alpha: float, surplus: float, model_damping: float, cap: float, displacement: float, sample_time: float
 ) -> float:
     """Return d_pas of eq. 19 [N*s/m or N*m*s/rad]: proportional to the surplus, with a cap on the total damping.
 
@@ -195,7 +191,7 @@ def modulated_damping(
         surplus: Energy still to be dissipated [J]; at or below 0 the damper is off.
         model_damping: Damping of the model inside the same torque [N*s/m or N*m*s/rad].
         cap: Largest total damping [N*s/m or N*m*s/rad].
-        displacement: Motion of the hold that ended [m or rad]; 0 for no limit by the surplus.
+        displacement: Motion of the hold that ended [m or rad].
         sample_time: Sample time [s].
     """
     if surplus <= 0.0:

@@ -29,11 +29,9 @@ class EnergyAudit:
     """
 
     def __init__(self, axes: int, groups: "Sequence[AxisGroup]" = ()) -> None:
-        self.least = [0.0] * (axes + len(groups))
-        self.least_at_handle = [0.0] * (axes + len(groups))
-        self.interaction = [0.0] * (axes + len(groups))
-        self.dissipated = [0.0] * (axes + len(groups))
-        self.believed_error = [0.0] * (axes + len(groups))
+        self.least, self.least_at_handle, self.interaction, self.dissipated, self.believed_error = (
+            [0.0] * (axes + len(groups)) for _ in range(5)
+        )
         self._axes = tuple(range(axes))
         self._groups = [(axes + place, group) for place, group in enumerate(groups)]
 

@@ -3,16 +3,7 @@
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from canhaptic.control.balance import (
-    AT_REST,
-    OUT_OF_CONTACT,
-    Branch,
-    Certificate,
-    EnergyBalance,
-    RunningSum,
-    add,
-    certificates_of,
-)
+from canhaptic.control.balance import AT_REST, OUT_OF_CONTACT, Branch, Certificate, EnergyBalance, RunningSum, add
 from canhaptic.control.verdict import PASSIVE_TOLERANCE, PortResult
 from canhaptic.signals import Sample
 
@@ -36,14 +27,9 @@ class EnergyLossMeter:
     """
 
     def __init__(
-        self,
-        name: str,
-        axes: Sequence[int],
-        limit: float,
-        allowance: float,
-        damping: Sequence[float],
+        self, name: str, axes: Sequence[int], limit: float, allowance: float, damping: Sequence[float],
         sample_time: float,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.name, self.axes = name, tuple(axes)
         self.limit, self.allowance, self.energy = limit, allowance, 0.0
         self.floor = -(limit + allowance)
@@ -69,7 +55,7 @@ class EnergyLossMeter:
             moved = position - positions[axis]
             positions[axis] = position
             if booked_at >= 0:
-                energy = self.energy + -torque * moved  # `interaction_energy`
+                energy = self.energy + -torque * moved  # eq. 2
                 self.energy = energy + by_speed * moved * moved / (deadline - booked_at)
         self._booked_at = deadline
         return self.energy < self.floor
@@ -149,10 +135,6 @@ class Ledger:
     """
 
     def __init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
-        """Clear all sums."""
         self._interaction, self._in, self._dissipated = RunningSum(), RunningSum(), RunningSum()
         self._corrections = tuple(RunningSum() for _ in range(5))  # of h_pas, gen, leak, paid and deficit
         self._branches = [0] * len(Branch)
@@ -224,7 +206,7 @@ class Ledger:
             margin_deadline=self._least_margin_deadline,
             least_interaction=self._least_interaction,
             first_below=self._first_below,
-            certificates=certificates_of(self._certificates),
+            certificates=Certificate.of(self._certificates),
             branches={branch.name.lower(): self._branches[branch] for branch in Branch},
             damping_least=min(self._damping_least, self._damping_most),
             damping_most=self._damping_most,

@@ -203,7 +203,7 @@ def passive_verdict(
     if has_open_hold:
         return "in doubt", "the run ended in holds without a position"
     if is_estimated:
-        return "in doubt", "the energy of the open holds is an estimate"
+        return "in doubt", "the resolution of its energy is an estimate"
     return "in doubt", f"without a certificate, and as low as {certain:.3g} J within its resolution"
 
 
@@ -259,18 +259,12 @@ def _verdict_of(
     account: PortResult, least: float, resolution: float, is_promised: bool, certain: float | None
 ) -> tuple[Verdict, str]:
     found, why = passive_verdict(
-        least,
-        resolution,
-        energy_in=account["in"],
-        is_promised=is_promised,
-        has_open_hold=account.get("open_hold", False),
-        allowance=account.get("energy_allowance", 0.0),
-        is_estimated=account.get("resolution_is_estimated", False),
-        certain=certain,
-        books_least=account.get("books_least", False),
-    )
+        least, resolution, energy_in=account["in"], is_promised=is_promised, certain=certain,
+        has_open_hold=account.get("open_hold", False), allowance=account.get("energy_allowance", 0.0),
+        is_estimated=account.get("resolution_is_estimated", False), books_least=account.get("books_least", False),
+    )  # fmt: skip
     if why == "by certificate" and account.get("hold") == NOT_CHECKED:
-        return "in doubt", f"the hold of its torques was {NOT_CHECKED}: canhaptic commission, or check_hold"
+        return "in doubt", f"the hold of its torques was {NOT_CHECKED}: run canhaptic commission, or set check_hold"
     is_other = account.get("uncommanded_cycles", 0) > 0  # the read-back may be of another hold than declared
     return ("in doubt", "torques were held that were not commanded") if is_other and found == "yes" else (found, why)
 

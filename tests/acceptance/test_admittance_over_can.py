@@ -371,7 +371,7 @@ def test_an_offset_that_comes_in_a_run_is_found_where_the_friction_is_declared(o
 def test_each_axis_of_a_group_says_that_its_sensor_contradicts_its_encoder() -> None:
     scene = SCENE.with_name("guided_path.yaml")
     with build(load_scene(scene, ["simulation.admittance.sensor.gain=0.1"])) as experiment:
-        with pytest.raises(ForceContradictedError, match="motor axis 1: its forces say at most"):
+        with pytest.raises(ForceContradictedError, match="motor axis 1: by its forces at most"):
             run(experiment.cycle, 300)
         assert experiment.rig.stop_reason is StopReason.FORCE_CONTRADICTED
     declared = [f"groups.0.{text}" for text in _FRICTION]

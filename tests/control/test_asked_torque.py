@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canhaptic.control.balance import Certificate, residual
+from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.passivity.asked_torque import GuardedProgram, UnguardedProgram
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import GuardedParameters
-from canhaptic.control.passivity.unprotected import UnprotectedParameters
 
 T, MASS = 1e-3, 0.25
 ASKED = st.lists(st.floats(-50.0, 50.0) | st.sampled_from([0.0, 1e300, -1e300]), min_size=2, max_size=60)
@@ -52,7 +52,7 @@ def test_no_program_gets_out_more_than_came_in(asked, delay, velocity, push):
 
 def test_without_a_guard_it_does():
     loop = LoopProperties(sample_time=T)
-    balances = ran(UnguardedProgram(UnprotectedParameters(), loop), [2.0] * 20, 0, 0.5)
+    balances = ran(UnguardedProgram(DamperVelocity(), loop), [2.0] * 20, 0, 0.5)
     assert sum(balance.h_i for balance in balances) < -0.01
     assert {balance.certificate for balance in balances[1:]} == {Certificate.NONE}
 

@@ -7,7 +7,6 @@ import pytest
 
 from canhaptic.control.certificates.scalar_bounds import (
     displacement_response,
-    energy_for_any_hand,
     hand_force_bound,
     hold_timing,
     start_energy,
@@ -99,19 +98,6 @@ def test_a_contact_needs_what_the_most_dangerous_force_on_the_way_in_lacks(delay
     assert lacking(low) > 0.0
     assert start_energy(response, delay, 1e12) == math.inf
     assert start_energy(displacement_response(T, MASS, 0.0), delay, 1e12) == 0.0
-
-
-def test_a_wall_for_any_hand_needs_what_device_and_wall_do_not_have() -> None:
-    damping, friction, stiffness, push = 2.0, 0.4, 3000.0, 9.0
-    for delay in (0, 1):
-        needed = (1 + delay) * (push - friction) ** 2 * T / (4.0 * damping)
-        had = push**2 / (2.0 * stiffness) + friction * push / stiffness
-        found = energy_for_any_hand(damping, friction, T, delay, stiffness, push)
-        assert found == pytest.approx(max(0.0, needed - had), rel=1e-12)
-    assert found > 0.0
-    assert energy_for_any_hand(damping, 20.0, T, 1, stiffness, push) == 0.0
-    assert energy_for_any_hand(damping, friction, T, 0, 10.0, push) == 0.0
-    assert energy_for_any_hand(damping, 9.5, T, 1, 1e12, push) == 0.0
 
 
 @pytest.mark.parametrize("gain", [0.0, 2e-6])

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.control.balance import AT_REST, Branch, Certificate, certificates_of
+from canhaptic.control.balance import AT_REST, Branch, Certificate
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.verdict import (
     account_verdict,
@@ -78,7 +78,7 @@ def test_the_weakest_certificate_and_the_range_of_damping_in_contact_are_kept():
 
 
 def test_the_certificate_none_is_the_weakest_of_all():
-    every = certificates_of((1 << len(Certificate)) - 1)
+    every = Certificate.of((1 << len(Certificate)) - 1)
     assert set(every) == set(Certificate)
     assert every[-1] is Certificate.NONE
 
@@ -164,14 +164,14 @@ def test_a_run_ends_with_an_open_hold_where_the_last_was_held_on(branch: Branch)
         ("hand_force", {"energy_resolution": 5.0, "books_least": True, "least_interaction": 0.0}, ("yes", "measured")),
         ("none", {"least_certain": -1e-9}, ("yes", "measured")),
         ("none", {"least_certain": -1e-9, "resolution_is_estimated": True},
-         ("in doubt", "the energy of the open holds is an estimate")),
+         ("in doubt", "the resolution of its energy is an estimate")),
         ("none", {"least_certain": 0.0, "open_hold": True}, ("in doubt", "the run ended in holds without a position")),
         ("hand_force", {"open_hold": True}, ("yes", "by certificate")),
         ("hand_force", {"uncommanded_cycles": 1}, ("in doubt", "torques were held that were not commanded")),
         ("hand_force", {"least_certain": -1.0, "active_since": 0.5}, ("no", "")),
         ("hand_force", {"hold": "checked at commissioning"}, ("yes", "by certificate")),
         ("hand_force", {"hold": "not checked"},
-         ("in doubt", "the hold of its torques was not checked: canhaptic commission, or check_hold")),
+         ("in doubt", "the hold of its torques was not checked: run canhaptic commission, or set check_hold")),
         ("hand_force", {"hold": "not checked", "least_certain": 0.0}, ("yes", "measured")),
     ],
 )  # fmt: skip

@@ -10,7 +10,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.internal_dissipation import InternalDissipation, InternalDissipationParameters
+from canhaptic.control.passivity.internal_dissipation import InternalDissipation, StoredModelParameters
 from canhaptic.control.passivity.stepped import open_hold
 from canhaptic.kernels.records import bound
 from canhaptic.lab.rivals.a_priori_dissipation import APrioriDissipationParameters
@@ -20,7 +20,7 @@ DURATION = 8.0
 FINE = np.arange(0.0, DURATION + 5e-5, 1e-4)
 FIGURE_4 = {"stiffness": 100.0, "damping": 5.0, "position": 0.0}
 FIGURE_7 = {"stiffness": 100.0, "damping": 10.0, "position": -0.05}
-RECOVERY = InternalDissipationParameters(alpha="200 s/m^2")
+RECOVERY = StoredModelParameters(alpha="200 s/m^2")
 
 
 @pytest.fixture(scope="module")

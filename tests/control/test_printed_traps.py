@@ -11,7 +11,7 @@ from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.internal_dissipation import InternalDissipationParameters
+from canhaptic.control.passivity.internal_dissipation import StoredModelParameters
 from tests.control.reference_loop import USER_S, continuous, sampled, user_f
 
 WALL = SpringDamperWall(stiffness=100.0, damping=10.0, position=-0.05)
@@ -99,7 +99,7 @@ def test_10_under_saturation_the_torque_read_back_keeps_the_account_exact(algori
 
 
 def test_10_a_clipped_torque_scales_the_damper_efforts_inside_it():
-    alpha = InternalDissipationParameters(alpha="100 s/m^2")
+    alpha = StoredModelParameters(alpha="100 s/m^2")
     wall = SpringDamperWall(stiffness=1000.0, damping=10.0)
     made = build_controller(wall, "internal_dissipation", alpha, LoopProperties(sample_time=1e-3))
     made.step(0.0, 0.0)

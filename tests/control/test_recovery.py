@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canhaptic.control.damping import damping_cap, largest_stable_damping, least_oscillating_damping, modulated_damping
-from canhaptic.control.passivity.internal_dissipation import InternalDissipationParameters
+from canhaptic.control.passivity.internal_dissipation import StoredModelParameters
 from canhaptic.errors import ParameterError
 
 MASS, SAMPLE_TIME = 0.3, 2e-3
@@ -77,15 +77,15 @@ def test_a_large_alpha_takes_out_the_surplus_in_one_such_hold_and_no_more():
 @pytest.mark.parametrize("bare", [200.0, 200, "200"])
 def test_alpha_without_its_unit_is_refused(bare):
     with pytest.raises(ParameterError, match=r"alpha.*200 s/m\^2"):
-        InternalDissipationParameters(alpha=bare)
+        StoredModelParameters(alpha=bare)
 
 
 @pytest.mark.parametrize(("text", "value"), [("200 s/m^2", 200.0), ("5 s/rad^2", 5.0), (0, 0.0), ("0", 0.0)])
 def test_alpha_with_its_unit_or_zero_is_taken(text, value):
-    assert InternalDissipationParameters(alpha=text).alpha == value
+    assert StoredModelParameters(alpha=text).alpha == value
 
 
 @pytest.mark.parametrize("wrong", ["200 N/m", "-1 s/m^2", "nan s/m^2"])
 def test_alpha_of_another_dimension_or_sign_is_refused(wrong):
     with pytest.raises(ParameterError, match="alpha"):
-        InternalDissipationParameters(alpha=wrong)
+        StoredModelParameters(alpha=wrong)

@@ -4,11 +4,11 @@ from typing import Any
 
 import pytest
 
+from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
 from canhaptic.control.passivity import build_controller
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.unprotected import UnprotectedParameters
 from tests.control.cases import algorithms, controller, loop
 
 MOVED = 1e-4  # in a sample time, inward [m]
@@ -40,7 +40,7 @@ def test_no_motion_is_taken_for_a_faster_one(algorithm, environment, lost):
     assert one == pytest.approx(every, rel=0.15)
 
 
-@pytest.mark.parametrize("parameters", [UnprotectedParameters(velocity="windowed"), None])
+@pytest.mark.parametrize("parameters", [DamperVelocity(velocity="windowed"), None])
 def test_a_windowed_velocity_is_the_mean_of_the_whole_hold(parameters):
     known = LoopProperties.model_validate({**dict(loop()), "encoder_count": 1e-6})
     made: Any = build_controller(DAMPED, "unprotected" if parameters else "guarded", parameters, known)

@@ -24,7 +24,6 @@ import numpy as np
 from canhaptic.control.certificates.scalar_bounds import (
     DisplacementResponse,
     displacement_response,
-    energy_for_any_hand,
     renderable_by_hand_force,
     start_energy,
 )
@@ -248,6 +247,24 @@ def _over(name: str, value: float, continuous: float, limit: float, *, judged: b
     ratio = value / continuous
     target, met = (f"<= {limit:g} times", ratio <= limit) if judged else ("", None)
     return Row(name, value, "N", "continuous wall", continuous, ratio, target=target, met=met)
+
+
+def energy_for_any_hand(
+    damping: float, friction: float, sample_time: float, delay: int, stiffness: float, push: float
+) -> float:
+    """Return the energy [J], >= 0, that a wall needs before a contact to hold every hand up to a push.
+
+    Args:
+        damping: Certain viscous damping of the device, > 0 [N*s/m or N*m*s/rad].
+        friction: Certain dry friction of the device [N or N*m].
+        sample_time: Sample time [s].
+        delay: Delay in whole holds.
+        stiffness: Stiffness of the wall [N/m or N*m/rad].
+        push: Largest force at rest [N or N*m].
+    """
+    net = max(0.0, push - friction)
+    needed = (1 + delay) * net * net * sample_time / (4.0 * damping)
+    return max(0.0, needed - push * push / (2.0 * stiffness) - friction * push / stiffness)
 
 
 def friction_rows(algorithms: Sequence[str]) -> Iterator[Row]:

@@ -42,8 +42,8 @@ DISPLAY_NETWORKS: Final[dict[str, str]] = {
 """Environments of several displays, in the same form."""
 
 DISPLAY_GROUP_ALGORITHMS: Final[dict[str, str]] = {
-    "unprotected": f"{_HERE}.sampled_group:UnprotectedAdmittanceGroup",
-    "passivity_observer": f"{_HERE}.sampled_group:ObservedAdmittanceGroup",
+    "unprotected": f"{_HERE}.admittance_group:UnprotectedAdmittanceGroup",
+    "passivity_observer": f"{_HERE}.admittance_group:ObservedAdmittanceGroup",
     "energy_tank": f"{_RIVALS}.tank_admittance:TankAdmittanceGroup",
     "guarded": f"{_HERE}.admittance_group:GuardedAdmittanceGroup",
 }
@@ -70,12 +70,9 @@ def build_display_controller(
 
 
 def build_display_group(
-    environment: Any,
-    algorithm_name: str,
-    parameters: "Parameters",
-    properties: "Sequence[AdmittanceProperties]",
+    environment: Any, algorithm_name: str, parameters: "Parameters", properties: "Sequence[AdmittanceProperties]",
     kinematics: "Kinematics | None" = None,
-) -> "GroupController":
+) -> "GroupController":  # fmt: skip
     """Return the controller of several admittance displays with one account, at rest.
 
     Args:

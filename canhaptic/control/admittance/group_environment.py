@@ -5,7 +5,7 @@ sensors on the motor axes, p' the velocity and f the force of the hand in task s
 
     p' = J u,   J' f = F
 
-Energy and certificate are those of the motor axes: F u = f p'. In a pose that is singular or outside the workspace the
+Energy and certificate belong to the motor axes: F u = f p'. In a pose that is singular or outside the workspace the
 commanded velocities are zero. Walls are limits in task space; the command leaves enough distance for the motion that
 queued commands and drives still cause, at the speed of the last command.
 """

@@ -312,7 +312,8 @@ def loop_settings(parameters: GuardedAdmittanceParameters, properties: Admittanc
     for key, why in refused.items():
         if parameters.integral_gain and getattr(parameters, key):
             raise ParameterError(
-                f"guarded: {key}: got {getattr(parameters, key)}, expected 0 with an integral_gain: {why}"
+                f"guarded: {key}: got {getattr(parameters, key)}, expected 0 with an integral_gain: {why}; "
+                "leave it out, or declare a drive without an integral"
             )
     least, jitter = 1.0 - parameters.spread, properties.jitter
     return VelocityLoop(
@@ -335,10 +336,13 @@ def _require_what_a_hand_needs(parameters: GuardedAdmittanceParameters, properti
         return
     if parameters.drive_friction is None:
         raise ParameterError(
-            "guarded: drive_friction: with hand_stiffness: got none, expected upper bounds of it and drive_damping: "
-            "the proof for such a hand needs them"
+            "guarded: drive_friction: got none with hand_stiffness, expected an upper bound, which the proof for such "
+            "a hand needs; declare drive_friction and drive_damping"
         )
     why, losses = "the motion that the commands make must be known", parameters.max_consecutive_losses
     for key, value in {"max_consecutive_losses": losses, "sync_jitter": properties.jitter}.items():
         if value:
-            raise ParameterError(f"guarded: {key}: got {value:g}, expected 0 with hand_stiffness: {why}")
+            raise ParameterError(
+                f"guarded: {key}: got {value:g}, expected 0 with hand_stiffness: {why}; set it to 0 or leave out "
+                "hand_stiffness"
+            )

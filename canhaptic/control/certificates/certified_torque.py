@@ -15,9 +15,9 @@ over the queued holds), v_max T of the hand speed, and infinity. With n = f - f_
     n > 0, R < n T / 2b:           R (n - b R / T)
     else:                          n^2 T / 4b                                                                     (1)
 
-(`taken`). The sum over the queued holds and the next one is the most by which S can fall in them, because each D_i
+(`taken`). The sum over the queued holds and the next one is the largest decrease of S in them, because each D_i
 has its own bound. So S stays >= 0 if the sum is <= S before every hold: S after the hold is S - g(f, D) >= the
-sum over the remaining holds. A queued torque in the other direction adds what it may take in its own direction.
+sum over the remaining holds. A queued torque in the other direction adds the energy that it may take in its direction.
 
 **Largest torque.** (1) grows with f, by itself and through R = base + gain f, so that the torques with (1) <= S'
 (the budget left by the queued holds) form an interval. For an unknown hand its end is f_c + sqrt(4 b S' / T).
@@ -228,7 +228,7 @@ def end_hold(
     """Update the bound by the hold that ended: displacement [m or rad], torque [N or N*m], length [sample times].
 
     Returns:
-        Largest amount by which less energy was received than booked, because the torque came late [J].
+        Largest excess of the booked over the received energy, because the torque came late [J].
     """
     count, late, doubt = declared.encoder_count, declared.late, 0.0
     if declared.damping:
@@ -338,7 +338,7 @@ def take_late(declared: Declared, bound: TorqueBound, torque: float) -> None:
 def doubt_of_late(
     declared: Declared, bound: TorqueBound, displacement: float, torque: float, lasted: float = 1.0
 ) -> float:
-    """Return by how much less energy may have been received than booked in a hold whose torque came late [J].
+    """Return the largest excess of the booked over the received energy in a hold whose torque came late [J].
 
     See `scalar_bounds`. The bound of the hand's force is used only in the direction out of the contact. Without it, and
     without a hand speed, no motion inside a hold is bounded. The promise at the handle, by damping and dry friction of
@@ -507,7 +507,7 @@ class Dissipated(Protocol):
 
 
 def keep(bound: Dissipated, energy: float, enough: float) -> None:
-    """Discard the device's dissipation by which the sum with `energy` exceeds `enough` [J].
+    """Discard the device's dissipation that, added to `energy`, exceeds `enough` [J].
 
     Otherwise a contact could vibrate on energy that the device dissipated long ago.
     """
@@ -591,7 +591,7 @@ def taken_along(
 
     First the axis may still move inward, later outward, so that at any time they have taken out at most this energy, or
     0. The base is the largest displacement in the next hold without a torque [m or rad], infinite for an unknown hand.
-    `speed` is that of the hand [m/s or rad/s]; 0: not used.
+    `speed` is the largest speed of the hand [m/s or rad/s]; 0: not used.
     """
     response, torques, first = declared.response, memory.under_way, bound.first
     hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf

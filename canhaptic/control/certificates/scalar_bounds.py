@@ -110,8 +110,8 @@ hand may turn within the queued holds and pull the drag along.
 
 For a hand of any force, the dissipation of the device permits a torque: with b and f_c certain, a torque F at rest
 needs a budget of (1 + delay) (F - f_c)^2 T / 4b (`certified_torque`), of which the wall provides F^2 / 2k and the
-friction on the way in f_c F / k. The rest must be stored before the contact (`energy_for_any_hand`); friction earns it
-over a motion of rest / f_c, without a drag.
+friction on the way in f_c F / k. The rest must be stored before the contact; friction earns it over a motion of
+rest / f_c, without a drag.
 """
 
 import math
@@ -179,15 +179,9 @@ NO_RESPONSE: Final = DisplacementResponse(1.0, 0.0, 0.0, 0.0)
 
 
 def displacement_response(
-    sample_time: float,
-    mass: float,
-    hand_force: float,
-    damping_least: float = 0.0,
-    damping_most: float = 0.0,
-    hand_push: float = math.inf,
-    timing: HoldTiming | None = None,
-    friction: tuple[float, float] = (0.0, math.inf),
-) -> DisplacementResponse:
+    sample_time: float, mass: float, hand_force: float, damping_least: float = 0.0, damping_most: float = 0.0,
+    hand_push: float = math.inf, timing: HoldTiming | None = None, friction: tuple[float, float] = (0.0, math.inf),
+) -> DisplacementResponse:  # fmt: skip
     """Return the worst response of the displacement in a hold.
 
     With y = bT/m: during = (T^2/m) (y - 1 + e^-y) / y^2, before = (T^2/m) (1 - e^-y - y e^-y) / y^2, hand = F_h times
@@ -366,21 +360,3 @@ def _given_out(response: DisplacementResponse, delay: int, torque: float) -> flo
         displacement = next_displacement(displacement, torque, torque, response, response.hand)
         energy += torque * displacement
     return energy + torque * tail_reach(displacement, torque, torque, response, response.hand)
-
-
-def energy_for_any_hand(
-    damping: float, friction: float, sample_time: float, delay: int, stiffness: float, push: float
-) -> float:
-    """Return the energy [J], >= 0, that a wall needs before a contact to hold every hand up to a push.
-
-    Args:
-        damping: Certain viscous damping of the device, > 0 [N*s/m or N*m*s/rad].
-        friction: Certain dry friction of the device [N or N*m].
-        sample_time: Sample time [s].
-        delay: Delay in whole holds.
-        stiffness: Stiffness of the wall [N/m or N*m/rad].
-        push: Largest force at rest [N or N*m].
-    """
-    net = max(0.0, push - friction)
-    needed = (1 + delay) * net * net * sample_time / (4.0 * damping)
-    return max(0.0, needed - push * push / (2.0 * stiffness) - friction * push / stiffness)

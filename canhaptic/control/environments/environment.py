@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from math import copysign, sqrt
 from types import FunctionType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar
 
 from canhaptic.units import Parameters, quantity
 
@@ -187,17 +187,14 @@ def _form_of(kind: Any) -> _Form | None:
 
 
 def _is_own(name: str, value: object) -> bool:
-    return not (name.startswith("__") or hasattr(Parameters, name) or _is_of_pydantic(value))
+    is_of_pydantic = type(value).__module__.startswith("pydantic")
+    return not (name.startswith("__") or hasattr(Parameters, name) or is_of_pydantic)
 
 
 def _names_its_class(value: object) -> bool:
     if isinstance(value, property):
         return any(map(_names_its_class, (value.fget, value.fset, value.fdel)))
     return isinstance(value, FunctionType) and "__class__" in value.__code__.co_freevars
-
-
-def _is_of_pydantic(value: object) -> bool:
-    return type(value).__module__.startswith("pydantic")
 
 
 Side = Literal["below", "above"]
@@ -247,12 +244,13 @@ def kept_on_side(state: float, true: float) -> float:
     return state if state * true >= 0.0 else 0.0
 
 
-class OneSided(Everywhere):
+class OneSided(Everywhere, Parameters):
     """Common part of walls: solid on one `side` of a `position`."""
 
-    if TYPE_CHECKING:
-        position: float
-        side: Side
+    position: Annotated[float, quantity("m", "rad")] = 0.0
+    """Where the surface is."""
+    side: Side = "below"
+    """Where the wall is solid: below its position, or above it."""
 
     @property
     def is_below(self) -> bool:

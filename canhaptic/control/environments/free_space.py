@@ -15,11 +15,3 @@ class FreeSpace(StoresNothing, Parameters):
     def contact(self, position: float) -> int:
         """Return 0."""
         return 0
-
-    def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Return 0."""
-        return 0.0
-
-    def admissible(self, state: float, true: float) -> float:
-        """Return 0."""
-        return 0.0

@@ -3,11 +3,11 @@
 import math
 from typing import Annotated
 
-from canhaptic.control.environments.environment import OneSided, Side
-from canhaptic.units import Parameters, quantity
+from canhaptic.control.environments.environment import OneSided
+from canhaptic.units import quantity
 
 
-class HardeningWall(OneSided, Parameters):
+class HardeningWall(OneSided):
     """A one-sided wall with the stored energy k x^2 / 2 + k3 x^4 / 4."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)]
@@ -16,10 +16,6 @@ class HardeningWall(OneSided, Parameters):
     """Cubic coefficient k3."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
     """Coefficient of the damper in parallel with the spring; it acts in contact only."""
-    position: Annotated[float, quantity("m", "rad")] = 0.0
-    """Where the surface is."""
-    side: Side = "below"
-    """Where the wall is solid: below its position, or above it."""
 
     @property
     def linear_stiffness(self) -> float | None:

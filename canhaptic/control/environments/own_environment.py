@@ -136,9 +136,9 @@ class OwnEnvironment(Everywhere, Parameters):
 
 def _words_of(state: float, force: float) -> str:
     return (
-        f"effort({state:.4g}) is {force:.4g}, expected the sign of the state, as it is what holds the handle there "
-        "(effort(x) x >= 0); a force that changes sign between resting positions needs a contact zone for each: use "
-        "`detents`, or write `contact`"
+        f"effort({state:.4g}) is {force:.4g}, expected the sign of the state: it is the force that holds the handle "
+        "there (effort(x) x >= 0); a force that changes sign between resting positions needs a contact zone for each: "
+        "use `detents`, or write `contact`"
     )
 
 

@@ -78,7 +78,7 @@ def step(environment: AskedEffort, run: AskedRun, position: float, torque_applie
     displacement, _, _, uncertainty = end(run, position, torque_applied)
     if settings.turns:  # the program may ask for a torque either way
         look_for_turn(settings.declared, state.bound, memory.bound, displacement, holds)
-    h_i = -torque_applied * displacement - uncertainty  # `interaction_energy`
+    h_i = -torque_applied * displacement - uncertainty  # eq. 2
     h_r, deficit, leak, paid = book(run, h_i, 0.0, 0.0, state.size)
     branch, certificate = _EXACT, _NOT_BOUND
     if torque != 0.0:

@@ -67,15 +67,7 @@ from canhaptic.control.environments.environment import Environment, outside_of
 from canhaptic.control.environments.environment import knows_turns as tells_turns
 from canhaptic.control.passivity import stepped
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.passivity.stepped import (
-    as_far_as_limit,
-    begin,
-    efforts_inside,
-    repeat,
-    send,
-    settle,
-    towards_zero,
-)
+from canhaptic.control.passivity.stepped import begin, clipped, efforts_inside, repeat, send, settle, towards_zero
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, Kernel, MakeBuffer, Run, new
 from canhaptic.units import Parameters, quantity
@@ -94,7 +86,7 @@ _COUNTS: Final = 4.0
 
 @dataclass(frozen=True, slots=True)
 class PredictionSettings:
-    """Constants of a run."""
+    """Constants of the prediction."""
 
     gain: float  # T^2 / m: displacement per hold that a torque adds in one [m/N or rad/(N*m)]; 0: mass not known
     lost: float  # 1 - e^(-b T / m): share of a motion that certain damping of the device takes in a hold
@@ -113,10 +105,10 @@ class PredictedMotion:
 
 
 def prediction_settings(loop: LoopProperties, beyond: float) -> PredictionSettings:
-    """Constants of a run.
+    """Return the constants of the prediction.
 
     Args:
-        loop: Properties of the loop; without a moving mass no torque counts.
+        loop: Properties of the loop; without a moving mass torques are left out of the prediction.
         beyond: Additional holds of prediction after the queued ones.
     """
     mass, noise = loop.moving_mass, _COUNTS * loop.encoder_count
@@ -215,11 +207,7 @@ class GuardedSettings:
 
     sample_time: float  # [s]
     credit: float  # [J]
-    earned: float  # energy kept for later contacts [J]
     drag: float  # in free motion [N or N*m]
-    outside: float  # direction away from the environment, 1 or -1; 0 where it has not one
-    turns: bool  # whether it has not, and the force of the hand counts
-    knows_turns: bool  # whether the environment tells where
     alpha: float  # [s/m^2 or s/rad^2]
     torque_limit: float  # largest torque that limiter and drive let act [N or N*m]
     least_limit: float  # torque up to which no limit cuts [N or N*m]
@@ -232,17 +220,19 @@ class GuardedSettings:
     calm: float  # stiffness of the largest spring that the rate renders; a prediction counts for no more
     calm_stiffness: float  # of the energy-permitted spring; 0 without a hand force [N/m or N*m/rad]
     damped_stiffness: float  # of the same, by the damping of the device; 0 where it is not declared
-    sustained: (
-        float  # stiffness that certain dry friction holds for ever with this encoder; 0: not used [N/m or N*m/rad]
-    )
+    sustained: float  # stiffness that dry friction sustains with this encoder; 0: not used [N/m or N*m/rad]
     path: float  # of the hand in the holds that a torque takes; 0 without a hand speed [m or rad]
     prediction: PredictionSettings
     longest_window: int  # of the velocity, in samples; 0 with an ideal encoder
     declared: Declared
+    earned: float = 0.0  # energy kept for later contacts [J]
+    outside: float = 0.0  # direction out of the environment, 1 or -1; 0: it has none or several
+    turns: bool = False  # whether it has none or several, and the hand-force certificate is declared
+    knows_turns: bool = False  # whether the environment states where its effort reverses
 
 
 def settings_of(environment: Environment, parameters: GuardedParameters, loop: LoopProperties) -> GuardedSettings:
-    """Constants of a run.
+    """Return the constants of a run.
 
     Raises:
         ParameterError: The declared properties certify no torque, or a drag has no energy to earn.
@@ -278,11 +268,7 @@ def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> Gu
     return GuardedSettings(
         sample_time=sample_time,
         credit=parameters.energy_allowance,
-        earned=0.0,
         drag=parameters.drag,
-        outside=0.0,
-        turns=False,
-        knows_turns=False,
         alpha=parameters.alpha,
         torque_limit=loop.torque_limit or inf,
         least_limit=0.0 if loop.torque_rate_limit or loop.power_limit else loop.torque_limit or inf,
@@ -321,8 +307,8 @@ def kept_for_contacts(
         kept = scalar_bounds.start_energy(response, holds, half if stiffness is None else min(stiffness, half))
     if parameters.drag > 0.0 and not kept:
         raise ParameterError(
-            f"guarded: got drag {parameters.drag:g} with earned_energy 0, expected the energy it is to earn; "
-            "the drag acts until that is stored: declare earned_energy, for example 5 mJ, or leave out drag"
+            f"guarded: got drag {parameters.drag:g} with earned_energy 0, expected more than 0: the drag acts "
+            "until that energy is stored; declare earned_energy, for example 5 mJ, or leave out drag"
         )
     return kept or 0.0
 
@@ -341,20 +327,10 @@ def declared_of(parameters: GuardedParameters, loop: LoopProperties, response: D
     timing, by_hand_force = loop.timing, response is not scalar_bounds.NO_RESPONSE
     damping, friction, speed = loop.device_damping or 0.0, loop.device_friction or 0.0, parameters.hand_speed or 0.0
     return Declared(
-        timing.longest,
-        loop.delay,
-        parameters.max_consecutive_losses,
-        by_hand_force,
-        response,
-        damping,
-        speed,
-        loop.encoder_count,
-        timing.late,
-        timing.late / timing.shortest,
-        timing.left,
-        friction,
+        timing.longest, loop.delay, parameters.max_consecutive_losses, by_hand_force, response, damping, speed,
+        loop.encoder_count, timing.late, timing.late / timing.shortest, timing.left, friction,
         by_hand_force and not (damping or friction or speed),
-    )
+    )  # fmt: skip
 
 
 def calm_stiffness_of(loop: LoopProperties) -> float:
@@ -385,15 +361,9 @@ def hand_response(parameters: GuardedParameters, loop: LoopProperties) -> Displa
     if loop.presliding_stiffness is not None and loop.device_cogging_bound is not None:
         braking = max(0.0, friction - loop.device_cogging_bound)
     return scalar_bounds.displacement_response(
-        loop.sample_time,
-        loop.moving_mass,
-        parameters.hand_force + friction,
-        loop.device_damping or 0.0,
-        loop.device_damping_bound,
-        inf if push is None else push + friction,
-        loop.timing,
-        (braking, stiffness),
-    )
+        loop.sample_time, loop.moving_mass, parameters.hand_force + friction, loop.device_damping or 0.0,
+        loop.device_damping_bound, inf if push is None else push + friction, loop.timing, (braking, stiffness),
+    )  # fmt: skip
 
 
 _FADE: Final = 0.8
@@ -463,7 +433,7 @@ def end_several(run: GuardedRun, displacement: float, torque_applied: float) -> 
     axis, commands, holds = state.axis, memory.axis.commands, state.axis.missed + 1
     largest, apart = abs(torque_applied), 0.0
     for _ in range(axis.missed):
-        sent = as_far_as_limit(commands.torques[axis.oldest], settings.torque_limit)
+        sent = clipped(commands.torques[axis.oldest], settings.torque_limit)
         largest, apart = max(largest, abs(sent)), max(apart, abs(sent - torque_applied))
         axis.oldest = repeat(commands, axis.oldest)
     axis.missed = 0
@@ -540,7 +510,7 @@ def render(
         travel: Motion of the storage in a hold [m or rad].
         inside: Motion of the axis in contact, in a hold [m or rad].
         moved: Motion of the axis in a hold [m or rad].
-        same: Whether the contact existed before.
+        same: Whether the hold before was in the same contact zone.
     """
     settings, state, queued = run.settings, run.state, run.memory.bound.under_way
     bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
@@ -773,7 +743,7 @@ def step(environment: Environment, run: GuardedRun, position: float, torque_appl
         take_stretch(environment, settings, state.bound, position, true)
         look_for_turn(settings.declared, state.bound, memory.bound, displacement, holds)
     ceiling = environment.stored_energy(true) if zone else 0.0
-    h_i, h_pas = -torque_applied * displacement - uncertainty, modulated * displacement  # `interaction_energy`
+    h_i, h_pas = -torque_applied * displacement - uncertainty, modulated * displacement  # eq. 2
     h_r, deficit, leak, paid = book(run, h_i, h_pas, damper * displacement, ceiling)
     if zone:
         if environment.relaxes:
@@ -829,11 +799,11 @@ def motion_inside(
     Args:
         environment: Environment rendered.
         run: Run of the axis, after its motion.
-        travel: Motion of the storage in a hold, if the contact existed before [m or rad].
+        travel: Motion of the storage in a hold, if it was in the same contact zone before [m or rad].
         displacement: Displacement since the last position [m or rad].
         holds: Number of holds since then.
         true: State of the storage [m or rad].
-        same: Whether the contact existed before.
+        same: Whether the hold before was in the same contact zone.
     """
     inside = displacement / holds
     if not same:

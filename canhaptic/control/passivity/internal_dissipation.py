@@ -355,7 +355,6 @@ class StoredModelSettings:
     damping: float  # of the model [N*s/m or N*m*s/rad]
     is_linear: bool  # whether the storage is k x^2 / 2
     stiffness: float  # k, where it is [N/m or N*m/rad]
-    stores: bool  # whether it stores anything
     hold: stepped.HoldSettings
 
 
@@ -374,7 +373,7 @@ StoredModelRun: TypeAlias = Run[StoredModelSettings, Any, stepped.HoldMemory]
 def stored_model_settings(
     environment: Environment, parameters: StoredModelParameters, loop: LoopProperties
 ) -> StoredModelSettings:
-    """Constants of a run.
+    """Return the constants of a run.
 
     Raises:
         ParameterError: A windowed velocity without an encoder count.
@@ -387,7 +386,6 @@ def stored_model_settings(
         damping=min(environment.damping, cap),
         is_linear=stiffness is not None,
         stiffness=stiffness or 0.0,
-        stores=stiffness != 0.0,
         hold=stepped.hold_settings(parameters, loop, Certificate.NONE),
     )
 
@@ -430,7 +428,9 @@ def close(environment: Environment, run: StoredModelRun, hold: Hold, account: Ho
     state, h_s = storage.state, storage.h_s
     if not storage.zone:
         return close_hold(run, hold, account, (0.0, 0.0, 0.0), 0.0, state, h_s)
-    measured = settings.hold.tolerance > 0.0 and not (settings.stores and is_deadlocked(storage))
+    measured = settings.hold.tolerance > 0.0
+    if measured and is_deadlocked(storage):  # an environment that stores nothing is never deadlocked
+        measured = settings.is_linear and settings.stiffness == 0.0
     rendered, modulated = settings.damping, 0.0
     damper = rendered * (hold.velocity if measured else storage.velocity)
     if settings.given.alpha > 0.0:
@@ -446,10 +446,6 @@ def close(environment: Environment, run: StoredModelRun, hold: Hold, account: Ho
 
 _RESOLVED: Final = 2.5e-16  # of the stored energy: what a difference of two energies can resolve
 _EXACT, _STICKY = Branch.EXACT.value, Branch.STICKY.value
-
-
-class InternalDissipationParameters(StoredModelParameters):
-    """Parameters of `internal_dissipation`, which the paper leaves open."""
 
 
 @dataclass(slots=True)
@@ -511,5 +507,5 @@ def solve(
 class InternalDissipation(stepped.SteppedController):
     """The paper's algorithm for one axis."""
 
-    parameters_type = InternalDissipationParameters
+    parameters_type = StoredModelParameters
     kernel = Kernel(stored_model_settings, InternalDissipationState, stepped.hold_memory, step)

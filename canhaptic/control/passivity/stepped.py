@@ -50,7 +50,7 @@ def repeat(commands: Commands, oldest: int) -> int:
     return send(commands, oldest, commands.torques[newest], commands.dampers[newest], commands.modulated[newest])
 
 
-def as_far_as_limit(torque: float, torque_limit: float) -> float:
+def clipped(torque: float, torque_limit: float) -> float:
     """Return a sent torque, clipped to the limit of limiter and drive [N or N*m]."""
     return min(max(torque, -torque_limit), torque_limit)
 
@@ -122,7 +122,7 @@ class SteppedController:
         "the encoder and its scaling",
         "stiffness and damping against the size of the motion",
     )
-    """For messages: the input besides the position, the command, and what to check where either is not finite."""
+    """Words of the messages: second input, command, and what to check if an input or the command is not finite."""
 
     def __init_subclass__(cls) -> None:
         """Refuse a kernel whose step takes settings, state and memory one by one, as kernels once did.
@@ -312,7 +312,7 @@ def open_hold(settings: HoldSettings, axis: Axis, memory: AxisMemory, position: 
     """
     displacement, missed = position - axis.position, axis.missed
     holds = missed + axis.lasted
-    h_i, elapsed = -torque_applied * displacement, settings.sample_time * holds  # `interaction_energy`
+    h_i, elapsed = -torque_applied * displacement, settings.sample_time * holds  # eq. 2
     if missed:
         h_i -= let_samples_pass(axis, memory.commands, displacement, torque_applied, settings.torque_limit)
     damper, modulated = efforts_inside(memory.commands, axis.oldest, torque_applied)
@@ -345,7 +345,7 @@ def let_samples_pass(
     """
     differences = largest = 0.0
     for _ in range(axis.missed):
-        difference = abs(as_far_as_limit(commands.torques[axis.oldest], torque_limit) - torque_applied)
+        difference = abs(clipped(commands.torques[axis.oldest], torque_limit) - torque_applied)
         differences, largest = differences + difference, max(largest, difference)
         axis.oldest = repeat(commands, axis.oldest)
     skipped = axis.lasted - 1.0

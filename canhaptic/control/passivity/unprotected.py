@@ -130,18 +130,14 @@ class Reply(NamedTuple):
 
 
 def sampled_settings(
-    environment: Environment,
-    parameters: DamperVelocity,
-    loop: LoopProperties,
-    limit: float = inf,
-    certificate: Certificate = Certificate.NONE,
+    environment: Environment, parameters: DamperVelocity, loop: LoopProperties, limit: float = inf
 ) -> SampledSettings[Any]:
-    """Constants of a run.
+    """Return the constants of a run.
 
     Raises:
         ParameterError: A windowed velocity without an encoder count.
     """
-    return SampledSettings(plain(parameters), limit, stepped.hold_settings(parameters, loop, certificate))
+    return SampledSettings(plain(parameters), limit, stepped.hold_settings(parameters, loop, Certificate.NONE))
 
 
 def respond(run: SampledRun[Any, Any], hold: Hold, asked: Asked) -> Reply:
@@ -193,12 +189,8 @@ def sampled_kernel(
     return Kernel(settings, state, memory_of, filled(step, respond=respond_as))
 
 
-class UnprotectedParameters(DamperVelocity):
-    """Parameters of `unprotected`: the velocity of its damper."""
-
-
 class Unprotected(stepped.SteppedController):
     """The sampled environment without protection: torque = -effort(x) - d v."""
 
-    parameters_type = UnprotectedParameters
+    parameters_type = DamperVelocity
     kernel = sampled_kernel(respond)

@@ -7,7 +7,7 @@ Schindlbeck and Haddadin, ICRA 2015.
 
 from typing import Annotated, ClassVar
 
-from canhaptic.control.admittance.sampled_group import UnprotectedAdmittanceGroup
+from canhaptic.control.admittance.admittance_group import UnprotectedAdmittanceGroup
 from canhaptic.control.admittance.unprotected_admittance import SampledHold, UnprotectedAdmittance
 from canhaptic.units import Parameters, quantity
 

@@ -17,9 +17,9 @@ from canhaptic.axis_units import damping_unit, effort_unit, mass_unit, stiffness
 from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
 from canhaptic.control.admittance.group_environment import GroupMass, PathMass
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
+from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
-from canhaptic.control.passivity.unprotected import UnprotectedParameters
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.errors import InputError
 from canhaptic.lab.loop.axis_loop import able_under, display_group_under, display_under
@@ -365,7 +365,7 @@ def _walled(axis: AxisScene, box: Box, direction: int) -> AxisScene:
         axis,
         group="",
         environment=ComponentSpec("two_sided_wall", wall),
-        passivity=ComponentSpec(PLAIN, UnprotectedParameters()),
+        passivity=ComponentSpec(PLAIN, DamperVelocity()),
     )
 
 

@@ -131,7 +131,7 @@ def test_random_displays_use_it_and_claim_nothing_false() -> None:
         ({"hand_stiffness": 0.0, "hand_mass": 1.0}, 0.0, "hand_mass: got 1, expected 0 without hand_stiffness"),
         ({"max_consecutive_losses": 1}, 0.0, "max_consecutive_losses: got 1, expected 0 with hand_stiffness"),
         ({"integral_gain": 10.0}, 0.0, "hand_stiffness: got 1000.0, expected 0 with an integral_gain"),
-        ({"drive_friction": None}, 0.0, "drive_friction: with hand_stiffness: got none"),
+        ({"drive_friction": None}, 0.0, "drive_friction: got none with hand_stiffness"),
         ({}, 0.05, "sync_jitter: got 0.05, expected 0 with hand_stiffness"),
     ],
 )

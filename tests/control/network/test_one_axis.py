@@ -12,7 +12,7 @@ from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
-from canhaptic.control.passivity.internal_dissipation import InternalDissipation, InternalDissipationParameters
+from canhaptic.control.passivity.internal_dissipation import InternalDissipation, StoredModelParameters
 from canhaptic.control.port_hamiltonian.sampled_network import settle_network
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
 from canhaptic.lab.rivals.scaled_group import ScaledGroupParameters
@@ -90,7 +90,7 @@ def test_every_hold_of_step_scaling_is_that_of_internal_dissipation(delay, alpha
     """Hold by hold from the same state: near its double root the paper's equation amplifies rounding 1e8 times."""
     wall, plane = pair(stiffness, damping)
     loop = LoopProperties(sample_time=1e-3, delay=delay)
-    one = InternalDissipation(wall, InternalDissipationParameters(alpha=alpha), loop)
+    one = InternalDissipation(wall, StoredModelParameters(alpha=alpha), loop)
     group = build_group_controller(
         plane, Identity(axes=1), "step_scaling", ScaledGroupParameters(alpha=alpha), [loop]
     )  # fmt: skip
@@ -128,7 +128,7 @@ def test_every_hold_of_step_scaling_is_that_of_internal_dissipation(delay, alpha
 def test_a_pure_spring_scaled_is_that_of_internal_dissipation_over_a_whole_run(delay):
     wall, plane = pair(200.0, 0.0)
     loop = LoopProperties(sample_time=1e-3, delay=delay)
-    one = InternalDissipation(wall, InternalDissipationParameters(), loop)
+    one = InternalDissipation(wall, StoredModelParameters(), loop)
     group = build_group_controller(plane, Identity(axes=1), "step_scaling", None, [loop])
     worst = 0.0
     for q, held, alone in positions(one, 1600, delay):

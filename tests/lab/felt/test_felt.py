@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from canhaptic.control.certificates.scalar_bounds import displacement_response, energy_for_any_hand, start_energy
+from canhaptic.control.certificates.scalar_bounds import displacement_response, start_energy
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.lab.studies.design.contact_quality import (
     Bench,
@@ -23,7 +23,7 @@ from canhaptic.lab.studies.design.contact_quality import (
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
-from tools.bench.feel import certified_rest, largest_rise
+from tools.bench.feel import certified_rest, energy_for_any_hand, largest_rise
 from tools.bench.feel_best import best_from_nothing, bound_from_nothing, depths_of
 from tools.bench.standard_cases import standard_case
 
@@ -158,6 +158,19 @@ def test_from_nothing_no_law_holds_what_the_certificate_holds_at_rest_under_a_ha
         assert greedy <= best < bound_from_nothing(*of)
         found = largest_held(device("guarded", 40.0, 0.1, hand_force), Leaning(duration=10.0), 10.0, 200.0)
         assert 0.7 * best < found.stiffness < best
+
+
+def test_a_wall_for_any_hand_needs_what_device_and_wall_do_not_have() -> None:
+    damping, friction, stiffness, push = 2.0, 0.4, 3000.0, 9.0
+    for delay in (0, 1):
+        needed = (1 + delay) * (push - friction) ** 2 * 1e-3 / (4.0 * damping)
+        had = push**2 / (2.0 * stiffness) + friction * push / stiffness
+        found = energy_for_any_hand(damping, friction, 1e-3, delay, stiffness, push)
+        assert found == pytest.approx(max(0.0, needed - had), rel=1e-12)
+    assert found > 0.0
+    assert energy_for_any_hand(damping, 20.0, 1e-3, 1, stiffness, push) == 0.0
+    assert energy_for_any_hand(damping, friction, 1e-3, 0, 10.0, push) == 0.0
+    assert energy_for_any_hand(damping, 9.5, 1e-3, 1, 1e12, push) == 0.0
 
 
 def test_friction_and_damping_hold_a_wall_for_every_hand_with_what_friction_took_before() -> None:
