@@ -73,11 +73,13 @@ def test_a_step_costs_a_bounded_number_of_samples_on_average(steps):
     assert window.ring.reads <= 6 * len(velocities)
 
 
-def test_the_average_cost_stays_bounded_over_a_long_noisy_run():
+def test_the_average_cost_stays_bounded_over_a_long_noisy_run_and_a_slow_one():
     generator = np.random.default_rng(5)
-    positions = np.cumsum(generator.integers(-2, 3, 20_000)).astype(float)
-    window, velocities = run(positions.tolist(), tolerance=8.0, longest=200)
-    assert window.ring.reads <= 6 * len(velocities)
+    noisy = np.cumsum(generator.integers(-2, 3, 20_000)).astype(float)
+    slow = np.round(50.0 * np.sin(2.0 * np.pi * np.arange(6000) / 3000.0))
+    for positions, tolerance in ((noisy, 8.0), (slow, 1.0)):
+        window, velocities = run(positions.tolist(), tolerance=tolerance, longest=200)
+        assert window.ring.reads <= 3 * len(velocities)
 
 
 def test_a_ramp_seen_through_counts_gives_its_speed():
