@@ -4,9 +4,9 @@ With r the commanded velocity, v the handle's velocity and F the force, the velo
 
     F = M v' + c (v - r) - k lead + friction sgn(v) + F_0
 
-Each term is averaged with a hat of some milliseconds, of which the mean of v' is a difference of three positions, so
-that no position is differentiated twice from SYNC to SYNC. Least squares give M, c and k. The hand is needed: the
-forces of a free handle only repeat its own motion, so that M and c would be known as a ratio alone. The latency of the
+Each term is averaged under a triangular weight some milliseconds long. The mean of v' is then a difference of three
+positions, and no position is differentiated twice from SYNC to SYNC. Least squares give M, c and k. The hand is needed:
+on a free handle the force only follows the motion, which shows no more than the ratio of M to c. The latency of the
 force is the one with the least residual.
 """
 
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 
 class _Fit(NamedTuple):
-    """Result of least squares."""
+    """Velocity loop as identified by least squares."""
 
     mass: float
     gain: float
@@ -41,14 +41,15 @@ class _Fit(NamedTuple):
 
 
 def commission_displays(session: Session) -> None:
-    """Walk every step for scenes of admittance displays; the findings are in `session.report`.
+    """Run every step for a scene of admittance displays; the findings are in `session.report`.
 
     Raises:
         InputError: Some axes are impedance displays.
         RigError: Drive or link failed; the velocity is zero, every drive that answers is disabled.
     """
     if any(axis.parameters.admittance is None for axis in session.axes):
-        raise InputError(f"{session.scene.source}: has displays of both kinds; commission a scene of each")
+        text = "has impedance and admittance displays; commission each kind in a scene of its own"
+        raise InputError(f"{session.scene.source}: {text}")
     names = ", ".join(axis.parameters.name for axis in session.axes)
     asked = f"{names}: hands off, clear of the machine. Enable the drives at velocity zero?"
     if not session.agreed(asked, "sensor", [0]):
@@ -105,7 +106,7 @@ def _loop(session: Session, axis: int) -> None:
 
 
 def _fitted(law: OpenLoop, commands: Array, time: float, *, is_mean: bool) -> _Fit:
-    """Best fit; `commands[k]` acts in the hold that ends at SYNC k."""
+    """Return the best fit over all latencies; `commands[k]` acts in the hold that ends at SYNC k."""
     position, force = np.array(law.positions), -np.array(law.applied)
     acted, half = commands[1 : len(position)], max(1, round(5e-3 / time))  # half the width of the hat [s]
     holds = np.minimum(np.arange(2 * half) + 0.5, 2 * half - 0.5 - np.arange(2 * half)) / half**2
@@ -188,7 +189,7 @@ def _judge_drive(session: Session, axis: int, fit: _Fit, mass_unit: str, gain_un
 
 
 def _judge_friction(session: Session, axis: int, found: float, declared: GuardedAdmittanceParameters | None) -> None:
-    """Report the friction of the drive; where one is declared, whether that is enough."""
+    """Report the drive's friction, and whether the declared friction, if any, covers it."""
     unit, item = "N" if session.axes[axis].parameters.unit == "m" else "N*m", "friction of the drive"
     value = f"{found:.3g} {unit}"
     if declared is None or declared.drive_friction is None:

@@ -1,12 +1,12 @@
-"""Mass, friction and lag of the torque from torque and position, and the wall stiffness that their uncertainty costs.
+"""Mass, friction and lateness of the torque, estimated from torques and positions; what their uncertainty costs.
 
-Over any weight w(t) the equation of motion m a + b v + c sign(v) + f = tau holds for the weighted means. With a
-triangle of base 2 n T the mean acceleration is (q(j+2n) - 2 q(j+n) + q(j)) / (n T)^2 exactly, for any motion in
-between; of the torque, constant between SYNCs, the mean is exact as well. What remains is linear in m, b, c and f.
+The equation of motion m a + b v + c sign(v) + f = tau also holds for weighted means over time. Under a triangle of
+base 2 n T the mean acceleration is exactly (q(j+2n) - 2 q(j+n) + q(j)) / (n T)^2, for any motion in between. The mean
+of the torque, constant between SYNCs, is exact as well. The equations are then linear in m, b, c and f.
 
-Cost of a measurement's uncertainty in wall stiffness, and the gain from an energy allowance.
+The lateness is measured by reversals of the torque while the axis is fastest, timed against the commands.
 
-Measurement of the torque's lateness: reversals while the axis is fastest, timed against the commands.
+The safe end of each measured interval is declared. It makes the wall softer, which an energy allowance can offset.
 """
 
 import math
@@ -50,7 +50,7 @@ class Dynamics(NamedTuple):
 
 
 def estimate(positions: _Array, applied: _Array, sample_time: float, half_base: int) -> Dynamics | None:
-    """Least-squares estimate, or None when the axis moved too little.
+    """Estimate mass and friction by least squares; None when the axis moved too little.
 
     Args:
         positions: Position at each SYNC, shape (n,) [m or rad].
@@ -78,7 +78,7 @@ class FrictionCurve(NamedTuple):
     errors: _Array  # shape (n,)
 
     def least(self, damping: float, sure: float) -> float:
-        """Return the dry friction [N or N*m] in every speed range besides damping, minus standard deviations."""
+        """Return the least dry friction of any speed range, less damping and `sure` standard deviations [N or N*m]."""
         return max(0.0, float((self.frictions - sure * self.errors - damping * self.speeds).min()))
 
     def falls_at_its_end(self, sure: float) -> bool:
@@ -126,7 +126,7 @@ def _one_way(
         half_base: Half the length of a window, in sample times.
         stride: Distance from window to window, in sample times.
         count: Parts of a window.
-        slowest: Least motion in a part, as a share of the fastest tenth of all.
+        slowest: Least motion in a part, relative to the fastest tenth of all windows.
     """
     starts = np.arange(0, len(positions) - 2 * half_base, max(1, stride))
     if not len(starts):
@@ -143,10 +143,10 @@ def estimate_lateness(
 ) -> tuple[float, float] | None:
     """Return the delay of the torque after its SYNC, and its standard deviation [s].
 
-    The delay is the time for which the previous torque still acts in every hold, window and lag together. Where the
-    torque changes by d in a hold, the mean torque is lower by late d / T: one more column of `estimate` finds it.
-    A torque that reverses while the axis is fastest shows most (`laws.reversals`): friction that reverses or sticks in
-    a window would be mistaken for a late torque. Arguments as for `estimate`; None when the motion was too small.
+    The delay is the time for which the previous torque still acts in each hold: window and lag together. A torque that
+    changes by d in a hold has a mean lower by (delay / T) d, and one more column of `estimate` finds the delay. The
+    torque should reverse while the axis is fastest (`reversals`): friction that reverses or sticks in a window would be
+    mistaken for a late torque. Arguments as for `estimate`; None when the motion was too small.
     """
     # A window about a reversal is short; in one with less than a fifth of the fastest motion the axis sticks or turns.
     starts, ways = _one_way(positions, half_base, half_base // 4, 4, 0.2)
@@ -163,9 +163,9 @@ def mass_within(positions: _Array, applied: _Array, sample_time: float, half_bas
     """Return the mass that a torque moves within a short time, and its standard deviation [kg or kg*m^2].
 
     A torque that changes faster than a shaft twists moves the rotor alone: with a spring k between rotor m and load M,
-    acceleration over torque at the angular frequency w is 1 / (m - k M / (M w^2 - k)), so that above the resonance
-    w^2 = k (1 / m + 1 / M) the apparent mass is below m, and rises to it; below it is m + M, or more. A
-    late torque has a column of its own, as in `estimate_lateness`. Arguments as for `estimate`.
+    acceleration over torque at the angular frequency w is 1 / (m - k M / (M w^2 - k)). Above the resonance
+    w^2 = k (1 / m + 1 / M) the apparent mass is below m and tends to m; at low frequency it is m + M or more. A late
+    torque has a column of its own, as in `estimate_lateness`. Arguments as for `estimate`.
     """
     starts = np.arange(1, len(positions) - 2 * half_base)
     if len(starts) < _FEWEST_EQUATIONS or np.ptp(positions) == 0.0:
@@ -180,7 +180,7 @@ def mass_within(positions: _Array, applied: _Array, sample_time: float, half_bas
 def _equations(
     positions: _Array, applied: _Array, sample_time: float, half_base: int, starts: NDArray[np.int64]
 ) -> tuple[_Array, _Array]:
-    """Columns of m, b, c and f, and the mean torques they sum to."""
+    """Return the regression columns of m, b, c and f, shape (n, 4), and the mean torque of each window, shape (n,)."""
     step = np.diff(positions)
     middle, end = positions[starts + half_base], positions[starts + 2 * half_base]
     acceleration = (end - 2.0 * middle + positions[starts]) / (half_base * sample_time) ** 2
@@ -220,20 +220,20 @@ def _solve(matrix: _Array, torque: _Array) -> tuple[list[float], list[float], fl
 SURE: Final = 2.0
 """Standard deviations beyond which a value counts as impossible."""
 _KEPT: Final = 0.9
-"""Part of the wall that the uncertainty of a measurement must leave."""
+"""Least share of the wall stiffness that must be left when the safe ends of a measurement are declared."""
 
 
 def is_dear(axis: AxisScene, fastest: float, best: Mapping[str, float], ends: Mapping[str, float]) -> bool:
-    """Whether the conservative ends of measured intervals cost more wall stiffness than allowed, against the best."""
+    """Whether declaring the safe ends of measured intervals costs too much wall stiffness, compared with `best`."""
     return share_of_wall(axis, fastest, ends) < _KEPT * share_of_wall(axis, fastest, best)
 
 
 def needed_allowance(
     axis: AxisScene, fastest: float, best: Mapping[str, float], ends: Mapping[str, float]
 ) -> float | None:
-    """Return the energy allowance [J] that leaves enough wall stiffness at the conservative ends of the intervals.
+    """Return the energy allowance [J] that keeps enough wall stiffness with the safe ends declared; None: none does.
 
-    It is twice the smallest of `ALLOWANCES`, as a contact may begin with part of it spent. None: none suffices.
+    It is twice the smallest sufficient one of `ALLOWANCES`, because part of it may be spent before a contact.
     """
     if not hasattr(axis.passivity.parameters, "energy_allowance"):
         return None
@@ -242,7 +242,7 @@ def needed_allowance(
 
 
 def propose_allowance(session: Session, axis: int, known: Mapping[str, float]) -> None:
-    """Propose the energy allowance for a wall to engage at any speed, where none is declared or proposed.
+    """Propose the energy allowance with which a wall engages at any speed, unless one is declared or proposed.
 
     Args:
         session: Commissioning session.
@@ -264,7 +264,7 @@ def propose_allowance(session: Session, axis: int, known: Mapping[str, float]) -
 _TIMES: Final = ("sync_jitter", "torque_window", "current_lag")
 _ITEM: Final = "torque lag"
 _DOUBLETS: Final = (32, 64, 128, 256, 512)
-"""Lengths of the tests, one after the other until the hold is known and the wall can be judged."""
+"""Number of doublets of each test in turn, until the hold is known and the wall can be judged."""
 _OVER: Final = 1.1
 _EARLY: Final = 3.0  # standard deviations below 0 from which on a torque acts before its SYNC
 
@@ -328,7 +328,7 @@ def _at_most(late: tuple[float, float]) -> float:
 
 
 def _is_resolved(session: Session, axis: int, late: tuple[float, float], known: Mapping[str, float]) -> bool:
-    """Whether the wall is kept with the bound to declare, or lost even with the least measured lag."""
+    """Whether a longer test is useless: the bound to declare keeps the wall, or the least measured lag loses it too."""
     least = max(0.0, late[0] - SURE * late[1])
     return not _is_lost(session, axis, _at_most(late), known) or _is_lost(session, axis, least, known)
 
@@ -350,7 +350,7 @@ def _reversal(session: Session, axis: int, most: float, mass: float, friction: f
 
 
 def _lateness(session: Session, axis: int, law: OpenLoop, half_base: int) -> tuple[float, float] | None:
-    """Return lateness and standard deviation [s], against the torques sent: a measured one is late itself."""
+    """Return lateness and standard deviation [s], relative to the torques sent: a measured torque is late itself."""
     acted = as_declared(session, axis, law)
     positions = np.array(law.positions) / session.encoder_ratios[axis]
     return estimate_lateness(positions, np.asarray(acted, dtype=np.float64), session.sample_time, half_base)
@@ -373,10 +373,10 @@ def _report(session: Session, axis: int, late: tuple[float, float], kept: str) -
 
 
 def _propose(session: Session, axis: int, lag: float | None, known: Mapping[str, float]) -> None:
-    """Propose window and lag, and the allowance that keeps the wall where they would cost too much of it.
+    """Propose window and lag, and an energy allowance where they would cost too much of the wall.
 
     Args:
-        session: The rig.
+        session: Commissioning session.
         axis: Index of the axis.
         lag: Lag to declare [s]; None: the configured one is right.
         known: Measured values of `passivity`, SI.

@@ -1,10 +1,8 @@
-"""The steps in order, and those that send no torque: which drives answer, hand motion, watchdog.
+"""The steps of commissioning in order, and those that send no torque.
 
-Search for drives on the bus and check against the configuration. SDO only; nothing is enabled.
-
-The axis at zero torque: whether it stays at rest, and whether the encoder counts as the configuration states.
-
-Test of the drives' watchdogs with a silent master, and of the cycle's timing.
+The bus is scanned by SDO, with nothing enabled, and each drive compared with the configuration. At zero torque the axis
+must stay at rest, and a motion by hand checks the encoder. A silent master tests the watchdogs of the drives; a run at
+zero torque times the cycle.
 """
 
 from collections.abc import Sequence
@@ -28,7 +26,7 @@ def _note(answered: set[int], node: int, _data: bytearray) -> None:
 
 
 def _scan(link: Link, known: Sequence[int], master: int) -> list[int]:
-    """Node IDs that answer on a bus and are not configured; each is asked for 0x1000.
+    """Return the node IDs that answer a read of 0x1000 and are not configured.
 
     Args:
         link: The bus.
@@ -231,7 +229,7 @@ def pull_the_master(session: Session) -> None:
     """Enable every drive at zero torque, fall silent, and check whether they leave OPERATION ENABLED by themselves.
 
     Raises:
-        RigError: Drive or link failed otherwise than intended.
+        RigError: Drive or link failed in another way than the silence provokes.
     """
     asked = "watchdog: the drives are enabled at zero torque, then the master falls silent. Now?"
     axes = range(len(session.axes))
@@ -274,7 +272,7 @@ def _end(session: Session) -> None:
 
 
 def time_the_cycle(session: Session, seconds: float) -> None:
-    """Run the whole rig at zero torque and report frames and, at real pace, times.
+    """Run the whole rig at zero torque; report frame counts and, at real pace, cycle times.
 
     Raises:
         RigError: Drive or link failed.
@@ -299,7 +297,7 @@ def time_the_cycle(session: Session, seconds: float) -> None:
 
 
 def _propose_jitter(session: Session, latest: float) -> None:
-    """Propose the jitter of a hold, as a part of the sample time.
+    """Propose the jitter of a hold, as a fraction of the sample time.
 
     Args:
         session: Session with its axes.
@@ -318,7 +316,7 @@ REQUIRED: Final = (STANDSTILL, "torque sign", SCALE, "moving mass", "mass on a s
 
 
 def commission(session: Session, timing_duration: float) -> None:
-    """Walk every step to which the person agrees; the findings are in `session.report`.
+    """Run every step that the person agrees to; the findings are in `session.report`.
 
     Args:
         session: Commissioning session.
@@ -326,7 +324,7 @@ def commission(session: Session, timing_duration: float) -> None:
 
     Raises:
         RigError: Drive or link failed; torque is zero, every drive that answers is disabled.
-        InputError: The scene joins its axes in one simulated mechanism.
+        InputError: A simulated mechanism couples the axes.
     """
     if session.scene.mechanisms:
         text = "commissioning tests one axis at a time, and this simulated mechanism couples them"
@@ -358,7 +356,7 @@ def commission(session: Session, timing_duration: float) -> None:
 
 
 def _stands_still(session: Session) -> bool:
-    """Return whether every drive is the one of the configuration, and is at rest at zero torque."""
+    """Whether every drive is the configured one and stays at rest at zero torque."""
     session.dialogue.tell("1 of 6: who is on the bus (no torque, nothing enabled)")
     identify(session)
     if session.report.failed or session.stop_requested():

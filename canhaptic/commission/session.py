@@ -1,10 +1,7 @@
-"""The rig under commissioning: one experiment, run again and again with torques computed in advance.
+"""A commissioning session: the rig, the dialogue with the person at the machine, and the report.
 
-Dialogue of commissioning with the person at the machine.
-
-Findings of commissioning, row by row, and the values that follow from them.
-
-Torques computed in advance, and the record of the axis's motion under them.
+Each test runs the rig with torques computed in advance and records the motion. Its findings are rows of the report,
+with the values that they propose for the scene.
 """
 
 import dataclasses
@@ -32,22 +29,22 @@ from canhaptic.view.table import Cell, Styled, Table
 
 
 class Dialogue(Protocol):
-    """A person at a terminal, or no person with a simulated drive.
+    """Questions to a person at a terminal; with a simulated drive they can be answered without one.
 
-    The answer of a simulated plant, where there is one, is passed in as `truth`; a person is never shown it.
+    `truth` is the answer of the simulated plant, if there is one. It is never shown to a person.
     """
 
     def tell(self, text: str) -> None:
-        """State the present action."""
+        """Show a line."""
 
     def confirm(self, question: str) -> bool:
-        """Return whether the person agrees; no answer is no."""
+        """Return whether the person agrees; no answer counts as no."""
 
     def number(self, question: str, unit: str, truth: float | None) -> float | None:
-        """Number in `unit`, or None without an answer."""
+        """Ask for a number in `unit`; None without an answer."""
 
     def choose(self, question: str, answers: Sequence[str], truth: str) -> str:
-        """Return one of the answers; the last where none is given."""
+        """Ask for one of the answers; the last one if none is given."""
 
     def until_ready(self, text: str, cycles: int) -> Callable[[], bool]:
         """Ask the person to act; return a function, called once per cycle, that reports completion.
@@ -108,7 +105,7 @@ class StepFinding(NamedTuple):
 
 
 class Value(NamedTuple):
-    """A value for the scene."""
+    """A value proposed for a key of the scene."""
 
     axis: str
     key: str  # path in the axis, as `counts_per_unit` or `passivity.moving_mass`
@@ -118,7 +115,7 @@ class Value(NamedTuple):
 
     @property
     def text(self) -> str | None:
-        """Text of a value as in a scene; None: the present value of the scene."""
+        """The value as written in a scene; None: the scene keeps the value that it has."""
         factor, unit = _SHOWN_IN.get(self.unit, (1.0, self.unit))
         if not isinstance(self.value, float):  # whole where the drive has it
             return None if self.value is None else str(self.value)
@@ -126,7 +123,7 @@ class Value(NamedTuple):
 
 
 _SHOWN_IN: Final = {"s": (1e6, "us"), "1": (100.0, "%")}
-"""Units of the package -> factor to those in which small values are written, and their names."""
+"""SI unit -> factor and name of the unit in which small values are written."""
 _COLOURS: Final = {
     StepVerdict.AGREES: "green",
     StepVerdict.DIFFERS: "yellow",
@@ -164,7 +161,7 @@ class Report:
         return [Change(path, value.text, value.comment or None) for path, value in values.items()]
 
     def unfinished(self, axes: Collection[str], items: Collection[str]) -> list[str]:
-        """Reason why a scene with these values is not ready to run; empty where all is verified.
+        """Reasons why a scene with these values is not ready to run; empty if all is verified.
 
         Args:
             axes: Names of all axes.
@@ -198,7 +195,7 @@ class Report:
 
 
 def _path(scene: Scene, value: Value) -> tuple[str, ...]:
-    """Place of a value in a scene, present or future."""
+    """Path of a value in a scene, whether the scene has that key yet or not."""
     index = [axis.parameters.name for axis in scene.axes].index(value.axis)
     own, group = ("axes", str(index), *value.key.split(".")), scene.axes[index].group
     head, _, key = value.key.rpartition(".")
@@ -215,9 +212,9 @@ class CommissioningLimits(Parameters):
     torque: Annotated[float, quantity("1", gt=0.0, le=0.3)] = 0.1
     """Largest torque, as a part of the rated torque; never beyond `torque_limit` of the axis."""
     travel: Annotated[float, quantity("m", "rad", gt=0.0)] = 0.02
-    """Distance from where a step began after which its torque is taken away."""
+    """Distance from the start of a step beyond which its torque is removed."""
     speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] = 0.5
-    """Speed after which its torque is taken away."""
+    """Speed beyond which the torque of a step is removed."""
 
 
 class OpenLoop:
@@ -333,9 +330,9 @@ class Session:
     """Scene, rig and limits, shared by all steps.
 
     Args:
-        scene: Axes on one or several buses; axes joined by a simulated mechanism cannot be tested one by one.
+        scene: Axes on one or several buses; axes coupled by a simulated mechanism cannot be tested one by one.
         dialogue: Dialogue with the person.
-        limits: Limits of torque, travel and the like.
+        limits: Limits of torque, travel and speed.
         stop_requested: The operator's stop.
 
     Attributes:
@@ -386,7 +383,7 @@ class Session:
         """The rig as built.
 
         Raises:
-            InputError: Asked for outside `rig_of`.
+            InputError: No rig is built: this is outside `rig_of`.
         """
         if self._experiment is None:
             raise InputError("commissioning: no rig is built; use `rig_of`")
@@ -403,7 +400,7 @@ class Session:
         return self.rig.drives
 
     def coast(self, axis: int) -> None:
-        """Wait without torque until an axis is at rest, at most as long as a nearly frictionless bearing may take.
+        """Wait without torque until an axis is at rest, for at most 20 s.
 
         Raises:
             RigError: Drive or link failed; torque is zero.
@@ -549,7 +546,7 @@ class Session:
 
 
 def _with_hands(scene: Scene, hand: Callable[[AxisScene], Any]) -> Scene:
-    """Return the scene with other hands at its simulated handles, and where there is none without its effects."""
+    """Return the scene with other simulated hands; an axis left without a hand loses the effects of one."""
     axes = []
     for axis in scene.axes:
         if (simulation := axis.simulation) is not None:

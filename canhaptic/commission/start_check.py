@@ -1,4 +1,4 @@
-"""The hold of a torque, checked at a start: reversals of the torque, hands off, before a run (`check_hold`)."""
+"""Check before a run in which hold each torque acts: reversals of the torque, hands off (`check_hold`)."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,8 +18,8 @@ def checked_holds(scene: Scene, tell: Callable[[str], None], stop_requested: Cal
     """Check the hold of each axis with `check_hold: each_start`; return the scene with confirmed `hold_checked`.
 
     Each drive is started, its torque reversed as in `canhaptic commission`, within a tenth of its rated torque, and
-    stopped. An axis whose hold stays unclear, because a hand was at the handle for instance, keeps what the scene says
-    of it, without `hold_checked`: its account says "hold: not checked".
+    stopped. Where the hold stays unclear, for instance because a hand was on the handle, the axis runs as declared but
+    without `hold_checked`: its account says "hold: not checked".
 
     Args:
         scene: Scene of a run; each such axis declares `moving_mass`.
@@ -59,7 +59,7 @@ class _Announced(Unattended):
         self._stop_requested, self._waits = stop_requested, not scene.simulated
 
     def confirm(self, question: str) -> bool:
-        """Announce; return whether the operator let it continue."""
+        """Announce the test; return whether the operator lets it go on."""
         begin = f" in {_ANNOUNCED:g} s" if self._waits else ", now"
         self.tell(question.replace("Reversals", "check_hold: reversals").replace(", now?", begin))
         clock = WallClock()

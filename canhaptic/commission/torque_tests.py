@@ -1,10 +1,9 @@
-"""First torque: a pulse that grows until something moves, then a sweep that identifies the moving mass.
+"""The first torques of an axis: pulses until it moves, a check of the torque scale, and a sweep for mass and friction.
 
-Verification of the torque scale, before more than a few per mille of the drive's rated torque are sent.
-
-A rated torque from a name plate, or a forgotten gear, scales every torque by one wrong ratio, `torque_limit`
-included, and no certificate notices: the reference must come from outside the drive. Either the moved mass is known,
-and doublets of a torque measure it, or the drive lifts a known weight on an arm, or it pushes against a spring balance.
+The scale is verified before more than a few per mille of the drive's rated torque are sent. A rated torque from a name
+plate, or a forgotten gear, scales every torque by one wrong ratio, `torque_limit` included, and no certificate notices.
+The reference must come from outside the drive: a known moved mass, which doublets measure, a known weight on an arm,
+which the drive lifts, or a spring balance, against which it pushes.
 """
 
 import math
@@ -34,7 +33,7 @@ _COMMENTS: Final = {
     "device_damping": f"{_DERATING:g} of the measured lower end: grease and temperature change it",
     "device_friction": f"{_DERATING:g} of the measured lower end: heat, grease and wear reduce friction",
 }
-"""Values of the device, and how far they are on the safe side."""
+"""Comment of each declared value of the device: its margin to the measured value."""
 
 
 def largest_torque(session: Session, axis: int) -> float:
@@ -52,9 +51,9 @@ class Pulse(NamedTuple):
 
 
 def pulse(session: Session, axis: int) -> Pulse | None:
-    """Pulse from one count of 0x6071 upwards, doubled until motion is seen; None when no larger one is allowed.
+    """Send pulses from one count of 0x6071 upwards, each twice the last, until the axis moves; None: none moved it.
 
-    A motor that turns against its encoder makes every wall push inward: that ends the commissioning of the axis.
+    A motor that turns against its encoder would make every wall pull in: it ends the commissioning of the axis.
 
     Raises:
         RigError: Drive or link failed.
@@ -138,7 +137,7 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
 
 
 def _declare(session: Session, axis: int, rough_mass: float, values: dict[str, float] | None) -> None:
-    """Propose measured values, then time the torque; None: without a mass, the hold alone is timed."""
+    """Propose the measured values, then time the torque; without values (no mass known), find only its hold."""
     for key, value in (values or {}).items():
         session.propose(axis, f"passivity.{key}", value, _unit_of(session, axis, key), _COMMENTS[key])
     mass_and_friction.time_the_torque(session, axis, largest_torque(session, axis), rough_mass, values)
@@ -149,7 +148,7 @@ def _declare(session: Session, axis: int, rough_mass: float, values: dict[str, f
 def _swept(
     session: Session, axis: int, amplitude: float, duration: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float, int] | None:
-    """Record of a sweep [s] for `estimate`; None where it was aborted, which is reported."""
+    """Sweep for a duration [s] and return the record for `estimate`; None where it was aborted, which is reported."""
     lowest, highest, _ = _SWEEP
 
     def torques_of(torque: float) -> list[float]:
@@ -178,18 +177,18 @@ def declared_of(found: Dynamics, curve: FrictionCurve | None) -> dict[str, float
 
 
 def _is_dear(session: Session, axis: int, found: Dynamics, curve: FrictionCurve | None) -> bool:
-    """Whether the uncertainty of a sweep costs more of the wall than it may; no lag is counted."""
+    """Whether the uncertainty of a sweep costs too much of the wall, without any lag."""
     exact = found._replace(mass_error=0.0, damping_error=0.0, friction_error=0.0)
     ends = {**declared_of(found, curve), "current_lag": 0.0}
     return is_dear(session.axes[axis], session.limits.speed, {**ends, **declared_of(exact, None)}, ends)
 
 
 def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
-    """Dynamics of the mass that moves within the shortest time that the encoder resolves.
+    """Return the dynamics with the mass that is rigid with the encoder; None where it stays unclear.
 
-    Where that is clearly less than a slow sweep's mass, a shaft lies between: the mass rigid with the encoder is the
-    rotor (`mass_within`). Where it is neither, a resonance is near, and no mass is reported (None). A resonance far
-    above a quarter of 1 / (that time) is not seen.
+    A fast shake moves only this mass. Where it is clearly below the mass of the slow sweep, a shaft lies between, and
+    it is the rotor's (`mass_within`). Where it is neither equal nor clearly below, a resonance is near: None. With t
+    the shortest time that the encoder resolves, a resonance far above 1 / (4 t) is not seen.
     """
     parameters, torque = session.axes[axis].parameters, largest_torque(session, axis)
     item, unit = "mass on a shaft", MASS_UNITS[parameters.unit]
@@ -256,7 +255,7 @@ def _sure_damping(found: Dynamics) -> float:
 
 
 def _report_least_friction(session: Session, axis: int, found: Dynamics, curve: FrictionCurve | None) -> None:
-    """Report the least dry friction over every speed that occurred."""
+    """Report the least dry friction over all speeds of the sweep."""
     item, motion = "dry friction, least", session.axes[axis].parameters.unit
     if curve is None or curve.falls_at_its_end(SURE):
         text = "too little motion in both directions" if curve is None else "it falls up to the fastest speed"
@@ -346,7 +345,7 @@ def verified_axes(session: Session) -> dict[int, Pulse]:
 
 
 def _balance(session: Session, axis: AxisScene) -> object:
-    """Hand at a simulated handle that holds it as a spring balance does."""
+    """Return a simulated hand that holds the handle like a spring balance; None with a real drive."""
     simulation = axis.simulation
     if simulation is None or simulation.user is None:
         return None
@@ -360,7 +359,7 @@ def _balance(session: Session, axis: AxisScene) -> object:
 def _by_mass(session: Session, axis: int, first: Pulse) -> float | None:
     """Ratio of the true torque to the assumed one, by the known mass and doublets; None where it stays unclear.
 
-    They begin with the torque of the first pulse that was seen, which is raised only while the axis moved too little.
+    The first doublets have the torque of the first pulse that moved the axis, doubled while the motion is too small.
     """
     scene = session.axes[axis]
     name, simulation = scene.parameters.name, scene.simulation
@@ -392,7 +391,7 @@ def _by_mass(session: Session, axis: int, first: Pulse) -> float | None:
 
 
 def _by_force(session: Session, axis: int, means: str) -> float | None:
-    """The same by a weight that is lifted, or by a spring balance that holds the handle; None where it is unclear."""
+    """Ratio of true to assumed torque, by a lifted weight or a spring balance; None where it stays unclear."""
     parameters = session.axes[axis].parameters
     name, unit, most = parameters.name, effort_unit(parameters.unit), parameters.torque_limit
     lifts, quantum, known = means == "weight", session.quanta[axis], None

@@ -63,7 +63,7 @@ class TorqueDelay(NamedTuple):
 
 
 class _Windows(NamedTuple):
-    """Sums over all windows of displacements and changes of torque; means with the sign of the reversal."""
+    """Products of displacements and torque changes, summed over all windows; their means, signed by the reversal."""
 
     number: int
     half: int
@@ -75,7 +75,7 @@ class _Windows(NamedTuple):
 
 
 class _Model(NamedTuple):
-    """Model without the unknowns of each window, and the resonance (rad / sample time, damping) of a shaft."""
+    """Projection that removes the unknowns of a window, and the resonance (rad / sample time, damping) of a shaft."""
 
     rest: _Array
     mode: tuple[float, float] | None
@@ -83,7 +83,7 @@ class _Model(NamedTuple):
 
 
 def estimate_delay(positions: _Array, torques: _Array, sample_time: float, half_base: int) -> TorqueDelay | None:
-    """Return when the torques begin to act; None where the axis moved too little.
+    """Estimate when the torques begin to act; None where the axis moved too little.
 
     Args:
         positions: Position at each SYNC, shape (n,) [m or rad].
@@ -166,7 +166,7 @@ def _left(windows: _Windows, model: _Model, delay: float, lag: float) -> tuple[f
 
 
 def _best_lag(windows: _Windows, model: _Model, delay: float, most: float) -> tuple[float, float]:
-    """Least of `_left` over the lags up to `most`, and that lag."""
+    """Return the least squared residual over the lags up to `most`, and that lag."""
     tried = [(_left(windows, model, delay, float(lag))[0], float(lag)) for lag in np.linspace(0.0, most, 6)]
     middle, step = min(tried)[1], most / 5.0
     low, high = max(0.0, middle - step), min(most, middle + step)
@@ -179,7 +179,7 @@ def _best_lag(windows: _Windows, model: _Model, delay: float, most: float) -> tu
 
 
 def _profile(windows: _Windows, model: _Model, most: float) -> tuple[TorqueDelay, float]:
-    """Delays that are possible, each with its best lag, and how much more than noise is left over."""
+    """Return the range of possible delays, each with its best lag, and the ratio of the residual to noise."""
     found = [_best_lag(windows, model, float(delay), most) for delay in _DELAYS]
     least, lag = min(found)
     place = found.index((least, lag))
@@ -297,7 +297,7 @@ def report_hold(session: Session, axis: int, times: HoldTimes) -> None:
 
 
 def _text(begin: int, found: TorqueDelay | None, hold: int | None) -> str:
-    """Begin of a torque in words, in SYNCs, with its uncertainty; `begin` is the declared one."""
+    """Onset of a torque in SYNCs, with its uncertainty, as text; `begin` is the declared onset."""
     if found is None:
         return "unclear: too little motion"
     within = f"{begin + found.low:.2f} to {begin + found.high:.2f}"

@@ -16,7 +16,7 @@ _PdoNumber = Annotated[int, quantity("1", ge=1, le=PDO_COUNT)]
 
 
 def _number_of(key: object) -> object:
-    """Number of a key of a scene, written as text: `0x1404`."""
+    """Return the number of a key such as `0x1404`; the validation refuses any other text."""
     try:
         return int(key, 0) if isinstance(key, str) else key
     except ValueError:
@@ -63,7 +63,7 @@ class BusParameters(Parameters):
     """Time before a deadline from which the clock spins instead of sleeping."""
 
     realtime: RealtimeParameters = RealtimeParameters()
-    """Requests of the cycle's thread to the operating system."""
+    """Real-time settings that the thread of the cycle asks of the operating system."""
 
     @model_validator(mode="after")
     def _check(self) -> "BusParameters":

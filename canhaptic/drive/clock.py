@@ -1,10 +1,10 @@
-"""The only module of the package that reads or waits for time, and the histogram of durations. Integer nanoseconds.
+"""Clocks of the master and a histogram of durations, in integer nanoseconds; no other module reads the time.
 
 `WallClock` sleeps to within a margin of the deadline and spins the rest: the wake-up is accurate to a microsecond,
 where a plain sleep is late by some 80 us. `VirtualClock` advances only when its owner waits: master and simulated
 drives then run in lock-step in one thread, as fast as the machine allows and with the same result every time.
 
-Durations of a whole run in constant memory: a histogram with bins of 1 us and an exact maximum.
+`DurationHistogram` keeps the durations of a whole run in constant memory: bins of 1 us and an exact maximum.
 """
 
 import time
@@ -32,7 +32,7 @@ class Clock(Protocol):
 
 
 class WallClock:
-    """Real time, with drives simulated in this process pumped while it waits.
+    """Real time; drives simulated in this process run while it waits.
 
     Args:
         far_sides: Simulated drives inside this process; none for real hardware.
@@ -125,7 +125,7 @@ class VirtualClock:
             far_side.process(now)
 
     def _next_event(self, now: int) -> int:
-        """Time of the next event [ns]; an overdue timer cannot stop time."""
+        """Return the time of the next event after `now` [ns]; overdue timers are left out, so that time goes on."""
         due = self._next_due()
         return due if now < due else self._next_after(now)
 

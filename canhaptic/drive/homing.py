@@ -1,4 +1,4 @@
-"""Homing of one drive by its own homing mode (IEC 61800-7-201, 0x6060 = 6), and its stop however it ends.
+"""Homing of one drive in its own homing mode (IEC 61800-7-201, 0x6060 = 6); the drive is stopped however it ends.
 
 The drive moves by itself: its generator and its loops make the torque, within 0x6072. The master starts it by bit 4 of
 the controlword, watches it at each SYNC, and disables it at the end. Every torque that is sent is 0.
@@ -29,7 +29,7 @@ METHODS: Final = {
     35: "nothing should move, the present position becomes the home position",
     37: "nothing should move, the present position becomes the home position",
 }
-"""Methods that are offered, and where each moves the axis."""
+"""Homing method -> motion of the axis; no other method is offered."""
 _COUNTS_PER_SECOND: Final = 0x00B50300  # value of 0x60A9: increments (0xB5) per second (0x03), without a prefix
 _START: Final = int(od.Controlword.ENABLE_OPERATION) | 1 << 4
 _HALT: Final = int(od.Controlword.ENABLE_OPERATION) | 1 << 8
@@ -38,7 +38,7 @@ _SETTLED: Final = 100_000_000  # [ns] after which a drive has taken an older res
 
 
 class HomingOrder(NamedTuple):
-    """Homing as a person requested it."""
+    """Settings of a homing, as a person asked for it."""
 
     method: int  # 0x6098
     speeds: tuple[float, float]  # 0x6099:01 and :02 [m/s or rad/s]
@@ -70,16 +70,16 @@ class HomingDrive(ServoDrive):
         return od.HOMING
 
     def bring_up(self) -> CanBringUp:
-        """Return the start in homing mode."""
+        """Return the steps that start the drive in homing mode."""
         return _HomingBringUp(self)
 
     def watch_statusword(self) -> None:
-        """Watch the state alone, and that the bus commands it: bits 10, 12 and 13 have the meaning of homing mode."""
+        """Watch only the state and bit 9 (remote): bits 10, 12 and 13 have other meanings in homing mode."""
         remote = self.statusword & int(StatusBit.REMOTE)
         self._watched, self._expected = ENABLED_MASK | remote, ENABLED_VALUE | remote
 
     def fault(self, now: int) -> StopReason:
-        """Reason to stop; the new zero is a step of the position, and the torque is the drive's own."""
+        """Return the reason to stop; a jump to the new zero and the drive's own torque are none."""
         self._step, self._stale_holds = 0.0, 0
         return super().fault(now)
 
@@ -105,7 +105,7 @@ def require_homing(axis: AxisParameters, dictionary: ObjectDictionary, order: Ho
     """Refuse an order that the drive cannot follow safely, before anything is sent.
 
     Raises:
-        InputError: It names the place, the value and the remedy.
+        InputError: The order is refused; the text names place, value and remedy.
     """
     name = axis.name
     if axis.admittance is not None:
@@ -114,7 +114,7 @@ def require_homing(axis: AxisParameters, dictionary: ObjectDictionary, order: Ho
         raise InputError(f"{name}: watchdog: false: a killed program would leave the axis moving; set watchdog: true")
     if order.method not in METHODS:
         known = ", ".join(map(str, METHODS))
-        raise InputError(f"--method: got {order.method}, expected one of {known}; others by the vendor's tool")
+        raise InputError(f"--method: got {order.method}, expected one of {known}; for others use the vendor's tool")
     for place in ((od.HOMING_METHOD, 0), (od.HOMING_SPEEDS, 1), (od.HOMING_SPEEDS, 2)):
         if not is_writable(dictionary, *place):
             where = f"{place[0]:#06x}:{place[1]:02x}"

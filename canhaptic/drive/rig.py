@@ -1,4 +1,4 @@
-"""Several drives, one SYNC: start, cyclic exchange, stop. One thread: the caller of `sync` pumps the bus.
+"""A rig of several drives with one SYNC: start, cyclic exchange, stop, all in the thread that calls `sync`.
 
     rig.start()
     samples = rig.sync()               # SYNC out, position TPDOs in
@@ -48,8 +48,8 @@ class Rig:
         link: The bus, or the buses.
         drives: One per axis, in the order of samples and torques.
         bus: Bus parameters: rate, link policy and the rest; the same for all buses.
-        groups: Indices of axes that render together. Where one of them does not answer a SYNC, none has a sample: the
-            link policy counts SYNCs without the whole set, however the losses are spread over the axes.
+        groups: Indices of axes that render together. If one of them does not answer a SYNC, none of them has a sample,
+            and the link policy counts a missed SYNC for each.
 
     Attributes:
         budgets: Worst cycle of each bus.

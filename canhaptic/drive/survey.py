@@ -1,9 +1,8 @@
-"""Judges one object dictionary before there is a configuration: fit, fit with conditions, or unfit.
+"""Survey of an object dictionary before there is a configuration: fit, fit with conditions, or unfit.
 
 `check_dictionary` judges a dictionary for a configured axis. Here nothing is configured: a value that the configuration
-must supply is a condition, not a refusal. A refusal rests only on what the dictionary states.
-
-Judgement of a dictionary for an admittance display: source of its force, and its limits.
+must supply is a condition, not a refusal. A refusal rests only on what the dictionary states. For an admittance display
+the source of its force and the limits in the drive are judged as well.
 """
 
 from collections.abc import Iterator
@@ -44,13 +43,13 @@ _DISPLAY_KEYS: Final = (
     ("admittance.force.per_count, range, error, slew", "scale and limits of the sensor; canhaptic commission measures"),
     ("admittance.force.frozen_after", "SYNCs with one count after which the sensor counts as frozen"),
 )
-"""Keys of an axis, and of a display, that no dictionary supplies, with the reason."""
+"""Keys that no dictionary supplies, of any axis (`_KEYS`) and of a display, with their meaning."""
 
 
 def _analog_input(dictionary: ObjectDictionary) -> str | None:
     """First known analog input that a TPDO of the drive can carry, as `0x3160.1`; None without one.
 
-    The object of another make at one of these places may be another thing: it is a proposal.
+    In a drive of another make the same object may mean something else: the result is only a proposal.
     """
     for place in ("0x3160.1", "0x2205.1", "0x2205.0", "0x207C.1"):  # of maxon EPOS4, Elmo Gold, ZeroErr, maxon EPOS2
         index, _, subindex = place.partition(".")
@@ -61,7 +60,7 @@ def _analog_input(dictionary: ObjectDictionary) -> str | None:
 
 
 def display_of(dictionary: ObjectDictionary, mode: Mode, force_object: str | None = None) -> AdmittanceParameters:
-    """Admittance display for a dictionary; its force has scale 1, and its figures are placeholders.
+    """Return an admittance display for a dictionary; its scale of 1 and its other figures are placeholders.
 
     Args:
         dictionary: Dictionary of the drive.
@@ -70,7 +69,7 @@ def display_of(dictionary: ObjectDictionary, mode: Mode, force_object: str | Non
             sensor with a node of its own.
 
     Raises:
-        pydantic.ValidationError: `force_object` is no place of an object.
+        pydantic.ValidationError: `force_object` is no object such as `0x3160.1`.
     """
     place = force_object or _analog_input(dictionary)
     node = ForceNode(node_id=9) if place is None else None  # where the drive has no input
@@ -88,7 +87,7 @@ Group = Literal["identity", "torque", "motion", "read-back", "force", "limits", 
 
 
 class Suitability(Enum):
-    """Verdict on a drive, from only its dictionary."""
+    """Verdict on a drive from its dictionary alone."""
 
     FIT = "fit"
     CONDITIONAL = "fit with conditions"
@@ -96,7 +95,7 @@ class Suitability(Enum):
 
 
 class SurveyRow(NamedTuple):
-    """One object or part of a dictionary."""
+    """Verdict on one object or part of a dictionary."""
 
     group: Group
     item: str  # as `0x6072 max torque`
@@ -145,7 +144,7 @@ class Survey(NamedTuple):
 
     @property
     def conditions(self) -> list[SurveyRow]:
-        """Settings to configure, and those that are decided by the drive at the start."""
+        """Values to configure, and values that the drive itself decides at the start."""
         return [row for row in self.rows if row.verdict is Verdict.UNKNOWN]
 
     @property
@@ -157,7 +156,7 @@ class Survey(NamedTuple):
 
 
 def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
-    """Findings of a dictionary.
+    """Judge a dictionary.
 
     Args:
         dictionary: Dictionary as read from its EDS or DCF.
@@ -188,7 +187,7 @@ def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
 
 
 def unconfigured_axis(eds: str | Path, **values: Any) -> AxisParameters:
-    """Axis with a dictionary and perhaps a profile; node ID, scale and limit are placeholders of 1."""
+    """Return an axis for a dictionary, with further values; node ID, scale and limit are placeholders of 1."""
     return AxisParameters(name="drive", node_id=1, eds=Path(eds), counts_per_unit=1.0, torque_limit=1.0, **values)
 
 
@@ -208,7 +207,7 @@ def stated_value(dictionary: ObjectDictionary, index: int, subindex: int = 0) ->
 
 
 def _describe(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> str:
-    """Return `UNSIGNED16 rw, default 1000, mappable`."""
+    """Describe an object, as `UNSIGNED16 rw, default 1000, mappable`."""
     variable = _variable(dictionary, index, subindex)
     if variable is None:
         return "not listed"
@@ -308,7 +307,7 @@ def _force(dictionary: ObjectDictionary, display: AdmittanceParameters) -> Surve
 
 
 def _limits_of_display(dictionary: ObjectDictionary) -> Iterator[SurveyRow]:
-    """Limits in the drive in case a display's sensor or master is wrong, and objects that may alter its command."""
+    """Yield verdicts on objects that may alter a display's command, and on the drive's own quick stop."""
     ramps = [index for index in (od.PROFILE_ACCELERATION, od.MAX_ACCELERATION) if listed(dictionary, index) is not None]
     stuck = [index for index in ramps if not is_writable(dictionary, index, 0)]
     listing = ", ".join(f"{index:#06x}" for index in stuck or ramps)
@@ -372,7 +371,7 @@ def _watchdog(dictionary: ObjectDictionary) -> tuple[Verdict, str]:
 
 
 def _counted(capabilities: list[PdoCapability]) -> str:
-    """Return `25: 1 writable (8 entries), 24 fixed`."""
+    """Count PDOs, as `25: 1 writable (8 entries), 24 fixed`."""
     if not capabilities:
         return "none"
     writable = [c for c in capabilities if c.fixed is None]

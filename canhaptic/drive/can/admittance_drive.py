@@ -1,9 +1,7 @@
-"""An admittance display on a CAN bus: additions to the start, force in the TPDO, command in the RPDO.
+"""An admittance display on a CAN bus: force in the TPDO, velocity command in the RPDO.
 
-It runs in the same cycle as a `ServoDrive`: a sample holds minus the hand's force in place of the torque of an
-impedance display, and the command is a velocity.
-
-Additions to the start of an admittance display: no ramps, no offsets, a quick stop that stops.
+It runs in the same cycle as a `ServoDrive`: its sample holds minus the hand's force in place of the torque of an
+impedance display. Its start also sets the steepest ramps, zero offsets, and a quick stop that brakes.
 """
 
 from collections.abc import Callable
@@ -43,7 +41,7 @@ class AdmittanceDrive(ServoDrive):
         checks_rest: Whether the start refuses a sensor that shows more than `force.error` before the drive is enabled.
 
     Raises:
-        DictionaryError: The dictionary is not fit for it.
+        DictionaryError: The dictionary is not fit for an admittance display.
         ParameterError: The axis is not an admittance display.
     """
 
@@ -75,11 +73,11 @@ class AdmittanceDrive(ServoDrive):
             self.rest_text = "the position of the axis"
 
     def bring_up(self) -> "AdmittanceBringUp":
-        """Return the start of an admittance display."""
+        """Return the steps that start an admittance display."""
         return AdmittanceBringUp(self)
 
     def _force_handler(self, node: "ForceNode") -> Callable[[bytearray], None]:
-        """Handler of the frames of a sensor with its own node: one more part of the sample."""
+        """Return the handler of a sensor with its own node, whose frame is one more part of the sample."""
         bit = self._all_tpdos + 1
         self._all_tpdos |= bit
         length, value_in = node.frame_length, node.value_in
@@ -132,7 +130,7 @@ class AdmittanceDrive(ServoDrive):
         self._rest_targets: tuple[int, ...] = ()  # the last two that were sent while the drive was not enabled
 
     def sample(self, sync_index: int, periods: int = 1, *, is_whole: bool = True) -> Sample:
-        """Report of the drive for the SYNC just answered, or of the last one; see `ServoDrive.sample`."""
+        """Return the sample of the SYNC just answered, else the last one, marked as old; see `TorqueAxis.sample`."""
         if not (self.is_complete and is_whole):
             return super().sample(sync_index, periods, is_whole=is_whole)
         self._periods += periods
@@ -150,7 +148,7 @@ class AdmittanceDrive(ServoDrive):
         return sample
 
     def fault(self, now: int) -> StopReason:
-        """Reason why the rig must stop because of this drive; NONE where there is none."""
+        """Return why the rig must stop because of this drive; NONE without a reason."""
         if self.force.is_wrong:
             return StopReason.FORCE_RANGE if self.force.is_beyond_range else StopReason.FORCE_FROZEN
         return super().fault(now)
@@ -242,7 +240,7 @@ class AdmittanceBringUp(CanBringUp):
             self._drive.command_sensor(od.NmtCommand.START)
 
     def _configure_sensor(self, sensor: SdoChannel, device_type: int | None) -> None:
-        """Compare its 0x1000, and let its TPDO 1 answer each SYNC; raise StartError."""
+        """Compare the sensor's 0x1000, and make its TPDO 1 answer each SYNC; raise StartError."""
         step, place = "force sensor", (od.TPDO_COMMUNICATION, 2)
         with self.step(step):
             seen = sensor.read(od.DEVICE_TYPE) & 0xFFFF
@@ -266,7 +264,7 @@ class AdmittanceBringUp(CanBringUp):
             raise self.refusal("force at rest", f"{shown:.4g} {unit} before the drive is enabled", wanted)
 
     def process_data(self) -> Confirmation:
-        """Confirmation by every TPDO after a SYNC, and the frame of the sensor."""
+        """Confirmation by every TPDO after a SYNC, and by the frame of the sensor."""
         wanted, node = super().process_data(), self._drive.display.force.node
         if node is None:
             return wanted

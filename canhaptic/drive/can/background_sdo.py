@@ -39,7 +39,7 @@ _OWNED: Final = (
     | set(range(od.RPDO_COMMUNICATION, od.TPDO_MAPPING + od.PDO_COUNT))
 )
 _OWNED_BY_DISPLAYS: Final = {od.QUICK_STOP_OPTION, od.QUICK_STOP_DECELERATION, *RAMPS}
-"""What brakes the drive, and what its ramps may add to a command."""
+"""Objects owned with a display besides: its quick stop, and the ramps that alter its commands."""
 
 
 @dataclass(slots=True, eq=False)
@@ -61,7 +61,7 @@ class _Request:
 
 
 class BackgroundSdo:
-    """The objects of one drive while the rig runs; may be used from any thread."""
+    """SDO access to one drive while the rig runs; may be used from any thread."""
 
     def __init__(self, drive: ServoDrive, line: "SdoLine") -> None:
         self._drive, self._line = drive, line
@@ -72,7 +72,7 @@ class BackgroundSdo:
         The future raises SdoError when the drive aborts, does not answer, or the rig stops before.
 
         Raises:
-            SdoError: The rig does not run, the bus has no room, or too much waits already.
+            SdoError: The rig does not run, the bus has no room, or too many requests wait.
         """
         return self._ask("read", index, subindex, sdo.upload(*_checked(index, subindex)), bytes)
 
@@ -200,7 +200,7 @@ class SdoLine:
         self._advance(request, None)
 
     def _take(self, data: bytearray) -> None:
-        """Store an answer: its only handling between SYNC and RPDO."""
+        """Store an answer; `step` reads it after the RPDOs."""
         self._answers.append(bytes(data))
 
     def _look(self, request: _Request) -> None:
@@ -231,7 +231,7 @@ class SdoLine:
         self._ask(request)
 
     def _ask_again(self, request: _Request) -> None:
-        """Repeat an unanswered first request; a segment is not repeated, for it may have been taken."""
+        """Repeat an unanswered first request; a segment is not repeated, because the drive may have taken it."""
         if request.attempts < ATTEMPTS and sdo.initiates(request.frame):
             return self._ask(request)
         self._send(sdo.abort(request.index, request.subindex, SdoAbort.TIMEOUT))
@@ -260,7 +260,7 @@ class SdoLine:
 
 
 def _hand_over(done: "SimpleQueue[tuple[_Request, Any] | None]") -> None:
-    """Set the results in a separate thread, where their callbacks run."""
+    """Set the results of the futures, in a thread of its own where their callbacks run."""
     while (entry := done.get()) is not None:
         request, result = entry
         if request.future.done() or not (request.future.running() or request.future.set_running_or_notify_cancel()):

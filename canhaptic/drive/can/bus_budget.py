@@ -4,7 +4,7 @@ A data frame of n bytes takes at most 47 + 8 n bits and floor((34 + 8 n - 1) / 4
 (Davis et al. 2007, eq. 1). One cycle holds SYNC, every TPDO, the host's latency, every RPDO, one blocking frame that
 had just begun, every heartbeat and the EMCY reserve.
 
-Requirements on the drives of one bus: COB-IDs that no other master sends, distinct node IDs, time on the wire.
+The drives of a bus are checked for distinct node IDs, and the COB-IDs named that only this master may send.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ def worst_frame() -> int:
 
 
 class _BudgetRow(NamedTuple):
-    """One line of the arithmetic."""
+    """Frames of one kind in a cycle."""
 
     what: str
     frames: int
@@ -40,13 +40,13 @@ class _BudgetRow(NamedTuple):
 
     @property
     def bits(self) -> int:
-        """Bits of the line."""
+        """Bits of these frames on the wire."""
         return self.frames * self.bits_each
 
 
 @dataclass(frozen=True, slots=True)
 class BusBudget:
-    """Timing of one cycle."""
+    """Worst-case timing of one cycle."""
 
     rows: tuple[_BudgetRow, ...]
     bitrate: int  # [bit/s]
@@ -70,7 +70,7 @@ class BusBudget:
         return self.worst_cycle <= self.sample_time * (1.0 + 1e-12)
 
     def arithmetic(self) -> str:
-        """Return the sum, written out."""
+        """Return the sum of the worst cycle as text, term by term."""
         terms = " + ".join(f"{row.frames} {row.what} x {row.bits_each}" for row in self.rows if row.frames)
         bits = sum(row.bits for row in self.rows)
         on_wire = f"{bits} bits at {self.bitrate / 1000:g} kbit/s = {bits / self.bitrate * 1e6:.0f} us"
@@ -93,7 +93,7 @@ def bus_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
 def torque_latency(bus: BusParameters, maps: Sequence[AxisMap]) -> float:
     """Longest time [s] from a SYNC until the torques that answer it have arrived.
 
-    Every TPDO and RPDO, the host between them, and before each of the two one frame that had just begun.
+    It holds every TPDO and RPDO, the host in between, and one blocking frame before the TPDOs and before the RPDOs.
     """
     rows = [row for row in bus_budget(bus, maps).rows if row.what in ("TPDO", "RPDO")]
     return (sum(row.bits for row in rows) + 2 * worst_frame()) / bus.bitrate + bus.compute_latency
@@ -102,7 +102,7 @@ def torque_latency(bus: BusParameters, maps: Sequence[AxisMap]) -> float:
 def shortest_answer(bitrate: float, axis: AxisMap) -> float:
     """Return the shortest time [s] from a SYNC to the arrival of the torque of an axis that answers it.
 
-    It takes SYNC, TPDOs and RPDO of this axis alone, without a stuff bit and without the host.
+    It holds SYNC, TPDOs and RPDO of this axis alone, without stuff bits and host.
     """
     lengths = [0, axis.rpdo.length, *[tpdo.length for tpdo in axis.tpdos]]
     return sum([_FRAME_BITS + 8 * length for length in lengths]) / bitrate
@@ -115,7 +115,7 @@ def round_rate(limit: float) -> float:
 
 
 def has_room_for_sdo(budget: BusBudget, bus: BusParameters) -> bool:
-    """Whether each cycle has room for one SDO request after its RPDOs, and the next for the answer.
+    """Whether each cycle has room for one SDO request after its RPDOs, and the next cycle for the answer.
 
     The request takes the place of one EMCY, which would end the run, or needs room of its own. The answer has a lower
     priority than every PDO: it is the blocking frame that each cycle reserves.
@@ -128,7 +128,7 @@ def require_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
     """Return the budget of a bus; raise where its cycle does not fit.
 
     Raises:
-        BusBudgetError: It does not; shows the arithmetic and what would fit.
+        BusBudgetError: The cycle does not fit; the text shows the arithmetic and what would fit.
     """
     budget = bus_budget(bus, maps)
     if not budget.fits:
@@ -138,7 +138,7 @@ def require_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
 
 
 def _ways_out(bus: BusParameters, maps: Sequence[AxisMap]) -> list[str]:
-    """Remedies, nearest first."""
+    """Return the remedies for a cycle that does not fit, nearest first."""
     budget = bus_budget(bus, maps)
     most = 1.0 / budget.worst_cycle
     ways = [f"rate: {round_rate(most):g} (at most {most:.0f} Hz)"]
@@ -158,7 +158,7 @@ def _ways_out(bus: BusParameters, maps: Sequence[AxisMap]) -> list[str]:
 
 
 def _without_read_back(budget: BusBudget, maps: Sequence[AxisMap]) -> float | None:
-    """Worst cycle [s] without a torque in any TPDO; None if none of our maps carries it."""
+    """Worst cycle [s] without a torque in any TPDO; None if no written map carries one."""
     saved = 0
     for axis in maps:
         if axis.read_back != "none" and len(axis.tpdos) == 1 and axis.tpdos[0].is_written:
@@ -192,7 +192,7 @@ def budget_of(drives: Sequence[ServoDrive], bus: BusParameters) -> BusBudget:
 
     Args:
         drives: Drives on this bus.
-        bus: Bus with the node ID of the master; its rates count where the bus has no drive.
+        bus: Bus with the node ID of the master; its bit rate counts where the bus has no drive.
 
     Raises:
         InputError: Two nodes have one node ID.

@@ -1,4 +1,4 @@
-"""One SYNC on every bus of a rig: the wait, the frame, the TPDOs that answer it, the next deadline.
+"""The cycle of a rig on its buses: wait for the deadline, send SYNC, take the TPDOs that answer it.
 
 Deadlines are absolute. One that is missed is skipped and counted, never caught up: a burst of SYNCs would make drives
 sample and hold at intervals other than the sample time.
@@ -116,7 +116,7 @@ class Exchange:
             raise failure
 
     def _allow(self, slowest: int) -> None:
-        """Take the slowest answer that was surely in order [ns] for the measure of those that follow a missing one."""
+        """Set how slow an answer after a missing one may be, from the slowest undoubted answer so far [ns]."""
         self._slowest = slowest
         for _, window, _, _ in self._buses:
             window.latest = slowest + self._period // _MARGIN

@@ -22,7 +22,7 @@ _MOST_FRAMES_AT_ONCE: Final = 10_000  # a bus that delivers this many frames at 
 
 @dataclass(slots=True)
 class _LinkStatistics:
-    """Counts of a link since it was made. Frames counted as anything but `received` never enter a ledger."""
+    """Counts of a link since it was made. A received frame with a further count (late, short, ...) is not used."""
 
     duplicate: int = 0  # second TPDO for one SYNC
     echoed: int = 0  # our own frame, given back by the interface
@@ -42,7 +42,7 @@ class Link:
         bus: The bus; the caller shuts it down.
         clock: Clock for every wait.
         recorder: Called with every frame, for the bus log.
-        echoes: Whether the interface returns the frames it was sent (`udp_multicast` does).
+        echoes: Whether the interface also delivers the frames that it sends (`udp_multicast` does).
 
     Attributes:
         intruder: Name of the first frame from another sender that only this master may send; empty without one.
@@ -138,7 +138,7 @@ class Link:
         """Handle frames until `deadline` [ns], then those still waiting.
 
         Raises:
-            LinkError: The bus failed, or what waits does not end.
+            LinkError: The bus failed, or frames come without end.
         """
         while self.poll(deadline):
             if self._now() >= deadline:
@@ -149,7 +149,7 @@ class Link:
         """Handle the frames that are waiting.
 
         Raises:
-            LinkError: They do not end.
+            LinkError: Frames come without end.
         """
         now = self.clock.now()
         for _ in range(_MOST_FRAMES_AT_ONCE):

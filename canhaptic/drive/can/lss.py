@@ -1,4 +1,4 @@
-"""LSS (CiA 305): the node ID of one node, found by its identity or as the only one on the bus.
+"""LSS (CiA 305): gives a node ID to one node, selected by its identity or alone on the bus.
 
 Every service is one frame each way. Nodes are configured in NMT stopped; a new node ID counts from the next reset of
 the communication on, or, stored, from the next power-on.
@@ -57,7 +57,7 @@ class LssMaster:
             identity: Vendor ID, product code, revision and serial number; None: the only node on the bus.
 
         Raises:
-            LinkError: No node answers, or several.
+            LinkError: No node answers, or several do.
         """
         self._link.send(NMT_COB_ID, bytes([NmtCommand.STOP, 0]))
         self.release()
@@ -123,7 +123,7 @@ def give_node_id(
         tell: Function that reports the findings.
 
     Raises:
-        LinkError: No node answers, several, or it refuses.
+        LinkError: No node answers, or several do, or the node refuses.
     """
     if not confirm("every node of this bus goes to NMT stopped; no drive may be enabled. Go on?"):
         return False

@@ -1,16 +1,14 @@
-"""Whether a CANopen dictionary is fit for cyclic torque: the profile, then heartbeat, watchdog and PDOs.
+"""The PDOs of one axis: chosen from its dictionary, packed by one codec each, written by SDO and read back.
 
-The PDOs of one axis: chosen from its dictionary, packed by one codec each, written by SDO and read back.
+A dictionary is first judged for cyclic torque: the profile, then heartbeat, watchdog and PDOs. Preferred: one TPDO of
+statusword, position and torque (0x6074, else 0x6077), one RPDO of controlword and target torque. Writable mappings are
+written; fixed ones (`ro`) are selected, several TPDOs if need be.
 
-Preferred: one TPDO of statusword, position and torque (0x6074, else 0x6077), one RPDO of controlword and target
-torque. Writable mappings are written; fixed ones (`ro`) are selected, several TPDOs if need be.
+Each PDO has one struct codec for its bytes as one image: no value is ever torn, and no offset can shift.
 
-One struct codec per PDO: its bytes as one image, so that no value is ever torn and no offset can shift.
-
-Writes the PDO map of one drive by SDO in the order that CiA 301 asks for, reads it back and compares.
-
-COB-ID with bit 31 (off), transmission type, sub 0 = 0, entries, sub 0 = n, COB-ID without bit 31 (on). canopen's own
-`save()` writes no entries where the mapping is declared ARRAY and then switches the PDO on all the same.
+A map is written in the order of CiA 301: COB-ID with bit 31 (off), transmission type, sub 0 = 0, entries, sub 0 = n,
+COB-ID without bit 31 (on). Then it is read back and compared. canopen's own `save()` writes no entries where the
+mapping is declared ARRAY, and yet switches the PDO on.
 """
 
 import struct
@@ -56,12 +54,12 @@ class MappedObject:
         return DataType[f"{'INTEGER' if self.signed else 'UNSIGNED'}{self.bits}"]
 
     def __str__(self) -> str:
-        """`0x6064:00/32`."""
+        """Object and length in bits, as `0x6064:00/32`."""
         return f"{self.index:#06x}:{self.subindex:02x}/{self.bits}"
 
 
 def decode_entry(entry: int) -> MappedObject:
-    """Return the mapped object of an UNSIGNED32 mapping entry, which does not contain its sign."""
+    """Return the object of an UNSIGNED32 mapping entry, which does not tell whether it is signed."""
     return MappedObject(entry >> 16, entry >> 8 & 0xFF, entry & 0xFF)
 
 
@@ -104,7 +102,7 @@ _TARGETS: Final = {
     od.TARGET_POSITION: MappedObject(od.TARGET_POSITION, 0, 32, signed=True),
 }
 _INDICES: Final = {"RPDO": (od.RPDO_COMMUNICATION, od.RPDO_MAPPING), "TPDO": (od.TPDO_COMMUNICATION, od.TPDO_MAPPING)}
-"""First index of the communication parameters and of the mapping parameters."""
+"""Kind of PDO -> first index of its communication parameters and of its mapping parameters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +133,7 @@ class PdoPlan:
 
     @property
     def name(self) -> str:
-        """`TPDO3`."""
+        """Kind and number, as `TPDO3`."""
         return f"{self.kind}{self.number}"
 
 
@@ -214,7 +212,7 @@ def _read_back(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Read
 
 
 def _force(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[ReadBack, MappedObject | None]:
-    """Force of an admittance display in the place of the torque; none is read back."""
+    """Return the force object of an admittance display, which replaces the torque; no torque is read back."""
     if axis.admittance is None or (place := axis.admittance.force.place) is None:
         return "none", None
     index, subindex = place
@@ -268,7 +266,7 @@ def _is_slot(variable: ODVariable | None) -> bool:
 
 
 def _is_decodable(entries: Sequence[MappedObject]) -> bool:
-    """Whether the bytes of a fixed map can be distinguished: a single BOOLEAN shifts all that follows it by a bit."""
+    """Whether a fixed map can be decoded by bytes: a single BOOLEAN shifts every later object by a bit."""
     try:
         codec(entries, [entry.index for entry in entries if entry.entry in {used.entry for used in _USED}])
     except DictionaryError:
@@ -422,7 +420,7 @@ def _compare_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int, expect:
 def check_dictionary(
     dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None = None
 ) -> list[Finding]:
-    """Findings of a dictionary about cyclic torque, refusals included.
+    """Return the findings on a dictionary's fitness for cyclic torque, refusals included.
 
     Args:
         dictionary: Dictionary of the drive.
@@ -439,10 +437,10 @@ def check_dictionary(
 
 
 def require_fit(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None = None) -> None:
-    """Return if the dictionary gives no reason to refuse cyclic torque; raise otherwise.
+    """Refuse a dictionary that is not fit for cyclic torque.
 
     Raises:
-        DictionaryError: It does; lists every reason.
+        DictionaryError: It is not fit; the text lists every reason.
     """
     refused = [finding for finding in check_dictionary(dictionary, axis, bus) if finding.verdict is Verdict.REFUSED]
     if refused:
@@ -502,7 +500,7 @@ def _map(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters 
 
 
 def _plan_objections(dictionary: ObjectDictionary, plan: PdoPlan, transmission_type: int | None) -> Iterator[str]:
-    """Yield a planned PDO's obstacles to being configured and read back."""
+    """Yield the reasons why a planned PDO cannot be configured and read back."""
     place, types = plan.communication_index, () if transmission_type is None else (transmission_type,)
     cob_ids = (plan.cob_id | od.COB_ID_INVALID, plan.cob_id) if plan.cob_id_is_written else ()
     stated = getattr(listed(dictionary, place, 2), "default", None)

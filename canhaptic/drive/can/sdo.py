@@ -1,12 +1,11 @@
 """SDO in the caller's thread: transfers pumped through the Link, with retries and errors that name the object.
 
-canopen's client waits on a queue that its Notifier thread fills, never repeats a request, takes a late answer for the
-next request, aborts with index 0 and reads an object without end for ever. Here the answer is pumped from the bus, an
-unanswered first request is repeated, and an answer for another object is counted as late and ignored.
+canopen's client waits on a queue that its Notifier thread fills. It never repeats a request, takes a late answer for
+that to the next request, aborts with index 0, and reads on for ever if an object has no end. Here the answer is pumped
+from the bus, an unanswered first request is repeated, and an answer for another object is counted as late and ignored.
 
-One SDO transfer of a client as the frames it sends and takes (CiA 301, 7.2.4.3): no bus, no waiting, no clock.
-
-A transfer is a generator: it yields a request and receives its answer, until it returns the uploaded bytes.
+A transfer (CiA 301, 7.2.4.3) is a generator that knows no bus and no clock: it yields a request and receives its
+answer, until it returns the uploaded bytes.
 """
 
 from collections.abc import Generator, Iterator
@@ -101,9 +100,9 @@ def first_answer(request: bytes) -> bytes:
 
 
 def may_answer(answer: bytes | bytearray, request: bytes, of_object: bytes) -> bool:
-    """Whether a frame of a server may answer a request: of the same kind, and of the same object if it names one.
+    """Whether a frame of a server may answer a request: the same kind, and the same object if the frame names one.
 
-    The first answer names its object and those to segments do not; an abort always does.
+    A first answer and an abort name their object; an answer to a segment does not.
     """
     is_first = answer[0] & _SPECIFIER in (_UPLOAD_ANSWER, _DOWNLOAD_ANSWER)
     if answer[0] == ABORT or (is_first and initiates(request)):
@@ -124,7 +123,7 @@ def _require(answer: bytes, specifier: int, toggle: int | None = None) -> None:
 
 
 ATTEMPTS: Final = 3
-"""How often an unanswered first request is sent."""
+"""Number of times that an unanswered first request is sent."""
 
 
 class _NoAnswerError(Exception):
@@ -137,7 +136,7 @@ class SdoChannel:
     Args:
         link: The bus.
         node_id: Node ID of the drive.
-        dictionary: Gives names, sizes and signs; objects it lacks can be read all the same, as unsigned.
+        dictionary: Gives names, sizes and signs; an object that it lacks is read as unsigned.
         name: Name of the axis, for messages.
         timeout: Time limit of one answer [ns].
         attempts: Number of attempts of an unanswered request.
@@ -178,7 +177,7 @@ class SdoChannel:
             self._timeout, self._attempts = before
 
     def _value_of(self, verb: str, index: int, subindex: int, transfer: Transfer) -> bytes:
-        """Return the value of a transfer; raise SdoError."""
+        """Carry out a transfer and return its value; raise SdoError."""
         try:
             return self._run(index, subindex, transfer)
         except SdoAbortedError as error:
@@ -188,7 +187,7 @@ class SdoChannel:
             raise self.failure(verb, index, subindex, text) from error
 
     def _run(self, index: int, subindex: int, transfer: Transfer) -> bytes:
-        """Return the value of a transfer.
+        """Carry out a transfer and return its value.
 
         Raises:
             SdoAbortedError: The server aborted the transfer.
@@ -291,7 +290,7 @@ class SdoChannel:
         self._value_of("write", index, subindex, download(index, subindex, data))
 
     def _note(self, changes: list[Written], change: Written) -> None:
-        """Record a write with the value before: from the write before it, or as the drive has it."""
+        """Record a write and the value before it, known from an earlier write or read from the drive."""
         earlier = next((c.after for c in reversed(changes) if c.place == change.place), None)
         if earlier is None:
             try:
@@ -324,7 +323,7 @@ class SdoChannel:
             raise self.failure("write", index, subindex, f"{value} does not fit {size} bytes") from error
 
     def describe(self, index: int, subindex: int = 0) -> str:
-        """Return an object as `0x6072:00 Max torque`."""
+        """Return the name of an object, as `0x6072:00 Max torque`."""
         variable = self.dictionary.get_variable(index, subindex)
         return f"{index:#06x}:{subindex:02x}" + (f" {variable.name}" if variable is not None else "")
 

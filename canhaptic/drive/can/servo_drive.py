@@ -1,6 +1,6 @@
-"""One axis on a CAN bus: its TPDOs in, its RPDO out, its heartbeat and EMCY.
+"""A servo drive on a CAN bus: its TPDOs, RPDO, heartbeat and EMCY, and the CANopen part of its start.
 
-CANopen part of the start of a drive: NMT, heartbeats, the watchdog of the master, the PDO map.
+The start sets the NMT state, heartbeats, the drive's watchdog of the master, and the PDO map.
 """
 
 import zlib
@@ -26,9 +26,10 @@ _OPERATIONAL: Final = int(od.NmtState.OPERATIONAL)
 
 
 class SyncWindow:
-    """Number of drives of one bus that have not answered the last SYNC yet; open from SYNC to the TPDO timeout.
+    """Window of one bus, from a SYNC to the TPDO timeout, in which its drives answer.
 
     Attributes:
+        pending: Number of drives that have not answered yet.
         synced: Time of that SYNC [ns].
         latest: Time after a SYNC until which an answer that follows a missing one counts for this SYNC [ns].
     """
@@ -86,7 +87,7 @@ class ServoDrive(TorqueAxis):
         self.reset()
 
     def signature(self) -> str:
-        """Return drive, serial number, process data and rate as one word: a check of the hold is valid only for these.
+        """Return an identifier of drive, serial number, process data and rate; a check of the hold is valid for one.
 
         Raises:
             SdoError: The drive does not answer.
@@ -105,7 +106,7 @@ class ServoDrive(TorqueAxis):
         return "-".join([*parts, f"{zlib.crc32(mapped.encode()):x}", cycle])
 
     def bring_up(self) -> "CanBringUp":
-        """Return the start of the drive in its mode."""
+        """Return the steps that start the drive in its mode."""
         return CanBringUp(self)
 
     def reset(self) -> None:
@@ -191,7 +192,7 @@ class ServoDrive(TorqueAxis):
         self.link.wait_for(lambda: self.nmt_state == od.NmtState.PRE_OPERATIONAL, self.bus.drive_silence_ns)
 
     def disarm(self) -> None:
-        """Switch the drive's watchdog (0x1016) off, so that no heartbeat is missed; raise SdoError."""
+        """Switch the drive's watchdog (0x1016) off, so that the end of the heartbeat is no fault; raise SdoError."""
         if self.axis.watchdog:
             self.sdo.write(od.CONSUMER_HEARTBEAT_TIME, 1, 0)
 
@@ -258,7 +259,7 @@ class ServoDrive(TorqueAxis):
         self.window.pending -= 1
 
     def _count_surplus(self, bit: int, is_same: bool) -> None:
-        """Count a frame beyond the one that answered; after a missing one it may have been the right one."""
+        """Count a frame that came after the answer; after a missed SYNC it may have been the right one of the two."""
         if self.is_complete and self.unheard and not is_same:
             self.uncommanded += 1
         if self.window.is_open:
@@ -309,7 +310,7 @@ class CanBringUp(BringUp):
             raise self.refusal("presence", "a node without a node ID (LSS)", wanted, f"{remedy}tool), and store it")
 
     def _monitor(self) -> None:
-        """Request heartbeats."""
+        """Switch on the drive's heartbeat."""
         self._drive.nmt_state = None
         self._write_confirmed("heartbeat", od.PRODUCER_HEARTBEAT_TIME, 0, self._drive.bus.heartbeat_ms)
 
@@ -359,7 +360,7 @@ class CanBringUp(BringUp):
             pdo_map.write_map(drive.sdo, drive.map, rpdo_type, partial(self.expect, "PDO map"), self._rpdo_deadline())
 
     def _rpdo_deadline(self) -> int | None:
-        """Return how long the drive itself tolerates lost RPDOs [ms], where no read-back shows them to the master."""
+        """Return how long the drive may tolerate lost RPDOs [ms], where no read-back shows them; None: not set."""
         milliseconds = self._drive.bus.master_silence_ns // 1_000_000
         is_needed = self._drive.read_back == "none" and self._drive.axis.watchdog
         return milliseconds if is_needed and milliseconds <= LARGEST_U16 else None

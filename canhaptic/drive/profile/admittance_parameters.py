@@ -1,6 +1,6 @@
 """Parameters of an axis that is an admittance display: velocity commands, force sensor, limits.
 
-The force sensor as its drive reports it: counts to a force, and the checks that reject it.
+`ForceChannel` turns the counts of the sensor into a force, and rejects a force beyond its range or a frozen sensor.
 """
 
 import re
@@ -31,9 +31,9 @@ class ForceParameters(Parameters):
     node: Annotated[ForceNode, OnDemand("canhaptic.canopen.force_node:ForceNode")] | None = None
     """Frame of a sensor that answers the SYNC by itself; in place of `object`."""
     per_count: Annotated[float, quantity("N", "N*m", ge=-1e6, le=1e6)]
-    """Force of the hand towards +q, by one count; negative where the sensor counts the other way; of an impulse N*s."""
+    """Force of the hand towards +q per count (an impulse: N*s per count); negative for a sensor that counts down."""
     offset_counts: Annotated[float, quantity("count", ge=-2e9, le=2e9)] = 0.0
-    """Counts at no force."""
+    """Counts without a force."""
     range: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
     """Largest force that the sensor can show; beyond it the rig stops."""
     sampling: Literal["point", "mean", "impulse"] = "point"
@@ -94,7 +94,7 @@ class AdmittanceParameters(Parameters):
     acceleration_limit: Annotated[float, quantity("m/s^2", "rad/s^2", gt=0.0, le=1e6)] | None = None
     """Largest rise of the commanded speed per second; a fall to zero is never slowed."""
     handle_acceleration: Annotated[float, quantity("m/s^2", "rad/s^2", gt=0.0, le=1e6)]
-    """Largest acceleration of the handle, an over-estimate: by the torque of the drive and the force of the hand."""
+    """Largest acceleration of the handle by the torque of the drive and the force of the hand; an over-estimate."""
     position_low: Annotated[float, quantity("m", "rad", ge=-1e6, le=1e6)] | None = None
     """Lowest position to which a command may lead."""
     position_high: Annotated[float, quantity("m", "rad", ge=-1e6, le=1e6)] | None = None
@@ -128,13 +128,13 @@ class ForceChannel:
     """Turns the counts of a force sensor into the force of the hand.
 
     Args:
-        force: Its parameters.
-        sample_time: T [s].
+        force: Parameters of the sensor.
+        sample_time: Sample time [s].
 
     Attributes:
         force: Last force [N or N*m].
-        same: SYNCs in a row with one count, within the error of the sensor.
-        is_wrong: Whether it is beyond the range, or the sensor has shown one count for too long.
+        same: Consecutive SYNCs with the same count and a force within the error of the sensor.
+        is_wrong: Whether the force is beyond the range, or the sensor has shown one count for too long.
     """
 
     def __init__(self, force: ForceParameters, sample_time: float) -> None:

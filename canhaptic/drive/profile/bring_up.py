@@ -79,7 +79,7 @@ class BringUp(ABC):
         """Command the state for configuring a drive; raise LinkError."""
 
     def _explain_absence(self) -> None:
-        """Raises StartError where it is found why the drive does not answer."""
+        """Raise StartError if the reason is found why the drive does not answer."""
         return
 
     @abstractmethod
@@ -96,7 +96,7 @@ class BringUp(ABC):
 
     @abstractmethod
     def _map(self) -> None:
-        """Writes, reads back and compares the process data."""
+        """Write the mapping of the process data, read it back and compare."""
 
     @abstractmethod
     def command_operational(self) -> None:
@@ -104,7 +104,7 @@ class BringUp(ABC):
 
     @abstractmethod
     def operational(self) -> Confirmation:
-        """Confirmation of that state by the drive."""
+        """Confirmation that the drive is in the state for exchanging process data."""
 
     @abstractmethod
     def process_data(self) -> Confirmation:

@@ -3,7 +3,7 @@
 A refusal rests only on what the dictionary states. An object listed without a default, and a rated torque of 0, are
 `unknown`: the live value decides at the start.
 
-Check of a dictionary for the use of an object by start and cycle: type, access, limits, mapping.
+Of each object that start and cycle use, type, access, limits and mapping are checked.
 """
 
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ _INTEGERS: Final = {  # bits, signed
 
 @dataclass(frozen=True, slots=True)
 class ObjectUse:
-    """One use of an object."""
+    """Use of an object by the start or the cycle."""
 
     index: int
     subindex: int = 0
@@ -45,7 +45,7 @@ def listed(dictionary: Dictionary, index: int, subindex: int = 0) -> Variable | 
 
 
 def objection(dictionary: Dictionary, use: ObjectUse) -> str | None:
-    """Reason why the dictionary does not allow a use, with the expected value; None where it does."""
+    """Return why the dictionary does not allow a use, with the expected value; None where it does."""
     variable = listed(dictionary, use.index, use.subindex)
     if variable is None:
         return "missing"
@@ -115,7 +115,7 @@ MODES: Final = {
     od.CYCLIC_SYNC_TORQUE: "torque",
 }
 RAMPS: Final = (od.PROFILE_ACCELERATION, od.PROFILE_DECELERATION, od.MAX_ACCELERATION, od.MAX_DECELERATION)
-"""Objects that bend a velocity inside the drive, in its counts of velocity per second."""
+"""Ramps inside the drive, which alter a commanded velocity, in its velocity counts per second."""
 
 
 class Verdict(Enum):
@@ -127,7 +127,7 @@ class Verdict(Enum):
 
 
 class Finding(NamedTuple):
-    """One statement of a dictionary, judged."""
+    """Verdict on one statement of a dictionary."""
 
     item: str  # object or part, as `0x6502 supported drive modes`
     verdict: Verdict
@@ -220,7 +220,7 @@ def _target(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
 
 
 def _read_back(dictionary: Dictionary) -> Iterator[Finding]:
-    """Yield the torques that could be read back; they may have another type than CiA 402 says."""
+    """Yield findings on the torques that could be read back; their type may not be that of CiA 402."""
     for index, name in ((od.TORQUE_DEMAND, "torque demand"), (od.TORQUE_ACTUAL, "torque actual")):
         if index in dictionary:
             yield _used(dictionary, ObjectUse(index, 0, DataType.INTEGER16), name)
@@ -293,12 +293,12 @@ def largest_value(dictionary: Dictionary, index: int) -> int:
 
 
 def steepest_ramp(dictionary: Dictionary) -> float:
-    """Return the smallest of the maximum ramp values of a drive [counts/s^2]; infinite without ramps."""
+    """Return the steepest ramp that every ramp object of a drive allows [counts/s^2]; infinite without ramps."""
     return min((largest_value(dictionary, index) for index in RAMPS if is_writable(dictionary, index, 0)), default=inf)
 
 
 def _drive_objects(dictionary: Dictionary, axis: TorqueAxisParameters) -> Iterator[Finding]:
-    """Yield the objects that the scene sets."""
+    """Yield findings on the objects that the scene sets."""
     written = axis.written_objects.items()
     uses = [ObjectUse(*place, reads=True, writes=True, values=(value,)) for place, value in written]
     if axis.brake is not None and axis.brake.output is not None:
@@ -308,7 +308,7 @@ def _drive_objects(dictionary: Dictionary, axis: TorqueAxisParameters) -> Iterat
 
 
 def _ramps(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[Finding]:
-    """Refusal where ramps in the drive alter the velocities that a display may command."""
+    """Return a refusal where ramps in the drive alter the velocities that a display may command."""
     display = axis.admittance
     if display is None or display.mode != "velocity" or display.acceleration_limit is None:
         return []
@@ -333,7 +333,7 @@ def max_torque_unwritten(dictionary: Dictionary, axis: TorqueAxisParameters) -> 
 
 
 def limit_objection(dictionary: Dictionary, axis: TorqueAxisParameters) -> str:
-    """Reason why nothing in the drive limits the torque of an admittance display, and the remedy; "" otherwise."""
+    """Return why nothing in the drive limits the torque of an admittance display, with the remedy; "" otherwise."""
     state = max_torque_unwritten(dictionary, axis)
     if not state or axis.admittance is None or axis.admittance.limit_in_drive:
         return ""
@@ -348,7 +348,7 @@ def _max_torque_value(axis: TorqueAxisParameters) -> int | None:
 
 
 def _rated_torque_objection(dictionary: Dictionary, axis: TorqueAxisParameters) -> str | None:
-    """Return why 0x6076 cannot be read, or cannot hold what the configuration says; the limits apply to writing."""
+    """Return why 0x6076 cannot be read, or its type cannot hold the configured value; None where neither is so."""
     variable = listed(dictionary, od.RATED_TORQUE)
     text = objection(dictionary, ObjectUse(od.RATED_TORQUE, reads=True))
     if text is not None or variable is None or axis.rated_torque is None:
@@ -372,7 +372,7 @@ def _abort_option(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding
 
 
 def _offsets(dictionary: Dictionary, axis: TorqueAxisParameters) -> Iterator[Finding]:
-    """Yield the drive's offsets to its target: optional, and set to 0 at the start."""
+    """Yield findings on the offsets that a drive adds to its target: optional objects, set to 0 at the start."""
     for index in axis.offsets:
         if index in dictionary:
             use = ObjectUse(index, reads=True, writes=is_writable(dictionary, index, 0), values=(0,))
@@ -380,7 +380,7 @@ def _offsets(dictionary: Dictionary, axis: TorqueAxisParameters) -> Iterator[Fin
 
 
 def _interpolation(dictionary: Dictionary, axis: TorqueAxisParameters, sample_time_ns: int | None) -> Iterator[Finding]:
-    """Yield the parts of 0x60C2, which is optional."""
+    """Yield findings on both parts of 0x60C2, which is optional."""
     place = od.INTERPOLATION_PERIOD
     if not quirks_of(axis.quirks).writes_interpolation_period or not is_writable(dictionary, place, 1):
         return

@@ -6,8 +6,8 @@ the order of the limits does not matter, and zero is never forbidden:
     magnitude   -torque_limit .. torque_limit
     rate        from the last torque by one step further out, and by one step beyond zero on the other side: a torque
                 falls to zero at once and rises, on either side, no faster than the rate
-    power       torque * velocity <= power_limit, with the velocity over the hold that ended: what moves against the
-                torque is not limited, for that is power from the user
+    power       torque * velocity <= power_limit, with the velocity over the hold that ended: a torque against the
+                motion is not limited, because it takes power from the user
 """
 
 import math
@@ -42,7 +42,7 @@ class TorqueLimiter:
         saturated_cycles: Number of cycles with a reduced torque so far.
 
     Raises:
-        ParameterError: A limit is not positive, and so would limit nothing or allow nothing.
+        ParameterError: A limit is not positive.
     """
 
     __slots__ = ("_is_alone", "_limit", "_power", "_step", "high", "last", "low", "saturated_cycles", "saturation")

@@ -54,7 +54,7 @@ class Action(Enum):
 
 
 class _StopRule(NamedTuple):
-    """One reason of a stop."""
+    """Meaning, exception and remedy of a stop reason."""
 
     meaning: str
     error: type[errors.RigError]  # the exception

@@ -1,7 +1,7 @@
 """The CiA 402 power state machine (IEC 61800-7-201, 6.3) as data: statusword -> state, and the path to a state.
 
-Our own table instead of canopen's p402: that one sends 0x0F first for a quick stop from SWITCHED ON, re-enables after a
-fault reset, and matches states as substrings.
+canopen's p402 is not used: it sends 0x0F first for a quick stop from SWITCHED ON, re-enables a drive after a fault
+reset, and matches states as substrings.
 """
 
 from enum import Enum

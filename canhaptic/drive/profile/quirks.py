@@ -1,6 +1,6 @@
 """Named deviations of real drives from CiA 301 and 402, chosen by `quirks: [...]` in an axis or by its drive profile.
 
-Each has a twin in the simulated drive (`canhaptic.scene.simulated_defaults`), with which a whole start is tested.
+The simulated drive can show each of them (`canhaptic.scene.simulated_defaults`), which tests a whole start with it.
 """
 
 import tomllib
@@ -32,7 +32,7 @@ class Quirks(Parameters):
     writes_max_torque: bool = True
     """Whether torque_limit is written to 0x6072 where the dictionary allows it; False: the master alone keeps it."""
     maps_demand: bool = True
-    """Whether 0x6074 can be read back where the dictionary says so; False: 0x6077 is."""
+    """Whether 0x6074 is read back where the dictionary allows it; False: 0x6077 is used."""
     abort_connection_option: int = 1
     """Value of 0x6007 for a lost master: 1 fault, 2 disable voltage, 3 quick stop."""
     enable_time: Annotated[float, quantity("s", ge=0.0, le=60.0)] = 0.0
@@ -40,9 +40,9 @@ class Quirks(Parameters):
     waits_for_following: bool = False
     """Whether the start waits for bit 12 of the statusword: the drive follows its target."""
     acts_at_once: bool = False
-    """Whether a synchronous RPDO acts on arrival, though its type is confirmed: `bus.rpdo: event` says so."""
+    """Whether a synchronous RPDO acts on arrival although its type is confirmed; declare `bus.rpdo: event` then."""
     syncs_late: int = 0
-    """SYNCs after the one that follows a synchronous RPDO until it acts."""
+    """SYNCs by which a synchronous RPDO acts later than at the next SYNC."""
 
     @property
     def torque_scale(self) -> float:
@@ -61,7 +61,7 @@ def quirks_of(names: Sequence[str]) -> Quirks:
     """Return the deviations of a drive; without names, of a plain CiA 402 drive.
 
     Args:
-        names: A tuple of names of `_QUIRKS`.
+        names: Names in `quirks.toml`, as a tuple.
 
     Raises:
         ParameterError: No deviation of that name is known, or two contradict each other.

@@ -26,7 +26,7 @@ def read_objects(drive: TorqueAxis) -> Iterator[Finding]:
 
 
 def _objection(drive: TorqueAxis, place: tuple[int, int], value: int) -> str:
-    """Return why a limit of the position is narrower than the scene's; "" where it is not."""
+    """Return which limit of the scene a position limit of the drive cuts off; "" where it cuts none."""
     axis, display = drive.axis, drive.axis.admittance
     if place[0] != POSITION_LIMITS or display is None or place in axis.written_objects:
         return ""

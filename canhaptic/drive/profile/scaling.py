@@ -1,4 +1,4 @@
-"""SI <-> drive units of one axis: the only converter on the master's side.
+"""Conversion between SI and drive units of one axis; nothing else converts on the master's side.
 
 Positions are 32-bit counts that wrap; torques are per mille of the rated torque (0x6076, in mN*m or mN).
 """
@@ -40,11 +40,11 @@ class AxisScaling:
         self.reset()
 
     def reset(self) -> None:
-        """Clear the last position: the next one is taken as an INTEGER32 seen from 0."""
+        """Clear the last position, so that the next 0x6064 is taken as it is."""
         self._counts = 0
 
     def position(self, position_counts: int) -> float:
-        """Return the position [m or rad] of the next 0x6064; a step of less than half the range never jumps."""
+        """Return the position [m or rad] of the next 0x6064; a step across the wrap of INTEGER32 is no jump."""
         step = position_counts - self._counts
         if not -_HALF <= step < _HALF:
             step = (step + _HALF) % _WRAP - _HALF
@@ -99,8 +99,6 @@ def torque_limit_per_mille(torque_limit: float, rated_torque: float) -> int:
 
 
 def _toward_zero(exact: float) -> int:
-    """Return the whole number next to `exact` on the side of zero.
-
-    A hair is added before the fraction is cut: 0.3 of 1.0 is 300 per mille and not 299.
+    """Round towards zero, after adding 1e-9 to the magnitude: 0.3 of 1.0 is 300 per mille and not 299.
     """
     return math.trunc(exact + math.copysign(1e-9, exact))

@@ -1,16 +1,12 @@
-"""Start and stop of a rig, and the cycle as both use it.
+"""Start and stop of a rig on any fieldbus.
 
-Interface of the cycle for the start and the stop of a rig, on any fieldbus.
+The start configures each drive, then sends SYNC, takes the drives to operational, exchanges zero torque, and enables.
 
-The start of a rig after the configuration of each drive: SYNC, operational, zero torque on the wire, enable.
-
-Stop of a rig: zero torque first, then disabled, then pre-operational; confirmed, and without trusting the bus.
-
-The values that a start wrote into a drive are restored, last written first, once the drive reports that it is
-disabled. A drive in a fault, or a silent one, is left as it is. Commands are not settings, and stay at rest.
-
-None of this raises for a bus or drive that is already failing: each part is tried, and what was not confirmed is
-returned as text.
+The stop sends zero torque first, then disables the drives, then takes them to pre-operational. It asks each drive for a
+confirmation and does not rely on the bus: each part is tried even if bus or drive is failing, and what was not
+confirmed is returned as text. Values that the start wrote into a drive are restored, last written first, once the drive
+reports that it is disabled. A drive in a fault, or a silent one, is left as it is. Commands are no settings and stay at
+rest.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -28,7 +24,7 @@ from canhaptic.errors import LinkError, RigError, SdoError
 
 
 class CyclicExchange(Protocol):
-    """Runs the cycle of several drives."""
+    """Interface of the cycle of several drives."""
 
     periods: int
     """Sample times between the last two SYNCs."""
@@ -106,7 +102,7 @@ def start(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
 
 
 def _cycle(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
-    """One SYNC with zero torque and the controlwords as they are."""
+    """Run one cycle with zero torque and the controlwords as they are."""
     with bring_ups[0].step("bus"):
         exchange.sync()
         exchange.write_zero()
@@ -115,10 +111,10 @@ def _cycle(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
 def _cycle_until(
     exchange: CyclicExchange, bring_ups: Sequence[BringUp], confirmation: Callable[[BringUp], Confirmation]
 ) -> None:
-    """Cycles until every drive has confirmed; the others are asked again at intervals.
+    """Cycle until every drive has confirmed; ask a silent one again at intervals.
 
     Raises:
-        StartError: One did not within its time.
+        StartError: A drive did not confirm in time.
     """
     begin = exchange.now()
     awaited = [confirmation(bring_up) for bring_up in bring_ups]
@@ -150,9 +146,9 @@ def _exchange_zero_torque(exchange: CyclicExchange, bring_ups: Sequence[BringUp]
 
 
 def _require_order(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
-    """Cycles until every drive answers two SYNCs, with a pause after the first in which it sends nothing.
+    """Cycle until every drive answers two SYNCs and sends nothing in a pause of one cycle between them.
 
-    What comes in the pause answers an older SYNC, or none: it would be taken for the answer of the next.
+    A frame in the pause answers an older SYNC or none, and would be taken for the answer to the next.
     """
     drives, begin = exchange.drives, exchange.now()
     while True:
@@ -174,7 +170,7 @@ def _require_order(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> No
 
 
 def _read(exchange: CyclicExchange, drive: TorqueAxis, index: int, subindex: int = 0) -> int:
-    """Read an object while the drives' watchdogs of the master run: no heartbeat goes out until the answer."""
+    """Read an object between two heartbeats of the master, since none goes out while the answer is awaited."""
     exchange.beat(at_once=True)
     value = drive.sdo.read_within(exchange.silence // 2, index, subindex)
     exchange.beat(at_once=True)
@@ -283,7 +279,7 @@ def ramp_down(exchange: CyclicExchange, duration: float) -> None:
 
 
 def _set_brake(drive: TorqueAxis, sample_time_ns: int) -> int:
-    """Let the brake of an axis be set; return the cycles until it holds; the axis keeps its torque until then."""
+    """Command the brake of an axis to set; return the cycles until it holds, with the torque kept meanwhile."""
     brake = drive.axis.brake
     if brake is None:
         return 0
@@ -347,8 +343,8 @@ def _write_zero(drives: Sequence[TorqueAxis]) -> None:
 def _cycle_until_disabled(exchange: CyclicExchange, drives: Sequence[TorqueAxis], *, insists: bool) -> None:
     """Repeat zero torque and disable until every drive confirms; a bus that is off may come back meanwhile.
 
-    After the silence of the master that they tolerate the drives have stopped by their own watchdogs. Where none of
-    those that are left shows that it is without torque, disable follows by SDO.
+    It ends at the latest when the drives' own watchdogs have stopped them. It gives up earlier where, after two rounds
+    of SDO and NMT, no remaining drive shows zero torque; the caller then disables by SDO.
     """
     period, now = exchange.sample_time_ns, exchange.now
     stopping = max([drive.stop_time for drive in drives])  # until then a drive that brakes is left to brake
@@ -374,7 +370,7 @@ def _cycle_until_disabled(exchange: CyclicExchange, drives: Sequence[TorqueAxis]
 
 
 def _is_disabled(drive: TorqueAxis) -> bool:
-    """Whether the TPDO that answered the last SYNC says so."""
+    """Whether the answer to the last SYNC shows a state without torque."""
     return drive.is_complete and drive.state in TORQUE_FREE
 
 
@@ -384,7 +380,7 @@ def _demands_no_torque(drive: TorqueAxis) -> bool:
 
 
 def _confirm_disabled(drive: TorqueAxis) -> str:
-    """Error of a drive that should be disabled; asks by SDO, for its TPDO did not show it."""
+    """Disable a drive by SDO where its TPDO did not show that it is; return the error, "" if it is disabled."""
     try:
         drive.sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
         state = drive.read_state()
@@ -445,7 +441,7 @@ def _is_kept(drive: TorqueAxis, change: Written) -> bool:
 
 
 def _put_back(drive: TorqueAxis, change: Written) -> None:
-    """Put one value back; an abort shows when all are compared; raise SdoError without an answer."""
+    """Write one value back; raise SdoError without an answer (an abort shows in `_differences`)."""
     try:
         drive.sdo.write(*change.place, change.before or 0, change.size)
     except SdoError as error:

@@ -1,8 +1,7 @@
 """One axis in cyclic synchronous torque mode: samples in, torques out, reasons to stop. Knows objects, no frames.
 
-A fieldbus derives from `TorqueAxis`: it fills in the received values, and sends the arguments of `write`.
-
-Access of the start of a drive to its objects: read and written, one at a time.
+A fieldbus derives from `TorqueAxis`: it fills in the received values, and sends the arguments of `write`. The start
+reads and writes single objects by `ObjectAccess`.
 """
 
 from abc import ABC, abstractmethod
@@ -36,7 +35,7 @@ class ObjectAccess(Protocol):
     """
 
     changes: list[Written] | None
-    """Writes so far but commands, with the values before; None: not recorded."""
+    """Writes so far, except commands, with the values before; None: not recorded."""
 
     def read(self, index: int, subindex: int = 0) -> int:
         """Return the value of an object."""
@@ -55,7 +54,7 @@ class ObjectAccess(Protocol):
 
 
 COMMANDS: Final = frozenset((od.CONTROLWORD, od.TARGET_TORQUE, od.TARGET_POSITION, od.TARGET_VELOCITY))
-"""Objects that command a drive: no settings, and never put back."""
+"""Objects that command a drive; they are no settings and are never restored."""
 _tuple: Final = tuple.__new__  # makes a sample at half the cost of calling its class
 _NO_REASON: Final = StopReason.NONE  # bound once: to look a member up in its enum takes as long as all of `fault`
 _LIMITED: Final = int(od.StatusBit.INTERNAL_LIMIT)
@@ -108,30 +107,27 @@ class TorqueAxis(ABC):
         answers: Whether the drive answered an SDO since the last start.
         left_out: Objects that the start skips, as the older master of a replayed run did.
         restores: Whether the stop restores values that the start wrote; False for the older master of a replayed run.
-        hold: Whether a hands-off test found in which hold its torques act; empty where no account asks.
+        hold: Text on whether a hands-off test found in which hold its torques act; empty if no account asks.
         unrestored: Objects that the stop did not restore, in words.
         outputs: Digital outputs of the drive (0x60FE:01) with the brake set.
         elsewhere: Writes to other nodes, whose objects are not restored.
         controlword: Controlword sent with the next torque.
         unasked: Number of process data since the last `reset` that arrived in no SYNC window.
-        culprit: Process data that arrived outside a window, or not in the last one, in words.
+        culprit: Process data that arrived outside a window, or are missing in the last one, in words.
         unheard: Number of SYNCs since the last `reset` whose process data did not arrive in their window.
-        read_back_bound: Error bound of a torque that is measured (0x6077): sum over the holds of its largest difference
-            from
-            that of the hold before and from the one sent, and half a per mille of rounding, times the displacement
-            [J]. The true torque of a hold lies between them unless the current loop overshoots, so that the
-            computed energy is no farther from the true one. Without read-back: the same with its
-            largest difference from 0 and from every earlier command, because any of them may continue if lost RPDOs
-            go unnoticed; for holds of which only the total displacement is known, with the farthest
-            that `speed_limit` allows. 0 where the demand is read back, which is exact.
+        read_back_bound: Bound of the error of the energy [J], summed over the holds; 0 where the demand is read back,
+            which is exact. With a measured torque (0x6077): its largest difference from the hold before and from the
+            command, and half a per mille of rounding, times the displacement; the true torque lies between them unless
+            the current loop overshoots. Without read-back: the command's largest difference from 0 and from every
+            earlier command, because any of them may continue if lost RPDOs go unnoticed, times the displacement; where
+            only the sum of several displacements is known, times the farthest that `speed_limit` allows.
         unchanged: Consecutive SYNCs whose process data, with a torque, were identical to the bit: a handle held still,
             a stuck encoder, or process data that are no longer updated.
-        uncommanded: Holds whose read-back torque exceeded its command, or changed sign, and is no older command: no
-            certificate bounded it.
-        longest_hold: The most sample times for which one torque was held since the last `reset`: 1 where all went well,
-            more where SYNCs were skipped, their TPDOs missed, or RPDOs lost as far as the demand read back shows; what
-            came together counts together.
-        longest_gap: The most sample times between two SYNCs since the last `reset`: 1 where none was skipped.
+        uncommanded: Holds in which the torque read back exceeded its command, or had the other sign, and was no older
+            command: no certificate bounded it.
+        longest_hold: Most sample times for which one torque was held since the last `reset`: 1 without losses. Skipped
+            SYNCs, missed TPDOs and lost RPDOs (as far as the demand read back shows) in a row add up.
+        longest_gap: Most sample times between two SYNCs since the last `reset`: 1 where none was skipped.
         open_time, open_torque: Sample times before the last whole sample in which another torque than its own may have
             acted, and the largest difference between them [N*m or N].
         emergency: The first EMCY with an error code since the last `reset`; None when there was none.
@@ -140,7 +136,7 @@ class TorqueAxis(ABC):
     stop_word: od.Controlword = od.Controlword.DISABLE_VOLTAGE
     """Controlword of a stop."""
     stop_time: int = 0
-    """Time that the drive may take to follow it [ns]."""
+    """Time that the drive may take to stop [ns]."""
     rest_text: str = "0"
     """Target of a drive at rest, in words."""
 
@@ -269,14 +265,13 @@ class TorqueAxis(ABC):
         return drive_state(self.statusword)
 
     def sample(self, sync_index: int, periods: int = 1, *, is_whole: bool = True) -> Sample:
-        """Report of the drive for the SYNC just answered, or of the last one.
+        """Return the sample of the SYNC just answered, else the last one, marked as old.
 
         Args:
             sync_index: Index of that SYNC.
             periods: Sample times since the previous SYNC; more than 1 when SYNCs were skipped.
             is_whole: False where another drive, whose position is needed together with this one, did not answer: no
-                torque can
-                be computed from it, and the link policy counts the SYNC as missed.
+                torque can be computed, and the link policy counts the SYNC as missed.
         """
         self._periods += periods
         self._is_late = periods > 1
@@ -361,7 +356,8 @@ class TorqueAxis(ABC):
     def _leave_open(self, applied: int, accounted: int) -> int:
         """Record how far torques of lost holds may have been from `applied`; return for how many sample times.
 
-        The candidates are the commands since, or the one before where commands were lost, cut by a limit now shown.
+        In these holds any command since may have acted or, where commands were lost, the one before. A limit that the
+        drive shows now cuts them.
         """
         is_known = self._reads_demand and not self._shows_next  # in the hold that ended
         others = (self._held_before, applied if is_known else accounted, *self._passed)
@@ -371,7 +367,7 @@ class TorqueAxis(ABC):
         return self._periods - is_known
 
     def _judge_other(self, applied: int, commanded: int, tolerance: float) -> None:
-        """Count a torque that is not its command; smaller torques and older commands are covered, not counted."""
+        """Count a torque that is not its command; the account covers smaller torques and older commands."""
         is_smaller = min(commanded, 0) - tolerance <= applied <= max(commanded, 0) + tolerance
         if not is_smaller and applied not in self._passed and self._last.sync_index >= 0:
             self.uncommanded += 1
@@ -393,7 +389,7 @@ class TorqueAxis(ABC):
             self._stale_holds += 1
 
     def _is_reduced(self, applied: int, commanded: int, tolerance: float) -> bool:
-        """Whether a limit that the drive shows (bit 11) explains a torque: it makes one smaller and never turns it.
+        """Whether a limit that the drive shows (bit 11) explains a torque: it is smaller and of the same sign.
 
         Whether the drive follows its command is then unknown.
         """
@@ -416,7 +412,7 @@ class TorqueAxis(ABC):
         self._watched, self._expected = ENABLED_MASK | follows | limits, ENABLED_VALUE | follows
 
     def fault(self, now: int) -> StopReason:
-        """Reason why the rig must stop because of this drive; NONE where there is none."""
+        """Return why the rig must stop because of this drive; NONE without a reason."""
         if (
             self.emergency is not None or self.statusword & self._watched != self._expected or not self.is_operational
         ) and (reason := self._state_fault()):
@@ -443,7 +439,7 @@ class TorqueAxis(ABC):
         return self._deviation()
 
     def _deviation(self) -> StopReason:
-        """Tolerate bit 11 or 12 for as many cycles as a missing TPDO before the torque is ramped down."""
+        """Return the reason in bit 11 or 12; it is tolerated for as many cycles as a torque is held without TPDO."""
         cycle = self.policy.cycles
         self._deviations = self._deviations + 1 if self._deviated_at == cycle - 1 else 1
         self._deviated_at = cycle

@@ -21,7 +21,7 @@ ReadBack = Literal["demand", "actual", "none"]
 
 
 def _by_place(objects: object) -> object:
-    """Objects of a scene by their places as texts; raise ValueError for one that is none of these."""
+    """Return `drive_objects` with keys of one form, `0x607D.1`; raise ValueError for an unknown object."""
     if not objects or not isinstance(objects, dict):
         return objects or {}
     from canhaptic.drive.profile.drive_objects import place_of
@@ -51,7 +51,7 @@ class TorqueAxisParameters(Parameters):
     torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0)]
     """Largest torque ever commanded; also written to 0x6072 where the drive has it."""
     torque_verified: Literal["weight", "balance", "mass", "no"] | None = None
-    """Means by which the scale of the torque was verified: a weight on an arm, a spring balance, or the known mass
+    """How the scale of the torque was verified: by a weight on an arm, a spring balance, or the known mass
     (`canhaptic commission`). Needed on real drives; with `no` they are sent a hundredth of `torque_limit` at most."""
     position_reference: Literal["absolute", "index_home", "at_start", "sensor"] | None = None
     """Origin of the counts: an absolute encoder, the index that `canhaptic home` or the vendor's tool homed to, the
@@ -65,9 +65,8 @@ class TorqueAxisParameters(Parameters):
     """Largest speed of the position between two SYNCs; beyond it the rig stops. By default 10 m/s or 100 rad/s, faster
     than a hand."""
     energy_loss_limit: Annotated[float, quantity("J", gt=0.0, le=10.0)] | Literal["none"] | None = None
-    """Energy that the port may give out beyond the declared amount; then the rig stops. In a group the least of all
-    axes counts. By default 10 mJ, in simulation for algorithms that promise passivity alone; `none` in simulation
-    alone."""
+    """Energy that the port may generate beyond the declared amount before the rig stops; a group takes the least of its
+    axes. By default 10 mJ; in simulation only for algorithms that promise passivity. `none` in simulation only."""
     read_back: Literal["auto", "demand", "actual", "none"] = "auto"
     """Torque in the TPDO: 0x6074, 0x6077, nothing; auto takes the first that the dictionary allows."""
     torque_tolerance: Annotated[float, quantity("1", gt=0.0, le=1.0)] = 0.05
@@ -79,8 +78,8 @@ class TorqueAxisParameters(Parameters):
     hold. None, or with another drive: the account says that its holds were not checked, and no certificate of a real
     drive gives a yes."""
     check_hold: Literal["each_start"] | None = None
-    """When the hold is checked besides: `each_start` moves the handle, hands off, before each run, for some seconds and
-    by at most 20 mm or mrad. A drive that acts in another hold is refused. None: by `canhaptic commission` alone."""
+    """`each_start` tests before each run in which hold a torque acts: hands off, it moves the handle for some seconds
+    by at most 20 mm or mrad, and refuses a drive that acts in another hold. None: only `canhaptic commission` tests."""
     hold_dither: Annotated[float, quantity("N", "N*m", gt=0.0)] | None = None
     """Amplitude of a random sign sequence in the torques of `guarded`: a run then shows in which hold they act, and
     has no certificate where it is another one than declared. At least half a step of the torque. None: not added."""
@@ -96,14 +95,14 @@ class TorqueAxisParameters(Parameters):
     watchdog: bool = True
     """Arms the drive's own watchdog of the master's heartbeat (0x1016, 0x6007)."""
     reset_fault: bool = False
-    """Whether start may reset a fault of the drive before it begins; never done in the cycle."""
+    """Whether the start may reset a fault of the drive; the cycle never does."""
     brake: Annotated[Brake, OnDemand("canhaptic.canopen.brake:Brake")] | None = None
     """Holding brake of the axis; None: it has none."""
     drive_objects: Annotated[dict[str, int], BeforeValidator(_by_place)] = Field(default_factory=dict)
     """Values of the drive's own limits, ramps and reactions, in its units, written by the start: `{0x6065: 2000}`.
     0x6065, 0x6066, 0x605A, 0x605E, 0x607D.1, 0x607D.2, 0x607F, 0x6080, 0x6083 to 0x6085, 0x60C5, 0x60C6."""
     restore_limits: bool = False
-    """Whether the stop puts 0x6072, 0x607F and 0x6080 back too, as it does with all else that the start wrote."""
+    """Whether the stop restores 0x6072, 0x607F and 0x6080 too, like everything else that the start wrote."""
     sdo_timeout: Annotated[float, quantity("s", ge=1e-3, le=10.0)] = 0.3
     """Time allowed for the answer to an SDO request before it is repeated."""
     start_timeout: Annotated[float, quantity("s", ge=0.0, le=60.0)] = 5.0
