@@ -267,7 +267,7 @@ class OpenRig:
             self._source = OpenReplay(self._replay, scene, realtime=self._pace == "real", dry_run=self._no_torque)
         else:
             if not self._no_torque and any(axis.parameters.check_hold is not None for axis in scene.axes):
-                from canhaptic.commission.start_check import checked_holds
+                from canhaptic.commission.torque_tests import checked_holds
 
                 self.scene = scene = checked_holds(scene, partial(print, file=sys.stderr), lambda: False)
             self._source = build(scene, self._pace, *self._logs, no_torque=self._no_torque)

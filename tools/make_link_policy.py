@@ -4,17 +4,17 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-from canhaptic.drive.profile.link_policy import READ_BACK_TABLE, STOP_TABLE, Action, StopReason
+from canhaptic.drive.profile.link_policy import READ_BACK_TABLE, STOP_TABLE, StopReason
 from tools.page_part import with_part, write_page
 
 PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "troubleshooting.md"
 RESULT: Final = PAGE.with_name("results") / "faults.json"
-_MISSED: Final = {
-    Action.RUN: "0",
-    Action.HOLD: "1 to `bus.hold_cycles`",
-    Action.RAMP: "up to `bus.stop_cycles`",
-    Action.STOP: "`bus.stop_cycles`",
-}
+_MISSED: Final = [
+    ["0", "RUN", "the controller's torque"],
+    ["1 to `bus.hold_cycles`", "HOLD", "the last torque held"],
+    ["up to `bus.stop_cycles`", "RAMP", "ramp to zero"],
+    ["`bus.stop_cycles`", "STOP", "zero and disable"],
+]
 _INTRODUCTION: Final = """\
 ## Missed TPDOs
 
@@ -65,7 +65,6 @@ def _of_a_stop(row: dict[str, Any]) -> list[str]:
 
 def page() -> str:
     """Returns the text of the page."""
-    missed = [[_MISSED[action], action.name, action.value] for action in Action]
     stops = [
         [str(int(reason)), reason.name, rule.meaning, f"`{rule.error.__name__}`", rule.remedy]
         for reason, rule in STOP_TABLE.items()
@@ -74,7 +73,7 @@ def page() -> str:
     words = " and ".join(f"{number} ({name})" for number, name in quiet)
     lines = [
         _INTRODUCTION,
-        *_table(["TPDOs missed in a row", "action", "torque"], missed),
+        *_table(["TPDOs missed in a row", "action", "torque"], _MISSED),
         _READ_BACK,
         *_table(
             [

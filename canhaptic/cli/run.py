@@ -73,7 +73,7 @@ def _with_checked_holds(scene: Scene, stop: StopSignal, arguments: argparse.Name
     """Return the scene after the check that `check_hold` asks for; nothing of it is loaded otherwise."""
     if arguments.no_torque or all(axis.parameters.check_hold is None for axis in scene.axes):
         return scene
-    from canhaptic.commission.start_check import checked_holds
+    from canhaptic.commission.torque_tests import checked_holds
 
     return checked_holds(scene, write_note, stop.requested)
 

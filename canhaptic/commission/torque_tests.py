@@ -4,9 +4,13 @@ The scale is verified before more than a few per mille of the drive's rated torq
 plate, or a forgotten gear, scales every torque by one wrong ratio, `torque_limit` included, and no certificate notices.
 The reference must come from outside the drive: a known moved mass, which doublets measure, a known weight on an arm,
 which the drive lifts, or a spring balance, against which it pushes.
+
+`checked_holds` reverses the torques before a run (`check_hold`), to see in which hold they act.
 """
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Final, NamedTuple
 
@@ -16,8 +20,19 @@ from numpy.typing import NDArray
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.commission import mass_and_friction
 from canhaptic.commission.mass_and_friction import SURE, Dynamics, FrictionCurve, estimate, friction_curve, is_dear
-from canhaptic.commission.session import OpenLoop, Session, StepVerdict, doublet, reversals, sweep
-from canhaptic.scene.models import AxisScene
+from canhaptic.commission.session import (
+    CommissioningLimits,
+    OpenLoop,
+    Session,
+    StepVerdict,
+    Unattended,
+    doublet,
+    reversals,
+    sweep,
+)
+from canhaptic.drive.clock import WallClock
+from canhaptic.errors import StartError
+from canhaptic.scene.models import AxisScene, Scene
 
 _PULSE: Final = 0.04  # [s]
 _SWEEP: Final = (2.0, 8.0, 4.0)  # [Hz] first and last, [s]
@@ -437,3 +452,62 @@ def _judge_scale(session: Session, axis: int, means: str, ratio: float | None) -
         return session.propose(axis, key, None, comment=f"agrees, by {means}")
     unit = effort_unit(parameters.unit) if key == "rated_torque" else ""
     session.propose(axis, key, getattr(parameters, key) * ratio, unit, f"by {means}")
+
+
+_ANNOUNCED: Final = 3.0  # [s] before a real drive moves
+
+
+def checked_holds(scene: Scene, tell: Callable[[str], None], stop_requested: Callable[[], bool]) -> Scene:
+    """Check the hold of each axis with `check_hold: each_start`; return the scene with confirmed `hold_checked`.
+
+    Each drive is started, its torque reversed as in `canhaptic commission`, within a tenth of its rated torque, and
+    stopped. Where the hold stays unclear, for instance because a hand was on the handle, the axis runs as declared but
+    without `hold_checked`: its account says "hold: not checked".
+
+    Args:
+        scene: Scene of a run; each such axis declares `moving_mass`.
+        tell: Shows a line to the person at the machine.
+        stop_requested: The operator's stop.
+
+    Raises:
+        StartError: A torque acts in another hold than declared, or is read back for another.
+        RigError: Drive or link failed; torque is zero.
+    """
+    asked = [axis for axis, of in enumerate(scene.axes) if of.parameters.check_hold is not None]
+    if not asked:
+        return scene
+    session = Session(scene, _Announced(tell, stop_requested, scene), CommissioningLimits(), stop_requested)
+    with session.rig_of(with_hand=False):
+        for axis in asked:
+            if not stop_requested():
+                mass = scene.axes[axis].loop.moving_mass or 1.0
+                mass_and_friction.time_the_torque(session, axis, largest_torque(session, axis), mass)
+    for row in session.report.findings:
+        if row.verdict in (StepVerdict.DIFFERS, StepVerdict.FAILED):
+            raise StartError(row.axis, f"check_hold: {row.item}", row.found, row.configured, row.text)
+    found = {value.axis: value.value for value in session.report.values if value.key == "hold_checked"}
+    axes, overrides = list(scene.axes), list(scene.overrides)
+    for axis in asked:
+        given = axes[axis].parameters
+        known = str(found[given.name]) if given.name in found else None
+        axes[axis] = replace(axes[axis], parameters=given.model_copy(update={"hold_checked": known}))
+        overrides.append(f"axes.{axis}.hold_checked={known or 'null'}")
+    return replace(scene, axes=tuple(axes), overrides=tuple(overrides))
+
+
+class _Announced(Unattended):
+    """Dialogue that announces each test, and gives a person at a real drive time to let go or to stop."""
+
+    def __init__(self, tell: Callable[[str], None], stop_requested: Callable[[], bool], scene: Scene) -> None:
+        super().__init__(tell)
+        self._stop_requested, self._waits = stop_requested, not scene.simulated
+
+    def confirm(self, question: str) -> bool:
+        """Announce the test; return whether the operator lets it go on."""
+        begin = f" in {_ANNOUNCED:g} s" if self._waits else ", now"
+        self.tell(question.replace("Reversals", "check_hold: reversals").replace(", now?", begin))
+        clock = WallClock()
+        end = clock.now() + round(_ANNOUNCED * 1e9)
+        while self._waits and clock.now() < end and not self._stop_requested():
+            clock.wait_until(clock.now() + 50_000_000)  # [ns] between two looks at the stop
+        return not self._stop_requested()

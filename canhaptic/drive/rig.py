@@ -15,14 +15,14 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
 from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can import start_and_stop
 from canhaptic.drive.can.bus_budget import budget_of, has_room_for_sdo, own_frames
 from canhaptic.drive.can.exchange import Exchange
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
+from canhaptic.drive.can.start_and_stop import Trust
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.drive.profile import start_and_stop
 from canhaptic.drive.profile.link_policy import STOP_TABLE, StopReason
-from canhaptic.drive.profile.start_and_stop import Trust
 from canhaptic.errors import ControlError, InputError, LinkError, RigError
 from canhaptic.host.realtime import Realtime, RealtimeParameters
 from canhaptic.signals import CycleTiming, Sample

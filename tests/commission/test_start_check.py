@@ -11,8 +11,8 @@ from canhaptic.audit.recompute import recompute_all, scene_of
 from canhaptic.audit.rederive import rederive
 from canhaptic.cli import run as run_command
 from canhaptic.cli.options import add_arguments
-from canhaptic.commission import start_check
-from canhaptic.commission.start_check import checked_holds
+from canhaptic.commission import mass_and_friction, torque_tests
+from canhaptic.commission.torque_tests import checked_holds
 from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import SceneError, StartError
@@ -70,7 +70,7 @@ def test_a_drive_that_acts_in_another_hold_or_reports_it_is_refused(drive: str, 
 
 def test_a_hold_that_nothing_tells_leaves_no_yes_by_certificate(monkeypatch: pytest.MonkeyPatch) -> None:
     """The check is broken off: what an earlier one said of the drive does not count either."""
-    monkeypatch.setattr(start_check, "time_the_torque", lambda *_: None)
+    monkeypatch.setattr(mass_and_friction, "time_the_torque", lambda *_: None)
     known = "axes.0.hold_checked=0-192-10000-0-fada816f-1000Hz-synchronous-0"
     wall = ("environment.position=-0.002", "environment.stiffness=1000", "axes.0.counts_per_unit=2e4")
     scene, _ = checked(known, *wall, "simulation.user={push: -2, damping: 60}")  # comes in slowly, count by count
@@ -85,7 +85,7 @@ def test_a_hold_that_nothing_tells_leaves_no_yes_by_certificate(monkeypatch: pyt
 def test_a_run_without_torque_or_without_the_key_checks_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(start_check, "checked_holds", lambda *_: pytest.fail("it moved the handle"))
+    monkeypatch.setattr(torque_tests, "checked_holds", lambda *_: pytest.fail("it moved the handle"))
     for words in (["--set", ASKED, "--no-torque"], []):
         parser = argparse.ArgumentParser()
         add_arguments("run", parser)
@@ -114,7 +114,8 @@ def test_a_person_at_a_real_drive_has_three_seconds_in_which_to_stop_it(monkeypa
     said: list[str] = []
     looks = iter([False, True, True])
     scene: Any = type("RealScene", (), {"simulated": False})
-    assert start_check._Announced(said.append, lambda: next(looks), scene).confirm("x: Reversals of 1 N, now?") is False
+    dialogue = torque_tests._Announced(said.append, lambda: next(looks), scene)
+    assert dialogue.confirm("x: Reversals of 1 N, now?") is False
     assert said == ["x: check_hold: reversals of 1 N in 3 s"]
-    assert start_check._Announced(said.append, lambda: False, scene).confirm("x: now?") is True
+    assert torque_tests._Announced(said.append, lambda: False, scene).confirm("x: now?") is True
     assert next(times) >= 3 * 10**9

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canhaptic.drive.profile.limiter import Saturation, TorqueLimiter
-from canhaptic.drive.profile.link_policy import STOP_TABLE, Action, LinkPolicy, StopReason
+from canhaptic.drive.profile.link_policy import STOP_TABLE, LinkPolicy, StopReason
 from canhaptic.errors import ControlError, ParameterError, RigError
 
 LIMIT, SAMPLE_TIME, RATE, POWER = 5.0, 1e-3, 1000.0, 2.0
@@ -117,11 +117,10 @@ def test_the_policy_holds_ramps_and_stops_as_its_table_says() -> None:
     seen = []
     for _ in range(7):
         policy.on_missed()
-        seen.append((policy.action(), policy.torque_fraction()))
-    assert [action for action, _ in seen] == [Action.HOLD] * 2 + [Action.RAMP] * 3 + [Action.STOP] * 2
-    assert [share for _, share in seen] == pytest.approx([1.0, 1.0, 0.75, 0.5, 0.25, 0.0, 0.0])
+        seen.append(policy.torque_fraction())
+    assert seen == pytest.approx([1.0, 1.0, 0.75, 0.5, 0.25, 0.0, 0.0])
     policy.on_tpdo()
-    assert (policy.action(), policy.missed, policy.missed_total) == (Action.RUN, 0, 7)
+    assert (policy.torque_fraction(), policy.missed, policy.missed_total) == (1.0, 0, 7)
     assert policy.success_rate() == pytest.approx(1 / 8)
 
 

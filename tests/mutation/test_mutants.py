@@ -81,7 +81,7 @@ SUBJECTS = {
         link_policy,
         specification_of_link_policy.judge,
         140,
-        members={"StopReason": link_policy.StopReason, "Action": link_policy.Action},
+        members={"StopReason": link_policy.StopReason},
         names={
             "max": ("min",),
             "TpdoLostError": ("HeartbeatLostError",),

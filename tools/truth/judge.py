@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass, replace
 from math import inf
 from typing import Any, Final
 
-from canhaptic.commission.start_check import checked_holds
+from canhaptic.commission.torque_tests import checked_holds
 from canhaptic.cycle import Cycle, run
 from canhaptic.errors import CanHapticError
 from canhaptic.result import RunResult, run_result

@@ -10,7 +10,7 @@ everything below        at once      zero torque, the rig stops
 """
 
 import tomllib
-from enum import Enum, IntEnum
+from enum import IntEnum
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -44,15 +44,6 @@ class StopReason(IntEnum):
     OWN_CODE_LATE = 34
 
 
-class Action(Enum):
-    """Action of the rig on the torque of an axis."""
-
-    RUN = "the controller's torque"
-    HOLD = "the last torque held"
-    RAMP = "ramp to zero"
-    STOP = "zero and disable"
-
-
 class _StopRule(NamedTuple):
     """Meaning, exception and remedy of a stop reason."""
 
@@ -78,7 +69,7 @@ READ_BACK_TABLE: Final = {name: tuple(of.values()) for name, of in _TABLES["read
 
 
 class LinkPolicy:
-    """Counts the missed cycles of one axis and selects the action on its torque.
+    """Counts the missed cycles of one axis, and fades the torque that is held meanwhile.
 
     Args:
         hold_cycles: Missed cycles for which the last torque is held.
@@ -110,14 +101,6 @@ class LinkPolicy:
         self.cycles += 1
         self.missed += 1
         self.missed_total += 1
-
-    def action(self) -> Action:
-        """Return the action in this cycle."""
-        if self.missed == 0:
-            return Action.RUN
-        if self.missed <= self._hold_cycles:
-            return Action.HOLD
-        return Action.RAMP if self.missed < self._stop_cycles else Action.STOP
 
     def torque_fraction(self) -> float:
         """Return the fraction of the last torque that may still be held, 1 to 0."""

@@ -1,4 +1,4 @@
-"""Start and stop of a rig on any fieldbus.
+"""Start and stop of a rig.
 
 The start configures each drive, then sends SYNC, takes the drives to operational, exchanges zero torque, and enables.
 
@@ -13,55 +13,15 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from enum import Enum
 from functools import partial
 from itertools import count
-from typing import Final, Protocol
+from typing import Final
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import Controlword, StatusBit
+from canhaptic.drive.can.exchange import Exchange
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
 from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, PowerState, next_controlword
 from canhaptic.drive.profile.torque_axis import TorqueAxis, Written
 from canhaptic.errors import LinkError, RigError, SdoError
-
-
-class CyclicExchange(Protocol):
-    """Interface of the cycle of several drives."""
-
-    periods: int
-    """Sample times between the last two SYNCs."""
-    skipped: int
-    """SYNCs missed and skipped since `begin`."""
-    sample_time_ns: int
-    """The sample time [ns]."""
-    beat_cycles: int
-    """Sample times between signs of life of the master."""
-    silence: int
-    """Silence of the master that a drive tolerates [ns]."""
-
-    @property
-    def drives(self) -> Sequence[TorqueAxis]:
-        """All drives."""
-
-    def now(self) -> int:
-        """Return the time [ns]."""
-
-    def wait_until(self, deadline: int) -> None:
-        """Return when `deadline` [ns] has come."""
-
-    def begin(self) -> None:
-        """Send the next SYNC at once and count from there."""
-
-    def leave_one_out(self) -> None:
-        """Delay the next SYNC by one sample time, and take late answers to the last one; raise LinkError."""
-
-    def sync(self) -> None:
-        """Wait for the next deadline, send SYNC and take its answers; raise LinkError."""
-
-    def write_zero(self) -> None:
-        """Send every drive its controlword with zero torque; raise LinkError."""
-
-    def beat(self, *, at_once: bool = False) -> None:
-        """Send the master's sign of life, when due or at once; raise LinkError."""
-
 
 _WRAP: Final = 1 << 32
 _AFTER: Final[dict[int, PowerState]] = {  # state after a controlword
@@ -71,7 +31,7 @@ _AFTER: Final[dict[int, PowerState]] = {  # state after a controlword
 }
 
 
-def start(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
+def start(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
     """Take every drive to OPERATION ENABLED with zero torque; return after the first SYNC that found all enabled.
 
     Args:
@@ -101,7 +61,7 @@ def start(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
     _enable(exchange, bring_ups)
 
 
-def _cycle(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
+def _cycle(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
     """Run one cycle with zero torque and the controlwords as they are."""
     with bring_ups[0].step("bus"):
         exchange.sync()
@@ -109,7 +69,7 @@ def _cycle(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
 
 
 def _cycle_until(
-    exchange: CyclicExchange, bring_ups: Sequence[BringUp], confirmation: Callable[[BringUp], Confirmation]
+    exchange: Exchange, bring_ups: Sequence[BringUp], confirmation: Callable[[BringUp], Confirmation]
 ) -> None:
     """Cycle until every drive has confirmed; ask a silent one again at intervals.
 
@@ -132,7 +92,7 @@ def _cycle_until(
                 raise bring_up.refusal(wanted.step, wanted.seen(), wanted.expected)
 
 
-def _exchange_zero_torque(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
+def _exchange_zero_torque(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
     """Cycle until every drive answers SYNC, then read back its target torque and its torque demand."""
     _require_order(exchange, bring_ups)
     for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
@@ -145,7 +105,7 @@ def _exchange_zero_torque(exchange: CyclicExchange, bring_ups: Sequence[BringUp]
             raise bring_up.refusal("zero torque", f"0x6074 = {drive.reported_per_mille} in the TPDO", "0")
 
 
-def _require_order(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
+def _require_order(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
     """Cycle until every drive answers two SYNCs and sends nothing in a pause of one cycle between them.
 
     A frame in the pause answers an older SYNC or none, and would be taken for the answer to the next.
@@ -169,7 +129,7 @@ def _require_order(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> No
             raise bring_up.refusal("PDO exchange", f"{drive.culprit}: {seen}", wanted, f"{remedy}bus.rate")
 
 
-def _read(exchange: CyclicExchange, drive: TorqueAxis, index: int, subindex: int = 0) -> int:
+def _read(exchange: Exchange, drive: TorqueAxis, index: int, subindex: int = 0) -> int:
     """Read an object between two heartbeats of the master, since none goes out while the answer is awaited."""
     exchange.beat(at_once=True)
     value = drive.sdo.read_within(exchange.silence // 2, index, subindex)
@@ -177,7 +137,7 @@ def _read(exchange: CyclicExchange, drive: TorqueAxis, index: int, subindex: int
     return value
 
 
-def _check_positions(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
+def _check_positions(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
     """Compare the position in the TPDO with the one by SDO: a map that is shifted shows here, before any torque."""
     for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
         with bring_up.step("position"):
@@ -189,7 +149,7 @@ def _check_positions(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> 
             raise bring_up.refusal("position", seen, f"{by_sdo} counts, as read by SDO (0x6064)")
 
 
-def _enable(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
+def _enable(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
     """Walk every drive through 0x06, 0x07, 0x0F, each confirmed by the statusword before the next."""
     begin = dict.fromkeys(exchange.drives, exchange.now())
     states = {drive: drive.state for drive in exchange.drives}
@@ -215,7 +175,7 @@ def _enable(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> None:
             exchange.sync()
 
 
-def _open_brakes(exchange: CyclicExchange, bring_ups: Sequence[BringUp]) -> int:
+def _open_brakes(exchange: Exchange, bring_ups: Sequence[BringUp]) -> int:
     """Open every brake; return when the slowest is open [ns]: until then the drives hold zero torque."""
     longest = 0.0
     for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
@@ -236,7 +196,7 @@ def _is_enabled(drive: TorqueAxis) -> bool:
     return drive.state is PowerState.OPERATION_ENABLED and bool(follows)
 
 
-def _refuse_fault(exchange: CyclicExchange, drive: TorqueAxis, bring_up: BringUp) -> None:
+def _refuse_fault(exchange: Exchange, drive: TorqueAxis, bring_up: BringUp) -> None:
     if drive.state in FAULTED or drive.emergency is not None:
         code = 0 if drive.emergency is None else drive.emergency.code
         from canhaptic.canopen.code_texts import emcy_remedy
@@ -256,7 +216,7 @@ class Trust(Enum):
     NONE = "the link failed: frames may be lost on any way"
 
 
-def ramp_down(exchange: CyclicExchange, duration: float) -> None:
+def ramp_down(exchange: Exchange, duration: float) -> None:
     """Ramp the torque of every axis linearly to zero, through the limiter; after setting its brake, if it has one.
 
     Args:
@@ -289,7 +249,7 @@ def _set_brake(drive: TorqueAxis, sample_time_ns: int) -> int:
     return -(-round(brake.set_time * 1e9) // sample_time_ns) + 2  # an RPDO acts a SYNC later
 
 
-def disable(exchange: CyclicExchange, trust: Trust) -> list[str]:
+def disable(exchange: Exchange, trust: Trust) -> list[str]:
     """Send zero torque, disable every drive and take it to pre-operational.
 
     Args:
@@ -340,7 +300,7 @@ def _write_zero(drives: Sequence[TorqueAxis]) -> None:
         raise failure
 
 
-def _cycle_until_disabled(exchange: CyclicExchange, drives: Sequence[TorqueAxis], *, insists: bool) -> None:
+def _cycle_until_disabled(exchange: Exchange, drives: Sequence[TorqueAxis], *, insists: bool) -> None:
     """Repeat zero torque and disable until every drive confirms; a bus that is off may come back meanwhile.
 
     It ends at the latest when the drives' own watchdogs have stopped them. It gives up earlier where, after two rounds
