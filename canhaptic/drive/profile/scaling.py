@@ -99,6 +99,5 @@ def torque_limit_per_mille(torque_limit: float, rated_torque: float) -> int:
 
 
 def _toward_zero(exact: float) -> int:
-    """Round towards zero, after adding 1e-9 to the magnitude: 0.3 of 1.0 is 300 per mille and not 299.
-    """
+    """Round towards zero, after adding 1e-9 to the magnitude: 0.3 of 1.0 is 300 per mille and not 299."""
     return math.trunc(exact + math.copysign(1e-9, exact))
