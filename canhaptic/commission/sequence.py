@@ -6,6 +6,7 @@ zero torque times the cycle.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Final
 
 from canhaptic.axis_units import effort_unit
@@ -18,6 +19,10 @@ from canhaptic.drive.profile.power_states import TORQUE_FREE
 from canhaptic.errors import InputError, RigError, SdoError, StartError
 
 _ASK_DEVICE_TYPE: Final = bytes.fromhex("40 00 10 00 00 00 00 00")
+
+
+def _note(answered: set[int], node: int, _data: bytearray) -> None:
+    answered.add(node)
 
 
 def _scan(link: Link, known: Sequence[int], master: int) -> list[int]:
@@ -35,7 +40,7 @@ def _scan(link: Link, known: Sequence[int], master: int) -> list[int]:
     asked = [node for node in range(1, 128) if node not in known and node != master]
 
     for node in asked:
-        link.subscribe(od.SDO_RESPONSE_BASE + node, lambda _, node=node: answered.add(node))
+        link.subscribe(od.SDO_RESPONSE_BASE + node, partial(_note, answered, node))
     try:
         for node in asked:
             link.send(od.SDO_REQUEST_BASE + node, _ASK_DEVICE_TYPE)

@@ -120,6 +120,8 @@ def _windows(positions: _Array, torques: _Array, half: int) -> _Windows | None:
         return None
     moved = moved - moved[:, :1]
     signs = np.sign(pushed[:, half + _BEFORE])[:, None]
+    earlier = torques[turns[is_one_way] - half - _BEFORE]
+    pushed = np.column_stack([earlier, pushed])
     sums = moved.T @ moved, moved.T @ pushed, pushed.T @ pushed
     return _Windows(len(moved), half, *sums, (moved * signs).mean(axis=0), (pushed * signs).mean(axis=0))
 
@@ -151,11 +153,12 @@ def _response(times: _Array, lag: float, mode: tuple[float, float] | None) -> _A
 
 def _left(windows: _Windows, model: _Model, delay: float, lag: float) -> tuple[float, _Array]:
     """Sum of the squared residuals for a delay and a lag, and its mean over the windows."""
-    times = np.arange(-windows.half, windows.half + 1)[:, None] - np.arange(-windows.half - _BEFORE, windows.half + 1)
-    rigid = _response(times - delay, lag, None)
-    shapes = [rigid, np.cumsum(rigid, axis=0)]  # of the torque, and of a damping
+    at = np.arange(-windows.half, windows.half + 1)
+    times = at[:, None] - np.arange(-windows.half - _BEFORE, windows.half + 1)
+    rigid, cubic = _response(times - delay, lag, None), at[:, None] ** 3 / 6.0
+    shapes = [np.hstack([0.0 * cubic, rigid]), np.hstack([cubic, np.cumsum(rigid, axis=0)])]  # of torque and damping
     if model.mode is not None:
-        shapes.append(_response(times - delay, lag, model.mode))
+        shapes.append(np.hstack([0.0 * cubic, _response(times - delay, lag, model.mode)]))
     parts = np.array([model.rest @ shape for shape in shapes])
     parts /= np.sqrt((parts * parts).sum(axis=(1, 2)))[:, None, None]
     matrix = np.einsum("iab,jab->ij", parts @ windows.pushed, parts)
@@ -281,10 +284,17 @@ def _age(commands: _Array, shown: _Array) -> int | None:
     return errors.index(min(errors)) if is_clear else None
 
 
-def report_hold(session: Session, axis: int, times: HoldTimes) -> None:
-    """Report the times from command to motion, to read-back and between these two; propose the values to declare."""
+def report_hold(session: Session, axis: int, times: HoldTimes, remedy: str) -> None:
+    """Report the times from command to motion, to read-back and between these two; propose the values to declare.
+
+    Args:
+        session: Commissioning session.
+        axis: Index of the axis.
+        times: Times that the last test found.
+        remedy: Reason and remedy where the hold is unclear.
+    """
     begin = session.axes[axis].loop.delay
-    _report_motion(session, axis, begin, times)
+    _report_motion(session, axis, begin, times, remedy)
     if not times.is_read_back:
         return session.found(axis, _SHOWN, "", "none", StepVerdict.UNKNOWN, "no torque is read back")
     if times.shown is None:
@@ -304,14 +314,13 @@ def _text(begin: int, found: TorqueDelay | None, hold: int | None) -> str:
     return f"unclear: {within} SYNC" if hold is None else f"{begin + hold} SYNC ({within})"
 
 
-def _report_motion(session: Session, axis: int, begin: int, times: HoldTimes) -> None:
+def _report_motion(session: Session, axis: int, begin: int, times: HoldTimes, remedy: str) -> None:
     """Report in which hold a torque acts; no scene is ready where it cannot declare that hold."""
     parameters, rpdo = session.axes[axis].parameters, session.drives[axis].bus.rpdo
     configured, found, hold = f"{begin} SYNC", _text(begin, times.motion, times.hold), times.hold
     late = quirks_of(parameters.quirks).syncs_late
     if hold is None:
-        text = "raise --torque, --travel and --speed; until the hold is known, no account of a real drive is checked"
-        session.found(axis, _MOTION, configured, found, StepVerdict.UNKNOWN, text)
+        session.found(axis, _MOTION, configured, found, StepVerdict.UNKNOWN, remedy)
     elif hold == 0:
         session.found(axis, _MOTION, configured, found, StepVerdict.AGREES)
         checked = session.drives[axis].signature()

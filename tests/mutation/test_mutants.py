@@ -80,7 +80,7 @@ SUBJECTS = {
     "link_policy": Subject(
         link_policy,
         specification_of_link_policy.judge,
-        140,
+        115,
         members={"StopReason": link_policy.StopReason},
         names={
             "max": ("min",),
