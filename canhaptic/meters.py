@@ -1,4 +1,4 @@
-"""Figures of a run's ports in addition to their ledgers, hold by hold: for the account and the rows of the log."""
+"""Running figures of each port beyond its energy ledger, updated every SYNC, for the account and the energy log."""
 
 from collections.abc import Sequence
 from math import inf
@@ -22,20 +22,20 @@ _measured: Final = tuple.__new__  # makes a record at half the cost of calling i
 
 
 class Promise(NamedTuple):
-    """Assumptions behind a controller's certificates in addition to the declarations of hand and device."""
+    """Losses and energy allowance that a controller's certificates include."""
 
-    max_consecutive_losses: int = 0  # sample times without a new torque that they survive
-    energy_allowance: float = 0.0  # they promise a sum of interaction of minus this at least [J]
+    max_consecutive_losses: int = 0  # sample times without a new torque that the certificates cover
+    energy_allowance: float = 0.0  # the net energy into the handle stays above minus this [J]
 
 
 def promise_of(controller: object) -> Promise:
-    """Promise of a controller; the weakest where it declares nothing."""
+    """Return the promise of a controller; for one that declares nothing, no losses and no allowance."""
     losses = int(getattr(controller, "max_consecutive_losses", 0))
     return Promise(losses, float(getattr(controller, "energy_allowance", 0.0)))
 
 
 class HeldTorques(Protocol):
-    """Torque record of one axis; `drive.profile.torque_axis` documents each value."""
+    """Record of the torques held by one axis; `drive.profile.torque_axis` documents each value."""
 
     read_back_bound: float
     longest_hold: int
@@ -46,18 +46,18 @@ class HeldTorques(Protocol):
 
 
 class ActiveLimits(NamedTuple):
-    """Constants of `Activity`."""
+    """Limits below which a port has certainly given out energy."""
 
-    floor: float  # of booked energy and resolution together [J]; -inf: the resolution is an estimate
-    power: float  # that the device can dissipate at most [W]
-    sample_time: float  # longest period [s]
+    floor: float  # least sum of booked energy and its uncertainty [J]; -inf: the uncertainty is only an estimate
+    power: float  # largest power that the device can dissipate [W]
+    sample_time: float  # longest sample time [s]
 
 
 def active_limits(accuracies: Sequence[Accuracy], allowance: float) -> ActiveLimits:
-    """Return the thresholds below which a port has certainly given out energy.
+    """Return the limits below which a port has certainly given out energy.
 
     Args:
-        accuracies: Accuracy of each axis of the port.
+        accuracies: Accuracy of the measurements of each axis of the port.
         allowance: Energy that the port may give out [J].
     """
     floor = -inf if any(accuracy.is_estimate for accuracy in accuracies) else -(allowance + ROUNDING)
@@ -65,7 +65,7 @@ def active_limits(accuracies: Sequence[Accuracy], allowance: float) -> ActiveLim
 
 
 def limits_of(log: "EnergyLog", name: str) -> ActiveLimits | None:
-    """Limits behind the column `active` of a port; None where the log does not hold them.
+    """Read the limits behind a port's column `active` from a log; None if the log lacks them.
 
     Raises:
         LogFormatError: The attribute is damaged.
@@ -81,16 +81,16 @@ def limits_of(log: "EnergyLog", name: str) -> ActiveLimits | None:
 
 
 class Activity:
-    """The first holds after which a port had certainly given out energy; see `control.verdict`.
+    """First time at which a port has certainly given out energy (was active); see `control.verdict`.
 
     Args:
-        limits: Constants.
+        limits: Limits of the energy.
 
     Attributes:
-        limits: Constants, as given.
+        limits: Limits of the energy, as given.
         active: Bits of the log's column `active`.
-        since: Sample times from the first SYNC to the first such hold, at the motor; None: there was none.
-        at_handle_since: Sample times to the first such hold at the handle.
+        since: First time at the motor [sample times since the first SYNC]; None: never.
+        at_handle_since: First time at the handle, likewise.
     """
 
     __slots__ = ("active", "at_handle_since", "limits", "since")
@@ -101,11 +101,11 @@ class Activity:
         self.at_handle_since: int | None = None
 
     def take(self, most: float, deadline: int) -> None:
-        """Take a sum that is, or was, below the limit.
+        """Compare a net energy with the limits; called once it is below the limit at the motor.
 
         Args:
-            most: Booked energy plus resolution [J].
-            deadline: Sample times from the first SYNC.
+            most: Booked energy plus its uncertainty [J].
+            deadline: Sample times since the first SYNC.
         """
         limits = self.limits
         if self.since is None and most < limits.floor:
@@ -115,31 +115,34 @@ class Activity:
 
 
 class PortFigures:
-    """Figures of a port in addition to its ledger, from its holds or from the columns of a log.
+    """Running figures of a port beyond its ledger, updated once per hold or from the columns of a log.
+
+    Net energy is the energy received less the energy given out.
 
     Args:
-        limits: Thresholds below which it has certainly given out energy.
-        is_damped: Whether damping of the device is declared, of a group for every axis.
-        books_least: Whether the least energy that may have come in is booked, so that no resolution is subtracted.
+        limits: Limits below which the port has certainly given out energy.
+        is_damped: Whether damping of the device is declared; in a group for every axis.
+        books_least: Whether the ledger books a lower bound of the energy received, so that no uncertainty is
+            subtracted from it.
         damping_asked: Damping of the environment [N*s/m or N*m*s/rad]; None for a group.
 
     Attributes:
-        activity: First times at which it was active; of a group by the sum of its axes, never by one of them.
+        activity: First times at which the port was certainly active; of a group by the sum over its axes.
         books_least: As given.
         damping_asked: As given.
-        least_at_handle: Least sum of interaction and certain dissipation of the device after any hold [J]; None where
-            no damping of the device is declared.
-        least_certain: Least sum of interaction less its resolution after any hold [J].
-        least_certain_at_handle: The same, including that dissipation.
-        beyond_limit: Holds whose requested effort exceeds the drive's limit.
-        contacts: Holds in contact.
-        silent: Holds in contact whose next torque is zero.
+        least_at_handle: Lowest net energy at the handle, including the certain dissipation of the device [J]; None
+            if no damping of the device is declared.
+        least_certain: Lowest net energy less its uncertainty [J].
+        least_certain_at_handle: The same at the handle.
+        beyond_limit: Number of holds whose requested effort exceeds the drive's limit.
+        contacts: Number of holds in contact.
+        silent: Number of holds in contact followed by zero torque.
         damping: Sum of the damping rendered in contact [N*s/m].
-        felt: Fit of the mass that is felt; None where none is asked for.
-        asked: Sum of the effort requested by the environment of an axis [N].
+        felt: Fit of the mass felt; None if no mass is requested.
+        asked: Sum of the efforts requested by the environment of an axis [N].
         reach: Lowest and highest position of an axis before its first contact [m or rad].
-        rendered: Sum of the effort rendered in those holds [N].
-        sizes_asked: Sum of the magnitudes of the requested effort, each at most the drive's limit [N].
+        rendered: Sum of the efforts rendered in those holds [N].
+        sizes_asked: Sum of the magnitudes of the requested efforts, each limited to the drive's limit [N].
         sizes_sent: Sum of the magnitudes of the torques sent in those holds [N].
     """
 
@@ -161,7 +164,7 @@ class PortFigures:
         self.felt: MassFelt | None = None
 
     def measured(self) -> Measured:
-        """Return the figures so far that the log holds."""
+        """Return the present figures that the log holds."""
         raise NotImplementedError
 
     @property
@@ -175,7 +178,13 @@ class PortFigures:
         return None
 
     def _take_sums(self, interaction: float, resolution: float, dissipated: float) -> None:
-        """Take the sum at the motor, its resolution and what the device dissipated for certain [J]."""
+        """Update the lowest net energies.
+
+        Args:
+            interaction: Net energy at the motor [J].
+            resolution: Uncertainty of that energy [J].
+            dissipated: Energy certainly dissipated by the device [J].
+        """
         certain = interaction - resolution
         if certain < self.least_certain:
             self.least_certain = certain
@@ -194,7 +203,7 @@ class AxisPort(PortFigures):
     Args:
         meter: Meter of the axis.
         drive: Torque record of the axis.
-        controller: Controller that renders it; None for an axis in a group.
+        controller: Controller of the axis; None for an axis in a group.
     """
 
     __slots__ = ("_asks", "_controller", "_drive", "_floor", "_meter")
@@ -210,13 +219,13 @@ class AxisPort(PortFigures):
         self._floor = -inf if controller is None else limits.floor  # of a group only the sum counts
 
     def take(self, sample: Sample, balance: EnergyBalance, ledger: Ledger, sent: float) -> Measured:
-        """Take a hold; return the figures so far.
+        """Update the figures with a hold; return those of the log.
 
         Args:
             sample: Sample at the end of the hold.
-            balance: Balance of the hold; one that was not booked waits for the next position.
-            ledger: Ledger that booked the hold.
-            sent: Sample times from the first SYNC to the end of the hold, which may be late.
+            balance: Energy balance of the hold; without a new position it is booked later.
+            ledger: Ledger of the axis, with the hold booked.
+            sent: Time of the end of the hold, with its lateness [sample times since the first SYNC].
         """
         meter, branch = self._meter, balance[_BRANCH]
         touches = branch not in OUT_OF_CONTACT
@@ -262,7 +271,7 @@ class AxisPort(PortFigures):
         return None if self._meter.watch is None else self._meter.watch.excess
 
     def measured(self) -> Measured:
-        """Return the figures so far that the log holds."""
+        """Return the present figures that the log holds."""
         return self._measured(self._resolution())
 
     def _resolution(self) -> float:
@@ -276,12 +285,12 @@ class AxisPort(PortFigures):
 
 
 class GroupPort(PortFigures):
-    """Figures of a group.
+    """Figures of a group of axes with one account.
 
     Args:
         meters: Meters of its axes.
         drives: Torque records of its axes.
-        group: Axes that render together.
+        group: The group.
     """
 
     __slots__ = ("_drives", "_group", "_meters")
@@ -297,7 +306,7 @@ class GroupPort(PortFigures):
         self._meters, self._drives, self._group = tuple(meters), tuple(drives), group
 
     def take(self, _sample: Sample, balance: EnergyBalance, ledger: Ledger, sent: float) -> Measured:
-        """Take a hold, after the axes of the group; return the figures so far. See `AxisPort.take`."""
+        """Update the figures with a hold, after those of its axes; arguments and result as for `AxisPort.take`."""
         if balance.branch not in OUT_OF_CONTACT:
             self.contacts += 1
             if not balance.torque:
@@ -316,7 +325,7 @@ class GroupPort(PortFigures):
         return max(drive.longest_gap for drive in self._drives)
 
     def measured(self) -> Measured:
-        """Return the figures so far that the log holds."""
+        """Return the present figures that the log holds."""
         resolution: float = getattr(self._group.controller, "energy_resolution", 0.0)
         resolution += self._group.uncertainty + sum([meter.resolution for meter in self._meters])
         return Measured(
@@ -330,7 +339,7 @@ class GroupPort(PortFigures):
 
 
 class RunMeters:
-    """Meters of all axes, and their sums for axes and groups.
+    """Running figures of all axes and groups of a run.
 
     Args:
         axes: Meters, one per axis.
@@ -342,7 +351,7 @@ class RunMeters:
         axes: Meters of the axes, as given.
         of_axes: Figures of each axis.
         ports: Figures of each axis, then of each group.
-        deadline: Sample times since the first SYNC; ahead of its index where SYNCs were skipped.
+        deadline: Sample times since the first SYNC; more than the SYNC's index if SYNCs were skipped.
     """
 
     def __init__(
@@ -371,14 +380,14 @@ class RunMeters:
         deadline: int,
         late: float = 0.0,
     ) -> list[Measured]:
-        """Take the SYNC whose balances the ledgers have just taken; return the figures of each port.
+        """Update the figures of every port with a SYNC; return them for the log.
 
         Args:
             samples: Sample of each axis, then of each group.
-            balances: Balances of these, in the same order.
-            ledgers: Ledgers of these, in the same order.
+            balances: Energy balances in the same order.
+            ledgers: Ledgers in the same order, with these balances booked.
             deadline: Sample times since the first SYNC.
-            late: Lateness of the SYNC against its deadline [sample times].
+            late: Lateness of the SYNC [sample times].
         """
         self.deadline, sent, known = deadline, deadline + late, []
         for place in self._places:  # walked by number, see `Cycle`

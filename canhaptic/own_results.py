@@ -1,4 +1,4 @@
-"""Check of the results of user code: each must be a finite number of plausible size, or the run ends with an error."""
+"""Check of the values that user code returns: each must be a finite number of plausible size, else the run fails."""
 
 import sys
 from collections.abc import Callable, Iterable
@@ -10,17 +10,17 @@ from typing import Final
 from canhaptic.errors import CanHapticError, OwnCodeError
 
 FORCE: Final = 1e10
-"""Largest force that own code of the plant may return [N or N*m]; its motion still fits an encoder and its energy."""
+"""Largest force that user code of the plant may return [N or N*m]; motion and energy then stay representable."""
 _ANY: Final = 1e100
-"""Largest number where a search may ask far from where the axis is [SI]; its square and the sums of it are numbers."""
+"""Largest number that other user code may return [SI], since searches evaluate it far away; its square is finite."""
 
 
 def watch(kind: type, names: Iterable[str], largest: float = _ANY) -> None:
-    """Make methods of a user-defined class return only numbers, or balances with a numeric torque; others are the same.
+    """Wrap methods of a user-defined class, so that they raise unless they return a number or a balance with a torque.
 
     Args:
-        kind: The class; methods that it inherits from canhaptic are not touched.
-        names: Methods that return a number, if the class has them.
+        kind: The class; methods inherited from canhaptic are not wrapped.
+        names: Names of the methods to wrap, as far as the class has them.
         largest: Largest allowed magnitude.
     """
     for owner in kind.__mro__:
@@ -52,7 +52,7 @@ def _watched(method: Callable[..., object], largest: float) -> Callable[..., obj
 
 
 def program_of(owner: object) -> str:
-    """Return `file.py:Class`."""
+    """Return the class of an object as `file.py:Class`."""
     kind = type(owner)
     file = getattr(sys.modules.get(kind.__module__), "__file__", None) or kind.__module__
     return f"{Path(file).name}:{kind.__qualname__}"

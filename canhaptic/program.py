@@ -1,13 +1,13 @@
-"""A rig for a user's own program: iterate over its SYNCs, and ask for torques.
+"""Control of a rig by a user's own loop: one iteration per SYNC, with a torque request for each axis.
 
     with canhaptic.open_rig("rig.yaml") as rig:
         for sample in rig:                                       # one SYNC per turn
-            rig["knob"].torque = -2.0 * sample["knob"].position  # sent at its end, as far as the guard lets it pass
+            rig["knob"].torque = -2.0 * sample["knob"].position  # sent at the end of the turn, limited by the guard
 
-Bring-up, limits, link policy, account, logs and verdict are as in `canhaptic run`; the program takes the place of
-environment and algorithm. The drives are enabled at the first turn and not before, as SYNCs must follow one another
-on. However the loop ends, zero torque is sent first and the drives are disabled second. Where no code can
-react (SIGKILL, `os._exit`, a crash of the interpreter), each drive's watchdog acts; a rig without one is refused.
+Bring-up, limits, link policy, account, logs and verdict are as in `canhaptic run`; the program replaces environment
+and algorithm. The drives are enabled only at the first turn, because SYNCs must not pause after that. However the loop
+ends, zero torque is sent before the drives are disabled. If no code can react (SIGKILL, `os._exit`, a crash of the
+interpreter), each drive's watchdog acts; a rig without watchdogs is refused.
 """
 
 import atexit
@@ -64,28 +64,28 @@ def open_rig(
     replay: str | PathLike[str] | None = None,
     allow_code: bool = False,
 ) -> "OpenRig":
-    """Return a rig to iterate over, inside `with`; nothing is sent before its first turn.
+    """Return a rig to iterate over inside `with`; nothing is sent before the first turn.
 
     Args:
         scene: A scene file, a mapping with its keys, or a loaded scene. Environment and algorithm are
             ignored.
-        changes: Values of the scene to replace, by path, as for `simulate`. Not for a loaded scene.
-        guard: "none": torques are sent as requested. On a real rig the scene must agree, by `guard: none`
-            or `algorithm: unprotected`.
+        changes: Values that replace those of the scene, by path, as for `simulate`. Not for a loaded scene.
+        guard: None: the certificates of `guarded` limit each torque. "none": torques are sent as requested; on a real
+            rig the scene must say so too, by `guard: none` or `algorithm: unprotected`.
         pace: As for `build`.
-        duration: Time after which the loop ends [s]; by default the scene's, or never.
+        duration: Time after which the loop ends [s]; None: that of the scene, or never.
         energy_log: Energy log (HDF5) to write; by default the scene's.
         bus_log: Bus log (candump text) to write; by default the scene's.
         force: Whether logs may replace files.
         no_torque: Whether the torque sent is always 0: a dry run.
-        replay: Bus log of an earlier run, whose drives answer in place of real ones; the frames that the program causes
-            are compared with the recorded ones.
+        replay: Bus log of an earlier run: its drives answer instead of real ones, and the frames that the program
+            causes are compared with the recorded frames.
         allow_code: As for `simulate`.
 
     Raises:
-        SceneError: The scene is wrong; lists every fault.
-        InputError: The guard is left out once and not twice, an axis has no watchdog or does not stand alone, a log
-            exists already, or a value is still marked as a guess.
+        SceneError: The scene is wrong, or has an axis in a group; lists every fault.
+        InputError: Only one of scene and call switches the guard of a real rig off, a drive has no watchdog, a log
+            already exists, or a value is still to be set.
 
     Example:
         >>> with canhaptic.open_rig("configs/demo.yaml", guard=None) as rig:  # doctest: +SKIP
@@ -113,16 +113,16 @@ def open_rig(
 
 
 def _guard_of(scene: Scene, asked: _Guard, *, is_replay: bool) -> str:
-    """Return the guard in effect; on a real rig it is left out where scene and call agree."""
+    """Return the guard in effect; to switch it off on a real rig, scene and call must agree."""
     if asked not in (None, "none"):
         raise InputError(f"guard: got {shown(asked)}, expected None (the certificates) or 'none'")
     in_scene = says_none(scene)
     if in_scene is not (asked == "none") and not (scene.simulated or is_replay):
         off, other = ("the scene", 'open_rig(guard="none")') if in_scene else ('open_rig(guard="none")', "the scene")
         raise InputError(
-            f"{scene.source}: {off} switches the guard off and {other} does not; unguarded torques of a real drive may "
-            'give out any amount of energy, so both must agree: add `guard: none` to the scene and guard="none" to the '
-            "call, or take it out of both (`algorithm: unprotected` also switches it off)"
+            f"{scene.source}: {off} switches the guard off, {other} does not; without it a real drive may give out any "
+            'amount of energy, so both must agree: write `guard: none` in the scene and guard="none" in the call, or '
+            "in neither (`algorithm: unprotected` also switches it off)"
         )
     return "certificates" if asked is None else "none"
 
@@ -130,18 +130,18 @@ def _guard_of(scene: Scene, asked: _Guard, *, is_replay: bool) -> str:
 def _require_watchdogs(scene: Scene) -> None:
     for axis in scene.axes:
         if not axis.parameters.watchdog:
-            text = f"{scene.source}: {axis.parameters.name}: watchdog: got false; a program that is killed would leave"
-            raise InputError(f"{text} its torque on: set watchdog: true, with a drive that has one")
+            text = f"{scene.source}: {axis.parameters.name}: watchdog: got false, so the torque would stay on after a"
+            raise InputError(f"{text} crash of the program; set watchdog: true, with a drive that has one")
 
 
 class AxisSample(NamedTuple):
-    """Report of an axis at a SYNC."""
+    """State of an axis at a SYNC."""
 
-    sync_index: int  # of the SYNC, counted from 0
+    sync_index: int  # number of the SYNC, counted from 0
     position: float  # [m or rad]
-    velocity: float  # by the longest window that an encoder count allows, at most 20 ms [m/s or rad/s]
-    torque: float  # held since the SYNC before, read back from the drive [N or N*m]
-    fresh: bool  # False where no report came, and the values are those of the last one
+    velocity: float  # estimated from an adaptive window of at most 20 ms [m/s or rad/s]
+    torque: float  # applied since the previous SYNC, as the drive reports it [N or N*m]
+    fresh: bool  # False: no TPDO arrived, and position and torque are the last known
 
 
 class ProgramAxis:
@@ -149,10 +149,10 @@ class ProgramAxis:
 
     Attributes:
         name: Name of the axis.
-        unit: Unit of its position.
+        unit: Unit of its position, "m" or "rad".
         granted: Torque that the guard permitted in the last turn [N or N*m].
-        limited_by: Why `granted` differs from the request: `start` in the first turn, `lost sample`, `torque_limit`,
-            the name of the limiting certificate, or `account` where no energy was left; empty where it does not differ.
+        limited_by: Why `granted` differs from the request: `start` (first turn), `lost sample`, `torque_limit`, the
+            name of the limiting certificate, or `account` (no energy left); "" if it does not differ.
     """
 
     __slots__ = ("_asked", "_before", "_controller", "_grid", "_limit", "_rig", "_velocity", "granted", "limited_by",
@@ -171,7 +171,7 @@ class ProgramAxis:
         """Torque requested in this turn [N or N*m]; reset to 0 for every turn.
 
         Raises:
-            InputError: On setting what is no finite number, or outside a turn; zero torque was sent before.
+            InputError: The value set is not a finite number, or no turn is open. Zero torque has been sent by then.
         """
         return self._asked
 
@@ -188,7 +188,7 @@ class ProgramAxis:
         self._asked = value
 
     def begin_turn(self, sample: Sample, now: int) -> AxisSample:
-        """Take the report of the axis; called by the rig only. `now` counts the sample times since the first SYNC."""
+        """Store the sample of the axis at `now` [sample times since the first SYNC]; called by the rig only."""
         index, position, torque, _, fresh = sample
         if fresh:
             periods = now - self._before if self._before >= 0 else 0
@@ -196,11 +196,11 @@ class ProgramAxis:
         return _new(AxisSample, (index, position, self._velocity, torque, fresh))
 
     def end_turn(self) -> None:
-        """Request the torque of this turn; called by the rig only."""
+        """Pass the torque request of this turn to the controller; called by the rig only."""
         self._controller.ask(self._asked)
 
     def take_answer(self, balance: EnergyBalance, index: int) -> None:
-        """Store the torque granted at a SYNC, and clear the request; called by the rig only."""
+        """Store the torque that the controller granted, and clear the request; called by the rig only."""
         torque, branch, certificate = balance.torque, balance.branch, balance.certificate
         asked, self._asked, self.granted = self._asked, 0.0, torque
         if -self._grid < asked - torque < self._grid:
@@ -214,12 +214,12 @@ class ProgramAxis:
 
 
 class OpenRig:
-    """A rig that a program iterates over, inside `with`; see `open_rig`.
+    """A rig that a program iterates over inside `with`; see `open_rig`.
 
     Attributes:
-        scene: Scene with its axes prepared for a program.
+        scene: Scene in which the program replaces environment and algorithm.
         is_open: Whether a turn is open; torques may be set only then.
-        replayed: Outcome of the comparison, after the block of a replayed rig; None for any other.
+        replayed: After the block of a replay, the outcome of the comparison; else None.
     """
 
     def __init__(self, scene: Scene, cycles: int | None, pace: _Pace, logs: tuple[Path | None, Path | None],
@@ -290,7 +290,7 @@ class OpenRig:
         return turns
 
     def _run(self, cycle: Cycle) -> Iterator[Mapping[str, AxisSample]]:
-        """Yield the samples of each turn; zero torque and disabled drives on every way out."""
+        """Yield the samples of each turn; however it ends, send zero torque and disable the drives."""
         rig, axes, cycles = cycle.rig, tuple(self._axes.values()), self._cycles
         places = tuple(range(len(axes)))
         try:
@@ -320,7 +320,7 @@ class OpenRig:
             return
 
     def _stop(self, reason: StopReason) -> None:
-        """Stop the rig, if it was built, at once where no exception may leave; `__exit__` raises it."""
+        """Stop the rig at once, if it was built; an error is kept for `__exit__` to raise."""
         try:
             if self._source is not None:
                 self._source.cycle.rig.stop(ramp=False, reason=reason)
@@ -328,12 +328,12 @@ class OpenRig:
             self._left = error
 
     def refusal(self, what: str) -> InputError:
-        """Send zero torque, stop the rig, and return the error of a request that is not valid."""
+        """Send zero torque, stop the rig, and return the error for an invalid request."""
         self._stop(StopReason.CONTROLLER)
-        return InputError(f"{what}; the torque is zero and the rig has stopped; set finite numbers, inside the loop")
+        return InputError(f"{what}; torque is zero and the rig has stopped; set finite numbers, and only in the loop")
 
     def _take_signal(self, number: int, frame: FrameType | None) -> None:
-        """End the program: at once in its own lines, else at the end of the turn's work; a second signal at once."""
+        """End the program at once, or if the rig is at work after that work; a second signal always ends it at once."""
         if (self._is_ending or self._is_at_work) and not self._signal:
             self._signal = number
             return
@@ -341,7 +341,7 @@ class OpenRig:
 
     @property
     def _is_at_work(self) -> bool:
-        """Whether the rig is between two turns, in this thread or another."""
+        """Whether the rig is working between two turns, in any thread."""
         turns = None if self._turns is None else self._turns()
         return turns is not None and turns.gi_running
 
@@ -352,7 +352,7 @@ class OpenRig:
             raise SystemExit
 
     def _at_exit(self) -> None:
-        """Take the torque away when the interpreter ends inside the block; not in a process that was forked there."""
+        """Stop the rig if the interpreter ends inside the block; do nothing in a forked process."""
         if os.getpid() != self._process or self._source is None:
             return
         self._must_end, clock = True, WallClock()
@@ -362,7 +362,7 @@ class OpenRig:
         self._end("stopped")
 
     def _end(self, status: str) -> None:
-        """Stop the rig, close logs and buses, and take the account; a second call does nothing."""
+        """Stop the rig, store the account, close logs and buses; a second call does nothing."""
         if self._is_over or self._source is None:
             return
         self._is_over = True

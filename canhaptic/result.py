@@ -1,15 +1,15 @@
-"""The account of a run as plain values: the output of `canhaptic run --json`, read by every table and comparison.
+"""The account of a run as plain values, as `canhaptic run --json` prints it; every table and comparison reads it.
 
     {status, config_hash, cycles, verdict, passive, ports: {NAME: {verdict, passive, ...}}, truth: {NAME: {...}},
      timing, link, method}
 
-`passive` is the account's own verdict, from frames alone, on the sum of the energy received against the motor's
-torque (eq. 3); `passive_at_handle`, where a damping of the device is declared, on that sum with the energy that the
-device dissipated. `plant_passive` and `plant_passive_at_handle` judge the simulated plant. `verdict` is the
-headline word: the plant's verdict where there is one, else the account's.
+`passive` is the account's verdict from frames alone: whether the energy received at the motor stayed above zero
+(eq. 3). `passive_at_handle`, present if damping of the device is declared, adds the energy that the device dissipated.
+`plant_passive` and `plant_passive_at_handle` are the same verdicts from the energy of the simulated plant. `verdict`
+is the headline word: the plant's verdict if there is one, else the account's.
 
-A port is an axis or a group of axes. An axis in a group has `group` and the energy received and given out by it; the
-account, including its verdict, is that of the group, which has `axes`. Energies in [J], times in [s].
+A port is an axis or a group of axes. An axis in a group has only `group` and its own energy in and out; account and
+verdict are those of the group, which has `axes`. Energies in [J], times in [s].
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ from canhaptic.meters import PortFigures, Promise, promise_of
 
 
 class TruthResult(TypedDict):
-    """True energies of a simulated port [J]."""
+    """Energies of a simulated port, computed from the plant [J]."""
 
     interaction: float
     least_interaction: float
@@ -33,7 +33,7 @@ class TruthResult(TypedDict):
 
 
 class Verdicts(TypedDict):
-    """The worst verdicts of all accounts; a verdict that no account has is left out."""
+    """The worst verdict of each kind over all accounts; a kind that no account has is left out."""
 
     verdict: Headline
     passive: Verdict
@@ -43,7 +43,7 @@ class Verdicts(TypedDict):
 
 
 class RunResult(Verdicts):
-    """The account of a run, as `run --json` prints it; see the module."""
+    """The account of a run as `run --json` prints it; see the module docstring."""
 
     status: str
     config_hash: str
@@ -67,14 +67,14 @@ _OF_AN_AXIS: Final = (
     *("unit", "in", "out", "peak_torque", "limited_cycles", "read_back", "read_back_bound"),
     *("dry_run", "withheld_torque", "hold", "mass"),
 )
-"""Keys of the account of an axis in a group."""
+"""Keys that the account of an axis in a group keeps."""
 _WORST_LAST: Final[tuple[Verdict, ...]] = ("yes", "in doubt", "no")
 _HEADLINES: Final[tuple[Headline, ...]] = ("no contact", "dry run", "yes", "in doubt", "nothing rendered", "no")
-"""The displayed words, worst last; one handle without a contact does not make a run of several doubtful."""
+"""Headline words, worst last; "no contact" is first, so that one untouched handle does not decide about several."""
 
 
 def overall(ports: Mapping[str, PortResult]) -> Verdicts:
-    """Return the worst verdict over all accounts; "in doubt" where there are no accounts."""
+    """Return the worst verdicts over all accounts; "in doubt" if there are none."""
     accounts = [account for account in ports.values() if "passive" in account]
     found: Verdicts = {
         "verdict": max((of.get("verdict", of["passive"]) for of in accounts), key=_HEADLINES.index, default="in doubt"),
@@ -94,12 +94,12 @@ def run_result(
     """Return the account of a run; energies in [J], times in [s].
 
     Args:
-        cycle: Cycle after its run, completed or not.
+        cycle: Cycle after the run has ended.
         ports: (name, unit "m" or "rad") of each axis.
         status: "completed", "stopped" or the reason of a stop.
         config_hash: Hash of the configuration in effect.
         sample_time: Sample time [s].
-        method: One line on how the rig was simulated; empty with real drives.
+        method: One line on how the rig was simulated; "" with real drives.
     """
     truth = _truth(cycle, [*(name for name, _ in ports), *(group.name for group in cycle.groups)])
     accounts = _accounts(cycle, ports, sample_time, truth)
@@ -158,12 +158,12 @@ def _accounts(
 
 
 def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_time: float) -> PortResult:
-    """Return the account of a port without its verdicts.
+    """Return the account of a port without verdicts.
 
     Args:
-        port: Figures of the port in addition to its ledger.
-        sums: Sums of its ledger, by the names of `run --json`.
-        promise: Assumptions behind its certificates.
+        port: Figures of the port that its ledger lacks.
+        sums: Sums of its ledger, with the keys of `run --json`.
+        promise: Losses and energy allowance that its certificates include.
         sample_time: Sample time [s].
     """
     measured, activity = port.measured(), port.activity
@@ -207,17 +207,17 @@ def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_t
 
 
 def withdraw_certificates(account: PortResult, *, longest_gap: int) -> None:
-    """Withdraw the certificates of an account where a torque acted longer than they covered, or was not commanded.
+    """Withdraw the certificates of an account if the run did not meet their assumptions.
 
-    Also where one hold was longer or shorter than declared, where the motion contradicts the declared
-    friction (`friction_watch`), and where the port's own energies refute them.
+    That is: a torque acted longer than covered or was not commanded, a hold was longer or shorter than declared, the
+    motion contradicts the declared friction (`friction_watch`), or the port's own energies refute the certificates.
 
-    A certificate covers `max_consecutive_losses` sample times without a new torque. A skipped SYNC is not a lost frame:
-    the queued torque acts for longer, and the one behind it, which counted on a single hold, acts all the same.
+    A certificate covers `max_consecutive_losses` sample times without a new torque, but no skipped SYNC: there the
+    queued torque acts for longer, and the next queued one still follows although it was computed for a single hold.
 
     Args:
-        account: Account of a port; changed.
-        longest_gap: Largest number of sample times between two SYNCs: 1 where none was skipped.
+        account: Account of a port, changed in place.
+        longest_gap: Largest number of sample times between two SYNCs; 1 if no SYNC was skipped.
     """
     covered = account["max_consecutive_losses"] if longest_gap == 1 else 0
     is_broken = account["longest_hold"] > 1 + covered or account.get("uncommanded_cycles", 0)
@@ -234,12 +234,13 @@ def with_groups(
     groups: Mapping[str, Sequence[str]],
     truth: Mapping[str, TruthResult] | None = None,
 ) -> dict[str, PortResult]:
-    """Accounts of axes and groups with their verdicts, and the cross-references between them.
+    """Return the accounts of axes and groups with verdicts and with references to each other.
+
+    An axis in a group proves nothing by itself, so its account keeps only its energy in and out.
 
     Args:
-        accounts: Accounts by port name, each formed as if the port were alone.
-        groups: Names of the axes of each group. An axis of a group alone proves nothing: its account keeps only the
-            energy received and given out through it.
+        accounts: Accounts by port name, each computed as for a separate port.
+        groups: Names of the axes of each group.
         truth: Energies of the simulated plant by port; None without a simulation.
     """
     found = {name: account.copy() for name, account in accounts.items()}
@@ -258,7 +259,7 @@ def with_groups(
 
 
 def _truth(cycle: Cycle, names: Sequence[str]) -> dict[str, TruthResult]:
-    """Energies of the simulated plant for each axis, then for each group; none with real drives."""
+    """Return the energies of the simulated plant for each axis, then for each group; empty with real drives."""
     if (judge := cycle.judge) is None:
         return {}
     sums = zip(judge.interaction, judge.least, judge.least_at_handle, judge.believed_error, strict=True)

@@ -1,1 +1,1 @@
-"""CANopen as data: the reader of EDS and DCF files, object indices and bits, and words for codes. No I/O on a bus."""
+"""CANopen facts without bus I/O: reader of EDS and DCF files, object indices, bits, and texts of codes."""

@@ -1,4 +1,4 @@
-"""The holding brake of an axis: who operates it, and its times."""
+"""Settings of a holding brake: who operates it, and how long it takes."""
 
 from typing import Annotated, Literal
 
@@ -11,13 +11,14 @@ class Brake(Parameters):
     """A holding brake, such as on a vertical axis."""
 
     by: Literal["drive", "host"] = "drive"
-    """drive: it opens and sets the brake itself when it is enabled and disabled; host: by `output`."""
+    """Who operates the brake: `drive`, which releases it when enabled and sets it when disabled, or `host`, through
+    `output`."""
     output: Annotated[int, quantity("1", ge=0, le=31)] | None = None
-    """Bit of the drive's digital outputs (0x60FE:01) that opens the brake."""
+    """Bit of the drive's digital outputs (0x60FE:01) that releases the brake; only with `by: host`."""
     release_time: Annotated[float, quantity("s", ge=0.0, le=5.0)]
-    """Longest time until it is open; no torque of the controller counts before."""
+    """Longest time until the brake is released; the controller sends no torque before."""
     set_time: Annotated[float, quantity("s", ge=0.0, le=1.0)]
-    """Longest time until it holds; the operator's stop keeps the last torque for as long."""
+    """Longest time until the brake holds; an operator's stop keeps the last torque for this long."""
 
     @model_validator(mode="after")
     def _has_an_output(self) -> "Brake":

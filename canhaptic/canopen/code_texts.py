@@ -22,33 +22,33 @@ _CONTROLWORD_TEXTS: Final = (  # (mask, value, command), IEC 61800-7-201, table 
 
 
 def emcy_text(code: int) -> str:
-    """Text of an EMCY error code, or else of its group (0x8611 -> 0x8600 -> 0x8000)."""
+    """Return the text of an EMCY error code, else of its group (0x8611 -> 0x8600 -> 0x8000)."""
     return _of_code_or_group(_TEXTS["emergency"], code) or "unknown error code"
 
 
 def emcy_remedy(code: int, silence: float, skipped: int) -> str:
-    """Remedy for an EMCY error code; "" where the code belongs to the drive's own manual.
+    """Return the remedy for an EMCY error code; "" for a code that only the drive's manual explains.
 
     Args:
         code: Error code (0x603F).
-        silence: Silence of this computer that the drive is set to tolerate [s].
+        silence: Timeout of the drive for frames of this computer [s].
         skipped: Number of SYNCs that this computer skipped.
     """
     return _of_code_or_group(_TEXTS["remedy"], code).format(silence=silence * 1e3, skipped=skipped)
 
 
 def _of_code_or_group(texts: Mapping[int, str], code: int) -> str:
-    """Return the text of a code, else of the narrowest group that has one, else ""; 0 is a code of its own."""
+    """Return the text of a code, else of the narrowest group with a text, else ""; code 0 belongs to no group."""
     groups = (code & mask for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000))  # itself, then wider
     return next((texts[group] for group in groups if group in texts and (group or not code)), "")
 
 
 def sdo_abort_text(code: int) -> str:
-    """Text of an SDO abort code."""
+    """Return the text of an SDO abort code."""
     return _TEXTS["sdo_abort"].get(code, "unknown abort code")
 
 
 def controlword_text(controlword: int) -> str:
-    """Return the command that a controlword (0x6040) gives."""
+    """Return the name of the command in a controlword (0x6040)."""
     texts = (command for mask, value, command in _CONTROLWORD_TEXTS if controlword & mask == value)
     return next(texts, "no command")

@@ -1,14 +1,13 @@
-"""A classic data frame with an 11-bit identifier: the only kind that master and simulated drives send."""
+"""CAN data frame with an 11-bit identifier, the only kind that master and simulated drives send."""
 
 import can
 
 
 class DataFrame(can.Message):
-    """A message of python-can in which only identifier, data and time differ from frame to frame.
+    """A python-can message whose constant fields are class attributes, so that creating one takes less time.
 
-    Everything else belongs to the class: a frame is made and filled for less than the constructor of `Message` costs.
-    The sender fills all five slots, hands it over, and neither changes nor sends it again, so that a bus inside
-    the process need not copy it.
+    The sender fills all five slots, sends the frame once, and never changes it; a bus within the process need not copy
+    it.
     """
 
     __slots__ = ()

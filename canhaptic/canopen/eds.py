@@ -1,18 +1,18 @@
-"""Reader of any CiA 306 object dictionary (EDS or DCF) into a `canopen.ObjectDictionary`, tolerant of vendors.
+"""Reader of object dictionaries (EDS or DCF, CiA 306) that tolerates vendors' deviations from the standard.
 
 `canopen.import_od` raises on empty entries (`PDOMapping=`, `NrOfRXPDO=`), on Latin-1 text and on a subindex listed
 before its object; it reads a hexadecimal default of a signed object as a large positive number and keeps the node ID
-of the computer that saved a DCF. This reader returns the same types and differs in:
+for which a DCF was saved. This reader also returns a `canopen.ObjectDictionary`, but
 
-- a text of UTF-8, UTF-16 (byte order mark) or Windows-1252; keywords and sections in any case and order;
-- an entry that is empty or unreadable counts as not given: no value, no limit, not mappable;
-- an ARRAY is read as RECORD: `canopen` makes up the subindices that an array does not list;
-- a DCF saved for another node ID: its values of objects relative to $NODEID are dropped, the defaults remain;
-- a number without prefix that has letters is hexadecimal (`FF`, `1F4`), as is one with an `h` behind (`80h`);
-- limits that contradict each other, or a value of the same object, are dropped, since a dictionary that allows nothing
-  states nothing; so is a limit of the consumer heartbeat time (0x1016) that leaves no room for the node ID;
-- a value that its own type cannot hold counts as not given;
-- a record or array without subindex 0 gets one without value, writable if its first member is.
+- reads UTF-8, UTF-16 (byte order mark) and Windows-1252, with keywords and sections in any case and order;
+- treats an empty or unreadable entry as not given: no value, no limit, not mappable;
+- reads an ARRAY as a RECORD, because `canopen` invents the subindices that an array does not list;
+- drops the values of objects relative to $NODEID in a DCF saved for another node ID, and keeps the defaults;
+- reads a number with letters and without prefix as hexadecimal (`FF`, `1F4`), also with a trailing `h` (`80h`);
+- drops limits that contradict each other or the object's own value, and a limit of the consumer heartbeat time
+  (0x1016) that leaves no room for the node ID;
+- treats a value that does not fit the object's type as not given;
+- adds a subindex 0 without value to a record or array that lacks it, writable if its first member is.
 
 An unreadable file raises `DictionaryError` with file and section.
 """
@@ -38,7 +38,7 @@ _Sections = dict[str, dict[str, str]]
 
 
 class _Source(NamedTuple):
-    """A parsed file: the sections by lower-case name, and the context of every reader below."""
+    """A parsed file: its sections by lower-case name, and the node ID."""
 
     path: Path
     sections: _Sections
@@ -50,10 +50,10 @@ class _Source(NamedTuple):
 
 
 def read_dictionary(path: str | Path, node_id: int) -> ObjectDictionary:
-    """Return the object dictionary of a drive as its EDS or DCF states it, for one node ID.
+    """Return the object dictionary of a drive from its EDS or DCF, for one node ID.
 
-    `value` of a variable is the ParameterValue of a DCF, `default` its DefaultValue; both are None when not given.
-    Repeated reads of the same content return the same object: do not change it.
+    `value` of a variable is the ParameterValue of a DCF, `default` its DefaultValue; both are None if not given.
+    Repeated reads of the same content return the same object, which must not be changed.
 
     Args:
         path: An .eds or .dcf file.
@@ -91,7 +91,7 @@ def _read(path: Path, content: bytes, node_id: int) -> ObjectDictionary:
 
 
 def _parse(path: Path, content: bytes) -> _Sections:
-    """Return the entries of each section, names and keys in lower case; comments and stray lines left out."""
+    """Return the entries of each section, with names and keys in lower case and without comments and stray lines."""
     sections: _Sections = {}
     entries: dict[str, str] | None = None
     for line in _text(path, content).splitlines():
@@ -108,7 +108,7 @@ def dictionary_content(path: Path) -> bytes:
     """Return the bytes of an EDS or DCF.
 
     Raises:
-        DictionaryError: It is no regular file, is larger than any dictionary, or cannot be read.
+        DictionaryError: The path is not a regular file, is larger than any dictionary, or cannot be read.
     """
     try:
         return read_regular(path, 4_000_000)  # [B]; the largest known has a tenth of it
@@ -129,10 +129,10 @@ def _text(path: Path, content: bytes) -> str:
 
 
 def _integer(text: str) -> int | None:
-    """Return the number of a text as CiA 306 writes it (decimal, 0x, octal with leading 0) or as vendors do.
+    """Return the number in a text, in the notations of CiA 306 (decimal, 0x, octal with leading 0) or of vendors.
 
-    None if unreadable. Letters without prefix count only where they begin with a digit or fill 1, 2, 4 or 8 bytes, so
-    that a word is not a number.
+    None if unreadable. A text with letters and without prefix is a number only if it begins with a digit or has the
+    length of 1, 2, 4 or 8 bytes, so that a word is not read as a number.
     """
     text = text.replace(" ", "").lower()
     octal = re.fullmatch(r"0+([0-7]+)", text)
@@ -159,7 +159,7 @@ def _read_device(source: _Source, dictionary: ObjectDictionary) -> None:
 
 
 def _read_dummies(source: _Source, dictionary: ObjectDictionary) -> None:
-    """Add the data types that an RPDO may map to skip bytes (CiA 301, 7.4.7)."""
+    """Add the dummy objects (data types) that an RPDO may map to skip bytes (CiA 301, 7.4.7)."""
     entries = source.sections.get("dummyusage", {})
     for data_type in range(1, 8):
         if _integer(entries.get(f"dummy{data_type:04}", "")) == 1:
@@ -245,7 +245,7 @@ def _read_variable(source: _Source, section: str, index: int, subindex: int, nam
 
 
 def _set_limits(variable: ODVariable, low: Any, high: Any) -> None:
-    """Set the limits of a number; limits that contradict each other or the object's value are left out."""
+    """Set the limits of a number, except limits that contradict each other or the object's value."""
     if variable.data_type not in datatypes.NUMBER_TYPES or (low is not None and high is not None and low > high):
         return
     held = [value for value in (variable.default, variable.value) if value is not None]
@@ -273,7 +273,7 @@ def _data_type(source: _Source, section: str) -> int:
 
 
 def _value(source: _Source, variable: ODVariable, text: str) -> Any:
-    """Return the value of a text as the variable's type has it (int, float, str, bytes); None if unreadable."""
+    """Return the value in a text as int, float, str or bytes, by the variable's type; None if unreadable."""
     data_type = variable.data_type
     if not text:
         return None
@@ -291,7 +291,7 @@ def _value(source: _Source, variable: ODVariable, text: str) -> Any:
 
 
 def _held_by(variable: ODVariable, number: int) -> int | None:
-    """The number with the same bits in the variable's type; None when the type has no room for it."""
+    """Return the number with the same bits in the variable's type; None if it does not fit."""
     if variable.data_type not in (*datatypes.INTEGER_TYPES, datatypes.BOOLEAN):
         return None
     bits = 1 if variable.data_type == datatypes.BOOLEAN else len(variable)

@@ -1,7 +1,7 @@
-"""A force sensor with its own CAN node: the frame with which it answers a SYNC, and the position of its value there.
+"""Force sensor that is a CAN node of its own: the frame with which it answers a SYNC, and the force in it.
 
-A CiA 404 transducer sends its process value (0x6130, 0x7130 or 0x9130) in TPDO 1, at 0x180 + its node ID. Any other
-sensor that answers the SYNC with one frame is described in the same way.
+A CiA 404 transducer sends its process value (0x6130, 0x7130 or 0x9130) in TPDO 1, with COB-ID 0x180 + node ID. Any
+other sensor that answers a SYNC with one frame can be described in the same way.
 """
 
 import struct
@@ -18,30 +18,32 @@ _ORDERS: Final = {"little": "<", "big": ">"}
 
 
 class ForceNode(Parameters):
-    """The frame of a force sensor with its own CAN node."""
+    """Frame of a force sensor that is a CAN node of its own."""
 
     node_id: Annotated[int, quantity("1", ge=1, le=127)] | None = None
-    """Node ID of a CANopen node, which the start sets operational; None: it sends by itself."""
+    """Node ID of a CANopen sensor, which is set operational at the start; None: the sensor sends without it."""
     cob_id: Annotated[int, quantity("1", ge=1, le=0x7FF)] | None = None
-    """Identifier of its frame; None: 0x180 + node_id."""
+    """Identifier of the sensor's frame; None: 0x180 + node_id."""
     first_byte: Annotated[int, quantity("1", ge=0, le=7)] = 0
-    """First byte of the value in the frame, from 0."""
+    """First byte of the value in the frame, counted from 0."""
     bits: Literal[8, 16, 24, 32] = 32
-    """Bits of the value."""
+    """Number of bits of the value."""
     real: bool = False
-    """Whether the value is a REAL32, usual of CiA 404, and no integer; `per_count` is then the force of 1."""
+    """Whether the value is a REAL32, as usual in CiA 404, instead of an integer; `per_count` is then the force of a
+    value of 1."""
     signed: bool = True
-    """Whether its highest bit is the sign."""
+    """Whether an integer value is signed."""
     order: Literal["little", "big"] = "little"
-    """Order of its bytes: little as in CANopen."""
+    """Byte order of the value; CANopen has little."""
     length: Annotated[int, quantity("1", ge=1, le=_LONGEST)] | None = None
-    """Bytes of the frame; None: up to the end of the value."""
+    """Length of the frame [bytes]; None: it ends with the value."""
 
     device_type: Annotated[int, quantity("1", ge=1, le=0xFFFF)] | None = None
-    """Low word of its 0x1000: 404 for a transducer, 401 for an analogue input; None: any but a drive's."""
+    """Expected low word of the sensor's device type (0x1000): 404 for a transducer, 401 for an analogue input; None:
+    any but a drive's."""
     tare: bool | Literal["autozero"] = False
-    """Whether the start writes "tara" to 0x6139:01 (CiA 404), or `autozero`: "zero" to 0x6125:01; no hand may touch the
-    handle then; not of an impulse."""
+    """Whether the sensor is set to zero at the start, when no hand may touch the handle: true writes "tara" to 0x6139:01
+    (CiA 404), `autozero` writes "zero" to 0x6125:01."""
 
     @model_validator(mode="after")
     def _has_a_place(self) -> "ForceNode":
@@ -56,14 +58,14 @@ class ForceNode(Parameters):
         return self
 
     def value_in(self, data: bytes | bytearray) -> float:
-        """Return the value in a frame of the right length."""
+        """Return the sensor's value from a frame of the right length."""
         part = data[self.first_byte : self.end]
         if self.real:
             return float(struct.unpack(_ORDERS[self.order] + "f", part)[0])
         return int.from_bytes(part, self.order, signed=self.signed)
 
     def frame_of(self, value: float) -> bytes:
-        """Return the frame with a value; an integer is rounded, modulo its bits."""
+        """Return the frame for a value; an integer is rounded and wraps at its number of bits."""
         if self.real:
             part = struct.pack(_ORDERS[self.order] + "f", value)
         else:

@@ -1,7 +1,4 @@
-"""CiA 301 and CiA 402 indices, bits and codes. Constants only; sources: CiA 301 v4.2, IEC 61800-7-201 (CiA 402).
-
-Interface of an object dictionary, for any reader.
-"""
+"""Object indices, bits and codes of CiA 301 v4.2 and CiA 402 (IEC 61800-7-201), and the object dictionary protocol."""
 
 from collections.abc import Iterator
 from enum import IntEnum, IntFlag
@@ -95,7 +92,7 @@ EVENT_DRIVEN: Final = 255  # PDO transmission type
 
 
 class NmtCommand(IntEnum):
-    """First byte of an NMT frame."""
+    """NMT commands, the first byte of an NMT frame."""
 
     START = 0x01
     STOP = 0x02
@@ -105,7 +102,7 @@ class NmtCommand(IntEnum):
 
 
 class NmtState(IntEnum):
-    """The byte of a heartbeat."""
+    """NMT states, the byte of a heartbeat."""
 
     BOOT_UP = 0x00
     STOPPED = 0x04
@@ -114,7 +111,7 @@ class NmtState(IntEnum):
 
 
 class Controlword(IntEnum):
-    """Commands of 0x6040."""
+    """Commands of the controlword (0x6040)."""
 
     DISABLE_VOLTAGE = 0x00
     QUICK_STOP = 0x02
@@ -125,7 +122,7 @@ class Controlword(IntEnum):
 
 
 class StatusBit(IntFlag):
-    """Bits of 0x6041."""
+    """Bits of the statusword (0x6041)."""
 
     READY_TO_SWITCH_ON = 1 << 0
     SWITCHED_ON = 1 << 1
@@ -201,27 +198,27 @@ class Variable(Protocol):
     index: int
     subindex: int
     data_type: int | None
-    """A `DataType`; None where the file states none."""
+    """A `DataType`; None if the file does not state it."""
     access_type: str
     """ro, wo, rw, rwr, rww or const."""
     default: Any
     value: Any
-    """ParameterValue of a DCF; None where the file states none."""
+    """ParameterValue of a DCF; None if not given."""
     min: int | None
     max: int | None
     pdo_mappable: bool
 
     @property
     def readable(self) -> bool:
-        """Whether SDO may read it."""
+        """Whether the object may be read by SDO."""
 
     @property
     def writable(self) -> bool:
-        """Whether SDO may write it."""
+        """Whether the object may be written by SDO."""
 
 
 class Dictionary(Protocol):
-    """The objects of one drive by index."""
+    """Object dictionary of one drive, by index."""
 
     def __contains__(self, index: int, /) -> bool:
         """Whether an object is listed."""
@@ -230,14 +227,14 @@ class Dictionary(Protocol):
         """Yield the indices."""
 
     def __getitem__(self, index: int, /) -> Any:
-        """An object: a `Variable`, or an entry with `subindices`."""
+        """Return an object: a `Variable`, or an entry with `subindices`."""
 
     def get_variable(self, index: int, subindex: int = 0) -> Variable | None:
-        """Return an object or one of its subindices; None where it is not listed."""
+        """Return an object or one of its subindices; None if it is not listed."""
 
 
 def variables(dictionary: Dictionary) -> Iterator[Variable]:
-    """Yield every object without subindices, and every subindex of the others."""
+    """Yield every simple object, and every subindex of the others."""
     for index in dictionary:
         item = dictionary[index]
         members = getattr(item, "subindices", None)
@@ -245,6 +242,6 @@ def variables(dictionary: Dictionary) -> Iterator[Variable]:
 
 
 def is_writable(dictionary: Dictionary, index: int, subindex: int = 0) -> bool:
-    """Whether the dictionary lists the object as writable."""
+    """Return whether the dictionary lists the object as writable."""
     variable = dictionary.get_variable(index, subindex)
     return variable is not None and bool(variable.writable)

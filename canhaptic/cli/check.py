@@ -1,7 +1,4 @@
-"""`canhaptic check CONFIG`: the verdict on a scene, before anything is sent.
-
-Host settings for a process that must wake up on time.
-"""
+"""`canhaptic check CONFIG`: whether a scene can run, what limits it, and the real-time settings of this computer."""
 
 import argparse
 import os
@@ -37,7 +34,7 @@ from canhaptic.view.table import Styled, Table
 
 
 class _HostSetting(NamedTuple):
-    """One setting of the host."""
+    """One setting of this computer."""
 
     name: str
     value: str
@@ -45,7 +42,7 @@ class _HostSetting(NamedTuple):
 
 
 def host_settings() -> list[_HostSetting]:
-    """Settings that matter for a cycle at wall-clock pace; unreadable ones are left out."""
+    """Settings of this computer that affect the timing of a cycle; unreadable ones are left out."""
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     is_realtime, runtime = _read("/sys/kernel/realtime") == "1", _read("/proc/sys/kernel/sched_rt_runtime_us")
     governor = _read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
@@ -91,9 +88,9 @@ _TO_BE_SET: Final = 1  # exit status: a run is refused until the marked values a
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Print the verdict in one line, the bus budget, the fitness of each drive, stability hints and the host settings.
+    """Print the verdict, the bus load, the fitness of each drive, the stability limits and the host settings.
 
-    Returns 1 when values are marked as guesses and the drives are real: a run would be refused.
+    Returns 1 if a run would be refused because values of a real drive are still to be set, else 0.
     """
     found = _findings_of(scene_of(arguments), asks_drives=arguments.bus)
     if arguments.json:
@@ -135,7 +132,7 @@ def _findings_of(scene: Scene, *, asks_drives: bool = False) -> "_CheckFindings"
 
 
 _USUAL: Final = 0.01
-"""Fraction of an axis's largest speed at which the halves of a detent are judged."""
+"""Speed at which the two flanks of a detent are judged, as a fraction of the axis's largest speed."""
 
 
 class _CheckFindings(NamedTuple):
@@ -151,7 +148,7 @@ class _CheckFindings(NamedTuple):
     objects: dict[str, list[Finding]]  # of each axis, as its drive has them; empty where none was asked
 
     def wall(self) -> str:
-        """Advice for the wall that is felt least in an approach; "" where none can be tried."""
+        """Approach speed from which the weakest wall is felt, or why there is no wall; "" if no wall can be tried."""
         if not self.felt:
             return ""
         name = max(self.felt, key=self.felt.__getitem__)
@@ -160,19 +157,21 @@ class _CheckFindings(NamedTuple):
             return f"{NO_WALL}{at}: {advice(axis)}"
         speed, unit = _USUAL * axis.parameters.largest_speed, f"{axis.parameters.unit}/s"
         halves = halves_rendered(axis, speed)
-        both = f" ({halves[0]:.2f} up to a crest and {halves[1]:.2f} behind it at {speed:.2g} {unit})" if halves else ""
+        shares = "{:.0%} of the force is rendered up to a crest and {:.0%} beyond it"
+        both = f" (at {speed:.2g} {unit}, {shares.format(*halves)})" if halves else ""
         lost = self._under_losses(axis, max(speed, self.felt[name]))
-        return f"felt from {self.felt[name]:.2g} {unit}{at}{both}{lost}"
+        return f"the wall{at} is felt from an approach speed of {self.felt[name]:.2g} {unit}{both}{lost}"
 
     def _under_losses(self, axis: AxisScene, speed: float) -> str:
-        """Return the share of lost frames through which a wall stays; empty where no loss is declared."""
+        """Return which part of a pressed wall remains at which share of lost frames; "" if no losses are declared."""
         if not getattr(axis.passivity.parameters, "max_consecutive_losses", 0):
             return ""
         tried = kept_through_losses(axis, speed)
         kept = max((lost for lost, share in tried if share >= FELT), default=0.0)
-        beyond = next((f"{share:.0%} of it at {lost:.1%}" for lost, share in tried if lost > kept), "")
-        stays = [f"it stays where about {kept:.1%} of the frames are lost"] if kept else []
-        return f"; pressed for 1 s {', '.join(filter(None, [*stays, beyond]))}"
+        shares = [(f"at least {FELT:.0%}", f"up to {kept:.1%}")] if kept else []
+        shares += [(f"{share:.0%}", f"{lost:.1%}") for lost, share in tried if lost > kept][:1]
+        parts = ", ".join(f"{share} of its force if {lost} of the frames are lost" for share, lost in shares)
+        return f"; pressed for 1 s, it keeps {parts}"
 
     @property
     def refused(self) -> bool:
@@ -181,11 +180,11 @@ class _CheckFindings(NamedTuple):
 
     @property
     def exceeded(self) -> list[limits.Hint]:
-        """Limits exceeded by the scene on which the chosen algorithm rests."""
+        """Limits that the scene exceeds and the guarantee of its algorithm depends on."""
         return [hint for hint in self.hints if hint.exceeded and hint.concerns]
 
     def verdict(self) -> str:
-        """Verdict in one line: whether the scene can run, and points to look at."""
+        """One line: whether the scene can run, its wall, the fitness of the drives, bus load and exceeded limits."""
         load = max(budget.periodic_load for budget in self.budgets.values())
         parts = [
             "" if inf in self.felt.values() else self.wall(),
@@ -264,11 +263,11 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool, full: boo
     if answers := _realtime(scene):
         styles = ["" if answer == GRANTED else "yellow" for answer in answers.values()]
         rows = [[Styled(text, style) for text in pair] for pair, style in zip(answers.items(), styles, strict=True)]
-        console.print(Table("bus.realtime", ("asked", "answer"), rows))
+        console.print(Table("bus.realtime", ("setting", "answer of the system"), rows))
 
 
 def _print_findings(console: Console, found: _CheckFindings, *, full: bool) -> None:
-    """Print the load of the bus, the drives, the limits and the host; in brief only problems and key figures."""
+    """Print bus load, drives, limits and host settings; unless `full`, only problems and key figures."""
     for name, budget in found.budgets.items():
         bus, used, most = f"bus {name}".rstrip(), 1e6 * budget.worst_cycle, 1e6 * budget.sample_time
         if full:
@@ -294,7 +293,7 @@ def _print_findings(console: Console, found: _CheckFindings, *, full: bool) -> N
 
 
 def _guesses(unset: list[Guess], *, full: bool) -> Table | Text:
-    """The values to set, in a few lines or as a table; the file explains each one."""
+    """Values to set: names and line numbers, or if `full` a table with explanations."""
     if full:
         rows = [(guess.line or "", guess.key, guess.value, guess.note) for guess in unset]
         return Table("to set", ("line", "key", "guess", "what belongs there"), rows)
@@ -303,7 +302,7 @@ def _guesses(unset: list[Guess], *, full: bool) -> Table | Text:
 
 
 def _realtime(scene: Scene) -> dict[str, str]:
-    """The operating system's answer to `bus.realtime`, by requesting and releasing it."""
+    """Request the settings of `bus.realtime`, release them, and return the operating system's answers."""
     realtime = Realtime(scene.bus.realtime)
     realtime.begin()
     realtime.end()
@@ -311,7 +310,7 @@ def _realtime(scene: Scene) -> dict[str, str]:
 
 
 def _without_empty(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values without empty entries, such as those neither given nor set by default."""
+    """Return the values without None and empty entries."""
     return {
         key: _without_empty(entry) if isinstance(entry, Mapping) else entry
         for key, entry in values.items()

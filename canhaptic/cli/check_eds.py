@@ -1,4 +1,4 @@
-"""`canhaptic check-eds FILE`: fitness of the drive of an EDS or DCF, and the keys its configuration must supply."""
+"""`canhaptic check-eds FILE`: whether the drive of an EDS or DCF can be used, and the keys to configure by hand."""
 
 import argparse
 from pathlib import Path
@@ -27,12 +27,12 @@ WORDS: Final = {
     Verdict.UNKNOWN: Styled("condition", "yellow"),
     Verdict.REFUSED: Styled("unfit", "red"),
 }
-"""Words for the verdict on one object."""
+"""Displayed word of each verdict on an object."""
 _UNFIT: Final = 1
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Print the verdict with its reasons; return 1 when the drive is unsuitable."""
+    """Print the verdict with its reasons; return 1 if the drive is unfit."""
     found, profile = survey_of(arguments.file, arguments.display, arguments.force_object)
     if arguments.json:
         write_json({**_as_json(found), "profile": profile, "statuses": _statuses(found, profile)})
@@ -42,23 +42,24 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _statuses(found: Survey, profile: str | None) -> str:
-    """Return the statuses of the scene that `new` writes for the drive."""
+    """Return in one line whether a scene by `canhaptic new` for this drive is ready, in simulation and on hardware."""
     if found.suitability is Suitability.UNFIT:
         return f"Simulation: {Suitability.UNFIT.value}. Hardware: {Suitability.UNFIT.value}"
     return status_text(scene_from_text(starter_scene(found, simulate=True, drive=profile), str(found.axis.eds)))
 
 
 def survey_of(path: Path, mode: Mode | None = None, force_object: str | None = None) -> tuple[Survey, str | None]:
-    """Findings of a dictionary, and the name of the drive profile that it was judged with.
+    """Judge the drive of a dictionary; return the findings, and the name of the drive profile used (or None).
 
     Args:
-        path: Path of the dictionary.
+        path: EDS or DCF of the drive.
         mode: Mode of an admittance display; None: cyclic torque.
-        force_object: Object that shows the force of a display; None: a known analog input, else a node of its own.
+        force_object: Object with the measured force of a display; None: a known analog input of the drive if there is
+            one, else a separate sensor node.
 
     Raises:
-        DictionaryError: It cannot be read.
-        InputError: `force_object` is no place of an object, or is given for cyclic torque.
+        DictionaryError: The file cannot be read.
+        InputError: `force_object` does not name an object, or was given for cyclic torque.
     """
     axis = unconfigured_axis(path)
     dictionary = read_dictionary(path, axis.node_id)
@@ -116,7 +117,7 @@ def _print(console: Console, found: Survey, profile: str | None, *, full: bool) 
     name = " ".join(part for part in (found.vendor, found.product) if part) or "a drive without a name"
     console.print(f"{found.axis.eds}: {name}", markup=False, style="bold")
     if profile is not None:
-        console.print(f"judged with the drive profile of this vendor, drive: {profile}", markup=False)
+        console.print(f"judged with the shipped profile of this vendor (drive: {profile})", markup=False)
     console.print(f"[bold {_COLOURS[found.suitability]}]{found.suitability.value}[/]")
     console.print(_statuses(found, profile), markup=False)
     for row in found.reasons or found.conditions:
@@ -139,8 +140,9 @@ def _print_brief(console: Console, found: Survey) -> None:
         read = ", ".join(str(entry) for plan in found.axis_map.tpdos for entry in plan.entries)
         console.print(f"read each cycle: {read}", markup=False)
         fitting = [f"{load.rate:g} Hz" for load in found.loads if load.fits]
-        rates = ", ".join(fitting) or "no rate"
-        console.print(f"one axis at {found.bitrate / 1000:g} kbit/s: {rates} fits the bus", markup=False)
+        rates = ", ".join(fitting) or "none"
+        bus = f"rates that fit the bus, one axis at {found.bitrate / 1000:g} kbit/s"
+        console.print(f"{bus}: {rates}", markup=False)
     if not found.reasons and found.manual:
         console.print("to be configured by hand, under axes:", markup=False)
         console.print(f"  {', '.join(key.key for key in found.manual)}", markup=False)

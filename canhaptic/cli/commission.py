@@ -30,7 +30,10 @@ _YES: Final = ("y", "yes")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Walk the steps; return 0 when all agree or were written, 1 when work remains, 130 or 143 if stopped."""
+    """Take the rig through all steps.
+
+    Returns 0 if every value agrees or was written, 1 if work remains, 130 or 143 after a signal.
+    """
     scene = scene_of(arguments)
     limits = CommissioningLimits(torque=arguments.torque, travel=arguments.travel, speed=arguments.speed)
     place = _place(scene, arguments)
@@ -57,7 +60,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def walk(session: Session, duration: float) -> tuple[list[str], CanHapticError | None]:
-    """Walk the steps; return the missing or failed items, and the error that ended them."""
+    """Take the rig through all steps; return the missing or failed items, and the error that ended the session."""
     scene, error = session.scene, None
     displays = any(axis.parameters.admittance is not None for axis in scene.axes)
     try:
@@ -72,10 +75,10 @@ def walk(session: Session, duration: float) -> tuple[list[str], CanHapticError |
 
 
 def _place(scene: Scene, arguments: argparse.Namespace) -> Path | None:
-    """File for the scene, checked to be writable; None for none.
+    """Return the file for the scene, checked to be writable; None if no file was asked for.
 
     Raises:
-        InputError: The path is blocked, or the scene would mean something else there.
+        InputError: The file cannot be written, or the scene would have another meaning at that path.
     """
     place: Path | None = arguments.config if arguments.in_place else arguments.out
     if place is None:
@@ -96,7 +99,7 @@ def _backup(place: Path) -> Path:
 
 
 def _confirmed(dialogue: Dialogue) -> dict[CheckItem, str]:
-    """Return the items of the check list that a person confirms, and when."""
+    """Ask for each item of the check list; return the time at which each was confirmed."""
     moment = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
     confirmed = {item: moment for item, text in CHECK_LIST.items() if dialogue.confirm(f"check list: {text}?")}
     for text in check_list(confirmed):
@@ -108,7 +111,7 @@ def _write(scene: Scene, changes: Sequence[Change], place: Path, arguments: argp
     """Write the scene with the measured values.
 
     Raises:
-        InputError: It cannot be written, or would not express the measured values.
+        InputError: The file cannot be written, or the edited scene would not yield the measured values.
     """
     text = edited_scene(scene, changes, str(place), allow_code=arguments.allow_code)
     if arguments.in_place:
@@ -119,28 +122,32 @@ def _write(scene: Scene, changes: Sequence[Change], place: Path, arguments: argp
 
 
 def dialogue_of(scene: Scene, *, yes: bool) -> Dialogue:
-    """Return the dialogue with a person, or for simulated drives an automatic one; raise InputError without any."""
+    """Return the dialogue with a person at the terminal, or with `yes` one that agrees to everything.
+
+    Raises:
+        InputError: `yes` with a real drive, or there is no terminal.
+    """
     if yes:
         if not scene.simulated:
             text = f"{scene.source}: --yes is for drives simulated in this process"
             raise InputError(f"{text}; for a real drive a person at the machine must answer")
         return Unattended(write_note)
     if not sys.stdin.isatty():
-        raise InputError("every step is confirmed by a person, which needs a terminal; --yes is for simulated drives")
+        raise InputError("a person must confirm every step, which needs a terminal; simulated drives also take --yes")
     return _Terminal()
 
 
 class _Terminal:
-    """A person at a terminal; questions go to standard error, so that the report can be redirected.
+    """Dialogue with a person at a terminal; questions go to standard error, so that the report can be redirected.
 
-    Input typed before a question does not answer it: consent to a torque needs the question read first.
+    Input typed before a question is discarded, so that consent to a torque is given after reading the question.
     """
 
     def __init__(self) -> None:
         self._input = sys.stdin.fileno()
 
     def tell(self, text: str) -> None:
-        """State the present action."""
+        """Print what is being done."""
         write_note(text)
 
     def confirm(self, question: str) -> bool:
@@ -148,7 +155,7 @@ class _Terminal:
         return self._ask(f"{question} [y/N] ").lower() in _YES
 
     def number(self, question: str, unit: str, truth: float | None) -> float | None:
-        """Ask until the answer is a number or nothing."""
+        """Ask until the answer is a number or empty."""
         while text := self._ask(f"{question} [{unit}] "):
             try:
                 return float(text.removesuffix(unit).strip())
@@ -157,14 +164,14 @@ class _Terminal:
         return None
 
     def choose(self, question: str, answers: Sequence[str], truth: str) -> str:
-        """Ask until it is one of the answers; nothing typed, and the end of the input, is the last."""
+        """Ask until one of the answers is typed; an empty line or the end of the input means the last of them."""
         while text := self._ask(f"{question} [{'/'.join(answers)}] ").lower():
             if text in answers:
                 return text
         return answers[-1]
 
     def until_ready(self, text: str, cycles: int) -> Callable[[], bool]:
-        """Function that reports, without waiting, whether Enter was pressed."""
+        """Return a function that reports, without waiting, whether Enter was pressed."""
         self._forget()
         write_note(text)
 
@@ -188,14 +195,14 @@ class _Terminal:
         termios.tcflush(self._input, termios.TCIFLUSH)
 
     def _line(self) -> str:
-        """One line as typed; read directly, since lines would wait unseen in Python's buffer."""
+        """Read one line, unbuffered: `select` cannot see lines in Python's buffer."""
         return os.read(self._input, _LONGEST_LINE).decode(errors="replace")
 
 
 def _print(
     report: Report, missing: list[str], error: CanHapticError | None, place: Path | None, arguments: argparse.Namespace
 ) -> None:
-    """Print the findings, also before an error, and the path of the scene."""
+    """Print the findings, then the error if there is one, then the path of the written scene."""
     if arguments.json:
         result = {**report.as_json(), "unfinished": missing, "written": None if place is None else str(place)}
         write_json(result if error is None else {**failure(error), "result": result})

@@ -1,4 +1,4 @@
-"""`canhaptic configs`: the scenes in the package, and a copy of them to edit."""
+"""`canhaptic configs`: list the scenes of the package, or copy them for editing."""
 
 import argparse
 import re
@@ -31,7 +31,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _about(path: Path) -> str:
-    """Return the first sentence of the comment that a scene begins with."""
+    """Return the first sentence of the comment at the top of a scene."""
     lines: list[str] = []
     for line in path.read_text(encoding="utf-8").splitlines():
         text = line.removeprefix(_COMMENT).strip()
@@ -42,10 +42,10 @@ def _about(path: Path) -> str:
 
 
 def _copy(target: Path) -> None:
-    """Copy both folders.
+    """Copy the shipped scenes and dictionaries into a folder.
 
     Raises:
-        InputError: One of them already exists, or cannot be written.
+        InputError: A copy already exists there, or cannot be written.
     """
     for folder in FOLDERS:
         if (target / folder).exists():

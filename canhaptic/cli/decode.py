@@ -44,8 +44,8 @@ def _decode_log(
 ) -> Iterator[dict[str, Any]]:
     """Yield `{time, channel, direction, id, data, kind, node, text}` of every frame between two times [s].
 
-    Frames before `start` are decoded too, since the PDO maps are learnt from the bring-up. Each bus is decoded on its
-    own: the same node ID on two of them is two nodes.
+    Frames before `start` are decoded too, since the PDO maps are learnt from the bring-up. Each bus has its own
+    decoder: the same node ID on two buses means two nodes.
     """
     nodes = [] if scene is None else describe_nodes(scene)
     place_of = None if scene is None else Channels(scene).place_of

@@ -1,4 +1,4 @@
-"""`canhaptic drive CONFIG`: only the simulated drives of a scene, at wall-clock pace, for a master elsewhere."""
+"""`canhaptic drive CONFIG`: the simulated drives of a scene, in real time, for a master in another process."""
 
 import argparse
 import gc
@@ -24,12 +24,12 @@ _POLL_PERIOD = 50_000  # [ns] between two looks at several buses that cannot be 
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Run until the duration is over (0) or a signal arrives (130, 143)."""
+    """Run for the duration and return 0, or until a signal and return 130 or 143."""
     scene = scene_of(arguments)
     if any(bus.parameters.interface == "virtual" and bus.parameters.channel is None for bus in scene.buses):
-        text = f"{scene.source}: bus.interface 'virtual' stays inside this process, so no master can reach the drive"
+        text = f"{scene.source}: bus.interface 'virtual' exists in this process only, so no master can reach the drive"
         example = "--set bus.interface=udp_multicast --set bus.channel=239.74.163.21"
-        raise InputError(f"{text}; name a bus that both use, for example {example}")
+        raise InputError(f"{text}; use a bus that both processes can open, for example {example}")
     with ExitStack() as stack:
         stop = stack.enter_context(StopSignal())
         realtime = Realtime(scene.bus.realtime)
@@ -47,7 +47,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _far_end(scene: Scene, place: int, stack: ExitStack) -> tuple[can.BusABC, DriveGroup]:
-    """Connection to one bus of the scene and the simulated drives on it."""
+    """Open one bus of the scene; return it with its simulated drives."""
     name, parameters = scene.buses[place]
     bus = open_bus(parameters, parameters.channel)
     stack.callback(bus.shutdown)
@@ -65,7 +65,7 @@ def _names(scene: Scene, bus: NamedBus) -> str:
 
 
 def _live(far_ends: Sequence[tuple[can.BusABC, DriveGroup]], duration: float | None, stop: StopSignal) -> None:
-    """Pass every frame to the drives as it comes, and run their timers."""
+    """Pass each frame to the drives as it arrives, and run their timers."""
     clock = WallClock(spin_margin=0.0)
     now = clock.now()
     end = None if duration is None else now + round(duration * 1e9)
@@ -84,7 +84,7 @@ def _live(far_ends: Sequence[tuple[can.BusABC, DriveGroup]], duration: float | N
 
 
 def _wait_on(clock: WallClock, buses: Sequence[can.BusABC]) -> Callable[[int], tuple[int, can.Message | None]]:
-    """Function that waits until a time [ns] for a frame of any bus, and returns that bus's place with the frame."""
+    """Return a function that waits until a time [ns] for a frame, and returns the index of its bus and the frame."""
     if len(buses) == 1:
         return lambda deadline: (0, clock.receive(buses[0], deadline))
     selector = _selector(buses)
@@ -105,7 +105,7 @@ def _wait_on(clock: WallClock, buses: Sequence[can.BusABC]) -> Callable[[int], t
 
 
 def _selector(buses: Sequence[can.BusABC]) -> selectors.DefaultSelector | None:
-    """Selector that wakes up for a frame of any bus; None where a bus has no descriptor to wait on."""
+    """Return a selector that wakes up for a frame of any bus; None if a bus has no file descriptor."""
     selector = selectors.DefaultSelector()
     try:
         for bus in buses:

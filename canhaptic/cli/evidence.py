@@ -1,7 +1,7 @@
-"""`canhaptic evidence CONFIG --out FOLDER`: evidence of how a drive performed, in one folder.
+"""`canhaptic evidence CONFIG --out FOLDER`: test a drive, and put the evidence into one folder.
 
-The folder holds the scene and its dictionaries, the commissioning report, a dry run and a run at a tenth of the
-torque limit, each with both logs, versions, and a page to sign with the hashes of every file.
+The folder holds the scene and its dictionaries, the commissioning report, the logs of a dry run and of a run at a
+tenth of the torque limit, the software versions, and a page to sign with the hash of every file.
 """
 
 import argparse
@@ -35,8 +35,8 @@ def execute(arguments: argparse.Namespace) -> int:
     """Fill the folder; return 0, or 130 or 143 after a signal.
 
     Raises:
-        InputError: The folder exists, values are still to be set, or a person did not agree to a run.
-        CanHapticError: A run failed; what was recorded until then stays in the folder.
+        InputError: The folder exists, values are still to be set, or a person declined a run.
+        CanHapticError: A run failed; the folder keeps the records up to there.
     """
     scene, out = scene_of(arguments), arguments.out
     require_no_guesses(scene)
@@ -54,7 +54,8 @@ def execute(arguments: argparse.Namespace) -> int:
         if error is not None:
             raise error
         if session.report.failed:
-            raise InputError(f"{out}: the commissioning failed: {'; '.join(missing)}; no run follows")
+            text = f"{out}: the commissioning failed, so nothing was run: {'; '.join(missing)}"
+            raise InputError(f"{text}; mend this with canhaptic commission, then choose a new folder")
         if all(axis.parameters.admittance is None for axis in own.axes):
             _run(own, "dry_run", arguments, dialogue, stop)
         tenth = [f"axes.{n}.torque_limit={_TENTH * axis.parameters.torque_limit}" for n, axis in enumerate(own.axes)]
@@ -72,7 +73,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _copied(scene: Scene, out: Path, *, anonymous: bool) -> Path:
-    """Copy scene and dictionaries into a folder; return the path of the scene there."""
+    """Copy the scene and its dictionaries into a folder; return the path of the copied scene."""
     changes: list[Change] = []
     for number, axis in enumerate(scene.axes):
         name = f"drive{number}{axis.parameters.eds.suffix}"
@@ -93,8 +94,8 @@ def _run(scene: Scene, name: str, arguments: argparse.Namespace, dialogue: Dialo
     """Run a scene with both logs, and write its account."""
     out, duration, no_torque = arguments.out, arguments.duration, name == "dry_run"
     torque = "without torque" if no_torque else "at a tenth of torque_limit"
-    if not dialogue.confirm(f"a run of {duration:g} s {torque}: hand on the handle. Now?"):
-        raise InputError(f"{name}: not agreed to; the folder {out} is incomplete")
+    if not dialogue.confirm(f"next: a run of {duration:g} s {torque}, with your hand on the handle. Start it?"):
+        raise InputError(f"{name}: declined, so the folder {out} is incomplete; remove it and begin again")
     with build(scene, None, out / f"{name}.h5", out / f"{name}.log", no_torque=no_torque) as experiment:
         account, error = experiment.run_through(round(duration / scene.bus.sample_time), stop.requested)
         _write_json(out / f"{name}.json", account)
@@ -107,6 +108,6 @@ def _write_json(path: Path, value: Any) -> None:
 
 
 def _versions() -> dict[str, str]:
-    """Versions of the software that ran, without the name of the computer."""
+    """Return the versions of the software used; the name of the computer is left out."""
     found = {"python": platform.python_version(), "system": f"{platform.system()} {platform.release()}"}
     return found | {name: version(name) for name in _PACKAGES}

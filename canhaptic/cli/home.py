@@ -1,4 +1,4 @@
-"""`canhaptic home CONFIG`: lets one drive find its zero by its own homing mode, asking before it moves."""
+"""`canhaptic home CONFIG`: home one drive with its own homing mode, asking before it moves."""
 
 import argparse
 from dataclasses import replace
@@ -18,7 +18,7 @@ _NOT_DONE = 1
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Return 0 where the home was attained, 1 where somebody said no, 130 or 143 stopped."""
+    """Return 0 if the drive is homed, 1 if the person declined, 130 or 143 after a signal."""
     scene = scene_of(arguments)
     axis = _axis(scene, arguments.axis)
     _require_torque(axis, arguments.torque)
@@ -36,20 +36,20 @@ def execute(arguments: argparse.Namespace) -> int:
                 found = homing.home(drive, stop.requested)
             finally:
                 for text in drive.unrestored:
-                    write_note(f"  not as before: {text}")
+                    write_note(f"  not put back in the drive: {text}")
     if found is None:
-        write_note(f"  {known.name}: stopped before home was found; halted and disabled")
+        write_note(f"  {known.name}: stopped before home was found; the drive was halted and disabled")
         return stop.exit_status
     before, after = found
     scale = known.direction / known.counts_per_unit
-    write_line(f"{known.name}: home found by method {order.method}, disabled")
+    write_line(f"{known.name}: home found by method {order.method}; the drive is disabled")
     for when, counts in (("before", before), ("after", after)):
         write_line(f"  position {when}: {counts} counts (0x6064), {counts * scale:.6g} {known.unit}")
     return 0
 
 
 def _hands_off(scene: Scene) -> Scene:
-    """Return the scene with its simulated handles let go."""
+    """Return the scene without simulated hands."""
     handles = ((axis, axis.simulation and replace(axis.simulation, user=None)) for axis in scene.axes)
     return replace(scene, axes=tuple(replace(axis, simulation=handle) for axis, handle in handles))
 
@@ -62,23 +62,27 @@ def _axis(scene: Scene, name: str | None) -> AxisScene:
 
 
 def _require_torque(axis: AxisScene, torque: float) -> None:
-    """Refuse more than the scene allows, a hundredth of it with an unverified scale; raise InputError."""
+    """Refuse a torque above the axis's limit; with an unverified torque scale, above a hundredth of it.
+
+    Raises:
+        InputError: The torque is too large, or not above zero.
+    """
     limit, unit = axis.loop.torque_limit or axis.parameters.torque_limit, effort_unit(axis.parameters.unit)
     if not 0.0 < torque <= limit:
-        text = "; verify its scale first (canhaptic commission)" if limit < axis.parameters.torque_limit else ""
+        text = "; canhaptic commission verifies its scale, for more" if limit < axis.parameters.torque_limit else ""
         raise InputError(f"--torque: got {torque:g} {unit}, expected more than 0, at most {limit:g} {unit}{text}")
 
 
 def _questions(drive: homing.HomingDrive) -> list[str]:
-    """Return the questions a person must answer with yes: what moves, which way, how fast, at what torque."""
+    """Return the questions that a person must answer with yes: what will move, how, how fast, at what torque."""
     axis, order = drive.axis, drive.order
     torque, speed = f"{axis.torque_limit:g} {effort_unit(axis.unit)}", " and ".join(f"{v:g}" for v in order.speeds)
     counts = " and ".join(str(round(v * axis.counts_per_unit)) for v in order.speeds)
     questions = []
     if not drive.takes_limit:
         questions.append(
-            f"{axis.name}: this drive takes no torque limit from the bus (0x6072): its own current limit alone bounds "
-            f"the homing. Has it been set with the vendor's tool to at most {torque}?"
+            f"{axis.name}: this drive takes no torque limit from the bus (0x6072), so only its own current limit "
+            f"bounds the homing torque. Is that limit set with the vendor's tool to at most {torque}?"
         )
     if od.VELOCITY_UNIT not in drive.dictionary:
         questions.append(f"{axis.name}: the drive does not list its velocity unit (0x60A9). Is 0x6099 in counts/s?")

@@ -1,4 +1,4 @@
-"""`canhaptic inspect LOG`: the account of a finished run, checked, compared, drawn, exported, recomputed."""
+"""`canhaptic inspect LOG`: read the log of a run; print, check, compare, draw, export or recompute its account."""
 
 import argparse
 from contextlib import ExitStack
@@ -24,12 +24,12 @@ _EXPORTS: Final = ("csv", "parquet", "mat", "mcap")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Run the requested checks and outputs; return 0, or 1 when a check fails.
+    """Run the requested checks and write the requested files.
 
-    A failure is a failed check, comparison or recomputation, or a log with values that are not finite.
+    Returns 0, or 1 if a check, comparison or recomputation fails or the log holds values that are not finite.
 
     Raises:
-        InputError: A log or an argument that cannot be used.
+        InputError: A log or an argument cannot be used.
     """
     _check_files(arguments)
     arguments.overlay = [*arguments.others, *arguments.overlay]
@@ -60,7 +60,7 @@ def _checks(result: Checked, arguments: argparse.Namespace) -> list[Outcome]:
 
 
 def _judge(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) -> None:
-    """Compare the log: with another log, its own controllers, the frames of the same run."""
+    """Compare the log with another log, with its recomputation, and with the frames of the run, as requested."""
     if arguments.compare is not None:
         with EnergyLog.open(arguments.compare) as other:
             result["comparison"] = compare(log, other)
@@ -85,7 +85,7 @@ def _is_good(result: Inspection) -> bool:
 
 
 def _check_files(arguments: argparse.Namespace) -> None:
-    """Refuse files that could not be written, before anything is read."""
+    """Refuse output files that could not be written, before anything is read."""
     for suffix in _EXPORTS:
         path = getattr(arguments, suffix)
         if path is not None:
@@ -112,8 +112,8 @@ def _write_files(log: EnergyLog, result: Inspection, arguments: argparse.Namespa
         others = [stack.enter_context(EnergyLog.open(path)) for path in paths]
         for other in others:
             if not set(other.ports) & set(log.ports):
-                text = f"{other.path}: has the ports {', '.join(other.ports)} and none of {', '.join(log.ports)}"
-                raise InputError(f"{text}; nothing of it can be drawn over this run")
+                text = f"{other.path}: got the ports {', '.join(other.ports)}, expected one of {', '.join(log.ports)}"
+                raise InputError(f"{text}; name a log of the same rig to draw it over this run")
         for path in pictures:
             draw_energy(log, path, arguments.start, arguments.stop, others)
         if arguments.html is not None:
@@ -123,7 +123,7 @@ def _write_files(log: EnergyLog, result: Inspection, arguments: argparse.Namespa
 
 
 def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
-    """Account of a run from its frames alone."""
+    """Print the account derived from a bus log; return 1 if a check fails, else 0."""
     from canhaptic.audit.rederive import rederive
     from canhaptic.scene.load import load_scene
 

@@ -1,8 +1,7 @@
-"""A command that takes time.
+"""Common parts of commands that move a rig: the operator's stop, and notes shown before any torque.
 
-SIGINT and SIGTERM as the operator's stop: the first requests it, the second does not wait for the ramp.
-
-Information shown before a real rig applies any torque: limits, check list and positions of the walls.
+A first SIGINT or SIGTERM requests a stop with a torque ramp; a second one ends the process at once. The notes are
+reduced torque limits, the check list, and the positions of the walls.
 """
 
 import signal
@@ -58,12 +57,12 @@ class StopSignal:
 
 
 def notes(scene: Scene) -> Iterator[str]:
-    """Notes on axes whose torque is reduced because its scale is not verified, the check list, and slow plants."""
+    """Yield notes: torque limits reduced until the torque scale is verified, the check list, slow simulations."""
     for axis in scene.axes:
         given, limit = axis.parameters, axis.loop.torque_limit or 0.0
         if limit < given.torque_limit and given.admittance is None:
-            text = f"{given.name}: torque_verified: no: at most {limit:.3g} {effort_unit(given.unit)} are sent, a"
-            yield f"{text} hundredth of torque_limit; canhaptic commission verifies the scale"
+            text = f"{given.name}: torque scale not verified (torque_verified: no), so the torque is limited to"
+            yield f"{text} {limit:.3g} {effort_unit(given.unit)}, 1 % of torque_limit; canhaptic commission verifies it"
     if scene.simulation is None:
         yield from check_list(scene.run.confirmed)
     if scene.simulated:  # real drives load nothing of it
@@ -73,13 +72,13 @@ def notes(scene: Scene) -> Iterator[str]:
 
 
 def check_list(confirmed: Mapping[CheckItem, str]) -> Iterator[str]:
-    """Lines of the check list: what was confirmed and when, and what was not."""
+    """Yield a line for each item of the check list, with the time of its confirmation."""
     for key, text in CHECK_LIST.items():
         yield f"{'x' if key in confirmed else ' '} {key}: {text}; {confirmed.get(key, 'not confirmed')}"
 
 
 def walls_first(experiment: "Experiment", stop_requested: Callable[[], bool]) -> Callable[[], bool]:
-    """Return `stop_requested`, which first shows where the walls lie: drives are enabled, and no torque was sent."""
+    """Return `stop_requested`; its first call, after the drives are enabled and before any torque, prints the walls."""
     if all(axis.parameters.position_reference != "at_start" for axis in experiment.scene.axes):
         return stop_requested
     waiting = [experiment]
@@ -98,13 +97,13 @@ def _walls(experiment: "Experiment") -> Iterator[str]:
         if axis.parameters.position_reference != "at_start":
             continue
         at, unit = drive.scaling.position(drive.position_counts), axis.parameters.unit
-        ways = [f"{key} at {place:.4g} {unit}, {place - at:+.4g} from here" for key, place in _places(axis)]
-        where = f"the handle is at {at:.4g} {unit} from where power came on"
+        ways = [f"{key} at {place:.4g} {unit}, {place - at:+.4g} {unit} from here" for key, place in _places(axis)]
+        where = f"the handle is {at:.4g} {unit} from its position at power-on"
         yield f"{axis.parameters.name}: {'; '.join([where, *ways])}"
 
 
 def _places(axis: AxisScene) -> Iterator[tuple[str, float]]:
-    """Walls and limits of an axis, by their keys."""
+    """Yield key and position of the walls and limits of an axis."""
     for of, keys in (
         (axis.environment.parameters, ("position", "lower_wall", "upper_wall")),
         (axis.parameters.admittance, ("position_low", "position_high")),

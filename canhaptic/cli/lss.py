@@ -1,4 +1,4 @@
-"""`canhaptic lss CONFIG NODE`: give one node on the bus of a scene its node ID, asking before each step."""
+"""`canhaptic lss CONFIG NODE`: set the node ID of one node on a bus of the scene (LSS), asking before each step."""
 
 import argparse
 
@@ -14,7 +14,7 @@ _LARGEST_NODE_ID = 127
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Return 0 where the node has its node ID, 1 where the person declined or it did not boot."""
+    """Return 0 if the node booted with its new node ID, 1 if it did not or the person declined."""
     scene = scene_of(arguments)
     if not 1 <= arguments.node <= _LARGEST_NODE_ID:
         raise InputError(f"NODE: got {arguments.node}, expected 1 to {_LARGEST_NODE_ID}")

@@ -1,8 +1,8 @@
-"""Entry of the `canhaptic` command: finds the subcommand, imports its module, turns errors into exit statuses.
+"""Entry point of the `canhaptic` command: imports the subcommand's module and turns errors into exit statuses.
 
 0 success   1 a check or comparison failed   2 bad input   3 drive or link fault   130 SIGINT   143 SIGTERM
 
-Ctrl-C where nothing moves: the command ends at once, also inside a library that ignores signals.
+Ctrl-C ends a command that moves no drive at once, also within a library call that delays signals.
 """
 
 import argparse
@@ -27,19 +27,19 @@ COMMANDS: Final = {name: of["about"] for name, of in table().items()}
 _BROKEN_PIPE: Final = 1
 INTERRUPTED: Final = 130
 _PATIENCE: Final = 0.7
-"""Time for a command to end by itself with its results so far [s]."""
+"""Time after Ctrl-C for a command to end by itself and print partial results [s]."""
 _SIGINT: Final = bytes([signal.SIGINT])
 _END: Final = b"\0"
 _LINE: Final = "canhaptic: interrupted\n"
 _COMPLETION: Final = "_ARGCOMPLETE"
-"""Environment variable that a shell sets which asks for completions."""
+"""Environment variable that a shell sets to ask for completions."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status.
 
-    `options.toml` lists the arguments of a subcommand. The module with its name has `execute`, which takes them
-    and returns the exit status; it is imported once the arguments are right.
+    `options.toml` lists the arguments of a subcommand. Once they are valid, the module with the subcommand's name is
+    imported; its `execute` takes them and returns the exit status.
     """
     try:
         words = list(sys.argv[1:] if arguments is None else arguments)
@@ -75,7 +75,7 @@ def _run(words: list[str], name: str) -> int:
 
 
 def _complete(parser: argparse.ArgumentParser) -> None:
-    """Answer the shell that completes a line, and end; nothing without argcomplete."""
+    """Print completions for the shell and end the process; do nothing without argcomplete."""
     try:
         from argcomplete import autocomplete
         from argcomplete.completers import BaseCompleter, FilesCompleter
@@ -92,7 +92,7 @@ def _complete(parser: argparse.ArgumentParser) -> None:
 
 
 def _show_warnings() -> None:
-    """Show a warning about a scene as one line, like every note; others as Python does."""
+    """Show warnings about a scene as notes of one line, and others as Python does."""
     before = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
@@ -105,7 +105,7 @@ def _show_warnings() -> None:
 
 
 class _ShowVersion(argparse.Action):
-    """Looks the version up on demand: the search takes as long as the rest of `--help`."""
+    """Option that prints the version; the version is looked up only then, because that takes as long as `--help`."""
 
     def __init__(self, option_strings: Sequence[str], dest: str) -> None:
         super().__init__(option_strings, dest, nargs=0, help="show program's version number and exit")
@@ -118,7 +118,7 @@ class _ShowVersion(argparse.Action):
 
 
 def _imported(name: str) -> Any:
-    """Import a module without garbage collection, which would cost a tenth of the start."""
+    """Import a module with garbage collection off, which saves a tenth of the start-up time."""
     if name in sys.modules:
         return sys.modules[name]
     was_enabled = gc.isenabled()
@@ -162,9 +162,9 @@ def say_interrupted() -> None:
 class PromptEnd:
     """Within the block, Ctrl-C ends the process after 0.7 s if it has not ended by then.
 
-    Python handles a signal between two of its own instructions. A compiler that takes seconds for one call would delay
-    it that long. The signal number is written into a pipe in any case, and a thread waits for it there.
-    Files being written at that moment are left as after a kill. Not for commands that move a drive: they stop in order.
+    Python handles a signal only between two of its own instructions, so a compiler that takes seconds for one call
+    would delay it. The signal number is also written into a pipe, and a thread waits there. Files being written at
+    that moment stay incomplete, as after a kill. Commands that move a drive must not use it: they stop in order.
     """
 
     def __init__(self) -> None:

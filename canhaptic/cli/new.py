@@ -1,4 +1,4 @@
-"""`canhaptic new EDS --out rig.yaml`: a commented configuration to start from."""
+"""`canhaptic new EDS --out rig.yaml`: write a commented scene to start from."""
 
 import argparse
 
@@ -12,8 +12,8 @@ def execute(arguments: argparse.Namespace) -> int:
     """Write the scene; return 0.
 
     Raises:
-        DictionaryError: The drive cannot serve.
-        InputError: The file already exists, or cannot be written; or `--force-object` is no place of an object.
+        DictionaryError: The dictionary cannot be read, or its drive cannot be used.
+        InputError: The file exists or cannot be written, or `--force-object` does not name an object.
     """
     out = arguments.out
     if out is not None:

@@ -1,6 +1,6 @@
-"""The arguments of every subcommand, listed in `options.toml`; its code is imported after parsing.
+"""Arguments of every subcommand, as `options.toml` lists them, and the parsers of their values.
 
-Parsers of option values, each with an error that states the expected form.
+The code of a subcommand is imported only after its arguments are parsed.
 """
 
 import argparse
@@ -51,12 +51,12 @@ def add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
 
 
 def scene_of(arguments: argparse.Namespace, *, beyond_bus: bool = False) -> "Scene":
-    """Return the scene that the arguments name; `beyond_bus` as for `load_scene`.
+    """Load the scene that the arguments name; `beyond_bus` as for `load_scene`.
 
-    A command without `--allow-code` runs no scene, and does not load user code.
+    User code is left unread for a command without `--allow-code`, since such a command runs no scene.
 
     Raises:
-        SceneError: Anything in it is wrong.
+        SceneError: The scene has a fault.
     """
     from canhaptic.scene.load import load_scene
 
@@ -66,14 +66,14 @@ def scene_of(arguments: argparse.Namespace, *, beyond_bus: bool = False) -> "Sce
 
 
 def check_picture(path: Path, force: bool) -> None:
-    """Refuse a picture that could not be written, before the run.
+    """Refuse a picture file that could not be written, before the run.
 
     Args:
-        path: The file.
-        force: Whether it may replace a file.
+        path: File to write.
+        force: Whether it may replace an existing file.
 
     Raises:
-        InputError: An unknown suffix, no place for it, it exists, or matplotlib is not installed.
+        InputError: The suffix is unknown, the folder is missing, the file exists, or matplotlib is not installed.
     """
     if path.suffix not in _PICTURES:
         raise InputError(f"{path}: expected a name that ends in {', '.join(_PICTURES[:-1])} or {_PICTURES[-1]}")
@@ -81,14 +81,14 @@ def check_picture(path: Path, force: bool) -> None:
 
 
 def check_page(path: Path, force: bool) -> None:
-    """Refuse a page or picture that could not be written, before the run.
+    """Refuse a page or picture file that could not be written, before the run.
 
     Args:
-        path: The file.
-        force: Whether it may replace a file.
+        path: File to write.
+        force: Whether it may replace an existing file.
 
     Raises:
-        InputError: There is no place for it, it exists, or matplotlib is not installed.
+        InputError: The folder is missing, the file exists, or matplotlib is not installed.
     """
     from canhaptic.view.picture_style import require_matplotlib
 
@@ -97,14 +97,14 @@ def check_page(path: Path, force: bool) -> None:
 
 
 def check_place(path: Path, force: bool) -> None:
-    """Refuse a file that could not be written, before the run.
+    """Refuse an output file that could not be written, before the run.
 
     Args:
-        path: The file.
-        force: Whether it may replace a file.
+        path: File to write.
+        force: Whether it may replace an existing file.
 
     Raises:
-        InputError: There is no folder for it, it exists, or its path is no regular file.
+        InputError: The folder is missing, the file exists, or the path is not a regular file.
     """
     if not path.absolute().parent.is_dir():
         raise InputError(f"{path}: no such folder {path.absolute().parent}; make it first")
@@ -114,10 +114,10 @@ def check_place(path: Path, force: bool) -> None:
 
 
 def require_new(*files: Path) -> None:
-    """Refuse to overwrite a file, before the run.
+    """Refuse to overwrite files, before the run.
 
     Raises:
-        InputError: One of them exists, or the remains of a killed run's log.
+        InputError: One of the files exists, or the unfinished log of a killed run.
     """
     for path in files:
         unfinished = [path.with_name(f"{path.name}.log")] if path.suffix.lower() in CONVERTIBLE else []
@@ -129,13 +129,13 @@ def seconds(text: str) -> float:
     """Return a duration [s] from `10`, `10 s`, `500 ms` or `2 min`.
 
     Raises:
-        argparse.ArgumentTypeError: It is none, or not above zero.
+        argparse.ArgumentTypeError: The text is not a duration above zero.
     """
     return _positive_number(text, ("s", "s"), "duration", 1e6)
 
 
 def _number(text: str, units: tuple[str, str]) -> float:
-    """Return a number in SI from a text; `units` and errors as for `_positive_number`."""
+    """Return a number in SI units from a text; `units` and errors as for `_positive_number`."""
     from canhaptic.units import Unit
 
     try:
@@ -145,16 +145,16 @@ def _number(text: str, units: tuple[str, str]) -> float:
 
 
 def _positive_number(text: str, units: tuple[str, str], name: str, most: float) -> float:
-    """Return a number above zero, SI, from a text with or without its unit.
+    """Return a number above zero in SI units from a text with or without its unit.
 
     Args:
-        text: The text as typed.
+        text: Text as typed.
         units: Accepted units for linear and for rotary motion.
         name: Name of the quantity, for the message.
         most: Largest accepted value.
 
     Raises:
-        argparse.ArgumentTypeError: It is no number of this dimension, or out of range.
+        argparse.ArgumentTypeError: The text is not a number of this dimension, or the number is out of range.
     """
     value = _number(text, units)
     if not 0.0 < value <= most:
@@ -164,10 +164,10 @@ def _positive_number(text: str, units: tuple[str, str], name: str, most: float) 
 
 
 def _names(text: str) -> list[str]:
-    """Return a comma-separated list of names.
+    """Return the names of a comma-separated list.
 
     Raises:
-        argparse.ArgumentTypeError: There is none.
+        argparse.ArgumentTypeError: The list is empty.
     """
     found = [name.strip() for name in text.split(",") if name.strip()]
     if not found:
@@ -179,7 +179,7 @@ _DIGITS: Final = re.compile(r"[0-9]{1,12}")
 
 
 def _delays(text: str) -> list[int]:
-    """Return a comma-separated list of delays, 0 or 1 hold, each once."""
+    """Return the delays of a comma-separated list, 0 or 1 sample time, without repetition."""
     given = list(dict.fromkeys(_names(text)))
     if not set(given) <= {"0", "1"}:
         raise argparse.ArgumentTypeError(f"got {text!r}, expected 0 (event), 1 (synchronous) or 0,1")
@@ -187,7 +187,7 @@ def _delays(text: str) -> list[int]:
 
 
 def _whole(least: int, most: int) -> Callable[[str], int]:
-    """Parser of a whole number within limits."""
+    """Return a parser of whole numbers within limits."""
 
     def read(text: str) -> int:
         if not _DIGITS.fullmatch(text) or not least <= int(text) <= most:
@@ -198,7 +198,7 @@ def _whole(least: int, most: int) -> Callable[[str], int]:
 
 
 def _samples(text: str) -> int:
-    """Return the points of a Latin hypercube from `lhs:N`."""
+    """Return the number of points of a Latin hypercube from `lhs:N`."""
     kind, _, points = text.partition(":")
     if kind != "lhs":
         raise argparse.ArgumentTypeError(f"got {text!r}, expected lhs:N with N from 1 to 10^8")
@@ -221,4 +221,4 @@ _READERS: Final[dict[str, Callable[[str], object]]] = {
     "delays": _delays,
     "samples": _samples,
 }
-"""Type of an argument in `options.toml` -> function that reads its text."""
+"""`type` of an argument in `options.toml` -> parser of its text."""

@@ -1,4 +1,4 @@
-"""Output of the command: results on standard output, everything else on standard error."""
+"""Output of a command: results go to standard output, notes and errors to standard error."""
 
 import json
 import math
@@ -18,18 +18,18 @@ def write_json(value: Any) -> None:
 
 
 def write_line(text: str = "") -> None:
-    """Write one line to standard output, made `visible`."""
+    """Write one line to standard output, with control characters escaped."""
     sys.stdout.write(visible(text) + "\n")
 
 
 def write_note(text: str) -> None:
-    """Write one line to standard error, made `visible`."""
+    """Write one line to standard error, with control characters escaped."""
     sys.stderr.write(visible(text) + "\n")
     sys.stderr.flush()
 
 
 def note_file(what: str, path: Path) -> None:
-    """Report a written file on standard error."""
+    """Note on standard error that a file was written."""
     write_note(f"  {what:<10}  {path}")
 
 

@@ -1,8 +1,8 @@
-"""Live pages in a browser: one server, for this host and those who have its address, until SIGINT or SIGTERM.
+"""Server of a live page, on this host only, until SIGINT or SIGTERM; the printed address contains a secret.
 
-A page of another origin in the same browser can send requests here; with a name of its own that resolves to this host
-it can read the answers, too. So a request must name this host itself, come from the page or from none, and carry a
-secret in its path, which only the printed address has.
+Other web pages in the same browser can send requests to this host, and under DNS rebinding read the answers. A
+request is therefore admitted only if its Host header names this host, its Origin is the page itself or absent, and
+its path is a static script or contains the secret.
 """
 
 import argparse
@@ -12,6 +12,7 @@ import signal
 import socket
 import webbrowser
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -32,18 +33,15 @@ _CHECK: Final = 1000  # [ms] between two looks for visitors to end
 
 
 class _Door:
-    """Admits the requests that a page served at a path needs; others get 404, and start nothing.
-
-    A matcher for tornado's router.
-    """
+    """Matcher for tornado's router that admits only the requests of the served page; others get 404."""
 
     def __init__(self, path: str) -> None:
         self._paths = (path, f"{path}/", f"{path}/ws")
 
     def match(self, request: Any) -> dict[str, Any] | None:
-        """No parameters for an admitted request, None for any other.
+        """Return an empty mapping for an admitted request, None for any other.
 
-        Any port is accepted: the page may be reached through a tunnel of ssh.
+        Any port is accepted, since the page may be reached through an ssh tunnel.
         """
         host = request.headers.get("Host", "")
         is_ours = _OURS.fullmatch(host)
@@ -53,7 +51,7 @@ class _Door:
 
 
 def _usable_port(arguments: argparse.Namespace) -> int:
-    """The requested port, or a free one; checks that Bokeh is installed."""
+    """Return the requested port, or a free one for port 0; check that Bokeh is installed."""
     try:
         import bokeh.server.server  # noqa: F401 - what serves every live page
     except ImportError as error:
@@ -72,8 +70,8 @@ def serve_page(page: Callable[[Any], object], arguments: argparse.Namespace, tit
 
     Args:
         page: Function that fills the Bokeh document of a visitor.
-        arguments: Port, 0 for a free one, and whether to open the page in a browser.
-        title: Content of the page, for the line with the address.
+        arguments: Parsed options `--port` (0: any free one) and `--open`.
+        title: What the page shows, printed before its address.
 
     Raises:
         InputError: Bokeh is not installed, or the port is taken.
@@ -100,8 +98,8 @@ def serve_page(page: Callable[[Any], object], arguments: argparse.Namespace, tit
     server = BaseServer(IOLoop.current(), pages, http)
     ended_by = _stop_on_signals(server.io_loop)
     make_console().print(f" {title} at http://{_HOST}:{port}{path}   Ctrl-C ends", soft_wrap=True)
-    with TemporaryDirectory(prefix="canhaptic-") as folder:
-        if arguments.open:
+    with TemporaryDirectory(prefix="canhaptic-") if arguments.open else nullcontext("") as folder:
+        if folder:
             server.io_loop.add_callback(_open_browser, f"http://{_HOST}:{port}{path}", Path(folder))
         server.start()
         server.io_loop.start()
@@ -112,9 +110,9 @@ def serve_page(page: Callable[[Any], object], arguments: argparse.Namespace, tit
 
 
 def _open_browser(address: str, folder: Path) -> None:
-    """Open an address in a browser by way of a file in a private folder.
+    """Open an address in a browser through a file in a private folder.
 
-    Every user of the computer can read the command line of the browser, and the address has the secret.
+    The address contains the secret, and other users of the computer can read the command line of the browser.
     """
     page = folder / "open.html"
     page.write_text(f'<meta http-equiv="refresh" content="0; url={address}">', encoding="ascii")
@@ -122,9 +120,9 @@ def _open_browser(address: str, folder: Path) -> None:
 
 
 def _stop_on_signals(loop: Any) -> list[int]:
-    """List that receives the signal that stops the loop.
+    """Let SIGINT and SIGTERM stop the loop; return a list to which the signal is appended.
 
-    As an exception Ctrl-C could be swallowed by the callback that it interrupts.
+    A KeyboardInterrupt could be swallowed by the callback that it interrupts.
     """
     ended_by: list[int] = []
 

@@ -1,4 +1,4 @@
-"""`canhaptic preflight CONFIG`: the check of a scene's SocketCAN interfaces that `run` makes before it begins."""
+"""`canhaptic preflight CONFIG`: check the SocketCAN interfaces of a scene, as `run` does before it begins."""
 
 import argparse
 from typing import Final
@@ -14,7 +14,7 @@ _COLOURS: Final = {"well": "green", "note": "yellow", "refused": "red"}
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Print the kernel's report on each interface; return 1 when a run would be refused."""
+    """Print the state of each interface; return 1 if a run would be refused, else 0."""
     scene = scene_of(arguments)
     findings = preflight(scene.loaded_buses)
     is_refused = any(finding.severity == "refused" for finding in findings)
@@ -29,7 +29,7 @@ def execute(arguments: argparse.Namespace) -> int:
 def _print(findings: list[PreflightFinding], interfaces: list[str]) -> None:
     console = make_console()
     if not findings:
-        console.print(f"nothing to check: {', '.join(interfaces)} is not SocketCAN")
+        console.print(f"nothing to check: bus.interface is {', '.join(interfaces)}, not socketcan")
         return
     rows = [(f.interface, f.item, Styled(f.severity, _COLOURS[f.severity]), f.seen, f.text) for f in findings]
-    console.print(Table("SocketCAN", ("interface", "item", "", "seen", "what to do"), rows))
+    console.print(Table("SocketCAN", ("interface", "item", "", "found", "what to do"), rows))

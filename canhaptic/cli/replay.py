@@ -1,4 +1,4 @@
-"""`canhaptic replay BUSLOG --config CONFIG`: a recorded bus against today's master, comparing every frame."""
+"""`canhaptic replay BUSLOG --config CONFIG`: replay the drives of a bus log, and compare every frame of the master."""
 
 import argparse
 
@@ -17,7 +17,7 @@ from canhaptic.view.run_lines import make_console
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Replay; return 0 when the master sent the recorded frames, 1 when it did not.
+    """Replay; return 0 if the master sent the recorded frames, 1 if it did not.
 
     Raises:
         InputError: The recording or the scene cannot be used.
@@ -31,9 +31,9 @@ def execute(arguments: argparse.Namespace) -> int:
     else:
         scene = scene_of(arguments)
         if scene.own_code:
-            text = f"{arguments.bus_log}: the frames do not record the code that made them, and the scene names"
-            text = f"{text} {', '.join(scene.own_code)}; name the energy log of the same run with --energy-log"
-            raise InputError(f"{text}: it has it")
+            text = f"{arguments.bus_log}: a bus log does not record user code, and the scene uses"
+            text = f"{text} {', '.join(scene.own_code)}; add the energy log of the same run, which does: --energy-log"
+            raise InputError(text)
     result = replay_bus_log(
         arguments.bus_log, scene, realtime=arguments.realtime, from_sync=arguments.from_sync, dry_run=dry_run
     )
@@ -49,10 +49,10 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _replay_report(result: ReplayResult) -> list[Text]:
-    """Outcome of a replay as lines of text."""
+    """Return the outcome of a replay as lines of text."""
     difference, frames = result["difference"], result["frames"]
     start = "from the boot of the drives" if result["start"] == "boot" else "from the first SYNC with all axes enabled"
-    played = f"{frames['compared']} frames of the master compared, {frames['played']} of the drives played"
+    played = f"{frames['compared']} frames of the master compared, {frames['played']} frames of the drives replayed"
     lines = [
         Text(f" {result['recording']}: {result['duration']:.6g} s, {frames['recorded']} frames, replayed {start}"),
         Text(f" {played}, {result['cycles']} cycles, {result['speed']:.1f} times real time"),
@@ -62,7 +62,7 @@ def _replay_report(result: ReplayResult) -> list[Text]:
         lines.append(Text(f" frames left out: {describe_skipped(result['skipped'])}"))
     if result["reads_left_out"]:
         objects = ", ".join(result["reads_left_out"])
-        lines.append(Text(f" objects that the start left out, because the recorded master was older: {objects}"))
+        lines.append(Text(f" objects not read at the start, as in the recording by an older master: {objects}"))
     if difference is None:
         text = " identical: the master sent every frame byte for byte as recorded (except heartbeats and times)"
         return [*lines, Text(text, style="green")]
@@ -73,7 +73,7 @@ def _replay_report(result: ReplayResult) -> list[Text]:
     if difference["gap"] is not None:
         text = f" the recording has a gap of {difference['gap']:.6g} s before this line: frames are missing from it"
         lines.append(Text(text, style="bold"))
-    lines.append(Text(" the last frames before, equal:", style="dim"))
+    lines.append(Text(" the last equal frames before it:", style="dim"))
     lines += [
         Text(f"   {frame['number']:>7} {frame['time']:12.6f} {frame['direction']} {_words(frame)}", style="dim")
         for frame in difference["before"]

@@ -1,4 +1,4 @@
-"""`canhaptic run CONFIG`: brings the drives up, renders the environment, stops, and prints the energy account."""
+"""`canhaptic run CONFIG`: bring the drives up, render the environment, stop, and print the energy account."""
 
 import argparse
 import tempfile
@@ -25,7 +25,7 @@ _KEPT: Final = ("yes", "no contact", "dry run")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Run the scene; return 0, 1 when --strict fails, or 130 or 143 after a signal."""
+    """Run the scene; return 0, 1 if --strict fails, or 130 or 143 after a signal."""
     scene = scene_of(arguments)
     with ExitStack() as stack:
         energy_log, bus_log = arguments.log or scene.log.energy, arguments.bus_log or scene.log.bus
@@ -70,7 +70,7 @@ def _preflight(scene: Scene) -> Iterator[str]:
 
 
 def _with_checked_holds(scene: Scene, stop: StopSignal, arguments: argparse.Namespace) -> Scene:
-    """Return the scene after the check that `check_hold` asks for; nothing of it is loaded otherwise."""
+    """Check the hold of a torque on every axis with `check_hold`; return the scene with the result."""
     if arguments.no_torque or all(axis.parameters.check_hold is None for axis in scene.axes):
         return scene
     from canhaptic.commission.torque_tests import checked_holds
@@ -79,28 +79,28 @@ def _with_checked_holds(scene: Scene, stop: StopSignal, arguments: argparse.Name
 
 
 def _require_allowed(scene: Scene, most: float) -> None:
-    """Refuse an allowance that a hand may feel as a kick, above `most` [J].
+    """Refuse an energy allowance above `most` [J], which a hand may feel as a kick.
 
     Raises:
-        ParameterError: An axis or a group may give out more than 10 mJ.
+        ParameterError: The allowance of an axis or a group is larger.
     """
     for name, passivity, _ in scene.ports:
         energy = getattr(passivity.parameters, "energy_allowance", 0.0)
         if energy > most:
-            text = f"{name}: passivity.energy_allowance: got {energy:.3g} J, expected at most {most:g} J; the port may"
-            text += " give out this energy before any comes in"
-            raise ParameterError(f"{text}: declare less, or run with --large-allowance")
+            text = f"{name}: passivity.energy_allowance: got {energy:.3g} J, expected at most {most:g} J, since the"
+            text += " handle may give out this energy at once"
+            raise ParameterError(f"{text}; declare less, or run with --large-allowance")
 
 
 def _withheld(result: RunResult) -> str:
-    """Description of the torque that a dry run withheld."""
+    """Return in words the torque that a dry run withheld."""
     axes = {name: axis for name, axis in result["ports"].items() if "withheld_torque" in axis}
     largest = [f"{name} {axis['withheld_torque']:.3g} {effort_unit(axis['unit'])}" for name, axis in axes.items()]
     return f"dry run: no torque was sent; the largest would have been: {', '.join(largest)}"
 
 
 def _fails(result: RunResult) -> bool:
-    """Report a port that is not shown as passive, if there is one; no contact is no failure."""
+    """Return whether a touched port is not shown as passive, and report each such port."""
     from canhaptic.view.run_lines import headline_text
 
     for name, account in result["ports"].items():
@@ -110,7 +110,7 @@ def _fails(result: RunResult) -> bool:
 
 
 def _run(experiment: Experiment, duration: float | None, stop: StopSignal) -> tuple[RunResult, CanHapticError | None]:
-    """Run to the end, good or bad; return the account and the error, which is printed after it."""
+    """Run until the end or an error; return the account, and the error or None."""
     period = experiment.scene.bus.sample_time
     cycles = None if duration is None else max(1, round(duration / period))
     with run_progress(cycles, period, experiment.pace) as progress:
@@ -121,7 +121,7 @@ def _run(experiment: Experiment, duration: float | None, stop: StopSignal) -> tu
 
 
 def _report(result: RunResult, error: CanHapticError | None, arguments: argparse.Namespace) -> None:
-    """Print the account, and the error that ended the run if there was one."""
+    """Print the account, then the error that ended the run if there was one."""
     if arguments.json:
         write_json(result if error is None else {**failure(error), "result": result})
     elif result["cycles"]:

@@ -1,4 +1,4 @@
-"""`canhaptic schema`: the JSON Schema of scene files, for completion and checks in an editor."""
+"""`canhaptic schema`: print the JSON Schema of scene files, for completion and checks in an editor."""
 
 import argparse
 

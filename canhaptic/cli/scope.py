@@ -1,4 +1,4 @@
-"""`canhaptic scope LOG`: a live page on a growing log. A separate process that only reads, for this host."""
+"""`canhaptic scope LOG`: show a log that is being written as a live page, from a process that only reads."""
 
 import argparse
 from pathlib import Path
@@ -34,8 +34,8 @@ def _log_of(arguments: argparse.Namespace) -> Path:
     if arguments.log is not None:
         return Path(arguments.log)
     if arguments.config is None:
-        raise InputError("scope: name the log, or a scene that names it with --config")
+        raise InputError("scope: got no log; name it, or with --config the scene that writes it")
     energy = load_scene(arguments.config, leave_code=True).log.energy
     if energy is None:
-        raise InputError(f"{arguments.config}: names no energy log; give it under log.energy, or name the log itself")
+        raise InputError(f"{arguments.config}: has no log.energy; add it, or name the energy log itself")
     return energy

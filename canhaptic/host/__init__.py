@@ -1,1 +1,1 @@
-"""This computer: SocketCAN interfaces, python-can back ends, real-time settings."""
+"""Interfaces to this computer: SocketCAN, python-can back ends, real-time settings, output files."""

@@ -1,9 +1,7 @@
-"""Options and requirements of python-can's interfaces, and the remedy when one cannot be opened.
+"""Check of the options of a python-can interface, and error texts for one that cannot be opened.
 
-Most backends take `**kwargs` and drop what they do not know, so that a misspelt option would vanish. The options are
-therefore read from the source of the backend, which needs neither its driver nor its device.
-
-Settings of a bus for this computer. The model of a scene fits.
+Most python-can backends take `**kwargs` and ignore unknown options, so that a misspelt option would go unnoticed. The
+known options are therefore read from the source code of the backend, which needs neither its driver nor its device.
 """
 
 import ast
@@ -23,7 +21,7 @@ from canhaptic.registry import nearest
 
 
 class BusSettings(Protocol):
-    """Settings of one CAN bus."""
+    """Settings of one CAN bus, as a scene has them."""
 
     @property
     def interface(self) -> str:
@@ -51,7 +49,7 @@ class BusSettings(Protocol):
 
 
 _OF_THE_SCENE: Final = ("interface", "channel", "bitrate")
-"""Arguments of `can.Bus` that are keys of `bus` themselves."""
+"""Arguments of `can.Bus` that have their own key in the section `bus`."""
 
 _REMEDIES: Final = Path(__file__).with_suffix(".toml")
 
@@ -60,10 +58,10 @@ logging.getLogger("can").addHandler(logging.NullHandler())  # our error names mi
 
 @cache
 def _accepted_options(interface: str) -> frozenset[str] | None:
-    """Return the keyword arguments that a backend reads, in addition to the scene's; None when unknown.
+    """Return the keyword arguments of a backend, without those that have a key in `bus`; None if unknown.
 
     Args:
-        interface: A name that python-can knows.
+        interface: Name of an interface of python-can.
     """
     names = {"can_filters"}  # of every bus
     if (definition := _class_definition(*BACKENDS[interface])) is None:
@@ -79,7 +77,7 @@ def _accepted_options(interface: str) -> frozenset[str] | None:
 
 
 def _class_definition(module: str, name: str) -> ast.ClassDef | None:
-    """Class definition in the source of a module, or of one in a package; nothing is imported."""
+    """Find a class in the source of a module or package, without importing it; None if it is not found."""
     try:
         spec = importlib.util.find_spec(module)
     except (ImportError, ValueError):
@@ -95,7 +93,7 @@ def _class_definition(module: str, name: str) -> ast.ClassDef | None:
 
 
 def _read_from(function: ast.FunctionDef, kwargs: str) -> Iterator[str]:
-    """Yield the keys that a function reads from its `**kwargs`."""
+    """Yield the names of the options that a function reads from its `**kwargs`."""
     for node in ast.walk(function):
         match node:
             case (
@@ -107,7 +105,7 @@ def _read_from(function: ast.FunctionDef, kwargs: str) -> Iterator[str]:
 
 
 def interface_faults(bus: BusSettings) -> list[tuple[str, str]]:
-    """Faults as (key of `bus`, text) of an interface or option that python-can would refuse or ignore."""
+    """Return (key of `bus`, text) for each interface or option that python-can would refuse or ignore."""
     if bus.interface not in BACKENDS:
         known = ", ".join(sorted(BACKENDS))
         return [("interface", f"got {bus.interface!r}, expected one of: {known}{nearest(bus.interface, BACKENDS)}")]
@@ -123,9 +121,9 @@ def interface_faults(bus: BusSettings) -> list[tuple[str, str]]:
 
 
 def opening_error(bus: BusSettings, channel: str | int | None, error: Exception) -> CanHapticError:
-    """Error for an interface that could not be opened: the cause and the remedy.
+    """Return the error, with cause and remedy, for an interface that could not be opened.
 
-    Bad input where python-can lacks the interface, its driver or library; a link fault where the device fails.
+    An `InputError` if the interface, its driver or library is missing; a `LinkError` if the device fails.
     """
     place = f"bus {bus.interface!r}, channel {channel!r}"
     remedies = tomllib.loads(_REMEDIES.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Output files of a command: regular files only, no symbolic link followed, each replaced completely or not at all."""
+"""Writing of output files: regular files only, without following symbolic links, replaced as a whole or not at all."""
 
 import os
 import secrets
@@ -11,7 +11,7 @@ from canhaptic.input_file import kind_of
 
 
 def why_not_written(path: Path) -> str:
-    """Reason why a path cannot be written; empty where there is a regular file or nothing."""
+    """Return why a path cannot be written; "" if it is free or a regular file."""
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:
@@ -23,10 +23,10 @@ def why_not_written(path: Path) -> str:
 
 
 def require_writable_place(path: Path) -> None:
-    """Return if the path is free or a regular file.
+    """Refuse a path that is neither free nor a regular file.
 
     Raises:
-        InputError: The path is something else.
+        InputError: The path is a folder, a link, a device or the like.
     """
     if reason := why_not_written(path):
         raise InputError(reason)
@@ -37,7 +37,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """Yield a new, empty file in the folder of `path`; it replaces `path` if the block ends well.
 
     Raises:
-        InputError: `path` is something that must not be replaced.
+        InputError: `path` is neither free nor a regular file.
         OSError: The new file cannot be created.
     """
     require_writable_place(path)

@@ -1,7 +1,7 @@
-"""Real-time settings of the thread that runs the cycle: requested and granted.
+"""Real-time settings of the thread that runs the cycle: priority, processors, locked memory, frozen garbage.
 
-Only the configured settings are requested, a refusal never stops a run, and everything is released at the
-end. Another platform, a container or a missing privilege refuses; the report says so in the system's own words.
+Only configured settings are requested, and all are released at the end. A refusal never stops a run; the report gives
+the operating system's reason, such as a missing privilege.
 """
 
 import ctypes
@@ -31,13 +31,13 @@ class RealtimeParameters(Parameters):
 
 
 class Realtime:
-    """Requests the settings at `begin`, releases them at `end`.
+    """Real-time settings of a thread, requested by `begin` and released by `end`.
 
     Args:
         parameters: Requested settings.
 
     Attributes:
-        report: Result by name of the parameter: "granted", or "refused: " and why. Empty before `begin`.
+        report: Name of a setting -> "granted", or "refused: " and the reason. Empty before `begin`.
     """
 
     def __init__(self, parameters: RealtimeParameters) -> None:
@@ -46,7 +46,7 @@ class Realtime:
         self.report: dict[str, str] = {}
 
     def begin(self) -> None:
-        """Request everything for the calling thread, after releasing earlier settings."""
+        """Request all settings for the calling thread; earlier ones are released first."""
         self.end()
         self.report = {}
         asked = self._parameters
@@ -60,7 +60,7 @@ class Realtime:
             self._ask("priority", partial(self._raise_priority, asked.priority))
 
     def end(self) -> None:
-        """Release everything; a second call does nothing. To be called in the thread that began."""
+        """Release all settings, in the thread that called `begin`; a second call does nothing."""
         self._undo.close()
 
     def _ask(self, name: str, ask: Callable[[], None]) -> None:

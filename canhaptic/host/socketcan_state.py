@@ -1,12 +1,10 @@
-"""Check of SocketCAN interfaces before a run: the kernel's report, compared with the scene.
+"""Preflight of SocketCAN interfaces: compares `ip -details -statistics -json link show` with the scene before a run.
 
-The kernel is asked through `ip -details -statistics -json link show`. A fault refuses the run; an unwise or unknown
-setting is a note.
+A fault refuses the run; an unwise or unknown setting is a note.
 
-Bus-off (the controller gave up after too many errors) ends a run, and nothing may restart it unnoticed. With
-`restart-ms 0` the controller stays off until a person restarts it. With a restart after the rig has certainly stopped
-(`stop_cycles` sample times) the bus comes back to drives that are disabled. A restart before that would let a run
-continue unnoticed, and is refused.
+A bus-off (the controller gave up after too many errors) must end a run. With `restart-ms 0` the controller stays off
+until a person restarts it. A longer `restart-ms` is safe if the rig has certainly stopped by then (`stop_cycles`
+sample times): the bus comes back to disabled drives. A shorter one is refused, since a run would continue unnoticed.
 """
 
 import json
@@ -26,21 +24,21 @@ _ALARMING_ERRORS: Final = 96  # the error counter from which a controller warns 
 
 
 class PreflightFinding(NamedTuple):
-    """One property of an interface, judged."""
+    """Verdict on one property of an interface."""
 
     interface: str  # channel, as can0
     item: str
     seen: str
     severity: _Severity
-    text: str  # expected value and remedy; empty when all is well
+    text: str  # expected value and remedy; empty if all is well
 
 
 def preflight(buses: Iterable[tuple[BusSettings, int]], run: Runner | None = None) -> list[PreflightFinding]:
-    """The kernel's report on every SocketCAN interface of a scene; none for other interfaces.
+    """Judge every SocketCAN interface of a scene; other interfaces have no findings.
 
     Args:
         buses: Buses of the scene, and the number of drives on each.
-        run: Runs a command and returns what it printed; `ip` itself by default.
+        run: Function that runs a command and returns its output; a subprocess by default.
     """
     findings = []
     for bus, axes in buses:
@@ -50,14 +48,14 @@ def preflight(buses: Iterable[tuple[BusSettings, int]], run: Runner | None = Non
 
 
 def all_links_are_virtual(buses: Iterable[tuple[BusSettings, int]], run: Runner | None = None) -> bool:
-    """Whether no bus of a scene can have a real drive, according to the kernel.
+    """Return whether no bus of a scene can have a real drive.
 
-    That is so for the virtual bus of this process and for SocketCAN interfaces of the kinds vcan and vxcan. The name of
-    an interface is not considered. An interface unknown to the kernel counts as real.
+    Virtual are the bus within this process, and SocketCAN interfaces that the kernel reports as vcan or vxcan. The name
+    of an interface does not matter, and an interface unknown to the kernel counts as real.
 
     Args:
         buses: Buses of the scene, and the number of drives on each.
-        run: Runs a command and returns what it printed; `ip` itself by default.
+        run: Function that runs a command and returns its output; a subprocess by default.
     """
     return all(_is_virtual(bus, run or _run) for bus, _ in buses)
 
@@ -77,10 +75,10 @@ def _question(channel: str) -> list[str]:
 
 
 def require_preflight(buses: Iterable[tuple[BusSettings, int]], run: Runner | None = None) -> list[PreflightFinding]:
-    """Return the notes of a preflight; raise where one forbids a run.
+    """Return the notes of a preflight.
 
     Raises:
-        LinkError: There is such a reason; lists every one.
+        LinkError: A run is refused; lists every reason.
     """
     findings = preflight(buses, run)
     refused = [f for f in findings if f.severity == "refused"]
@@ -90,13 +88,13 @@ def require_preflight(buses: Iterable[tuple[BusSettings, int]], run: Runner | No
 
 
 def _inspect_interface(channel: str, bus: BusSettings, axes: int, run: Runner) -> list[PreflightFinding]:
-    """The kernel's report on one interface.
+    """Judge one interface.
 
     Args:
         channel: Name of the interface.
         bus: Settings of the bus.
-        axes: Drives on it.
-        run: Runs a command and returns what it printed.
+        axes: Number of drives on the bus.
+        run: Function that runs a command and returns its output.
     """
     try:
         done = run(_question(channel))
@@ -116,13 +114,13 @@ def _inspect_interface(channel: str, bus: BusSettings, axes: int, run: Runner) -
 
 
 def _judge_link(channel: str, link: Mapping[str, Any], bus: BusSettings, axes: int) -> list[PreflightFinding]:
-    """Findings about an interface from its entry of `ip -json`."""
+    """Return the findings on an interface, from its entry in the output of `ip -json`."""
     rows = _rows(channel, link, bus, axes)
     return [PreflightFinding(channel, item, str(seen), severity, text) for item, seen, severity, text in rows]
 
 
 def _row(item: str, seen: object, severity: _Severity, text: str = "", *, good: bool = False) -> _Row:
-    """Return one property: where it is good without the severity and the text."""
+    """Return one finding; a good property has no severity and no text."""
     return (item, seen, "well", "") if good else (item, seen, severity, text)
 
 
@@ -191,10 +189,10 @@ def _of_restart(channel: str, restart: object, bus: BusSettings) -> _Row:
         return _row("restart-ms", "not reported", "note", "cannot be checked; set `restart-ms 0`")
     least = _least_restart(bus)
     if restart and restart < least:
-        why = f"({bus.stop_cycles} sample times, after which the rig has stopped), so that a bus-off ends the run"
-        text = f"expected 0, or at least {least} ms {why} and does not go unseen"
+        why = f"(after {bus.stop_cycles} sample times the rig has stopped), so that a bus-off ends the run"
+        text = f"expected 0, or at least {least} ms {why}"
         return _row("restart-ms", f"{restart} ms", "refused", f"{text}; ip link set {channel} type can restart-ms 0")
-    text = "after a bus-off the interface recovers, the run does not" if restart else ""
+    text = "after a bus-off the interface restarts, but the run has ended" if restart else ""
     return _row("restart-ms", f"{restart} ms" if restart else "0 (by hand)", "well", text)
 
 

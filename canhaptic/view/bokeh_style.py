@@ -1,7 +1,7 @@
-"""Style of every panel of a page: frame, legend, and numbers with a suitable SI prefix.
+"""Style of the panels of live pages: frame, legend, and numbers with an SI prefix.
 
-The data of a page are SI throughout. The browser chooses the prefix of an axis from its ticks, so that it follows every
-zoom and every line that grows.
+The data of a page are in SI units. The browser chooses the prefix of an axis from its ticks, so that the prefix follows
+zoom and growing lines.
 """
 
 from collections.abc import Mapping
@@ -42,8 +42,8 @@ def new_panel(title: str, unit: str, time: Range, height: int) -> figure:
     """Return an empty panel over time.
 
     Args:
-        title: Title, before the unit at the left.
-        unit: SI unit; the ticks show it with a prefix.
+        title: Label of the vertical axis.
+        unit: SI unit, shown with a prefix at the ticks.
         time: Time range shared by all panels of a page.
         height: Height [pixels].
     """
@@ -68,17 +68,17 @@ def new_panel(title: str, unit: str, time: Range, height: int) -> figure:
 
 
 def si_ticks(unit: str) -> CustomJSTickFormatter:
-    """Return a formatter for the ticks of an axis, with one SI prefix chosen by the largest."""
+    """Return a formatter for the ticks of an axis; the largest tick decides on the SI prefix of all."""
     return CustomJSTickFormatter(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_TICKS)
 
 
 def add_hover(panel: figure, unit: str, columns: Mapping[str, str]) -> None:
-    """Show time and values under the pointer, which follows the line of the first: five digits and SI prefix.
+    """Show time and values at the pointer, with five digits and SI prefix; it snaps to the line of the first column.
 
     Args:
         panel: Panel to extend.
         unit: SI unit of the values.
-        columns: Label -> column.
+        columns: Label -> name of the data column.
     """
     main = next(iter(columns.values()))
     renderers = [renderer for renderer in panel.renderers if renderer.name == main]

@@ -1,7 +1,4 @@
-"""Every figure of the account of a run as a table, from the same dictionary that `run --json` prints.
-
-What `canhaptic inspect` prints: header, energy table, contacts, events, checks, comparison.
-"""
+"""Tables of a run for a terminal, from the dictionary that `run --json` prints: `run --full` and `inspect`."""
 
 from collections.abc import Callable, Sequence
 from typing import Final
@@ -24,7 +21,7 @@ _VERDICTS: Final[dict[Verdict, Styled]] = {
     "no": Styled("NO   ", "bold red"),
 }
 _ROUNDING: Final = 1e-9
-"""Part of the largest damping below which the least is none."""
+"""Fraction of the largest damping below which the least damping is shown as 0."""
 _Shown = str | Callable[[Result], str | Styled]
 _CONTACTS_SHOWN: Final = 8
 _EVENTS_SHOWN: Final = 20
@@ -32,7 +29,7 @@ _NAME_WIDTH: Final = 24  # of a quantity; longer ones go on in the next line
 
 
 def energy_report(result: Result) -> RenderableType:
-    """Return the first line of each port, energy table, timing line, link line and method line of a run."""
+    """Return the first line of each port, then status, energy table, timing, link and method of a run."""
     parts = [*headlines(result), heading(result)]
     if result.get("ports"):
         parts.append(energy_table(result))
@@ -74,7 +71,7 @@ def _cell(cell: _Shown, port: Result) -> str | Styled:
 
 
 def _count_rows(ports: Sequence[Result], key: str, label: Callable[[str], str]) -> list[list[Cell]]:
-    """Return a row for each event counted at any port."""
+    """Return a row for each kind of event that was counted at any port."""
     names = dict.fromkeys(name for port in ports for name, count in port.get(key, {}).items() if count)
     return [
         [label(name), *(f"{port[key].get(name, 0)}   " if port.get(key) else _NOTHING for port in ports)]
@@ -83,7 +80,7 @@ def _count_rows(ports: Sequence[Result], key: str, label: Callable[[str], str]) 
 
 
 def energy(value: float) -> str:
-    """Return an energy [J] with its unit padded, so that numbers in a column line up."""
+    """Return an energy [J] as text, with the unit padded so that the numbers of a column line up."""
     number, _, unit = si(value, "J").partition(" ")
     return f"{number} {unit:<2}"
 
@@ -95,7 +92,7 @@ def _margin(port: Result) -> Styled:
 
 
 def _silent(port: Result) -> str | Styled:
-    """Return how many holds of contact had no torque; a wall that renders nothing is absent."""
+    """Return how many cycles of contact had no torque; in red if all of them, since nothing was rendered."""
     contact = port["contact"]
     if contact["holds"] and contact["without_torque"] == contact["holds"]:
         return Styled("all   ", "bold red")
@@ -103,7 +100,7 @@ def _silent(port: Result) -> str | Styled:
 
 
 def _resolution(port: Result) -> str:
-    """Return how far the booked energy may be from the true one."""
+    """Return the largest possible error of the account's energy."""
     resolution = port["energy_resolution"]
     return f"+-{energy(resolution)}" if resolution else "rounding error only   "
 
@@ -123,20 +120,20 @@ def _damping(port: Result) -> str:
 
 
 def _friction(port: Result) -> str | Styled:
-    """Return by how much an axis was faster than declared friction and hand permit."""
+    """Return the force by which the motion exceeded what the declared friction and hand permit."""
     excess = port["friction_excess"]
     return Styled(f"{excess:.3g} {effort_unit(port['unit'])}   ", "bold red") if excess else "none   "
 
 
 _OF_GROUPS: Final = {"supplied": "input from moving surfaces", "unsure": "uncertainty, taken off `in`"}
-"""Rows that only a group may have, shown where they are not zero."""
+"""Rows of a group, shown if not zero."""
 _BRANCHES: Final = {
     "free": "cycles out of contact", "start": "cycles that began a contact", "exit": "cycles that ended a contact",
     "exact": "cycles with the energy balance solved", "fallback": "cycles without a solution of the balance",
-    "sticky": "cycles moving out, energy still coming in", "depleted": "cycles limited by an empty energy budget",
+    "sticky": "cycles moving out, receiving energy", "depleted": "cycles limited by an empty energy budget",
     "held": "cycles without a new position",
 }  # fmt: skip
-"""Rows of the counted branches."""
+"""Name of a branch of the algorithm -> label of its row."""
 _PORT_ROWS: Final[tuple[tuple[str, _Shown], ...]] = (
     ("in", "in"),
     ("out", "out"),
@@ -160,12 +157,12 @@ _PORT_ROWS: Final[tuple[tuple[str, _Shown], ...]] = (
     ("cycles of contact without torque", _silent),
     ("uncertainty of the account", _resolution),
     ("longest time between torque updates", lambda port: f"{counted(port['longest_hold'], 'cycle')}   "),
-    ("cycles not as commanded", lambda port: f"{port['uncommanded_cycles'] or '-'}   "),
-    ("beyond declared friction and hand", _friction),
+    ("cycles with another torque than commanded", lambda port: f"{port['uncommanded_cycles'] or '-'}   "),
+    ("force beyond declared friction and hand", _friction),
     ("guarantee rests on", _certificates),
-    ("hold of a torque", lambda port: f"{port['hold']}   "),
+    ("when a torque acts", lambda port: f"{port['hold']}   "),
 )
-"""Label, and the path of an energy in the account or a function that shows what the account has."""
+"""Label of each row, and the path of an energy in the account or a function that formats a figure."""
 _TRUTH_ROWS: Final = {
     "net energy, from the plant": "interaction",
     "lowest net energy, from the plant": "least_interaction",
@@ -175,7 +172,7 @@ _TRUTH_ROWS: Final = {
 
 
 def inspection_report(result: Result) -> RenderableType:
-    """Return everything that `inspect` found, for a terminal."""
+    """Return all findings of `inspect`, for a terminal."""
     parts: list[RenderableType] = [_header(result)] if "file" in result else []
     parts.append(energy_report(result))
     parts += [_finding_line(finding) for finding in result.get("findings", ())]
@@ -191,7 +188,7 @@ def inspection_report(result: Result) -> RenderableType:
 
 
 def inspection_tables(result: Result) -> list[Table]:
-    """Return contacts, events and check, as far as there are any."""
+    """Return the tables of contacts, events and checks that have rows."""
     tables = []
     for name, contacts in result.get("contacts", {}).items():
         port = result["ports"][name]
@@ -259,14 +256,14 @@ def _recomputed_line(recomputed: Result) -> Text:
     mismatch, words = recomputed["mismatch"], f" {recomputed['port']}: recomputed"
     if mismatch is not None:
         words += f" {mismatch['quantity']} of cycle {mismatch['cycle']} is {mismatch['recomputed']!r}"
-        return Text(f"{words}, logged was {mismatch['logged']!r}", style="bold red")
+        return Text(f"{words}, but {mismatch['logged']!r} in the log", style="bold red")
     if not recomputed["unchecked_rows"]:
         return Text(f"{words}, every output equal bit for bit", style="green")
-    behind = "a SYNC was skipped, and only the bus log has the length of its hold: add --bus-log"
+    behind = "a SYNC was skipped; only the bus log has the length of that hold: add --bus-log"
     if recomputed["missing_rows"]:
         behind = f"{recomputed['missing_rows']} rows are missing"
     words = f" {recomputed['port']}: the first {counted(recomputed['rows'], 'cycle')} recomputed, equal bit for bit"
-    return Text(f"{words}; after them {behind}", style="bold red")
+    return Text(f"{words}; then {behind}", style="bold red")
 
 
 def _rederived_line(rederived: Result) -> Text:
@@ -276,7 +273,7 @@ def _rederived_line(rederived: Result) -> Text:
         return Text(words, style="green")
     lines = (
         f" {found['port']}: from the frames, {found['quantity']} of cycle {found['cycle']} is {found['rederived']!r}, "
-        f"logged was {found['logged']!r}"
+        f"but {found['logged']!r} in the log"
         for found in rederived["differences"]
     )
     return Text("\n".join(lines), style="bold red")

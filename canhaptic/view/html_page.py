@@ -1,7 +1,4 @@
-"""Pages that any browser opens without a network: words, pictures and sortable tables, light and dark.
-
-The bar of a page that shows whether every account was passive.
-"""
+"""Self-contained HTML pages that need no network: text, pictures, sortable tables and verdicts, light and dark."""
 
 import html
 import re
@@ -21,26 +18,26 @@ from canhaptic.view.terminal import visible
 
 _STYLE, _SCRIPT = (Path(__file__).with_suffix(suffix).read_text(encoding="utf-8") for suffix in (".css", ".js"))
 _LEAST_SIZE: Final = 0.6
-"""Part of its size below which a picture is not shrunk; a narrower window scrolls it."""
+"""Least size of a picture as a fraction of its full size; in a narrower window it scrolls."""
 _GREY: Final = re.compile(r"(?<=: )#([0-9a-f]{2})\1\1\b")
 _PROLOGUE: Final = re.compile(r"^.*?<svg |<metadata>.*?</metadata>", re.DOTALL)
 _WIDTH: Final = re.compile(r'width="([\d.]+)pt"')
 
 
 def words(*lines: str) -> str:
-    """Return one paragraph of lines."""
+    """Return one HTML paragraph with the given lines."""
     return f"<p>{'<br>'.join(map(html.escape, lines))}</p>"
 
 
 def picture(draw: Callable[[Path], object], title: str, *, folded: bool = False) -> str:
-    """Return a picture for a page.
+    """Return a picture as HTML that suits light and dark pages.
 
-    Its greys become shades between the text and page colours, its blue the page's accent colour.
+    Its greys become mixtures of the page's text and background colours, and its blue the page's blue.
 
     Args:
-        draw: Function that draws it into a file, here an SVG.
+        draw: Function that draws the picture into the given SVG file.
         title: Title of the picture.
-        folded: Whether only the title is shown until clicked.
+        folded: Whether only the title is shown until it is clicked.
     """
     with TemporaryDirectory(prefix="canhaptic-page-") as folder:
         file = Path(folder) / "picture.svg"
@@ -62,7 +59,7 @@ def write_page(path: Path, title: str, parts: Iterable[str | Table]) -> None:
     Args:
         path: File to write.
         title: Title of the page, and its first heading.
-        parts: Parts of the page: HTML, and tables.
+        parts: HTML texts and tables, in their order.
 
     Raises:
         InputError: The page cannot be written.
@@ -103,9 +100,14 @@ _COLOURS: Final[dict[Headline, str]] = {
 }
 
 
-def verdict_bar(ports: Mapping[str, PortResult]) -> str:
-    """Return an HTML bar with every account's verdicts, behind a port's headline where one differs from it."""
-    said: list[tuple[str, Headline]] = []
+def verdict_bar(ports: Mapping[str, PortResult], failure: str = "") -> str:
+    """Return an HTML bar with the verdicts of every port, and its headline if that differs from a verdict.
+
+    Args:
+        ports: Accounts of the ports.
+        failure: Text for a run that failed, first in the bar; "" for none.
+    """
+    said: list[tuple[str, Headline]] = [(f"{failure}:", "no")] if failure else []
     for name, port in ports.items():
         if "verdict" in port and any(port.get(key, port["verdict"]) != port["verdict"] for key in _SUMS):
             said.append((headline_text(name, port).plain.strip(), port["verdict"]))

@@ -1,4 +1,4 @@
-"""`inspect --html`: one page with the account, pictures of the run and of its worst moments, contacts and events."""
+"""`inspect --html`: one page with the verdicts, pictures of the run and its worst moments, and all tables."""
 
 import html
 from collections.abc import Iterator, Sequence
@@ -17,7 +17,7 @@ from canhaptic.signals import CycleTiming
 from canhaptic.view.energy_table import energy_table, inspection_tables
 from canhaptic.view.html_page import picture, verdict_bar, words, write_page
 from canhaptic.view.picture_style import BLUE, GREEN, PURPLE, VERMILION, drawing, save_picture, scale_of
-from canhaptic.view.run_lines import first_active
+from canhaptic.view.run_lines import failure_text, first_active
 from canhaptic.view.run_picture import draw_energy
 from canhaptic.view.series import FAULTS, decimate, losses
 from canhaptic.view.si import counted, si
@@ -35,7 +35,7 @@ _BUTTON: Final = """<p><button onclick="const near = document.getElementById('mo
 near.scrollIntoView()">{}</button></p>"""
 _S_PER_NS: Final = 1e-9
 _Panels = dict[str, tuple[str, dict[str, tuple[Array, Array]]]]
-"""Title -> unit and lines, each as times [s] and values."""
+"""Title of a panel -> its unit, and its lines by name: times [s] and values."""
 
 
 def write_html(
@@ -57,13 +57,13 @@ def write_html(
         others: Further runs, drawn over the first in thin dashed lines.
 
     Raises:
-        InputError: The log holds no cycle there, matplotlib is not installed, or the page cannot be written.
+        InputError: The log has no cycle in that time, matplotlib is not installed, or the page cannot be written.
     """
     rows = rows_to_draw(log, start, stop)
     whole = partial(draw_energy, log, start=start, stop=stop, others=others)
-    parts: list[str | Table] = [words(_facts(result)), verdict_bar(result["ports"])]
+    parts: list[str | Table] = [words(_facts(result)), verdict_bar(result["ports"], failure_text(result))]
     for other in result.get("others", ()):
-        parts += [words(f"{other['file']}: {_facts(other)}"), verdict_bar(other["ports"])]
+        parts += [words(f"{other['file']}: {_facts(other)}"), verdict_bar(other["ports"], failure_text(other))]
     moments = []
     for number, (title, moment) in enumerate(_moments(result)):
         near = partial(draw_energy, log, start=moment - _SPAN, stop=moment + _SPAN, others=others)
@@ -90,7 +90,7 @@ def _facts(result: "Inspection") -> str:
 
 
 def _moments(result: "Inspection") -> Iterator[tuple[str, float]]:
-    """Yield title and time [s] of the moments that are drawn again, larger."""
+    """Yield title and time [s] of each moment that gets an enlarged picture."""
     if result["to"] - result["from"] <= 2.0 * _SPAN:
         return
 
@@ -108,7 +108,7 @@ def _moments(result: "Inspection") -> Iterator[tuple[str, float]]:
 
 
 def _further(log: EnergyLog, rows: slice) -> tuple[_Panels, list[str]]:
-    """Return the panels that the picture of a run leaves out, and the names of those that hold only zeros."""
+    """Return the panels that the main picture lacks, and the titles of those left out because they are all zero."""
     span = rows.start, rows.stop
     time = log.deadlines(*span) * log.sample_time
 

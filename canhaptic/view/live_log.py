@@ -1,7 +1,7 @@
-"""Follows an energy log while another process writes it: each look returns the rows added since the last one.
+"""Reader of an energy log that another process is writing: each poll returns the rows added since the last one.
 
-The file is opened for reading only, anew for every look, so that a log that is replaced (packed at its end, or
-restarted) is followed, and the writer never waits for the reader.
+Every poll opens the file again, for reading only. The writer therefore never waits for the reader, and a log that is
+replaced, by packing at its end or by another run, is followed.
 """
 
 from pathlib import Path
@@ -23,11 +23,11 @@ _S_PER_NS: Final = 1e-9
 
 
 class News(NamedTuple):
-    """Result of one look."""
+    """Result of one poll."""
 
     status: str
     rows: int  # in the log, so far
-    restarted: bool  # another run has begun in this file: what was drawn is past
+    restarted: bool  # the file now holds another run: clear what was drawn
     time: Array  # of the new rows [s]
     timing: dict[str, Array]  # durations within each new cycle [s]
     lost: dict[str, Array]  # of the new rows, summed from the beginning
@@ -45,10 +45,10 @@ class LiveLog:
     """An energy log that is being written.
 
     Args:
-        path: The log; it need not exist yet.
+        path: Path of the log, which need not exist yet.
 
     Attributes:
-        trouble: Reason why the last look found no readable log; "" where it did, or where no file exists yet.
+        trouble: Reason why the last poll could not read the log; "" if it could, or if no file exists yet.
     """
 
     def __init__(self, path: Path) -> None:
@@ -64,7 +64,7 @@ class LiveLog:
         self._run: tuple[int, str, tuple[str, ...]] | None = None
 
     def look(self) -> News | None:
-        """Return new data; None while there is no readable log."""
+        """Poll the log: return the new data, or None while there is no readable log."""
         try:
             if self._run is None:
                 require_readable(self.path)
@@ -105,7 +105,7 @@ class LiveLog:
         )
 
     def _summed(self, port: str, name: str, values: Array) -> Array:
-        """Return the running sum of a column, which continues where the last look ended."""
+        """Return the running sum of a column, continued from the last poll."""
         total = self._sums.get((port, name), 0) + np.cumsum(values)
         if len(total):
             self._sums[port, name] = total[-1]

@@ -1,8 +1,7 @@
-"""Style of every picture of the package, how matplotlib is imported, and how a picture is written.
+"""Style of every picture: colours, import of matplotlib, and writing of the file.
 
-Colours of every picture and page: from Okabe and Ito, which colour-blind readers distinguish, and two greys.
-
-Lines differ in width and style too.
+The colours are those of Okabe and Ito, which colour-blind readers distinguish, and two greys. Lines also differ in
+width and style.
 """
 
 import os
@@ -23,7 +22,7 @@ BLUE, VERMILION, GREEN, ORANGE = "#0072B2", "#D55E00", "#009E73", "#E69F00"
 PURPLE, SKY = "#CC79A7", "#56B4E9"
 GREY, PALE = "#4D4D4D", "#8C8C8C"
 OVERLAID = ("black", PURPLE, SKY, PALE)
-"""Colours of further runs in one picture, in turn."""
+"""Colours of overlaid runs, in turn."""
 
 
 STYLE: Final[Any] = {
@@ -42,7 +41,7 @@ STYLE: Final[Any] = {
     "svg.hashsalt": "canhaptic",
     "text.parse_math": False,  # a name may have dollars
 }
-"""For `matplotlib.rc_context`."""
+"""Settings for `matplotlib.rc_context`."""
 _FOREIGN: Final = "matplotlibrc"  # of the current folder, which matplotlib reads before any other
 _LARGEST: Final = 1_000_000  # [bytes]
 _PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"), (1e-12, "p"))
@@ -52,7 +51,7 @@ def require_matplotlib() -> None:
     """Import matplotlib.
 
     Raises:
-        InputError: It is not installed.
+        InputError: matplotlib is not installed, or cannot be loaded.
     """
     try:
         if not os.path.isdir(_FOREIGN):
@@ -64,13 +63,13 @@ def require_matplotlib() -> None:
         raise InputError(f"a picture needs matplotlib; install it with: {install_hint('plot')}") from error
     except (OSError, ValueError) as error:
         raise InputError(
-            f"matplotlib cannot be loaded ({error}); look for a file matplotlibrc in this folder"
+            f"matplotlib cannot be loaded ({error}); remove or mend the file matplotlibrc in this folder"
         ) from error
 
 
 @contextmanager
 def drawing() -> "Iterator[type[Figure]]":
-    """Yield matplotlib's `Figure`, which needs no display; drawings within the block have the style of the package.
+    """Yield matplotlib's `Figure` class, which needs no display; within the block the package's style applies.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -98,11 +97,11 @@ def save_picture(figure: "Figure", path: str | Path) -> None:
     except InputError:
         raise
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: the picture cannot be written ({error})") from error
+        raise InputError(f"{path}: the picture cannot be written ({error}); name another file") from error
 
 
 def _write_powers_plainly(figure: "Figure") -> None:
-    """Write the powers of ten of logarithmic axes without mathematics, which no text of a picture is read as."""
+    """Format the ticks of logarithmic axes as plain text: the style turns mathematical text off."""
     from matplotlib.ticker import FuncFormatter, LogFormatter, LogFormatterMathtext
 
     for axis in (axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)):
@@ -113,5 +112,5 @@ def _write_powers_plainly(figure: "Figure") -> None:
 
 
 def scale_of(largest: float) -> tuple[float, str]:
-    """Return the scale and SI prefix of an axis, so that its largest value lies between 1 and 1000."""
+    """Return the scale and SI prefix of an axis with which its largest value is between 1 and 1000."""
     return next(((scale, prefix) for scale, prefix in _PREFIXES if largest >= scale), _PREFIXES[0])

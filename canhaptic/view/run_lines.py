@@ -1,4 +1,4 @@
-"""Lines of a run that a terminal shows first: a word and figures of each port, how it ended, and any problem."""
+"""First lines of a run on a terminal: the verdict and key figures of each port, how the run ended, any problem."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -20,11 +20,11 @@ Result = Mapping[str, Any]
 """The account of a run, as `run --json` prints it."""
 _SHOWN_AT_ZERO: Final = frozenset({"deadlines_missed", "missing", "missed_tpdos", "skipped_syncs", "success_rate"})
 _WHOLE: Final = 0.995
-"""Rendered share of a stiffness above which the wall is whole; a damper adds to the effort while the hand goes in."""
+"""Rendered share above which the stiffness counts as rendered in full: a damper's force distorts the share a little."""
 _RENDERED: Final = {"detents": "notch force", "coulomb_surface": "friction"}
-"""Rendered part of an environment that has no stiffness."""
+"""What the rendered share refers to, for an environment without a stiffness."""
 _LOSSES: Final = ("skipped_syncs", "missed_tpdos", "missing")
-"""Link counters that show a problem where they are not zero."""
+"""Link counters that indicate a problem if they are not zero."""
 STYLES: Final[dict[Headline, str]] = {
     "yes": "bold green",
     "no contact": "bold",
@@ -41,7 +41,7 @@ _WORDS: Final[dict[Headline, str]] = {
 
 
 class SafeConsole(Console):
-    """A console that shows every text with `visible`; its own colours and styles go through."""
+    """A rich console that escapes control characters in printed texts; its own colours and styles are kept."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
         """Yield the segments to show."""
@@ -50,22 +50,32 @@ class SafeConsole(Console):
 
 
 def make_console(file: IO[str] | None = None) -> Console:
-    """Return a console on standard output, as wide as COLUMNS or else the terminal; 100 columns without either."""
+    """Return a console on standard output or `file`: as wide as COLUMNS, else the terminal, else 100 columns."""
     console = SafeConsole(highlight=False, file=file)
     if console.is_terminal or os.environ.get("COLUMNS", "").isdecimal():
         return console
     return SafeConsole(highlight=False, width=_PLAIN_WIDTH, file=file)
 
 
-def headline_text(name: str, port: PortResult) -> Text:
+def failure_text(result: Result) -> str:
+    """Return that a run failed, and after how many cycles; "" for any other run."""
+    if not str(result.get("status", "")).startswith("failed"):
+        return ""
+    after = f" after {counted(result['cycles'], 'cycle')}" if "cycles" in result else ""
+    return f"FAILED{after}; until then"
+
+
+def headline_text(name: str, port: PortResult, failure: str = "") -> Text:
     """Return the first line of a port with its own account.
 
     Args:
         name: Name of the port.
         port: Account of the port, with verdicts.
+        failure: The run's `failure_text`, before the verdict.
     """
     word = port["verdict"]
     text = Text(f" {name}: ")
+    text.append(f"{failure} " if failure else "", style="bold red")
     text.append(f"passive: {_WORDS.get(word, word)}" if word in ("yes", "no", "in doubt") else _WORDS.get(word, word),
                 style=STYLES[word])  # fmt: skip
     text.append("".join(f"{separator}{reason}" for separator, reason in _reasons(port)))
@@ -73,7 +83,7 @@ def headline_text(name: str, port: PortResult) -> Text:
 
 
 def _first_figures(port: PortResult) -> list[str]:
-    """Return the figures of the first line: energies, the rendered share of a wall, and the guarantee."""
+    """Return the figures of the first line: energies, rendered share of the stiffness, mass felt, guarantee."""
     if port["verdict"] in ("no contact", "dry run"):
         return []
     found = [f"{si(port['in'], 'J', 3)} in, {si(port['out'], 'J', 3)} out"] if "in" in port else []
@@ -94,7 +104,7 @@ def _first_figures(port: PortResult) -> list[str]:
 
 
 def _reasons(port: PortResult) -> list[tuple[str, str]]:
-    """Return the texts after the verdict, each with its separator."""
+    """Return the reasons and conditions behind the verdict, each with its separator."""
     word, plant = port["verdict"], port.get("plant_passive")
     found: list[tuple[str, str]] = []
     if word == "yes":
@@ -102,7 +112,7 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
         at_handle = "yes" in (port.get("passive_at_handle"), port.get("plant_passive_at_handle"))
         is_ours = "why" in port and "yes" in (port["passive"], port.get("passive_at_handle"))
         found += [(", ", port["why"])] if is_ours else []
-        found += [(", ", f"within {si(allowance, 'J', 3)}")] if allowance else []
+        found += [(", ", f"within an allowance of {si(allowance, 'J', 3)}")] if allowance else []
         found += [(", ", "at the handle")] if at_handle and port["passive"] != "yes" else []
     said = (port["passive"], port.get("passive_at_handle"))
     if word in ("yes", "no") and plant is not None and word not in said:
@@ -111,7 +121,7 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
         found.append((", ", f"by the plant; {known}"))
     if word == "no":
         found += [(", ", f"for certain from {port['active_since']:.4g} s on")] if "active_since" in port else []
-        found += [(", ", "before this part already")] if port.get("active_before") else []
+        found += [(", ", "already before this part of the log")] if port.get("active_before") else []
         found += [(", ", f"first below zero at {first_active(port)}")] if "first_active" in port else []
     if word == "in doubt":
         found.append((": ", f"the account is uncertain by +-{si(port.get('energy_resolution', 0.0), 'J', 3)}"))
@@ -129,7 +139,7 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
 
 
 def rests_on(*certificates: str) -> str:
-    """Return in words the declarations on which the guarantee of some certificates rests."""
+    """Return in words the declarations on which the guarantee of the given certificates rests."""
     if "none" in certificates:
         return "nothing"
     declared = [name.replace("_", " ").removeprefix("declared ") for name in certificates if name != "exact"]
@@ -137,7 +147,7 @@ def rests_on(*certificates: str) -> str:
 
 
 def brief_report(result: Result) -> RenderableType:
-    """Return the first line of each port, how the run ended, and any fault of the link or inexact result."""
+    """Return the first line of each port, how the run ended, and any losses or inexact simulation."""
     parts: list[RenderableType] = [*headlines(result), heading(result)]
     link, method = result.get("link") or {}, result.get("method", "")
     amiss = [_words(key, value) for key, value in link.items() if key in _LOSSES and value]
@@ -149,17 +159,18 @@ def brief_report(result: Result) -> RenderableType:
         parts.append(line("method", method))
     if refused := {k: v for k, v in timing.items() if k.startswith("realtime_") and v != "granted"}:
         parts.append(line("timing", refused))
-    return Group(*parts, Text(" every figure: --full, or `canhaptic inspect` of an energy log", style="dim"))
+    return Group(*parts, Text(" all figures: --full, or `canhaptic inspect` with an energy log", style="dim"))
 
 
 def headlines(result: Result) -> list[RenderableType]:
-    """First line of each port with its own account."""
+    """Return the first line of each port with its own account."""
+    failure = failure_text(result)
     ports = {name: result["ports"][name] for name in ordered(result.get("ports", {}))}
-    return [headline_text(name, of) for name, of in ports.items() if "verdict" in of]
+    return [headline_text(name, of, failure) for name, of in ports.items() if "verdict" in of]
 
 
 def ordered(ports: Mapping[str, PortResult]) -> list[str]:
-    """Return the names of the ports, each group before its axes."""
+    """Return the names of the ports, with each group before its axes."""
     names: dict[str, None] = {}
     for name, port in ports.items():
         if port.get("group") in ports:
@@ -169,7 +180,7 @@ def ordered(ports: Mapping[str, PortResult]) -> list[str]:
 
 
 def heading(result: Result) -> Text:
-    """Return how the run ended, its cycles and its configuration."""
+    """Return the status of the run, its number of cycles and its configuration."""
     status = str(result.get("status", "unknown"))
     text = Text(" ")
     text.append(status, style="bold green" if status in {"ok", "complete", "completed"} else "bold yellow")
@@ -183,7 +194,7 @@ def heading(result: Result) -> Text:
 
 
 def line(name: str, content: Mapping[str, object] | str) -> Padding:
-    """Return one part of the result in words: nested mappings are quantiles of durations [s]."""
+    """Return one section of the result, such as `timing`, in words; nested mappings are quantiles of durations [s]."""
     rows = [str(content)]
     if isinstance(content, Mapping):
         nested = {key: value for key, value in content.items() if isinstance(value, Mapping)}
@@ -216,13 +227,13 @@ def _value(name: str, value: object) -> str:
 
 
 def first_active(port: Result) -> str:
-    """First time at which the net energy of a port was below zero, with its contact where that is known."""
+    """Return the first time at which the net energy of a port was below zero, and the contact if it is known."""
     contact = f" (contact {port['first_active_contact']})" if port.get("first_active_contact") else ""
     return f"{port['first_active']:.4g} s{contact}"
 
 
 def mass_text(port: Result) -> str:
-    """Mass that was felt at an admittance display, with the mass asked for and the share of it."""
+    """Return the mass felt at an admittance display, and its share of the requested mass."""
     mass, unit = port["mass"], mass_unit(port["unit"])
     if (felt := mass["felt"]) is None:
         return f"not known, {mass['asked']:.3g} {unit} requested"

@@ -1,11 +1,7 @@
-"""One picture of a run: path, position and wall, torque, energy in against dissipated, surplus; one column per account.
+"""Picture of a run: one column of panels per account, with position, torque and energies over time.
 
-An axis in a group has no column: its position and torque are drawn in the group's column. Panels that would show
-only zeros are left out.
-
-matplotlib is imported when a picture is drawn, not before.
-
-One column of a picture of a run: the panels of one account, of an axis or of a group with its axes.
+A group has one column, with the positions and torques of all its axes. Panels that would show only zeros are left
+out. matplotlib is imported only when a picture is drawn.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -36,7 +32,7 @@ _COLUMNS: Final = {
     "position": "position", "velocity": "torque_command", "torque": "torque_applied",
     "energy": "h_i", "surplus": "h_dis",
 }  # fmt: skip
-"""Panel over time -> the column that gives its unit, and of a mover its values."""
+"""Panel over time -> log column with its unit; in the first three panels also with the values of an axis."""
 _LOOKS: Final[dict[str, dict[str, Any]]] = {
     "position": {"linewidth": 1.3},
     "velocity": {"linewidth": 1.2, "stair": "steps-post"},
@@ -53,7 +49,7 @@ _LEGEND: Final[Any] = {
 
 
 class PortPicture:
-    """The four panels of one account: of an axis, or of a group with the positions and torques of its axes."""
+    """Panels of one account: of an axis, or of a group with the positions and torques of its axes."""
 
     def __init__(self, log: EnergyLog, name: str, rows: slice) -> None:
         self._log = log
@@ -72,7 +68,7 @@ class PortPicture:
         self._faults = faults_of(log, name, log.timing["sync_index"][rows])
 
     def draws(self) -> list[str]:
-        """Return the names of the panels that show something: position and torque always, others where not zero."""
+        """Return the names of the panels to draw: position and torque always, others only if they are not zero."""
         energy = self._column("h_i").any() or self._column("h_r").any()
         least = _ROUNDING * float(np.abs(self._column("h_i")).sum())
         surplus = self._column("h_dis").max(initial=0.0) > least or self._column("deficit").sum() > least
@@ -88,7 +84,7 @@ class PortPicture:
         return [name for name, is_shown in shown.items() if is_shown]
 
     def draw(self, panels: "Mapping[str, Axes]") -> None:
-        """Draw into axes, by the names that `draws` returned."""
+        """Draw the panels that `draws` named, each into its matplotlib axes."""
         for name, axes in panels.items():
             if name in _COLUMNS:
                 self._draw_over_time(axes, name)
@@ -100,7 +96,7 @@ class PortPicture:
             panels["position"].set_title(f"{self._name}: position", fontweight="bold")
 
     def draw_over(self, panels: "Mapping[str, Axes]", scales: Mapping[str, float], name: str, colour: str) -> None:
-        """Draw the same quantities into the panels of another run, to the scales of those panels."""
+        """Draw this run over the panels of another one, with the scales of those panels."""
         for panel, scale in scales.items():
             for number, (line, _) in enumerate(self._lines(panel)):
                 label = name if number == 0 else None
@@ -117,7 +113,7 @@ class PortPicture:
         return [port.read(name, self._rows.start, self._rows.stop) for port in self._movers]
 
     def _lines(self, panel: str) -> list[tuple[Array, dict[str, Any]]]:
-        """Return values and style of the lines of a panel over time that an overlaid run draws too."""
+        """Return values and style of those lines of a panel over time that are also drawn for an overlaid run."""
         if panel == "energy":
             return [(np.cumsum(self._column(name)), {}) for name in ("h_i", "h_r")]
         if panel == "surplus":
@@ -127,7 +123,7 @@ class PortPicture:
         return [(values, {"color": colour, "label": label, **_LOOKS[panel]}) for values, label, colour in movers]
 
     def _own_lines(self, panel: str) -> list[tuple[Array, dict[str, Any]]]:
-        """Return the lines that an overlaid run does not draw: deficit, and commanded torques, wide and pale."""
+        """Return values and style of the lines not drawn for an overlaid run: deficit and commanded torques."""
         look: dict[str, Any] = {"color": VERMILION, "linewidth": 1.0, "linestyle": "--", "label": "deficit, summed"}
         if panel == "surplus":
             return [(np.cumsum(self._column("deficit")), look)]
@@ -140,7 +136,7 @@ class PortPicture:
         return [(values, {"color": colour, "stair": "steps-post", **look}) for values, colour in commands]
 
     def _line(self, axes: "Axes", values: Array, scale: float, stair: str = "default", **style: Any) -> None:
-        """Draw a line; as a stair only where every row is drawn, for nothing is known between rows far apart."""
+        """Draw a line, as steps only if every row is drawn: between decimated rows the values are unknown."""
         shown = decimate(values, _BUCKETS)
         drawn = stair if len(shown) == len(values) else "default"
         axes.plot(self._time[shown], values[shown] / scale, drawstyle=drawn, **style)
@@ -164,7 +160,7 @@ class PortPicture:
         axes.margins(x=0.0)
 
     def _draw_wall(self, axes: "Axes", scale: float) -> None:
-        """Draw where the environment acts: the notches of detents, or the inside of a wall."""
+        """Mark the notches of detents, or shade the inside of a wall."""
         wall = self._log.attributes.get(f"{self._name}.wall_position")
         low, high = (scale * end for end in axes.get_ylim())
         notches = notches_of(self._log, self._name, low, high)
@@ -179,7 +175,7 @@ class PortPicture:
             axes.set_ylim(low, high)
 
     def _draw_path(self, axes: "Axes", plane: TaskPlane) -> None:
-        """Draw the path of the handle against the surface, material shaded, both axes to the same scale."""
+        """Draw the path of the handle and the surface, with the material shaded and equal scales."""
         scale, prefix = scale_of(float(np.nanmax(np.abs(plane.path))))
         _draw_material(axes, plane, scale)
         axes.plot(*(plane.path / scale).T, color=BLUE, linewidth=1.0, label="path")
@@ -190,7 +186,7 @@ class PortPicture:
     def _draw_motion(
         self, panels: "Mapping[str, Axes]", scales: Mapping[str, float], other: str = "", colour: str = ""
     ) -> None:
-        """Draw the effort that acted over the position of each axis: its slope is the stiffness felt."""
+        """Draw applied torque over position for each axis: the slope is the stiffness felt."""
         axes, position, torque = (panels[name] for name in ("motion", "position", "torque"))
         places, efforts = self._of_movers("position"), self._of_movers("torque_applied")
         labels = self._axes or ("applied",)
@@ -222,7 +218,7 @@ class PortPicture:
             axes.axvline(first, color=VERMILION, linewidth=1.0, linestyle=":", label=f"below zero from {first:.4g} s")
 
     def _mark(self, axes: "Axes", label: str) -> None:
-        """Shades the contacts, with a label in the legend unless it is empty, and marks faults."""
+        """Shade the contacts, with a label in the legend unless it is empty, and mark the faults."""
         look: Any = {"color": GREY, "alpha": 0.05, "linewidth": 0, "zorder": 0}
         for number, (start, end) in enumerate(self._contacts):
             axes.axvspan(self._time[start], self._time[end], label="_" * bool(number) + label, **look)
@@ -230,7 +226,7 @@ class PortPicture:
             axes.axvline(fault.time, color=VERMILION, linewidth=0.9, linestyle=":")
 
     def faults(self) -> str:
-        """Return one line of words per marked fault, for below the time axis."""
+        """Return one line of text per marked fault, for the label of the time axis."""
         return "".join(
             f"\n{time:.4g} s: {event.kind} {event.text[:60]}" for time, event in self._faults[:_MAX_FAULTS_NAMED]
         )
@@ -245,7 +241,7 @@ def _draw_material(axes: "Axes", plane: TaskPlane, scale: float) -> None:
 
 
 def _finish(axes: "Axes", title: str, unit: str) -> None:
-    """Titles at the left, legend at the right of the same line: nothing can lie on the data."""
+    """Put the title at the left and the legend at the right above the panel, where neither covers data."""
     axes.set_title(title, fontweight="bold")
     axes.set_ylabel(f"[{unit}]")
     axes.legend(**_LEGEND)
@@ -268,17 +264,17 @@ def draw_energy(
 ) -> None:
     """Draw a run into a file; its suffix gives the format (.png, .svg, .pdf).
 
-    The wall is drawn where the log's attributes `NAME.wall_position` and `NAME.wall_side` give it.
+    The wall is drawn from the log's attributes `NAME.wall_position` and `NAME.wall_side`.
 
     Args:
         log: An open energy log.
         path: File to write.
         start: Time of the first SYNC to draw [s]; from the beginning by default.
         stop: Time of the first SYNC not to draw [s]; to the end by default.
-        others: Further runs, drawn over the first in thin dashed lines where they have the same ports.
+        others: Further runs, whose ports are drawn over those of the same name in thin dashed lines.
 
     Raises:
-        InputError: The log holds no cycle there, matplotlib is not installed, or the file cannot be written.
+        InputError: The log has no cycle in that time, matplotlib is not installed, or the file cannot be written.
     """
     save_picture(energy_figure(log, start, stop, others), path)
 
@@ -322,7 +318,7 @@ def _last_over_time(names: Iterable[str]) -> str:
 def _layout(
     figure_type: "type[Figure]", pictures: Mapping[str, PortPicture]
 ) -> "tuple[Figure, dict[str, dict[str, Axes]]]":
-    """Return an empty figure, and of each port its panels by name, top to bottom, all but paths over one time axis."""
+    """Return an empty figure and the panels of each port by name; panels over time share one time axis."""
     wanted = {name: picture.draws() for name, picture in pictures.items()}
     rows = [row for row in _HEIGHTS if any(row in names for names in wanted.values())]
     heights = [_HEIGHTS[row] for row in rows]

@@ -1,4 +1,4 @@
-"""The page of `canhaptic scope`: the panels of a finished run's page, for the last seconds, as data arrive."""
+"""Page of `canhaptic scope`: the last seconds of a run while its log is being written."""
 
 import html
 from collections.abc import Iterable, Mapping
@@ -30,13 +30,13 @@ _EVENTS_SHOWN: Final = 4
 
 
 _Glyph = tuple[str, dict[str, Any]]
-"""Kind of a glyph of Bokeh, and its arguments."""
+"""Bokeh glyph method and its arguments."""
 _OPTIONAL: Final[dict[str, tuple[str, ...]]] = {
     "energy": ("taken_in", "dissipated"),
     "surplus": ("surplus", "deficit"),
     "damping": ("damping",),
 }
-"""Panel -> its columns; where all of them are zero, the panel is left out."""
+"""Panel -> data columns; the panel is hidden while all of them are zero."""
 
 
 def _panel(
@@ -52,12 +52,12 @@ def _panel(
 
     Args:
         time: Time range shared by all panels.
-        source: Column time, and those of the glyphs.
+        source: Data source with a column `time` and the columns of the glyphs.
         title: Title.
         unit: SI unit of the values.
         height: Height [pixels].
         glyphs: Lines and areas.
-        under_pointer: Label -> column, of the values shown under the pointer.
+        under_pointer: Label -> data column of each value shown at the pointer.
     """
     panel = new_panel(title, unit, time, height)
     for kind, style in glyphs:
@@ -73,7 +73,7 @@ def _line(column: str, label: str, colour: str, width: float = 1.5, **style: Any
 
 
 def _timing_panel(time: Range, source: ColumnDataSource, period: float) -> figure:
-    """Return the panel of durations within the cycle, with the period drawn across [s]."""
+    """Return the panel of the durations within a cycle, with the sample time as a dashed line [s]."""
     labels = {name.replace("_", " "): name for name in source.data if name != "time"}
     colours = (BLUE, GREEN, VERMILION, PURPLE)
     lines = [_line(name, label, colour, 1.0) for (label, name), colour in zip(labels.items(), colours, strict=True)]
@@ -83,7 +83,7 @@ def _timing_panel(time: Range, source: ColumnDataSource, period: float) -> figur
 
 
 def _link_panel(time: Range, source: ColumnDataSource) -> figure:
-    """Return the panel of cumulative losses; every change is a row of `source`, so that its steps are exact."""
+    """Return the panel of cumulative losses, drawn as exact steps: `source` has a row for every change."""
     names = [name for name in source.data if name != "time"]
     steps = [
         ("step", {**_line(name, name, colour, 1.0)[1], "mode": "after"})
@@ -97,8 +97,8 @@ def _link_panel(time: Range, source: ColumnDataSource) -> figure:
 def _port_panels(facts: PortFacts, time: Range, source: ColumnDataSource) -> dict[str, figure]:
     """Return the panels of one port, top to bottom, in the colours of the picture of a finished run.
 
-    A group has no position, an axis of a group no energy, and only an admittance display a velocity. Decimated data are
-    plain lines: between two distant rows a stair would show a value for as long as none is known.
+    A group has no position panel, an axis in a group no energy panel, and only an admittance display a velocity panel.
+    Lines are straight, not steps, because the values between decimated rows are unknown.
     """
     units, panel, name, panels = facts.units, partial(_panel, time, source), facts.name, dict[str, figure]()
     if not facts.is_group:
@@ -152,13 +152,13 @@ def _add_wall(panel: figure, wall: float, side: str) -> None:
 
 
 class ScopePage:
-    """One visitor's view of a log that is being written.
+    """Page of one visitor on a log that is being written.
 
     Args:
         document: The visitor's Bokeh document.
-        log: Log to follow; each visitor has its own.
-        window: Seconds shown [s].
-        period: Time between two looks [s].
+        log: Reader of the log; each visitor needs a separate one.
+        window: Length of the shown time [s].
+        period: Time between two polls of the log [s].
     """
 
     def __init__(self, document: Document, log: LiveLog, window: float, period: float) -> None:
@@ -211,7 +211,7 @@ class ScopePage:
 
 
 class _LivePort:
-    """The panels of one port; those that show nothing but zeros are hidden until they show more."""
+    """Panels of one port; a panel is hidden as long as all its values are zero."""
 
     def __init__(self, news: News, name: str, time: Range, window: float) -> None:
         self._window, self._sample_time = window, news.sample_time
@@ -232,7 +232,7 @@ class _LivePort:
             panel.add_tools(HoverTool(renderers=[mark], tooltips=[("", "@text"), ("at", "@at{0.0000} s")]))
 
     def take(self, news: News, keep: Array) -> None:
-        """Take the new rows that `keep` says, their contacts, and all faults."""
+        """Draw the new rows selected by `keep`, their contacts, and all faults."""
         time, rows = news.time[keep], news.ports[self._name]
         columns = {key: rows[key][keep] for key in _LINES}
         faults = [e for e in news.events if e.event.kind in FAULTS and e.event.port in {"", self._name}]
@@ -262,7 +262,7 @@ def _stream(source: ColumnDataSource, time: Array, columns: Mapping[str, Array])
 
 
 def _status(news: News, last: News) -> str:
-    """Return the current status of the log, with the values of the last look that found rows."""
+    """Return the status of the log as HTML, with the values of the last poll that found rows."""
     facts = [
         f"<b>{html.escape(news.status)}</b>",
         counted(news.rows, "cycle"),
@@ -282,4 +282,4 @@ def _status(news: News, last: News) -> str:
 
 
 _COUNTED: Final = ("SYNCs skipped", "cycles not in the log")
-"""Losses that the status counts; for losses of the ports it gives the share."""
+"""Losses that the status shows as counts; losses of TPDOs are shown as a share."""

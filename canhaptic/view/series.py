@@ -1,14 +1,4 @@
-"""Data drawn for one port: its units, its wall, its losses and its marked events.
-
-Min/max decimation: long records drawn in a few thousand points without losing a one-sample spike.
-
-Striding would lose it. Every bucket of samples is drawn as its first extreme and its second, in their order.
-
-The plane in which a group of axes renders: the path of its handle, and the surface.
-
-Mechanism and network come from the log of the run; a log without them, a task space that is not a plane and
-a network without a surface have no such picture.
-"""
+"""Data of a log as pictures and live pages draw them: decimated rows, facts about a port, faults, path in a plane."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -30,14 +20,16 @@ from canhaptic.scene.models import task_unit
 
 
 def decimate(values: NDArray[np.generic], buckets: int) -> NDArray[np.intp]:
-    """Return the indices of samples to draw: the least and the greatest of every bucket, in order, both ends kept.
+    """Return the indices of samples to draw: the smallest and the largest of every bucket, and both ends.
+
+    A spike of one sample is kept, which taking every n-th sample would lose.
 
     Args:
-        values: Shape (n,); NaN is drawn where it is.
-        buckets: About half the number of points wanted.
+        values: Shape (n,); NaN counts as an extreme.
+        buckets: Number of buckets, about half the number of points wanted.
 
     Returns:
-        Ascending indices; all of them when there are no more than two per bucket.
+        Ascending indices; all of them if there are at most two samples per bucket.
     """
     length = len(values)
     if length <= 2 * buckets:
@@ -54,12 +46,12 @@ def decimate(values: NDArray[np.generic], buckets: int) -> NDArray[np.intp]:
 
 
 def decimate_together(columns: Iterable[NDArray[np.generic]], buckets: int) -> NDArray[np.intp]:
-    """Return the indices of the rows to draw of several columns at once: all that `decimate` returns for any."""
+    """Return the indices of the rows to draw for several columns: the union of `decimate` over the columns."""
     return np.unique(np.concatenate([decimate(values, buckets) for values in columns]))
 
 
 FAULTS: Final = frozenset({"fault", "emcy", "stop", "limit"})
-"""Kinds of events that are marked."""
+"""Kinds of events that are marked in pictures."""
 COLUMNS: Final = {
     "position": "position",
     "command": "torque_command",
@@ -67,19 +59,19 @@ COLUMNS: Final = {
     "surplus": "h_dis",
     "damping": "damping_rendered",
 }
-"""Quantity drawn as it is logged -> its column in the log; energies in one entry are summed."""
+"""Drawn quantity -> log column with its values."""
 _ENERGIES: Final = ("taken_in", "dissipated", "margin", "upper", "surplus", "deficit")
 
 
 class MarkedEvent(NamedTuple):
-    """An event of one of the kinds in `FAULTS`, and when it happened in the run."""
+    """An event of the log with its time."""
 
     time: float  # [s]
     event: Event
 
 
 class PortFacts(NamedTuple):
-    """Facts about a port that a panel needs before the first row is drawn."""
+    """Constants of a port that its panels need before the first row."""
 
     name: str
     is_group: bool  # of axes: it has no position
@@ -91,12 +83,12 @@ class PortFacts(NamedTuple):
 
     @property
     def is_display(self) -> bool:
-        """Whether velocities are commanded: an admittance display."""
+        """Whether the port is an admittance display, to which velocities are commanded."""
         return self.units["command"] != self.units["applied"]
 
 
 def port_facts(log: EnergyLog, name: str) -> PortFacts:
-    """Return the facts about a port in the attributes of a log."""
+    """Read the constants of a port from a log."""
     port = log.ports[name]
     effort = port.unit("torque_applied")
     units = dict.fromkeys(_ENERGIES, "J") | {
@@ -119,7 +111,7 @@ _MOST_NOTCHES: Final = 200
 
 
 def notches_of(log: EnergyLog, name: str, low: float, high: float) -> list[float]:
-    """Return the resting positions of detents between two positions [m or rad]; none of another environment."""
+    """Return the notches of detents between two positions [m or rad]; empty for another environment."""
     place, pitch = (log.attributes.get(f"{name}.wall_{key}") for key in ("position", "pitch"))
     if not (isinstance(place, float) and isinstance(pitch, float) and 0.0 < high - low < _MOST_NOTCHES * pitch):
         return []
@@ -127,7 +119,7 @@ def notches_of(log: EnergyLog, name: str, low: float, high: float) -> list[float
 
 
 def losses(log: EnergyLog, start: int, stop: int) -> dict[str, Array]:
-    """Return for each row the losses before it: SYNCs not sent, TPDOs missed, rows dropped."""
+    """Return the losses just before each row: SYNCs skipped, TPDOs missed per axis, and cycles not in the log."""
     index = log.timing.read("sync_index", max(0, start - 1), stop).astype(np.int64)
     dropped = log.timing.read("dropped_before", start, stop).astype(np.int64)
     deadlines = log.deadlines(max(0, start - 1), stop).astype(np.int64)
@@ -141,9 +133,9 @@ def losses(log: EnergyLog, start: int, stop: int) -> dict[str, Array]:
 
 
 def faults_of(log: EnergyLog, port: str, index: Array) -> list[MarkedEvent]:
-    """Return the events to mark that concern a port and lie within the SYNCs of `index`.
+    """Return the faults of a port, and of the whole rig, within the SYNCs of `index`.
 
-    The fault that ended a run belongs to a SYNC without a row; it is moved to the last row.
+    A fault that ended the run has a SYNC without a row; it is moved to the last row.
     """
     if not len(index):
         return []
@@ -166,7 +158,7 @@ _MARGIN: Final = 0.25  # of the longer span of the path, shown on every side of 
 
 
 class TaskPlane(NamedTuple):
-    """A path and a surface [m or rad]."""
+    """Path of a handle in a plane, and the depth in the material around it [m or rad]."""
 
     unit: str
     path: Array  # (n, 2); NaN where the mechanism had no pose
@@ -177,7 +169,9 @@ class TaskPlane(NamedTuple):
 
 
 def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
-    """Return path and surface of a group; None where there is no such picture.
+    """Return path and surface of a group, from the mechanism and network in its log.
+
+    None if the log does not have them, the task space is not a plane, or the network has no surface.
 
     Args:
         log: An open energy log.
@@ -215,14 +209,14 @@ def _build(table: dict[str, str], section: Mapping[str, str]) -> Any:
 
 
 def _has_surface(rendered: Rendered) -> bool:
-    """Return whether some spring begins at an edge, and no state moves by itself."""
+    """Return whether a spring has a dead zone, so that its edge is a surface, and no part moves by itself."""
     tables = rendered.network.tables
     edges = zip(tables.lower, tables.upper, strict=True)
     return not tables.moving and any(low != high for low, high in edges)
 
 
 def _depth(rendered: Rendered, position: Sequence[float]) -> float:
-    """Return how far the spring that is deepest is beyond its edge; negative in free space [m or rad]."""
+    """Return the largest penetration beyond the edge of any spring; negative in free space [m or rad]."""
     tables, values = rendered.network.tables, coordinates_at(rendered.geometry, position)
     deepest = -np.inf
     for row, low, high in zip(tables.gain, tables.lower, tables.upper, strict=True):

@@ -1,4 +1,4 @@
-"""Numbers for people: SI prefixes, a fixed number of digits."""
+"""Formatting of numbers with SI prefixes and a fixed number of digits."""
 
 import math
 from typing import Final
@@ -8,7 +8,7 @@ _UNPREFIXED: Final = {"1", "", "%", "rad"}  # units that do not take a prefix we
 
 
 def prefixes_of(unit: str) -> list[tuple[float, str]]:
-    """Return scale and SI prefix of every prefix that a unit takes, the largest first."""
+    """Return scale and name of every SI prefix that suits a unit, largest first."""
     if unit in _UNPREFIXED:
         return [(1.0, "")]
     largest = 0 if unit == "s" else max(_PREFIXES)
@@ -19,8 +19,8 @@ def si(value: float, unit: str, digits: int = 4) -> str:
     """Return a value with a prefixed unit, such as `12.34 mJ`.
 
     Args:
-        value: Value in that unit.
-        unit: A unit, "1" or "" for a pure number.
+        value: Value in `unit`.
+        unit: SI unit; "1" or "" for a pure number.
         digits: Significant digits.
     """
     if unit in _UNPREFIXED:
@@ -42,12 +42,12 @@ def si(value: float, unit: str, digits: int = 4) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number of things, such as `1 cycle` or `2 cycles`."""
+    """Return a count with its noun, such as `1 cycle` or `2 cycles`."""
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def _pad_digits(number: str, digits: int) -> str:
-    """Keep trailing zeros, so that a column of numbers reads at one glance: 1.5 -> 1.500."""
+    """Append zeros up to the given number of digits, so that a column of numbers lines up: 1.5 -> 1.500."""
     shown = sum(letter.isdigit() for letter in number.lstrip("-0."))
     if shown >= digits:
         return number

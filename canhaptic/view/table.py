@@ -1,4 +1,4 @@
-"""One table for every command: on a terminal, as Markdown, HTML, CSV and JSON; no cell is ever cropped."""
+"""Table of every command, printed on a terminal or as Markdown, HTML, CSV or JSON; no cell is ever cropped."""
 
 import csv
 import html
@@ -27,7 +27,7 @@ class Styled(NamedTuple):
 
 
 Cell = str | int | float | Styled | None
-"""A float is shown with four digits, NaN as a dash; None is an empty cell."""
+"""Value of a cell: a float is shown with four digits, NaN as a dash, None as an empty cell."""
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,13 @@ class Table:
 
     Args:
         title: Title above the table; "" for none.
-        columns: Headings; a line break is kept on a terminal only.
-        rows: Rows with one cell per column; a row without cells draws a line on a terminal.
-        keys: Number of leading columns that name a row; the others are figures, right-aligned and not
-            folded: where they do not fit, a terminal shows several tables, each with the keys. None: all are words.
+        columns: Headings; line breaks are kept on a terminal only.
+        rows: Rows with one cell per column; an empty row draws a line on a terminal.
+        keys: Number of leading columns that name a row. The other columns are figures, aligned right and not folded:
+            if they do not fit, a terminal shows several tables with the same keys. None: every column is text.
 
     Raises:
-        ValueError: A row has another number of cells than there are columns.
+        ValueError: The number of cells of a row is not the number of columns.
     """
 
     title: str
@@ -56,11 +56,11 @@ class Table:
                 raise ValueError(f"{self.title}: row {number} has {len(row)} cells, expected {len(self.columns)}")
 
     def json(self) -> str:
-        """Return a list with one object per row, headings as keys; a number that is not finite is null."""
+        """Return a JSON list with one object per row and headings as keys; numbers that are not finite become null."""
         return json.dumps([dict(zip(self._heads(), row, strict=True)) for row in self._plain()], allow_nan=False)
 
     def csv(self) -> str:
-        """Return headings and rows separated by commas, numbers with all their digits."""
+        """Return headings and rows as CSV, with all digits of the numbers."""
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows([self._heads(), *self._plain()])
         return text.getvalue()
@@ -72,14 +72,14 @@ class Table:
         return [[_plain(cell) for cell in row] for row in self.rows if row]
 
     def markdown(self) -> str:
-        """Return heading and table for a page of documentation; a bold cell stays bold."""
+        """Return title and table as Markdown; bold cells stay bold."""
         lines = [f"### {self.title.strip()}", ""] if self.title else []
         lines += [_markdown_row([*map(Styled, self._heads())])]
         lines += ["|" + "---|" * len(self.columns), *(_markdown_row(row) for row in map(_styled, self.rows) if row)]
         return "\n".join(lines) + "\n"
 
     def html(self) -> str:
-        """Return a `<table>`; the classes of a cell are its style, and `key` where it names its row."""
+        """Return a `<table>`; the style of a cell becomes its classes, with `key` in the columns that name a row."""
         heads = "".join(self._html_cell("th", index, Styled(head)) for index, head in enumerate(self._heads()))
         cells = ("".join(self._html_cell("td", *cell) for cell in enumerate(_styled(row))) for row in self.rows if row)
         rows = "".join(f"<tr>{row}</tr>" for row in cells)
@@ -91,7 +91,7 @@ class Table:
         return f'<{kind} class="{classes}">{html.escape(cell.text)}</{kind}>'
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Render one table, or several below each other."""
+        """Render one table, or several if the columns do not fit the width."""
 
         def fits(indices: Sequence[int], space: int) -> bool:
             table = self._drawn(indices, space)
@@ -105,7 +105,7 @@ class Table:
             yield self._drawn(indices, space, "" if number else self.title, fold=fold)
 
     def _parts(self, named: int, fits: Callable[[Sequence[int]], bool]) -> Iterator[Sequence[int]]:
-        """Yield the columns of each table."""
+        """Yield the column indices of each table."""
         keys = list(range(min(named, len(self.columns))))
         taken = list(keys)
         for index in range(len(keys), len(self.columns)):
@@ -132,7 +132,7 @@ class Table:
 
 
 def in_lines(text: str, width: int) -> str:
-    """Return a text in lines of at most `width` characters, broken behind a separator where there is one."""
+    """Break a text into lines of at most `width` characters, after a separator if possible."""
     return "\n".join(re.findall(rf".{{1,{width}}}(?:(?<=[/_.\s-])|$)|.{{1,{width}}}", text))
 
 
@@ -147,7 +147,7 @@ def _styled(row: Sequence[Cell]) -> list[Styled]:
 
 
 def shown(cell: str | int | float | None) -> str:
-    """Return the words of a cell without its style."""
+    """Return the text of a cell."""
     if isinstance(cell, float):
         return "-" if math.isnan(cell) else f"{cell:.4g}"
     return "" if cell is None else str(cell)

@@ -1,8 +1,8 @@
-"""Safe terminal output: control characters in texts from files and drives are shown, not sent.
+"""Safe output on a terminal: control characters are escaped, and progress never delays a cycle.
 
-Progress on standard error, on a terminal or in a notebook, and only for tasks longer than a second; where it is piped,
-one line every five seconds of a run at free pace. At real pace the terminal must not delay the cycle: one short line
-twice a second, and only if it can be written without waiting. No thread is started.
+Progress goes to standard error, for tasks longer than a second. A run at real pace writes a short line twice a second,
+and only if that does not block. A run at free pace shows a bar on a terminal or in a notebook, else a line every five
+seconds. No thread is started.
 """
 
 import os
@@ -29,7 +29,7 @@ _SHOWN: Final = {code: f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" fo
 
 
 def visible(text: str) -> str:
-    r"""Return a text with terminal control characters written out: escape as `\x1b`; lines and tabs stay."""
+    r"""Return a text with its control characters escaped (`\x1b`), except line ends and tabs."""
     return text if text.isprintable() else text.translate(_SHOWN)
 
 
@@ -44,7 +44,7 @@ _Pace = Literal["real", "free"]
 def run_progress(
     cycles: int | None, sample_time: float, pace: _Pace, every: int = 64
 ) -> Iterator["RunProgress | None"]:
-    """Progress of a run; None where it would be piped and the pace is real.
+    """Yield the progress display of a run; None if standard error is piped and the pace is real.
 
     The arguments are as for `RunProgress`.
     """
@@ -63,13 +63,13 @@ def _is_piped() -> bool:
 
 
 class RunProgress:
-    """Takes the number of completed cycles and shows it from time to time.
+    """Progress display of a run, called with the number of completed cycles.
 
     Args:
         cycles: Total number of cycles; None if unknown.
         sample_time: Sample time [s].
         pace: Pace of the run.
-        every: At free pace, number of cycles between updates.
+        every: Number of cycles between two looks at the clock at free pace.
         is_piped: Whether plain lines are written, one every five seconds.
     """
 
@@ -87,7 +87,7 @@ class RunProgress:
         self._bar: Progress | None = None
 
     def __call__(self, cycles: int) -> None:
-        """Take the number of completed cycles; cheap except for a few calls a second."""
+        """Show the number of completed cycles if an update is due; cheap otherwise."""
         if self._pace == "free" and cycles % self._every:
             return
         now = self._clock.now()
@@ -116,7 +116,7 @@ class RunProgress:
         self._bar.update(self._bar.task_ids[0], completed=cycles, refresh=True)
 
     def close(self) -> None:
-        """Take the progress off the terminal."""
+        """Remove the progress from the terminal."""
         if self._bar is not None:
             self._bar.stop()
         elif self._shown:
@@ -124,7 +124,7 @@ class RunProgress:
 
 
 def _write_if_free(text: str) -> None:
-    """Write to standard error unless that would wait (a terminal stopped with Ctrl-S)."""
+    """Write to standard error unless that would block, as on a terminal stopped with Ctrl-S."""
     with suppress(UnsupportedOperation):  # standard error is a text in memory
         descriptor = sys.stderr.fileno()
         if select.select([], [descriptor], [], 0.0)[1]:

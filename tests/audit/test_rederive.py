@@ -128,11 +128,11 @@ def test_rows_that_are_missing_are_no_mismatch_but_counted(
     assert typed.inspect(path, "--recompute", "--json") == 1
     [port] = json.loads(capsys.readouterr().out)["recomputed"]
     assert port == {"port": "handle", "mismatch": None, "rows": 900, "unchecked_rows": 400, "missing_rows": 3}
-    assert "the first 900 cycles recomputed, equal bit for bit; after them 3 rows are missing" in shown()
+    assert "the first 900 cycles recomputed, equal bit for bit; then 3 rows are missing" in shown()
     with h5py.File(path, "r+") as file:
         file["timing/dropped_before"][900] = 0
         file["timing/deadline_index"][900:] += 7
-    assert "900 cycles recomputed, equal bit for bit; after them a SYNC was skipped" in shown()
+    assert "900 cycles recomputed, equal bit for bit; then a SYNC was skipped" in shown()
 
 
 def test_the_account_is_derived_where_syncs_were_skipped_and_up_to_the_last_answer(

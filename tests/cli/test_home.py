@@ -51,12 +51,12 @@ class Person:
 def test_home_prints_the_position_before_and_after(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["home", scene(tmp_path), *WORDS, "--yes"]) == 0
     out, err = capsys.readouterr()
-    assert out.splitlines()[0] == "handle: home found by method 34, disabled"
+    assert out.splitlines()[0] == "handle: home found by method 34; the drive is disabled"
     assert out.splitlines()[1] == "  position before: 0 counts (0x6064), 0 m"
     assert "handle (node 1) will be enabled" in err
     assert "it moves towards larger counts to the next index; at 0.02 and 0.01 m/s" in err
     assert "with at most 2 N, for at most 30 s" in err
-    assert "not as before: 0x6072:00 Max torque = 200, 1000 before" in err
+    assert "not put back in the drive: 0x6072:00 Max torque = 200, 1000 before" in err
 
 
 @pytest.mark.parametrize("no", [0, 1, 2])

@@ -94,7 +94,7 @@ def test_a_wall_that_was_not_reached_is_no_contact_and_keeps_strict(capsys: pyte
     assert main(["run", scene, "--duration", "0.2", "--pace", "free", "--strict"]) == 0
     assert capsys.readouterr().out.startswith(" handle: no contact: the handle stayed between 0 m and ")
     assert main(["check", scene]) == 0
-    assert "; felt from 0.0015 m/s, " in capsys.readouterr().out.splitlines()[0]
+    assert "; the wall is felt from an approach speed of 0.0015 m/s, " in capsys.readouterr().out.splitlines()[0]
 
 
 def test_what_has_no_outside_or_is_of_a_group_is_not_tried() -> None:
@@ -160,7 +160,8 @@ def test_both_halves_of_a_detent_are_rendered_and_check_says_how_much(capsys: py
     assert halves_rendered(axis(), 0.1) is None  # a wall has no crest
     assert main(["check", str(CONFIGS / "demo.yaml"), *(word for text in SNAPS for word in ("--set", text))]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert f"({halves[0]:.2f} up to a crest and {halves[1]:.2f} behind it at 0.1 m/s)" in said
+    shares = f"{halves[0]:.0%} of the force is rendered up to a crest and {halves[1]:.0%} beyond it"
+    assert f"(at 0.1 m/s, {shares})" in said
 
 
 LOSSY = ("passivity.max_consecutive_losses=4", "environment.stiffness=500", "bus.rate=250 Hz", "environment.position=0",
@@ -174,13 +175,14 @@ def test_of_a_link_that_loses_frames_check_says_how_much_of_a_wall_it_holds(caps
     assert late[0.1] < 0.1 < late[0.001]
     words = [word for change in LOSSY for word in ("--set", change)]
     assert main(["check", str(CONFIGS / "demo.yaml"), *words]) == 0
-    assert "; pressed for 1 s 28% of it at 0.1%, " in capsys.readouterr().out
+    assert "; pressed for 1 s, it keeps 28% of its force if 0.1% of the frames are lost, " in capsys.readouterr().out
 
 
 @pytest.mark.slow
 def test_of_a_torque_that_is_not_late_a_lost_frame_takes_next_to_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", str(CONFIGS / "demo.yaml"), "--set", "passivity.max_consecutive_losses=1"]) == 0
-    assert "; pressed for 1 s it stays where about 10.0% of the frames are lost, " in capsys.readouterr().out
+    kept = "; pressed for 1 s, it keeps at least 50% of its force if up to 10.0% of the frames are lost, "
+    assert kept in capsys.readouterr().out
 
 
 @pytest.mark.slow

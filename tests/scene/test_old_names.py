@@ -125,7 +125,7 @@ def test_an_old_bus_log_replays_frame_by_frame_from_its_boot_and_from_its_first_
     joined = replay_bus_log(path, scene, from_sync=True)
     assert (joined["status"], joined["reads_left_out"]) == ("identical", [])
     assert canhaptic(["replay", str(path), "--config", str(config)]) == 0
-    assert "because the recorded master was older: handle: 0x1006, handle: 0x60B2" in capsys.readouterr().out
+    assert "as in the recording by an older master: handle: 0x1006, handle: 0x60B2" in capsys.readouterr().out
 
 
 def test_an_old_bus_log_that_differs_after_the_read_left_out_is_different(tmp_path: Path) -> None:

@@ -189,7 +189,7 @@ def test_check_and_readers_leave_own_code_unread(folder: Path, capsys: pytest.Ca
     (folder / "bus.log").write_text("(0.000000) vcan0 080#\n")
     assert main(["decode", str(folder / "bus.log"), "--config", str(scene)]) == 0
     assert main(["scope", "--config", str(scene)]) == 2  # the scene names no log, and is read so far
-    assert "names no energy log" in capsys.readouterr().err
+    assert "has no log.energy" in capsys.readouterr().err
     assert main(["schema"]) == 0
     assert not ran(folder)
 

@@ -89,7 +89,7 @@ def test_a_virtual_can_interface_has_no_controller_to_judge() -> None:
         (changed('["NOARP","UP","LOWER_UP","ECHO"]', '["NOARP","ECHO"]'), "link", "type can bitrate 1000000"),
         (changed('{"state"', '{"ctrlmode":["LISTEN-ONLY"],"state"'), "mode", "listen-only off"),
         (changed('{"state"', '{"ctrlmode":["LOOPBACK","FD"],"state"'), "mode", "loopback off"),
-        (changed('"restart_ms":0', '"restart_ms":5'), "restart-ms", "at least 20 ms (20 sample times"),
+        (changed('"restart_ms":0', '"restart_ms":5'), "restart-ms", "at least 20 ms (after 20 sample times"),
         (ETHERNET, "link type", "name a CAN interface"),
     ],
 )
@@ -299,7 +299,7 @@ def test_the_command_shows_every_item(monkeypatch: pytest.MonkeyPatch, capsys: p
 
 def test_the_command_says_when_there_is_nothing_to_look_at(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["preflight", str(DEMO)]) == 0
-    assert "virtual is not SocketCAN" in capsys.readouterr().out
+    assert "bus.interface is virtual, not socketcan" in capsys.readouterr().out
 
 
 def test_the_ip_of_this_machine_is_asked_for_real() -> None:

@@ -1,11 +1,15 @@
 """The first line of a port in words."""
 
+import io
+from collections.abc import Callable
 from typing import Any
 
 import pytest
+from rich.console import RenderableType
 
 from canhaptic.control.verdict import headline
-from canhaptic.view.run_lines import headline_text
+from canhaptic.view.energy_table import energy_report
+from canhaptic.view.run_lines import brief_report, headline_text, make_console
 
 CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
 
@@ -15,11 +19,11 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
     [
         ({"passive": "yes", **CERTIFIED}, "passive: yes · guarantee rests on: hand force"),
         ({"passive": "yes", "why": "by certificate", "energy_allowance": 1e-4, **CERTIFIED},
-         "passive: yes, by certificate, within 100 uJ · guarantee rests on: hand force"),
+         "passive: yes, by certificate, within an allowance of 100 uJ · guarantee rests on: hand force"),
         ({"passive": "no", "passive_at_handle": "yes", "why": "measured"}, "passive: yes, measured, at the handle"),
         ({"passive": "in doubt", "energy_resolution": 0.5, "why": "the contact acts as if 4 counts deep, 20 needed"},
          "passive: in doubt: the account is uncertain by +-500 mJ; the contact acts as if 4 counts deep, 20 needed"),
-        ({"passive": "yes", "energy_allowance": 1e-4}, "passive: yes, within 100 uJ"),
+        ({"passive": "yes", "energy_allowance": 1e-4}, "passive: yes, within an allowance of 100 uJ"),
         ({"passive": "no", "passive_at_handle": "yes", **CERTIFIED},
          "passive: yes, at the handle · guarantee rests on: hand force"),
         ({"passive": "in doubt", "plant_passive": "yes"}, "passive: yes, by the plant; the account alone cannot tell"),
@@ -30,7 +34,7 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
           "suspects": ["moving_mass", "delay"]},
          "passive: NO, for certain from 0.5 s on; contradicts its certificates (hand force): one of moving_mass, delay "
          "is wrong"),
-        ({"passive": "no", "active_before": True}, "passive: NO, before this part already"),
+        ({"passive": "no", "active_before": True}, "passive: NO, already before this part of the log"),
         ({"passive": "in doubt", "energy_resolution": 0.5}, "passive: in doubt: the account is uncertain by +-500 mJ"),
         ({"passive": "yes", "contact": {"holds": 0, "without_torque": 0}}, "no contact"),
         ({"passive": "yes", "unit": "m", "contact": {"holds": 0, "without_torque": 0}, "reach": [-0.012, 0.03],
@@ -57,3 +61,14 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
 def test_a_port_says_its_word_and_why(port: Any, words: str) -> None:
     port = {"certificate": "none", **port}
     assert headline_text("handle", {**port, "verdict": headline(port)}).plain == f" handle: {words}"
+
+
+@pytest.mark.parametrize("report", [brief_report, energy_report])
+@pytest.mark.parametrize("status", ["failed", "failed: no space"])
+def test_a_run_that_failed_says_so_before_its_verdict(report: Callable[[Any], RenderableType], status: str) -> None:
+    port = {"passive": "yes", "verdict": "yes", "certificate": "none"}
+    result: dict[str, Any] = {"cycles": 512, "ports": {"knob": port}, "config_hash": ""}
+    file = io.StringIO()
+    make_console(file).print(report({**result, "status": status}), report({**result, "status": "stopped"}))
+    heads = [line for line in file.getvalue().splitlines() if line.startswith(" knob: ")]
+    assert heads == [" knob: FAILED after 512 cycles; until then passive: yes", " knob: passive: yes"]

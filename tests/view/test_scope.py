@@ -85,7 +85,7 @@ def test_a_log_under_the_writers_hands_is_followed(tmp_path: Path) -> None:
 def test_the_scope_wants_to_know_its_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scope"]) == 2
     assert main(["scope", "--config", str(DEMO)]) == 2
-    assert "names no energy log" in capsys.readouterr().err
+    assert "has no log.energy" in capsys.readouterr().err
     assert main(["scope", str(tmp_path / "run.h5"), "--window", "0"]) == 2
 
 

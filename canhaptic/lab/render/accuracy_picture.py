@@ -1,11 +1,8 @@
-"""A study of accuracy as a picture and as a page: error against time, energy against evaluations, the loop as rows.
+"""Picture and page of `canhaptic accuracy`.
 
-Pareto front ringed and joined; the tolerance as a dashed line; a method that is not stable is named in the legend.
-
-A study of the accuracy of an admittance display as a picture, and as a page with its table.
-
-One row for each change of the scene: the error of position and energy against the ideal display, the apparent mass, and
-the energy given out.
+For an impedance axis: error against computing time for each method of the plant, with the Pareto front ringed and the
+tolerance as a dotted line, and a row for each changed setting of the loop. For an admittance display: a row for each
+changed setting, with the errors against the ideal display, the mass felt and the energy given out.
 """
 
 import math
@@ -61,7 +58,7 @@ def draw_accuracy(result: Row, path: str | Path) -> None:
         return
     with style.drawing() as figure_type:
         if not result["plant"]:
-            raise InputError("nothing was measured, so there is nothing to draw")
+            raise InputError("nothing was measured, so there is nothing to draw; run the study for longer")
         base = accuracy_table.base_loop(result)
         felt = base is None or base["largest_torque"] > 0.0
         loop = [row for row in result["loop"] if row["position_error"]] if felt else []
@@ -137,7 +134,7 @@ def _draw_ladder(panel: "Axes", result: Row, price: str, error: str) -> None:
 
 
 def _lines(own: Sequence[Row]) -> list[list[Row]]:
-    """Return the rows of one method as lines along which one thing changes: for ours substeps, else event bits."""
+    """Return the rows of one method as lines to draw; ours has one line per number of event bits."""
     if not own or own[0]["accuracy"] is None or len({row["accuracy"]["substeps"] for row in own}) < 2:
         return [list(own)] if own else []
     bits = sorted({row["accuracy"]["event_bits"] for row in own})
@@ -145,7 +142,7 @@ def _lines(own: Sequence[Row]) -> list[list[Row]]:
 
 
 def _draw_loop(panel: "Axes", loop: Sequence[Row], result: Row) -> None:
-    """Draw one row per variant: position error, with its price in words."""
+    """Draw a row for each changed setting: position and energy error, computing time, bus load."""
     places = list(range(len(loop)))[::-1]
     for place, row in zip(places, loop, strict=True):
         colour = _GROUPS[row["group"]]
@@ -158,8 +155,8 @@ def _draw_loop(panel: "Axes", loop: Sequence[Row], result: Row) -> None:
     for label, row in zip(panel.get_yticklabels(), loop, strict=True):
         label.set_color(_GROUPS[row["group"]])
     panel.grid(axis="y", visible=False)
-    panel.set_title("loop: one thing changed", fontweight="bold")
-    panel.set_xlabel(f"from the continuous axis:  o position [{result['unit']}],  | energy [J]")
+    panel.set_title("loop: one setting changed", fontweight="bold")
+    panel.set_xlabel(f"error against the continuous axis:  o position [{result['unit']}],  | energy [J]")
     panel.set(xscale="log", ylim=(-0.8, len(loop) + 0.2))
     _write_right(panel, len(loop) - 0.1, "control, bus load")
     for place, row in zip(places, loop, strict=True):
@@ -176,7 +173,7 @@ def _write_right(panel: "Axes", place: float, text: str) -> None:
 
 
 def _draw_effects(panel: "Axes", effects: Sequence[Row], result: Row) -> None:
-    """Draw one row per effect: the error of leaving it out, and the saving in words."""
+    """Draw a row for each simulated effect: the error if it is left out, and the computing time saved."""
     for place, row in enumerate(effects):
         panel.plot([row["position_error"]], [place], "o", color=VERMILION, markersize=6.0)
         saved = row["us_saved_per_period"]
@@ -184,7 +181,7 @@ def _draw_effects(panel: "Axes", effects: Sequence[Row], result: Row) -> None:
         _write_right(panel, place, f"saves {price}")
     panel.axvline(result["tolerance"], color="#CC0000", linewidth=1.0, linestyle=":")
     panel.set_yticks(range(len(effects)), [row["effect"].replace("_", " ") for row in effects], fontsize=8.0)
-    panel.set(xscale="log", ylim=(len(effects) - 0.2, -0.8), xlabel=f"error of it [{result['unit']}]")
+    panel.set(xscale="log", ylim=(len(effects) - 0.2, -0.8), xlabel=f"error without it [{result['unit']}]")
     panel.margins(x=0.15)
     panel.grid(axis="y", visible=False)
     panel.set_title("an effect left out", fontweight="bold")
@@ -194,7 +191,7 @@ _COLOURS: Final = {
     "the scene": "#000000", "rate": BLUE, "algorithm": GREEN, "sampling": ORANGE, "sensor": PURPLE, "encoder": SKY,
 }  # fmt: skip
 _LEAST: Final = 1e-12
-"""Drawn for zero on an axis of powers of ten."""
+"""Value drawn for zero on a logarithmic axis."""
 
 
 def _name(row: Row) -> str:
@@ -203,7 +200,7 @@ def _name(row: Row) -> str:
 
 
 def _draw_display(result: Row, path: str | Path) -> None:
-    """Draw the study of a display; errors as for `draw_accuracy`."""
+    """Draw the study of an admittance display; errors as for `draw_accuracy`."""
     unit = result["unit"]
     columns: dict[str, Callable[[Row], float]] = {
         f"largest error of the position [{unit}]": lambda row: max(row["position_error"], _LEAST),
@@ -214,7 +211,7 @@ def _draw_display(result: Row, path: str | Path) -> None:
     with style.drawing() as figure_type:
         rows = [row for row in result["loop"] if "position_error" in row]
         if not rows:
-            raise InputError("nothing was measured, so there is nothing to draw")
+            raise InputError("nothing was measured, so there is nothing to draw; run the study for longer")
         places = list(range(len(rows)))[::-1]
         figure = figure_type(figsize=(14.5, 2.2 + 0.3 * len(rows)), dpi=110, layout="constrained")
         for panel, (title, value) in zip(figure.subplots(1, len(columns), sharey=True), columns.items(), strict=True):

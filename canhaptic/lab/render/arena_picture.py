@@ -1,6 +1,6 @@
-"""The pictures of an arena: K-B plot, impedance, energy given out by each algorithm; `guarded` is thick and black.
+"""Pictures and page of `canhaptic arena`: stiffness over damping, impedance, energy given out, and sortable tables.
 
-An arena as one page that any browser opens without a network: its pictures, and sortable tables.
+The line of `guarded` is thick and black in every picture.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -26,18 +26,18 @@ Found = Mapping[str, Any]
 _COLOURS: Final = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, GREY)
 _MARKS: Final = "osv^<>DPX*hpd"
 _THEORY: Final = {"C": ("--", "#404040"), "e": ("-.", "#404040"), "l": (":", "#000000")}
-"""Look of the lines of Colgate, of eigenvalues and of the largest certificate."""
+"""First letter of a theoretical border -> line style and colour: Colgate, eigenvalues, largest certificate."""
 _OUR: Final = "guarded"
 _PLAIN: Final = "unprotected"
 _WORDS: Final = {"passive": "stiffest wall that stays passive", "near": "and is rendered within 5 %"}
 _DPI: Final = 110
 _LEAST: Final = 1e-6
-"""Energy from which a cell is coloured [J]."""
+"""Least energy given out for which a cell is coloured [J]."""
 _WHITE, _BLACK = "#fffffe", "#000001"  # on coloured cells; no greys, which a dark page would turn over
 
 
 def _draw_borders(found: Found, path: Path) -> None:
-    """Draw the K-B plot: passive, and passive and near, each without delay and late.
+    """Draw the stiffest wall over its damping: passive, and also rendered within 5 %, each without and with delay.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
@@ -58,7 +58,7 @@ def _draw_borders(found: Found, path: Path) -> None:
 
 
 def _save_with_legend(figure: "Figure", panel: "Axes", path: Path) -> None:
-    """Save a picture with the lines of one panel explained on its right."""
+    """Save a picture with the legend of one panel on its right."""
     figure.legend(*panel.get_legend_handles_labels(), loc="outside right upper", fontsize=8.0)
     save_picture(figure, path)
 
@@ -84,12 +84,12 @@ def _draw_border(panel: "Axes", found: Found, delay: int, key: str, lines: Mappi
 
 
 def _lines(found: Found, part: str, figure: Callable[[Row], float]) -> dict[str, Row]:
-    """Return the look of each algorithm's line: the ones that differ most from the middle in colour, the rest grey.
+    """Return the style of each algorithm's line: those farthest from the median are coloured, the others grey.
 
     Args:
         found: Result of an arena.
-        part: Part of the result with a row for each point.
-        figure: Figure of a row that distinguishes the lines.
+        part: Key of the result with a row for each point.
+        figure: Function of a row, by whose mean the algorithms are compared.
     """
     names = found["algorithms"]
     means = {name: float(np.mean([figure(row) for row in found[part] if row["algorithm"] == name])) for name in names}
@@ -112,12 +112,12 @@ def _lines(found: Found, part: str, figure: Callable[[Row], float]) -> dict[str,
 
 
 def _size(row: Row) -> float:
-    """Return how far an impedance is from the request, in octaves and radians together."""
+    """Return the deviation of an impedance from the request: octaves of its magnitude plus radians of its angle."""
     return 0.0 if row["size"] is None else abs(float(np.log2(row["size"]))) + abs(row["angle"])
 
 
 def _draw_impedance(found: Found, path: Path) -> None:
-    """Draw the ratio of the rendered to the requested impedance, size and angle, without delay and late.
+    """Draw magnitude and angle of the rendered over the requested impedance, without and with delay.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
@@ -132,8 +132,8 @@ def _draw_impedance(found: Found, path: Path) -> None:
                 _draw_ratio(panels[row, column], found, delay, key, lines)
             panels[0, column].set_title("one sample late" if delay else "no delay", fontweight="bold")
             panels[1, column].set_xlabel("frequency [Hz]")
-        panels[0, 0].set_ylabel("impedance over the one asked")
-        panels[1, 0].set_ylabel("angle to the one asked [rad]")
+        panels[0, 0].set_ylabel("rendered / requested impedance")
+        panels[1, 0].set_ylabel("angle to the requested one [rad]")
         _save_with_legend(figure, panels[0, 0], path)
 
 
@@ -148,7 +148,7 @@ def _draw_ratio(panel: "Axes", found: Found, delay: int, key: str, lines: Mappin
 
 
 def _draw_given_out(found: Found, path: Path) -> None:
-    """Draw who gives out energy where: cells by the most energy beyond the device, with the number of cases.
+    """Draw a cell for each algorithm and scene: the largest energy given out, and the number of such cases.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
@@ -185,7 +185,7 @@ def _cell(found: Found, name: str, scene: str, key: str) -> float:
 
 
 def pictures_of(found: Found) -> Sequence[tuple[str, str, Callable[[Found, Path], None]]]:
-    """Return (file name, title, drawing function) of every picture that an arena has."""
+    """Return (file name, title, drawing function) of every picture of an arena."""
     whole = [("arena_given_out.png", "Who gives out energy where", _draw_given_out)]
     if found.get("borders"):
         whole.insert(0, ("arena_kb.png", "Stiffness over damping", _draw_borders))

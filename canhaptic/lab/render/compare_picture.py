@@ -1,9 +1,7 @@
-"""A comparison as a picture: one column per algorithm, the continuous environment in grey behind each of them.
+"""Picture of `canhaptic compare`: a column per algorithm, with the continuous environment in grey behind its lines.
 
-More algorithms than `_ACROSS` continue in further bands below.
-
-Position, force and energy account share their scale across a row, set by the continuous run, so that columns compare at
-a glance and an algorithm that diverges leaves its panel instead of flattening the others.
+All panels of a row share the scale of the continuous run, so that columns can be compared, and an algorithm that
+diverges leaves its panel instead of flattening the others.
 """
 
 from pathlib import Path
@@ -21,14 +19,14 @@ from canhaptic.lab.studies.compare import AxisComparison, Comparison
 from canhaptic.view import picture_style as style
 from canhaptic.view.picture_style import GREEN, VERMILION, save_picture
 from canhaptic.view.series import decimate
-from canhaptic.view.si import si
+from canhaptic.view.si import counted, si
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
 _ACROSS: Final = 4
-"""Columns of one band: more are too small to read on a page."""
+"""Largest number of columns next to each other; further algorithms continue below."""
 
 
 def draw_comparison(comparison: Comparison, path: str | Path) -> None:
@@ -40,7 +38,7 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
     style.require_matplotlib()
     most = max(len(_drawn(axis)) for axis in comparison.axes)
     if most == 0:
-        raise InputError("no algorithm ran, so there is nothing to draw; the table says why")
+        raise InputError("no algorithm ran, so there is nothing to draw; see the reasons in the table")
     bands = -(-most // _ACROSS)
     columns = -(-most // bands)
     rows = 3 * bands * len(comparison.axes)
@@ -50,16 +48,15 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
         for index, axis in enumerate(comparison.axes):
             _draw_axis(axis, comparison, panels[3 * bands * index : 3 * bands * (index + 1)])
         result = comparison.result
-        way = "over the CAN path" if result["path"] == "can" else "without a bus"
-        caption = (
-            f"{result['scene']}   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {way}   grey: continuous"
-        )
+        way = "over the simulated CAN bus" if result["path"] == "can" else "without a bus"
+        loop = f"{si(result['rate'], 'Hz', 3)}, delay {counted(result['delay'], 'sample')}"
+        caption = f"{result['scene']}   {loop}, {way}   grey: continuous"
         figure.suptitle(caption, x=0.01, ha="left", fontsize=9.5, color="#404040")
         save_picture(figure, path)
 
 
 def _drawn(axis: AxisComparison) -> dict[str, LoopRun]:
-    """Return the runs of an axis that were not ended before their first SYNC."""
+    """Return the runs of an axis that have at least one SYNC."""
     return {name: run for name, run in axis.runs.items() if run.position.size}
 
 
@@ -104,14 +101,14 @@ _Scale = tuple[float, str, tuple[float, float]]
 
 
 def _comparable(lines: list[Array]) -> list[Array]:
-    """Return the lines, except any whose range would flatten the rest."""
+    """Return the lines without those whose range would flatten the others."""
     ranges = [float(np.ptp(line)) for line in lines]
     usual = float(np.median(ranges))
     return [line for line, size in zip(lines, ranges, strict=True) if size <= 4.0 * usual]
 
 
 def _scale(*lines: Array) -> _Scale:
-    """Return factor, SI prefix and limits that show all lines with room around them."""
+    """Return factor, SI prefix and axis limits that show all lines with a margin."""
     low = min(float(line.min(initial=0.0)) for line in lines)
     high = max(float(line.max(initial=0.0)) for line in lines)
     room = 0.35 * max(high - low, 1e-12)
@@ -120,7 +117,7 @@ def _scale(*lines: Array) -> _Scale:
 
 
 def _line(panel: "Axes", period: float, values: Array, scale: _Scale, **look: Any) -> None:
-    """Draw a line, cut off a little outside the panel so that a diverged run keeps its direction; `period` in s."""
+    """Draw a line with one value per `period` [s], clipped outside the panel so that a diverged run can be drawn."""
     low, high = scale[2]
     far, shown = 3.0 * (high - low), decimate(values, 1200)
     time = np.arange(len(values), dtype=np.float64) * np.float64(period)
@@ -139,7 +136,7 @@ def _draw_energy(panel: "Axes", run: LoopRun, period: float, scale: _Scale) -> N
 
 
 def _write_verdict(panel: "Axes", run: LoopRun) -> None:
-    """Write below the title whether the handle gave out more than it took, by the simulated plant."""
+    """Write below the title whether the handle gave out more energy than it received, from the plant."""
     given = -run.least_interaction
     word, colour = ("passive", GREEN) if given <= PASSIVE_TOLERANCE else (f"gave out {si(given, 'J', 3)}", VERMILION)
     panel.text(0.0, 1.02, word, transform=panel.transAxes, fontsize=9.5, fontweight="bold", color=colour)

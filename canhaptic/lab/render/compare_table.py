@@ -1,6 +1,6 @@
-"""A comparison as tables for a terminal: one column per algorithm, one row per figure, the best of a row in bold.
+"""Tables of `canhaptic compare` for a terminal: a column per algorithm, a row per figure, the best value in bold.
 
-Axes, groups and admittance displays differ in their rows only.
+Impedance axes, groups and admittance displays have different rows.
 """
 
 import math
@@ -14,7 +14,7 @@ from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.lab.figures.figures import CONTINUOUS, METRICS, Figure
 from canhaptic.view.run_lines import rests_on
-from canhaptic.view.si import si
+from canhaptic.view.si import counted, si
 from canhaptic.view.table import Cell, Styled, Table
 
 _Account = Mapping[str, Any]
@@ -34,7 +34,7 @@ def comparison_report(result: _Account) -> RenderableType:
 
 
 def _parts(result: _Account) -> Iterator[tuple[str, _Account, tuple["_Row", ...]]]:
-    """Yield (title, accounts, rows) of each axis, group or display."""
+    """Yield (title, accounts, rows of its table) of each axis, group or admittance display."""
     for name, group in result.get("groups", {}).items():
         yield f"{name}: {group['network']} on {', '.join(group['axes'])}", group, _GROUP_ROWS
     for name, axis in result.get("axes", {}).items():
@@ -45,24 +45,27 @@ def _parts(result: _Account) -> Iterator[tuple[str, _Account, tuple["_Row", ...]
 
 
 def _heading(result: _Account) -> Text:
-    path = "over the CAN path" if result["path"] == "can" else f"without a bus, by {' and '.join(_engines(result))}"
-    way = f"   {si(result['rate'], 'Hz', 3)}, delay {result['delay']}, {result['duration']:.4g} s, {path}"
+    path = "over the simulated CAN bus"
+    if result["path"] != "can":
+        path = f"without a bus, computed by {' and '.join(_engines(result))}"
+    delay = counted(result["delay"], "sample")
+    way = f"   {si(result['rate'], 'Hz', 3)}, delay {delay}, {result['duration']:.4g} s, {path}"
     return Text.assemble(" ", (str(result["scene"]), "bold"), way)
 
 
 def _engines(result: _Account) -> list[str]:
-    """Return the engines that computed the runs: python, numba."""
+    """Return the names of the engines that computed the runs, such as python and numba."""
     every = (account.get("engine") for _, part, _ in _parts(result) for account in part["algorithms"].values())
     return sorted({engine.partition(":")[0] for engine in every if engine}) or ["python"]
 
 
 class _Row(NamedTuple):
-    """A figure of a comparison."""
+    """A row of the table."""
 
     label: str
     read: Callable[[_Account, _Account], Any]  # (account, part) -> value
     show: Callable[[Any, str], str] = lambda value, _unit: str(value)  # (value, unit) -> text
-    better: Callable[[float], float] | None = None  # least of the best value
+    better: Callable[[float], float] | None = None  # function of the values that is smallest for the best
     is_bounded: bool = False  # whether a value below zero is a fault
 
 
@@ -99,7 +102,7 @@ def _best(values: list[float | str | None], better: Callable[[float], float] | N
 
 
 def _verdict(account: _Account) -> str | None:
-    """Whether more came in than went out at every moment, by the energy of the plant."""
+    """Return by the plant's energy whether the handle never gave out more than it had received: yes or no."""
     if account.get("contact") == 0.0:
         return "no contact"
     least = account["least_interaction"]
@@ -107,7 +110,7 @@ def _verdict(account: _Account) -> str | None:
 
 
 def _ranking(part: _Account) -> Text:
-    """Return the algorithms in their order: passive ones first, then by the error of the position."""
+    """Return the ranking of the algorithms in words: passive ones first, then by position error."""
 
     def worth(name: str) -> tuple[bool, bool, float]:
         account = part["algorithms"][name]
@@ -116,7 +119,7 @@ def _ranking(part: _Account) -> Text:
         return account["status"] != "completed", passive != "yes", error if isinstance(error, float) else math.inf
 
     words = [f"{place} {name}" for place, name in enumerate(sorted(part["algorithms"], key=worth), 1)]
-    return Text(f" ranking: {', '.join(words)} (passive before the others, then the smaller error of the position)")
+    return Text(f" ranking: {', '.join(words)} (passive ones first, then by position error)")
 
 
 def _remarks(axis: _Account) -> list[Text]:
@@ -157,7 +160,7 @@ def _from_one(value: float) -> float:
 
 
 def row_of(name: str, figure: Figure) -> _Row:
-    """Return the row of a figure that has a label."""
+    """Return the table row of a figure with a label."""
     whole, _, part = name.partition(".")
 
     def read(account: _Account, _axis: _Account) -> Any:

@@ -1,4 +1,4 @@
-"""A designed wall in words: the lines to paste into a scene, and the cost of the wall."""
+"""Terminal output of `canhaptic design`: the wall as lines for a scene, and what it can and cannot do."""
 
 import yaml
 from rich.console import Group, RenderableType
@@ -6,12 +6,13 @@ from rich.text import Text
 
 from canhaptic.axis_units import damping_unit, effort_unit, stiffness_unit
 from canhaptic.lab.studies import Row
+from canhaptic.view.run_lines import rests_on
 from canhaptic.view.si import si
 from canhaptic.view.table import Table
 
 
 def snippet(result: Row) -> str:
-    """Return the wall as YAML for a scene."""
+    """Return wall and algorithm as YAML lines for a scene."""
     stiffness, damping = stiffness_unit(result["unit"]), damping_unit(result["unit"])
     passivity: Row = {"algorithm": "guarded", **result["loop"], **result["hand"]}
     if "network" in result:
@@ -33,24 +34,22 @@ def design_report(result: Row) -> RenderableType:
     stiffness, damping = stiffness_unit(result["unit"]), damping_unit(result["unit"])
     heads = f"stiffness [{stiffness}]", f"largest damping [{damping}]"
     rows = [[f"{wall['stiffness']:g}", f"{wall['damping']:g}"] for wall in result["trade"]]
-    trade = Table("stiffness for damping", heads, rows, keys=0)
+    trade = Table("less stiffness permits more damping", heads, rows, keys=0)
     return Group(heading, Text(), Text(snippet(result)), *_price(result), trade, *_felt(result))
 
 
 def _price(result: Row) -> list[Text]:
     share, damped = result["stiffness_rendered"], result["damping_rendered"]
     lines = [f" rendered: stiffness {100.0 * share:.1f} %" + (f", damping {100.0 * damped:.1f} %" if damped else "")]
-    lines.append(f" certificate in use: {str(result['certificate']).replace('_', ' ')}")
+    lines.append(f" guarantee rests on: {rests_on(str(result['certificate']))}")
     unit = stiffness_unit(result["unit"])
     lines += [f" certified {name}: up to {si(limit, unit, 3)}" for name, limit in result["certified"].items()]
     lines += [f" {text}" for text in result.get("guarantee", ()) if text]
     rest = si(max(0.0, -result["least_judged"]), "J", 3)
-    covered = f", {rest} with what the device dissipates at least" if "device_damping" in result["loop"] else ""
-    lines.append(
-        f" energy given out beyond what came in: {si(max(0.0, -result['least_interaction']), 'J', 3)}{covered}"
-    )
+    covered = f" at the motor, {rest} at the handle" if "device_damping" in result["loop"] else ""
+    lines.append(f" given out beyond energy received: {si(max(0.0, -result['least_interaction']), 'J', 3)}{covered}")
     if result["remark"]:
-        lines.append(f" {result['remark']}: on the rig declare a lower bound")
+        lines.append(f" {result['remark']}; for a real rig declare a lower bound")
     texts = [Text(line) for line in lines]
     if result["failing_below"]:
         count = f"{result['failing_below']} of {result['tried_below']}"
@@ -60,7 +59,7 @@ def _price(result: Row) -> list[Text]:
 
 
 def _felt(result: Row) -> list[RenderableType]:
-    """Return what the hand feels: walls held against a push, drag, and the start of a contact."""
+    """Return what the hand feels: the wall that holds a given push, the drag, and the slowest contact felt."""
     if "felt" not in result:
         return []
     felt, motion = result["felt"], result["unit"]
@@ -84,11 +83,11 @@ def _felt(result: Row) -> list[RenderableType]:
 
 
 def _drags(rows: list[Row], motion: str) -> list[RenderableType]:
-    """Return the energy that drags in free motion earn for later contacts."""
+    """Return the table of drags in free motion, whose energy is available to later contacts."""
     if not rows:
         return []
-    title = f"energy of a start, {si(rows[0]['energy'], 'J', 2)}, earned before a contact"
-    heads = f"drag [{effort_unit(motion)}]", f"over a way of [{motion}]", f"contacts felt from [{motion}/s]"
+    title = f"with the energy of drag before a contact, {si(rows[0]['energy'], 'J', 2)}, slower contacts are felt"
+    heads = f"drag [{effort_unit(motion)}]", f"over a distance of [{motion}]", f"felt from [{motion}/s]"
     cells = [[_short(row[key], 2, "-") for key in ("drag", "way", "start_speed")] for row in rows]
     return [Table(title, heads, cells, keys=0)]
 

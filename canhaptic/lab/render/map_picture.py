@@ -1,4 +1,4 @@
-"""A map as a picture (.png, .svg, .pdf) and as a page: one column per algorithm, scales shared along a row."""
+"""Picture and page of `canhaptic map`: one column of panels per algorithm, with the same scales along a row."""
 
 import textwrap
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 _LETTERS: Final = 80
-"""Letters of the caption over one column."""
+"""Letters of the caption for each column."""
 _LINES: Final[dict[str, Row]] = {
     "measured": {"linewidth": 1.4, "markersize": 4.5, "fillstyle": "none"},
     "ours": {"linewidth": 2.6, "markersize": 4.5, "fillstyle": "none", "zorder": 5},
@@ -34,7 +34,7 @@ _MARKS: Final = "osv^<>DPX*hpd"
 
 
 def draw_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: str | Path) -> None:
-    """Draw panels into a file; its suffix gives the format.
+    """Draw the panels of a map into a file; its suffix gives the format (.png, .svg, .pdf).
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
@@ -54,7 +54,7 @@ def draw_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: str 
 
 
 def write_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: Path) -> None:
-    """Write panels as one self-contained page: the picture, and the numbers of every panel except scatter plots.
+    """Write a map as one self-contained page: the picture, and the numbers of every panel except scatter plots.
 
     Raises:
         InputError: matplotlib is not installed, or the page cannot be written.

@@ -1,1 +1,1 @@
-"""A scene touched by a pointer: twice at the same time, unprotected and protected, in real time behind a page."""
+"""`canhaptic touch`: a scene simulated twice in real time, unprotected and protected, held by the pointer on a page."""

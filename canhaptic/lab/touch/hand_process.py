@@ -1,14 +1,11 @@
-"""Process in which both sides run in real time: positions of the hand go in, rows of the cycle come out.
+"""Process that simulates both sides in real time, and `TouchHand`, the page's connection to it.
 
-At an even pace master and drives run in lock-step, and each cycle waits for its time on the wall clock. A late cycle
-is caught up, and none is skipped: a browser that takes the processor does not turn one hold into two, which no
-algorithm would notice. At real pace late SYNCs are skipped, as on a rig.
+At an even pace master and drives run in lock-step, and each cycle waits for its time on the wall clock. Late cycles
+are caught up and never skipped, because a skipped SYNC, caused here by a busy browser, would make a hold twice as
+long without the algorithm noticing. At real pace late SYNCs are skipped, as on a rig.
 
-Exchanged are an array in shared memory with the last position of the pointer (never waited for), and a pipe with rows.
-If the pointer stops sending, its last position remains, and the hand stays there. A reader that does not read
-loses rows, not cycles.
-
-The page's end of the process in which both sides run: pointer positions go in, rows of both handles come out.
+The pointer's last position is in shared memory, where the process reads it without waiting; if no new one arrives, the
+hand stays. The rows of the cycles come back through a pipe; a page that does not read them loses rows, not cycles.
 """
 
 import contextlib
@@ -40,20 +37,20 @@ from canhaptic.sim.plant.plant import Plant
 
 TouchPace = Literal["even", "real"]
 X, Y, TOKEN, ARRIVED, RUN = range(5)
-"""Places in the shared array: of the pointer, the page's data with it, its time of arrival [ns], current run."""
+"""Indices of the shared array: pointer position x and y, the page's token for it, its arrival time [ns], run number."""
 
 
 @dataclass(frozen=True, slots=True)
 class TouchJob:
-    """One run of both sides.
+    """Description of one run of both sides.
 
     Attributes:
-        number: Number of the run; another number in shared memory ends it.
+        number: Number of the run; the run ends as soon as shared memory has another number.
         text: Text of the scene.
         source: File of the scene.
-        overrides: Values that override the scene.
+        overrides: Values that override those of the scene.
         axis: Axis to touch; None for the first.
-        allow_code: Whether files that the scene names may run.
+        allow_code: Whether user code that the scene names may run.
         pace: "even" or "real".
     """
 
@@ -66,16 +63,16 @@ class TouchJob:
     pace: TouchPace = "even"
 
     def touched(self) -> TouchScene:
-        """Return the scene twice.
+        """Return the scene with both sides.
 
         Raises:
-            InputError: It is wrong, or cannot be touched.
+            InputError: The scene is wrong, or cannot be touched.
         """
         return two_sides(scene_from_text(self.text, self.source, self.overrides, allow_code=self.allow_code), self.axis)
 
 
 SharedNumbers = MutableSequence[float]
-"""Memory that both processes see: places, token, time of arrival and number of the run."""
+"""Array in shared memory, indexed by the constants above."""
 
 
 class TouchStatus(NamedTuple):
@@ -83,24 +80,24 @@ class TouchStatus(NamedTuple):
 
     run: int
     cycles: int
-    late: int  # cycles that began more than a sample time after their time
-    skipped: int  # SYNCs left out, at real pace
-    given_up: float  # time that was not caught up, at an even pace
-    lateness: tuple[float, float]  # of a cycle: what half and what 99 % of them stay within
-    answered: tuple[float, float]  # from the arrival of a place to the end of the first cycle with it: half, 99 %
-    least: tuple[float, float]  # least true sum of h_i of each side since the start
-    ended: str  # why the run ended; "" while it goes on
+    late: int  # number of cycles that began more than a sample time late
+    skipped: int  # number of SYNCs skipped, at real pace
+    given_up: float  # delay that was not caught up, at an even pace
+    lateness: tuple[float, float]  # of the cycles: median and 99th percentile
+    answered: tuple[float, float]  # from pointer to the end of the first cycle with it: median and 99th percentile
+    least: tuple[float, float]  # lowest net energy of each side since the start, from the plant
+    ended: str  # why the run ended; "" while it is running
 
 
 def no_run(number: int, ended: str) -> TouchStatus:
-    """Status of a run without a cycle, or one about which nothing more is known."""
+    """Return the status of a run without cycles."""
     return TouchStatus(number, 0, 0, 0, 0.0, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), ended)
 
 
 def columns(touched: TouchScene) -> list[str]:
-    """Return the names of the columns of a row: time, token, position of the hand, then the columns of each side.
+    """Return the column names of a row: time, token, position of the hand, then the columns of each side.
 
-    `force` is the display's force on the hand; for an admittance display, the hand's force from its sensor.
+    `force` is the force on the hand; for an admittance display, the force of the hand as its sensor measures it.
     """
     names = ["time", "token", *(f"hand.{d}" for d in touched.directions)]
     parts = ("position", "force", "velocity", "command") if touched.is_display else ("position", "force")
@@ -111,7 +108,7 @@ def columns(touched: TouchScene) -> list[str]:
 
 
 def work(pipe: Connection, shared: SharedNumbers) -> None:
-    """Run the jobs from the pipe, one after the other, until it closes; the target of the process."""
+    """Main function of the process: run the jobs from the pipe, one after the other, until it closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_follow_parent, daemon=True).start()
     with contextlib.suppress(OSError), socket.socket(fileno=os.dup(pipe.fileno())) as end:
@@ -129,7 +126,7 @@ def _follow_parent() -> None:
 
 
 class _HandRun:
-    """One run of both sides."""
+    """Simulation of one job."""
 
     def __init__(self, job: TouchJob, pipe: Connection, shared: SharedNumbers) -> None:
         self._job, self._pipe, self._shared = job, pipe, shared
@@ -139,7 +136,7 @@ class _HandRun:
         self._answered, self._lateness = DurationHistogram(), DurationHistogram()
 
     def run(self) -> None:
-        """Run until another run is requested, or something fails; the last parcel says why it ended."""
+        """Run until another run is requested or an error occurs, which is sent to the page."""
         try:
             touched = self._job.touched()
             with build(touched.scene, "free" if self._job.pace == "even" else "real") as experiment:
@@ -168,13 +165,13 @@ class _HandRun:
         self._start = self._clock.now()
         self._is_display = touched.is_display
         if experiment.far_side is None:
-            raise InputError("touch: the drives are not in this process, expected simulated ones")
+            raise InputError("touch: got drives outside this process, expected simulated drives")
         self._servos = [[experiment.far_side.drives[axis].servo for axis in axes] for axes in self._axes]
         self._movers = [self._mover([servo.motor for servo in servos]) for servos in self._servos]
         self._least = [0.0] * len(touched.sides)
 
     def _mover(self, motors: list[Any]) -> Callable[..., None]:
-        """Mover of the hand of a side, by its motors."""
+        """Return the function that moves the hand of a side with these motors."""
         if not isinstance(motors[0], Plant):
             moved: XYMotion = motors[0].shared.mechanism
             return moved.move_hand
@@ -187,7 +184,7 @@ class _HandRun:
         return move
 
     def _after_cycle(self, cycles: int) -> None:
-        """Move the hands and record a row; called once per cycle."""
+        """Move both hands towards the pointer and record a row; called once per cycle."""
         place, shared = self._place, self._shared
         for direction, step in enumerate(self._steps):
             gap = (shared[direction] - place[direction]) * self._share
@@ -221,7 +218,7 @@ class _HandRun:
         self._rows.append(tuple(row))
 
     def _keep_time(self, cycles: int) -> None:
-        """Wait for the time of the next cycle, and record the lateness of this one."""
+        """Record the lateness of this cycle; at an even pace wait for its time before."""
         if self._job.pace == "real":
             late = self._experiment.rig.timing.wakeup_lateness
         else:
@@ -234,7 +231,7 @@ class _HandRun:
         self._late += late > self._period * 1e9
 
     def _send(self, ended: str) -> None:
-        """Hand rows and status over; keep them while the pipe is full."""
+        """Send rows and status; while the pipe is full, keep the newest rows."""
         if not ended and not select.select([], [self._pipe.fileno()], [], 0.0)[1]:
             del self._rows[:-4000]
             return
@@ -256,15 +253,15 @@ class _HandRun:
 class TouchNews(NamedTuple):
     """Rows and status since the last poll."""
 
-    rows: dict[str, Array]  # by `hand_process.columns`, shapes (n,)
-    status: TouchStatus | None  # the last one; None where none came
+    rows: dict[str, Array]  # by column name, see `columns`; shapes (n,)
+    status: TouchStatus | None  # newest one; None if none arrived
 
 
 class TouchHand:
-    """A hand on both sides of a scene.
+    """Hand that holds both sides of a scene, which run in a process of their own.
 
     Args:
-        scene: Scene as loaded; `changes` apply to every run.
+        scene: Scene as loaded, with its overrides.
         axis: Axis to touch; None for the first.
         pace: "even": late cycles are caught up; "real": they are skipped, as on a rig.
 
@@ -273,7 +270,7 @@ class TouchHand:
 
     Attributes:
         touched: Scene of the present run.
-        changes: Values that override the scene, by key.
+        changes: Values of the page's controls that override the scene, by key.
     """
 
     def __init__(self, scene: Scene, axis: str | None = None, pace: TouchPace = "even") -> None:
@@ -297,7 +294,7 @@ class TouchHand:
         """Begin a new run with changed values; if they are invalid, the old run continues.
 
         Raises:
-            InputError: Anything is wrong, or the process has ended.
+            InputError: A value is invalid, or the process has ended.
         """
         laid = (*self._given, *(f"{key}={value}" for key, value in changes.items()))
         job = replace(self._job, number=self._job.number + 1, overrides=laid)
@@ -312,14 +309,14 @@ class TouchHand:
             raise InputError(self._lost()) from error
 
     def move(self, place: tuple[float, ...], token: float = 0.0) -> None:
-        """Move the pointer to a position [m or rad], limited to the page; `token` comes back with the rows."""
+        """Move the pointer to a position within the page [m or rad]; `token` comes back with the rows."""
         for direction, (at, (low, high)) in enumerate(zip(place, self.touched.shown, strict=True)):
             self._shared[direction] = min(max(at, low), high)
         self._shared[TOKEN] = token
         self._shared[ARRIVED] = self._clock.now()
 
     def look(self) -> TouchNews:
-        """Rows and status since the last poll, of the present run."""
+        """Poll: return the new rows and status of the present run."""
         names, parts, status = columns(self.touched), [], None
         is_alive = self._process.is_alive()  # before the last parcel is read: it may say why the process ended
         while _has_more(self._pipe):
@@ -336,7 +333,7 @@ class TouchHand:
         return TouchNews(dict(zip(names, table.T, strict=True)), status)
 
     def _lost(self) -> str:
-        return f"the process of both handles ended (exit code {self._process.exitcode}); start canhaptic touch again"
+        return f"the simulating process ended (exit code {self._process.exitcode}); start canhaptic touch again"
 
     def close(self) -> None:
         """End the run and the process; a second call does nothing."""

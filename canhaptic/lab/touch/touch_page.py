@@ -1,4 +1,4 @@
-"""The page of `canhaptic touch`: two handles at one pointer, with live force, energy and verdict, and sliders."""
+"""Page of `canhaptic touch`: two handles held by one pointer, their force, energy and verdict, and sliders."""
 
 import html
 from collections.abc import Callable
@@ -41,12 +41,12 @@ if (token > 0 && token != window.last_token) {
 
 
 class TouchPage:
-    """One visitor's view of a hand, which a later visitor takes over.
+    """Page of one visitor; a later visitor takes the hand over.
 
     Args:
         document: The visitor's Bokeh document.
-        hand: The running hand.
-        period: Period of the updates [s].
+        hand: Hand that holds both handles.
+        period: Time between two updates [s].
     """
 
     def __init__(self, document: Document, hand: TouchHand, period: float) -> None:
@@ -73,13 +73,13 @@ class TouchPage:
         self._looking = document.add_periodic_callback(self.update, max(20, round(1000 * period)))
 
     def end(self, text: str) -> None:
-        """Stop the updates, and state the reason."""
+        """Stop the updates, and show the reason."""
         with suppress(ValueError, AttributeError):  # the visitor has left: Bokeh took the document apart
             self._document.remove_periodic_callback(self._looking)
             self._document.add_next_tick_callback(lambda: setattr(self._status, "text", html.escape(text)))
 
     def update(self) -> None:
-        """Draw new rows, once the page has drawn the last ones: a slow browser must not fall behind."""
+        """Draw new rows after the browser has drawn the last ones, so that a slow one does not fall behind."""
         self._waited += 1
         if self._drawn.data["frame"][0] != self._frame and self._waited < 60:  # after which the page is asked again
             return
@@ -101,7 +101,7 @@ class TouchPage:
         try:
             self._hand.begin(changes)
         except CanHapticError as error:
-            self._status.text = f"<b>refused, the run goes on:</b> {html.escape(str(error))}"
+            self._status.text = f"<b>refused, the run continues unchanged:</b> {html.escape(str(error))}"
             return
         for side in self._sides:
             side.clear()
@@ -141,7 +141,7 @@ class _SideView:
         self.layout = column(*(title, self._verdict, self.scene, *self.panels), sizing_mode="stretch_width")
 
     def _new_scene(self, touched: TouchScene, pointer: models.ColumnDataSource) -> figure:
-        """Return the place where the handle is dragged."""
+        """Return the panel in which the handle is dragged."""
         (low, high), across = touched.shown[0], (*touched.shown, (-1.0, 1.0))[1]
         look: Any = {"tools": "", "toolbar_location": None, "sizing_mode": "stretch_width", "output_backend": "canvas"}
         look |= {"min_border_left": 90, "min_border_right": 40, "name": f"scene {self._number}"}
@@ -160,7 +160,11 @@ class _SideView:
         return plane
 
     def draw_notches(self, pitch: float) -> None:
-        """Draw detents as hills between notches; a pitch of 0 means the scene's [m or rad]."""
+        """Draw detents as hills between notches.
+
+        Args:
+            pitch: Distance of the notches [m or rad]; 0: that of the scene.
+        """
         if self._touched.notches:
             place, pitch = self._touched.notches[0], pitch or self._touched.notches[1]
             across = np.linspace(*self._touched.shown[0], 2001)
@@ -197,7 +201,7 @@ class _SideView:
         return finished(panel)
 
     def _label(self, name: str) -> str:
-        """Legend of a line."""
+        """Return the legend of a line."""
         vector, *direction = name.split()
         if vector == "energy":
             return "into the display, at the sensor" if self._is_display else "taken in by the wall"
@@ -205,7 +209,7 @@ class _SideView:
         return f"{text} {direction[0]}" if len(self._directions) > 1 else text
 
     def take(self, news: TouchNews, frame: int) -> None:
-        """Take rows; `frame` comes back when they are drawn."""
+        """Draw rows; the browser returns `frame` once they are drawn."""
         rows, number = news.rows, self._number
         self._is_touched = self._is_touched or bool(rows[f"{number}.energy"].any())
         last: dict[str, object] = {"token": rows["token"][-1:], "frame": [frame]}
@@ -226,7 +230,7 @@ class _SideView:
         self._lines.stream(new, rollover=3000)
 
     def judge(self, status: TouchStatus) -> None:
-        """Show whether the side gave out more than it took in so far."""
+        """Show whether the side has given out more energy than it received so far."""
         if not self._is_touched:
             self._verdict.text = "not touched yet"
             return
@@ -238,13 +242,13 @@ class _SideView:
         self._verdict.text = f"{verdict} gave out {si(max(0.0, -least), 'J')} more than it took in{allowed}"
 
     def clear(self) -> None:
-        """Clear the last run."""
+        """Remove the lines and the verdict of the last run."""
         self._lines.data = {name: [] for name in self._lines.data}
         self._waiting, self._is_touched = [], False
 
 
 class _Controls:
-    """Sliders of environment and loop; a change restarts the run."""
+    """Sliders and buttons for environment, rate and delay; a change restarts the run."""
 
     def __init__(self, hand: TouchHand, begin: Callable[[dict[str, str]], object]) -> None:
         self._begin = begin
@@ -276,7 +280,7 @@ class _Controls:
 
 
 def _slider(one: TouchSlider) -> models.Slider:
-    """Return the widget of a value of the scene."""
+    """Return the slider widget for a value of the scene."""
     if not one.decades:
         most, step = max(20.0, 5.0 * one.value), max(0.1, one.value / 20.0)
         title = f"{one.title} [{one.unit}]"

@@ -1,11 +1,8 @@
-"""A scene twice in one rig: a handle under `unprotected`, its twin under a passivity algorithm, held by one hand.
+"""Scene of `canhaptic touch`: one handle under `unprotected` and one under a passivity algorithm, held by one hand.
 
-Both are axes of one rig, on a bus each, moved by the same SYNC: every delay of the computer affects both.
-Nothing real moves, so a page that keeps the processor busy does not end the run: the link policy has long timeouts.
-
-Description of the two sides for the page of `canhaptic touch`, and common parts of all kinds of sides.
-
-Both sides of admittance displays: force in, velocity out; one axis, or two axes with one account as a plane.
+A handle is an axis, an admittance display, a box on an xy stage, or two admittance displays as a plane. Both handles
+belong to one simulated rig with a bus each and the same SYNC, so that a delay of the computer affects both alike. The
+link timeouts are long: nothing real moves, and a busy browser must not end the run.
 """
 
 from collections.abc import Sequence
@@ -38,13 +35,13 @@ HAND: Final = {"stiffness": 300.0, "damping": 3.0}
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One handle.
+    """One of the two handles.
 
     Attributes:
-        name: Name of the side: the algorithm's name.
+        name: Name of its algorithm.
         axes: Names of its axes in the rig.
-        group: Name of the group that renders on them; empty without a group.
-        allowance: Energy that its algorithm may give out before any was received [J].
+        group: Name of its group of axes; empty without a group.
+        allowance: Energy that its algorithm may give out beyond the energy received [J].
     """
 
     name: str
@@ -60,24 +57,24 @@ class TouchSlider(NamedTuple):
     key: str  # its path in the scene
     value: float
     unit: str
-    decades: float  # to either side; 0: from 0 to five times the value
+    decades: float  # logarithmic range up and down from the value; 0: linear, from 0 to five times the value
 
 
 @dataclass(frozen=True, slots=True)
 class TouchScene:
-    """A scene with two sides.
+    """A scene with both handles.
 
     Attributes:
-        scene: Scene with both sides, to be built.
-        sides: The two sides, unprotected first.
+        scene: Scene with the axes of both handles, to be built.
+        sides: The two handles, unprotected first.
         unit: Unit of the handle's motion.
         shown: Range of positions on the page in each direction [m or rad].
         start: Position of the handle at the start [m or rad].
-        solid: Solid region: [low, high] along an axis, or the outside of a box, by direction [m or rad].
-        sliders: Values that the page can change besides the rate.
-        path: Corners of a path that the handle is led along, in a plane [m or rad]; empty: none.
-        is_display: Whether the sides are admittance displays: force in, velocity out.
-        notches: A resting position of detents and their pitch [m or rad]; empty: none.
+        solid: Solid regions [low, high] along an axis; in a plane the free range in each direction [m or rad].
+        sliders: Values that the page can change in addition to rate and delay.
+        path: Corners of a path that guides the handle in a plane [m or rad]; empty: none.
+        is_display: Whether the handles are admittance displays: force in, velocity out.
+        notches: Position of one notch of detents, and their pitch [m or rad]; empty: no detents.
     """
 
     scene: Scene
@@ -93,7 +90,7 @@ class TouchScene:
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """Names of the directions in which the handle moves: a plane has two."""
+        """Names of the directions in which the handle moves: x, and y in a plane."""
         return ("x", "y")[: len(self.shown)]
 
     @property
@@ -103,7 +100,7 @@ class TouchScene:
 
 
 def sliders_of(section: str, values: Parameters, names: Sequence[str], unit: str) -> tuple[TouchSlider, ...]:
-    """Sliders for the given parameters that a section has.
+    """Return sliders for the named parameters, as far as a section of the scene has them.
 
     Args:
         section: Path of the section in the scene.
@@ -127,20 +124,20 @@ def sliders_of(section: str, values: Parameters, names: Sequence[str], unit: str
 
 
 def pointer_hand(user: UserParameters, start: float) -> PointerHand:
-    """Return the hand of a scene with the pointer as its position."""
+    """Return a simulated hand with the grip of the scene's hand, whose position is the pointer."""
     grip = {"stiffness": user.stiffness, "damping": user.damping} if user.stiffness else HAND
     return PointerHand(**grip, place=start)
 
 
 def reach(motion: Any, rest: float, start: float) -> tuple[float, float]:
-    """Range on the page in a direction [m or rad]: one and a half times the motion of the scene's hand."""
+    """Return the range of a direction on the page [m or rad]: 1.5 times the motion of the scene's hand."""
     middle = rest + (motion.offset if motion else 0.0)
     half = 1.5 * motion.amplitude if motion else 0.1
     return min(middle - half, start), max(middle + half, start)
 
 
 def on_two_buses(scene: Scene, axes: Sequence[AxisScene], sides: tuple[Side, Side], **parts: Any) -> Scene:
-    """Return a scene with a bus for each side, with long timeouts of drives and master; `parts` replace its groups."""
+    """Return a scene with a bus for each handle and long link timeouts; `parts` replace its groups and mechanisms."""
     bus = scene.bus.model_copy(update={"heartbeat_timeout": 10.0, "stop_cycles": max(2000, scene.bus.stop_cycles)})
     log, further = scene.log.model_copy(update={"energy": None, "bus": None}), (FurtherBus(name=sides[1].name),)
     parts = {"groups": (), "mechanisms": (), **parts}
@@ -148,15 +145,15 @@ def on_two_buses(scene: Scene, axes: Sequence[AxisScene], sides: tuple[Side, Sid
 
 
 _OVER: Final = 1.05
-"""Ratio of declared to true values of a simulated drive, where the scene declares nothing."""
+"""Ratio of declared to true values of a simulated drive for which the scene declares nothing."""
 _DISPLAY_SLIDERS: Final = ("mass", "cup", "damping")
 
 
 def display_plane(scene: Scene, name: str) -> TouchScene:
-    """Return two admittance displays that share one account, listed twice.
+    """Return the handles of a plane: a group of two admittance displays, unprotected and protected.
 
     Raises:
-        InputError: The group has another number of axes, or moves them through a mechanism.
+        InputError: The group does not have two axes with kinematics `identity`.
     """
     index, group = next((i, one) for i, one in enumerate(scene.groups) if one.name == name)
     if len(group.axes) != 2 or group.kinematics.name != "identity":
@@ -181,15 +178,16 @@ def display_plane(scene: Scene, name: str) -> TouchScene:
 
 
 def _side(passivity: ComponentSpec, axes: Sequence[str]) -> Side:
-    """Side of a group, named for its algorithm."""
+    """Return the description of a handle, named after its algorithm."""
     name, allowance = passivity.name, float(getattr(passivity.parameters, "energy_allowance", 0.0))
     return Side(name, tuple(f"{name} {axis}" for axis in axes), name, allowance)
 
 
 def _held_axis(axis: AxisScene, side: Side, port: str) -> AxisScene:
-    """Return an axis of one side, held by the pointer.
+    """Return an axis of one handle, held by the pointer.
 
-    A simulated force sensor without noise shows one count while the pointer rests: its check for a frozen one is off.
+    Its check for a frozen force sensor is off, since a simulated sensor without noise is constant while the pointer
+    rests.
     """
     display = axis.parameters.admittance
     if display is not None:
@@ -199,19 +197,19 @@ def _held_axis(axis: AxisScene, side: Side, port: str) -> AxisScene:
 
 
 def _named(axis: AxisScene, side: Side, port: str, **changes: Any) -> AxisScene:
-    """Return an axis of one side under the name of its port, with other parameters."""
+    """Return an axis of one handle with the name `port` and changed parameters."""
     changes |= {"name": port, "energy_loss_limit": "none"}
     return replace(axis, parameters=axis.parameters.model_copy(update=changes), bus=side.name)
 
 
 def _hand_of(axis: AxisScene) -> tuple[UserParameters, float]:
-    """Return the hand of a scene, and where the handle is at the start [m or rad]."""
+    """Return the simulated hand of an axis, and the initial position of its handle [m or rad]."""
     simulation = simulation_of(axis)
     return simulation.user or UserParameters(), simulation.plant.initial_position
 
 
 def _guard_of(*axes: AxisScene) -> ComponentSpec:
-    """`guarded` with the simulated drives' properties, for a scene that is unprotected."""
+    """Return `guarded` for admittance displays whose scene is unprotected, from the properties of the simulation."""
     simulations = [simulation_of(axis) for axis in axes]
     loops = [one.admittance.loop for one in simulations if one.admittance is not None]
     known = GuardedAdmittanceParameters(
@@ -224,13 +222,13 @@ def _guard_of(*axes: AxisScene) -> ComponentSpec:
 
 
 def _walls(environment: AdmittanceEnvironment, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:
-    """Walls on the page [m or rad]."""
+    """Return the solid regions of an admittance display's walls on the page [m or rad]."""
     spans = ((shown[0], environment.lower_wall), (environment.upper_wall, shown[1]))
     return tuple((low, high) for low, high in spans if low < high)
 
 
 def _box(network: GroupMass) -> tuple[tuple[float, float], ...]:
-    """Return where each direction is between its walls [m or rad]; nothing without walls."""
+    """Return the range between the walls in each direction [m or rad]; empty without walls."""
     if not network.lower and not network.upper:
         return ()
     far = (-1e3, -1e3), (1e3, 1e3)
@@ -249,26 +247,26 @@ _OF_DETENTS = ("peak", "pitch")
 
 
 def two_sides(scene: Scene, axis: str | None = None) -> TouchScene:
-    """Return a scene twice in one rig.
+    """Return the scene with both handles.
 
     Args:
         scene: Scene simulated on one bus.
-        axis: Name of the axis to touch; None for the first, or for its mechanism.
+        axis: Name of the axis to touch, with the other axis of its plane; None for the first.
 
     Raises:
-        InputError: Nothing is simulated, there are several buses, or a group that is no box in a plane renders.
+        InputError: The scene is not simulated, has several buses or no such axis, or its group cannot be shown.
     """
     if not scene.simulated:
         raise InputError(
-            f"{scene.source}: simulates nothing in this process (needs `simulation` and `bus.interface: virtual`); "
-            "a page must not move a real drive"
+            f"{scene.source}: is not simulated in this process, and touch must not move a real drive; it needs a "
+            "section `simulation` and `bus.interface: virtual`"
         )
     if scene.further_buses:
-        raise InputError(f"{scene.source}: has {len(scene.buses)} buses, expected one; touch shows one handle")
+        raise InputError(f"{scene.source}: got {len(scene.buses)} buses, expected one; choose a scene with one bus")
     names = [one.parameters.name for one in scene.axes]
     name = axis or names[0]
     if name not in names:
-        raise InputError(f"{scene.source}: has no axis {name!r}, expected one of: {', '.join(names)}")
+        raise InputError(f"{scene.source}: --axis: got {name!r}, expected one of: {', '.join(names)}")
     chosen = scene.axis(name)
     if not chosen.group:
         return _line(scene, chosen)
@@ -279,7 +277,7 @@ def two_sides(scene: Scene, axis: str | None = None) -> TouchScene:
 
 
 def _line(scene: Scene, axis: AxisScene) -> TouchScene:
-    """Return an axis or an admittance display twice: unprotected, and under its own algorithm."""
+    """Return the handles of one axis or admittance display: unprotected, and under the algorithm of the scene."""
     is_display, environment = axis.parameters.admittance is not None, cast(Any, axis.environment.parameters)
     if is_display:
         plain = display_under(axis, PLAIN)
@@ -305,7 +303,7 @@ def _line(scene: Scene, axis: AxisScene) -> TouchScene:
 
 
 def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:
-    """Region where an environment is felt, within the page [m or rad]; nothing where it is felt everywhere."""
+    """Return the regions of the page in which an environment acts [m or rad]; empty if it acts everywhere."""
     low, high = shown
     places = [low + (high - low) / 2000 * k for k in range(2001)]
     runs = [[*run] for felt, run in groupby(places, lambda place: bool(environment.contact(place))) if felt]
@@ -316,10 +314,10 @@ def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, f
 
 
 def _stage_of(scene: Scene, group: GroupScene) -> tuple[MechanismScene, Box]:
-    """Return the stage on which a group renders a box, and the box.
+    """Return the xy stage of a group and the box that it renders.
 
     Raises:
-        InputError: It is no stage, or no box that is linear and solid outside.
+        InputError: The group does not render the inside of a box with linear springs on an xy stage.
     """
     of = next((one for one in scene.mechanisms if one.axes == group.axes), None)
     box = group.network.parameters
@@ -337,7 +335,7 @@ def _plane(scene: Scene, name: str) -> TouchScene:
     of, box = _stage_of(scene, group)
     sides = (
         Side(PLAIN, tuple(f"{PLAIN} {axis}" for axis in group.axes)),
-        Side(group.passivity.name, tuple(f"{group.passivity.name} {axis}" for axis in group.axes), name),
+        replace(_side(group.passivity, group.axes), group=name),
     )
     members = [scene.axis(axis) for axis in group.axes]
     plain = [_walled(axis, box, k) for k, axis in enumerate(members)]
@@ -357,7 +355,7 @@ def _plane(scene: Scene, name: str) -> TouchScene:
 
 
 def _walled(axis: AxisScene, box: Box, direction: int) -> AxisScene:
-    """Return a separate axis that renders the two faces of a box in its direction, unprotected."""
+    """Return an axis without group that renders the two faces of a box in its direction, unprotected."""
     wall = TwoSidedWall(
         stiffness=box.stiffness, damping=box.damping, lower=box.lower[direction], upper=box.upper[direction]
     )
@@ -370,7 +368,7 @@ def _walled(axis: AxisScene, box: Box, direction: int) -> AxisScene:
 
 
 def _held(of: MechanismScene, members: Sequence[AxisScene], side: Side) -> MechanismScene:
-    """Return the mechanism of one side, held by the pointer; its axes in the order of the mechanism."""
+    """Return the mechanism of one handle, held by the pointer, with its axes in the order of the mechanism."""
     port = dict(zip((axis.parameters.name for axis in members), side.axes, strict=True))
     hand = (of.hand or TaskHand(**HAND)).model_dump(exclude={"motion", "push"})
     start = getattr(of.mechanism.parameters, "initial_position", (0.0, 0.0))
