@@ -42,8 +42,8 @@ class ForceNode(Parameters):
     """Expected low word of the sensor's device type (0x1000): 404 for a transducer, 401 for an analogue input; None:
     any but a drive's."""
     tare: bool | Literal["autozero"] = False
-    """Whether the sensor is set to zero at the start, when no hand may touch the handle: true writes "tara" to 0x6139:01
-    (CiA 404), `autozero` writes "zero" to 0x6125:01."""
+    """Whether the sensor is set to zero at the start, when no hand may touch the handle: true writes "tara" to
+    0x6139:01 (CiA 404), `autozero` writes "zero" to 0x6125:01."""
 
     @model_validator(mode="after")
     def _has_a_place(self) -> "ForceNode":
