@@ -99,7 +99,6 @@ class HybridAutomaton:
         booked = list(scene.works.values())
         self._sums_of = np.array([[of == account for of in booked] for account in _ACCOUNTS], dtype=float)
         self._pairs = _pairs(booked)
-        self._is_plain = booked == list(_ACCOUNTS)
         names = scene.names
         sines = [name for name in names if name.endswith("_sine")]
         self._oscillators = [(names.index(name), names.index(name[:-4] + "cosine")) for name in sines]
@@ -166,10 +165,6 @@ class HybridAutomaton:
 
     def accounts(self) -> list[float]:
         """Work of the motor, of the user, and dissipation, since the start [J]."""
-        if self._is_plain:  # written out, as `works`
-            a, b, c = self._books[0].totals.tolist()
-            (d, e, f), (g, h, i) = self._sums, self._carries
-            return [d + (g + a) + 0.0, e + (h + b) + 0.0, f + (i + c) + 0.0]  # a sum is never -0.0
         works = self.works()
         if self._pairs is None:
             summed: list[float] = self._sums_of.dot(works).tolist()

@@ -63,9 +63,9 @@ def _taylor_work(rates: Array, power: Array, step: float) -> Array:
     return series(power, lambda term: scaled.T @ term + term @ scaled) * step
 
 
-def smallest_step(rates: Array, sample_time: float, levels: int = LEVELS) -> tuple[float, int]:
-    """Return T / 2^j [s] and j, which is `levels`, or more if the series of the fastest mode needs it."""
-    needed = levels
+def smallest_step(rates: Array, sample_time: float) -> tuple[float, int]:
+    """Return T / 2^j [s] and j, which is `LEVELS`, or more if the series of the fastest mode needs it."""
+    needed = LEVELS
     while float(np.abs(rates).sum(axis=0).max()) * sample_time * 0.5**needed > _LARGEST_STEP:
         needed += 1
     return sample_time * 0.5**needed, needed
@@ -79,27 +79,24 @@ def doublings(rates: Array, step: float, halvings: int) -> Iterator[tuple[int, A
         change = 2.0 * change + change @ change
 
 
-def dyadic_flows(
-    rates: Array, powers: Sequence[Array], sample_time: float, levels: int = LEVELS
-) -> tuple[list[Array], list[Array]]:
-    """Return exp(F T / 2^j) and the energy forms over T / 2^j, for j = 0..levels.
+def dyadic_flows(rates: Array, powers: Sequence[Array], sample_time: float) -> tuple[list[Array], list[Array]]:
+    """Return exp(F T / 2^j) and the energy forms over T / 2^j, for j = 0..LEVELS.
 
     Args:
         rates: F of dz/dt = F z, shape (n, n).
         powers: One symmetric S per kind of energy, shape (n, n).
         sample_time: T [s].
-        levels: Largest j.
 
     Returns:
         Flows by j, and for each j the Q by kind, shape (kinds, n, n).
     """
     identity = np.eye(len(rates))
-    step, halvings = smallest_step(rates, sample_time, levels)
+    step, halvings = smallest_step(rates, sample_time)
     works = np.array([_taylor_work(rates, power, step) for power in powers]).reshape(-1, *rates.shape)
     flows: list[Array] = []
     forms: list[Array] = []
     for level, change in doublings(rates, step, halvings):
-        if level <= levels:
+        if level <= LEVELS:
             flows.append(identity + change)
             forms.append(0.5 * (works + works.transpose(0, 2, 1)))
         if len(works):

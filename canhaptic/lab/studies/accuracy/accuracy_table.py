@@ -332,9 +332,8 @@ def _effect_cells(row: Row, unit: str) -> list[str]:
     if row.get("position_error") is None:
         return [row["effect"], "-", *[""] * 6]
     worth = row["error_per_microsecond"]
-    order = "exact" if row["order"] is None else str(row["order"])
     return [
-        row["effect"], order, length(row["position_error"], unit), _force(row["force_error"], unit),
+        row["effect"], _plain(row["order"]), length(row["position_error"], unit), _force(row["force_error"], unit),
         si(row["energy_error"], "J", 3), _fixed(row["evaluations_saved_per_period"], 2),
         _short(row["us_saved_per_period"], 3), "" if worth is None else length(worth, unit),
     ]  # fmt: skip

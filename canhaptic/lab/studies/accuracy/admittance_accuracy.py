@@ -157,7 +157,7 @@ def _apart(run: AdmittanceRun, ideal: AdmittanceRun, steps: int) -> tuple[float,
 
 
 def _row(variant: Variant, ideal: AdmittanceRun, steps: int, whole: int) -> Row:
-    """Return the row of a variant of the scene `whole`; `steps` holds of the ideal display are one of the variant."""
+    """Return the row of a variant; `steps` of the `whole` holds of the ideal display make one hold of the variant."""
     row, clock = Row(changed=variant.group, to=variant.setting), WallClock()
     begin = clock.now()
     try:

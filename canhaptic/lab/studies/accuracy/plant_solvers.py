@@ -106,7 +106,7 @@ def _textbook(
 
 
 def ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[AccuracyParameters]:
-    """Return every method and setting that makes a difference for this plant, from coarse to fine."""
+    """Return every accuracy that makes a difference for this plant, from coarse to fine."""
     plant = build_plant(simulation, sample_time_ns)
     bits: Sequence[int] = (24,)
     if any(part.has_guards for part in plant.scene.parts):
@@ -116,7 +116,7 @@ def ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[AccuracyPara
 
 
 def own_ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[AccuracyParameters]:
-    """Return every setting of `sim.plant` that makes a difference for this plant, and the scene's own."""
+    """Return every accuracy that makes a difference for this plant, and the scene's own."""
     found, now = ladder(simulation, sample_time_ns), own_setting(simulation, sample_time_ns)
     return found if now in found else [now, *found]
 
@@ -431,7 +431,7 @@ class _OwnPlants(Plants):
 
 
 def _rung(candidate: Candidate) -> tuple[str, object]:
-    """Return a candidate for all plants; a setting of `sim.plant` names only values that matter to one of them."""
+    """Return the key of a candidate, alike for all plants; a setting of `sim.plant` may read differently for each."""
     return candidate.method, candidate.accuracy or candidate.setting
 
 

@@ -5,7 +5,7 @@ The mapping follows CiA 301, 7.5.2.35-38; every PDO has a precompiled codec.
 
 import struct
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
 from operator import attrgetter
@@ -81,9 +81,10 @@ class Pdo:
     def compile(self) -> None:
         """Rebuild the codec from the objects."""
         cob_id = objects.COB_ID_INVALID if self._cob_id.value is None else self._cob_id.number
-        self.entries = self._mapped()
-        image = struct.Struct("<" + "".join(entry.code for entry in self.entries))
-        self.pack, self._unpack, self.length = _packer(image.pack, self.entries), image.unpack_from, image.size
+        self.entries = entries = self._mapped()
+        image = struct.Struct("<" + "".join(entry.code for entry in entries))
+        self.pack: Callable[[], bytes] = lambda: image.pack(*map(_value_of, entries))
+        self._unpack, self.length = image.unpack_from, image.size
         self.is_active = not cob_id & objects.COB_ID_INVALID and bool(self.entries)
         for entry in self.entries if self.is_active else ():
             if entry.value is None:
@@ -186,14 +187,6 @@ def _pdos_of(store: ObjectStore, is_transmit: bool, on_change: Callable[[], None
         for number in range(_PDOS)
         if store.find(communication + number, 1) is not None and store.find(mapping + number, 0) is not None
     )
-
-
-def _packer(pack: Callable[..., bytes], entries: Sequence[Entry]) -> Callable[[], bytes]:
-    """Function that makes a frame of the present values; unrolled for the object counts of TPDOs in torque mode."""
-    if len(entries) == 3:
-        first, second, third = entries
-        return lambda: pack(first.value, second.value, third.value)
-    return lambda: pack(*map(_value_of, entries))
 
 
 _NS_PER_US: Final = 1000
