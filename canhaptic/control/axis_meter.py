@@ -177,7 +177,7 @@ class AxisMeter:
             self.watch.take(position, torque, int(self._booked_at), self.asked)
 
     def _path_to(self, position: float) -> float:
-        """Least path of the axis to a position [m or rad]; see the module."""
+        """Return the least path of the axis to a position [m or rad]; see the module."""
         low, high = self._lazy
         lowest, highest = position - self.accuracy.position, position + self.accuracy.position
         if lowest > high:

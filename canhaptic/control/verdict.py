@@ -35,7 +35,7 @@ ROUNDING: Final = 1e-9
 ACTIVE_AT_MOTOR: Final = 1
 """Bit of the column `active`: the sum at the motor fell below the allowance for certain."""
 ACTIVE_AT_HANDLE: Final = 2
-"""The same for the sum at the handle."""
+"""Bit of the column `active`: the sum at the handle fell below the allowance for certain."""
 NOT_CHECKED: Final = "not checked"
 """Value of `hold` without a hands-off test of the hold in which the torques act."""
 _LARGEST_DOUBT: Final = 0.1

@@ -77,7 +77,7 @@ class AdmittanceEnvironment(Parameters):
 
 
 _BACK: Final = 0.125
-"""Part of the way back that a command takes on in the time of a hold and of the drive's lag."""
+"""Share of the distance beyond a position limit that a command takes back during one hold plus the drive's lag."""
 
 
 class Commands(list[float]):

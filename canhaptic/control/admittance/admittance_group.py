@@ -251,7 +251,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         self._watch_limit()
 
     def _let_pass(self, changes: Sequence[float]) -> None:
-        """Account for a hold without a sample, in which the margin changed by at least these amounts [J]."""
+        """Account for a hold without a sample, by lower bounds on the change of the margin on each axis [J]."""
         for axis in self._each:
             axis.let_pass()
         self._fall(changes)

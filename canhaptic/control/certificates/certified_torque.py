@@ -297,7 +297,7 @@ def pass_within_count(bound: TorqueBound, count: float, friction: float, displac
 
 
 def shorten(declared: Declared, bound: TorqueBound, lasted: float) -> None:
-    """Replace the hold that ended, longer than T and of one torque, by its last sample time.
+    """Reduce a hold that was longer than T to its last sample time, from which the next displacements are bounded.
 
     The axis is assumed to move at the mean speed of the whole hold; the possible difference is kept as an uncertainty.
 
@@ -737,7 +737,7 @@ def by_reach_of_late(declared: Declared, hand: float, motion: LateMotion, fricti
 def own_share(
     declared: Declared, hand: float, motion: LateMotion, friction: float
 ) -> tuple[float, float, float, float]:
-    """Return (start, gain, base, late): a torque takes n (start + gain n) by itself, from its base, with a late part.
+    """Return start and gain of the energy n (start + gain n) that a torque takes by itself, its base and its late part.
 
     It takes n D + (n - l) x and its tail n X, with D = base + during F the displacement in its hold and F = n + f_c.
     An outward displacement adds to the tail; `start` leaves this part out.

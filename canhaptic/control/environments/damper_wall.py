@@ -10,6 +10,6 @@ class DamperWall(OneSided, StoresNothing):
     """A half space of viscous matter; nothing is stored."""
 
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)]
-    """Coefficient d inside the half space."""
+    """Viscous damping inside the half space."""
 
     linear_stiffness: ClassVar[float] = 0.0

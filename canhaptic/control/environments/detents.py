@@ -18,11 +18,11 @@ class Detents(Everywhere, Parameters):
     peak: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)]
     """Largest effort, a quarter of a pitch from a resting position."""
     pitch: Annotated[float, quantity("m", "rad", gt=0.0)]
-    """From one resting position to the next."""
+    """Distance from one resting position to the next."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
     """Viscous damping, everywhere but exactly at a resting position."""
     position: Annotated[float, quantity("m", "rad")] = 0.0
-    """Any one of the resting positions."""
+    """Position of any one of the resting positions."""
 
     linear_stiffness: ClassVar[None] = None
 
@@ -58,7 +58,7 @@ class Detents(Everywhere, Parameters):
         return self.peak * math.sin(2.0 * math.pi * state / self.pitch)
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Return the state on the same flank of the crest as `like`; the crest where no state stores that much."""
+        """Return the state on the same flank of the crest as `like`; the crest if no state stores that much."""
         crest = self.peak * self.pitch / math.pi
         if energy <= 0.0 or crest == 0.0:
             state = 0.0

@@ -240,7 +240,7 @@ class StoresNothing(Everywhere):
 
 
 def kept_on_side(state: float, true: float) -> float:
-    """Return the state [m or rad], or 0 where it lies across the surface from the true one."""
+    """Return the state [m or rad], or 0 if it lies on the other side of the surface than the true state."""
     return state if state * true >= 0.0 else 0.0
 
 
@@ -248,13 +248,13 @@ class OneSided(Everywhere, Parameters):
     """Common part of walls: solid on one `side` of a `position`."""
 
     position: Annotated[float, quantity("m", "rad")] = 0.0
-    """Where the surface is."""
+    """Position of the surface."""
     side: Side = "below"
     """Where the wall is solid: below its position, or above it."""
 
     @property
     def is_below(self) -> bool:
-        """Whether it is solid below its position."""
+        """Whether the wall is solid below its position."""
         return self.side == "below"
 
     def contact(self, position: float) -> int:
@@ -268,7 +268,7 @@ class OneSided(Everywhere, Parameters):
         return position - self.position
 
     def admissible(self, state: float, true: float) -> float:
-        """Return the state, or 0 where it lies outside the wall."""
+        """Return the state, or 0 if it lies outside the wall."""
         return state if state * true >= 0.0 else 0.0
 
 

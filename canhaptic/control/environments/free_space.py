@@ -13,5 +13,5 @@ class FreeSpace(StoresNothing, Parameters):
     linear_stiffness: ClassVar[float] = 0.0
 
     def contact(self, position: float) -> int:
-        """Return 0."""
+        """Return 0: no position is in contact."""
         return 0

@@ -34,11 +34,11 @@ class TwoSidedWall(LinearSpring):
         return position - (self.lower if position < self.lower else self.upper)
 
     def admissible(self, state: float, true: float) -> float:
-        """Return the state, or 0 where it lies outside the wall."""
+        """Return the state, or 0 if it lies outside the wall."""
         return kept_on_side(state, true)
 
     def one_way(self, position: float) -> tuple[float, float]:
-        """Return the inside of the wall at a position [m or rad]; between the walls, no stretch."""
+        """Return the interval inside the wall at a position [m or rad]; an empty one between the walls."""
         if position < self.lower:
             return -math.inf, self.lower
         return (self.upper, math.inf) if position > self.upper else (position, position)

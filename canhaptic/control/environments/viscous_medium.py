@@ -10,6 +10,6 @@ class ViscousMedium(StoresNothing, Parameters):
     """Honey: torque = -d v wherever the axis is."""
 
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)]
-    """Coefficient d of the medium."""
+    """Viscous damping of the medium."""
 
     linear_stiffness: ClassVar[float] = 0.0

@@ -59,7 +59,7 @@ class AskedEffort(StoresNothing):
 
 @dataclass(slots=True)
 class AskedState(guarded.GuardedState):
-    """State kept from SYNC to SYNC."""
+    """State of one axis, with the size of its energy tank, kept from SYNC to SYNC."""
 
     size: float = inf  # of the tank beyond `GuardedSettings.earned` [J]
 

@@ -8,7 +8,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class LoopProperties(Parameters):
-    """Properties of the loop around the controller; optional values are None when unknown, never assumed."""
+    """Properties of the loop around a controller; an optional value that is not known is None."""
 
     sample_time: Annotated[float, quantity("s", ge=1e-6, le=1.0)]
     """Time T from SYNC to SYNC."""

@@ -97,7 +97,7 @@ class PredictionSettings:
 
 @dataclass(slots=True)
 class PredictedMotion:
-    """Motion at the last SYNC."""
+    """Estimated motion of the axis at the last SYNC, from which it is predicted."""
 
     step: float = 0.0  # velocity [m or rad per hold]
     push: float = 0.0  # increase of it in a hold by forces other than the motor's
@@ -203,7 +203,7 @@ class GuardedParameters(Parameters):
 
 @dataclass(frozen=True, slots=True)
 class GuardedSettings:
-    """Constants of a run."""
+    """Constants of `guarded` on one axis during a run."""
 
     sample_time: float  # [s]
     credit: float  # [J]
@@ -232,7 +232,7 @@ class GuardedSettings:
 
 
 def settings_of(environment: Environment, parameters: GuardedParameters, loop: LoopProperties) -> GuardedSettings:
-    """Return the constants of a run.
+    """Return the constants of `guarded` on one axis.
 
     Raises:
         ParameterError: The declared properties certify no torque, or a drag has no energy to earn.
@@ -372,7 +372,7 @@ _FADE: Final = 0.8
 
 @dataclass(slots=True)
 class GuardedState:
-    """State kept from SYNC to SYNC."""
+    """State of `guarded` on one axis, kept from SYNC to SYNC."""
 
     zone: int = 0  # of contact
     true: float = 0.0  # displacement of the storage in the continuous environment [m or rad]
@@ -384,7 +384,7 @@ class GuardedState:
 
 
 class Memory(NamedTuple):
-    """Buffers of one axis."""
+    """Buffers of `guarded` on one axis: of the common axis, and of the torque bound."""
 
     axis: stepped.AxisMemory
     bound: BoundMemory
@@ -395,7 +395,7 @@ GuardedRun: TypeAlias = Run[GuardedSettings, GuardedState, Memory]
 
 
 def memory_of(settings: GuardedSettings, make_buffer: MakeBuffer) -> Memory:
-    """Return the buffers of one axis."""
+    """Return the buffers of `guarded` on one axis."""
     axis = stepped.axis_memory(settings.declared.delay, settings.longest_window, make_buffer)
     return Memory(axis, bound_memory(settings.declared, axis.commands.torques, make_buffer))
 
@@ -444,7 +444,7 @@ def end_several(run: GuardedRun, displacement: float, torque_applied: float) -> 
 
 
 def restart_at_mean(settings: GuardedSettings, axis: stepped.Axis, memory: stepped.AxisMemory, moved: float) -> None:
-    """Restart the velocity's window after holds with this mean displacement [m or rad]."""
+    """Restart the window of the velocity at the mean velocity of some holds, `moved` in each [m or rad]."""
     if settings.longest_window:
         restart(axis.window, memory.samples, axis.position)
         axis.window.velocity = moved / settings.sample_time
@@ -772,7 +772,7 @@ def step(environment: Environment, run: GuardedRun, position: float, torque_appl
 
 
 def start(run: GuardedRun, position: float) -> EnergyBalance:
-    """Take the first position [m or rad]; return the balance of a step that books nothing."""
+    """Start an axis at its first position [m or rad]; return the balance of a step that books nothing."""
     bound, turns = run.state.bound, run.settings.turns
     begin(run.state.axis, run.memory.axis, position)
     bound.out, bound.turns, bound.is_near = run.settings.outside, turns, turns

@@ -64,7 +64,7 @@ class HoldWatch:
         self._positions = 0  # in a row
 
     def take(self, position: float, sign: int) -> None:
-        """Take a position and the sign of the torque computed from it.
+        """Add a position and the sign of the torque computed from it, and test when it is due.
 
         Args:
             position: Position at a SYNC [m or rad].

@@ -348,7 +348,7 @@ class StoredModelParameters(DamperVelocity):
 
 @dataclass(frozen=True, slots=True)
 class StoredModelSettings:
-    """Constants of a run."""
+    """Constants of an algorithm with a stored state during a run."""
 
     given: Any  # parameters of the algorithm; a kernel reads their numbers alone
     cap: float  # of the damping [N*s/m or N*m*s/rad]
@@ -360,7 +360,7 @@ class StoredModelSettings:
 
 @dataclass(slots=True)
 class StoredModelState:
-    """State kept from SYNC to SYNC; an algorithm adds its own fields."""
+    """State of an algorithm with a stored state, kept from SYNC to SYNC; an algorithm adds its own fields."""
 
     axis: stepped.Axis = field(default_factory=stepped.Axis)
     storage: Storage = field(default_factory=Storage)
@@ -373,7 +373,7 @@ StoredModelRun: TypeAlias = Run[StoredModelSettings, Any, stepped.HoldMemory]
 def stored_model_settings(
     environment: Environment, parameters: StoredModelParameters, loop: LoopProperties
 ) -> StoredModelSettings:
-    """Return the constants of a run.
+    """Return the constants of an algorithm with a stored state.
 
     Raises:
         ParameterError: A windowed velocity without an encoder count.
@@ -450,7 +450,7 @@ _EXACT, _STICKY = Branch.EXACT.value, Branch.STICKY.value
 
 @dataclass(slots=True)
 class InternalDissipationState(StoredModelState):
-    """State kept from SYNC to SYNC."""
+    """State of `internal_dissipation`, kept from SYNC to SYNC."""
 
     blind: int = 0  # holds until the first torque after a start is felt
 

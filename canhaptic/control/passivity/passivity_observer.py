@@ -24,7 +24,7 @@ from canhaptic.units import quantity
 
 
 class PassivityObserverParameters(DamperVelocity):
-    """Limit of the passivity controller's braking."""
+    """Velocity of the damper, and the limit of the passivity controller."""
 
     damping_limit: Annotated[float, quantity("N*s/m", "N*m*s/rad", gt=0.0)] | None = None
     """Largest damping of the passivity controller. None: the cap by moving mass, delay and sample time. One of the two
@@ -33,7 +33,7 @@ class PassivityObserverParameters(DamperVelocity):
 
 @dataclass(slots=True)
 class ObserverState(unprotected.SampledState):
-    """State kept from SYNC to SYNC."""
+    """State of the sampled environment and the observer, kept from SYNC to SYNC."""
 
     observed: RunningSum = field(default_factory=RunningSum)  # sum(h_i) [J]
 

@@ -226,7 +226,7 @@ class Axis:
 
 
 class AxisMemory(NamedTuple):
-    """Buffers of one axis."""
+    """Buffers of one axis: window of the velocity, and queued commands."""
 
     samples: Buffer  # of the velocity's window [m or rad]
     commands: Commands
@@ -268,7 +268,7 @@ def hold_settings(parameters: DamperVelocity, loop: LoopProperties, certificate:
 
 
 def axis_memory(delay: int, longest_window: int, make_buffer: MakeBuffer) -> AxisMemory:
-    """Return the buffers of one axis.
+    """Return the buffers of one axis: window of the velocity, and queued commands.
 
     Args:
         delay: Whole holds between computation and action.
@@ -294,18 +294,18 @@ def hold_memory(settings: Any, make_buffer: MakeBuffer, own: int = 0) -> HoldMem
 
 
 def begin(axis: Axis, memory: AxisMemory, position: float) -> None:
-    """Take the first position [m or rad]."""
+    """Start an axis at its first position [m or rad]."""
     axis.started, axis.position, axis.missed, axis.lasted, axis.h_dis = True, position, 0, 1.0, 0.0
     if len(memory.samples) > 0:
         restart(axis.window, memory.samples, position)
 
 
 def open_hold(settings: HoldSettings, axis: Axis, memory: AxisMemory, position: float, torque_applied: float) -> Hold:
-    """Return the hold that ended.
+    """Move an axis to the position at a SYNC, and return the hold that ended there.
 
     Args:
         settings: Constants of the run.
-        axis: Axis; advanced to the position.
+        axis: The axis; changed.
         memory: Buffers of the axis.
         position: Position at the end of the hold [m or rad].
         torque_applied: Torque applied in the hold [N or N*m].

@@ -100,7 +100,7 @@ def settle(environment: Environment, model: SampledModel, share: float, h_m: flo
 
 @dataclass(frozen=True, slots=True)
 class SampledSettings(Generic[GivenT]):
-    """Constants of a run."""
+    """Constants of an algorithm that samples its environment, during a run."""
 
     given: GivenT  # parameters of the algorithm; a kernel reads their numbers alone
     limit: float  # of the damping or force that the algorithm adds; infinite: none
@@ -109,7 +109,7 @@ class SampledSettings(Generic[GivenT]):
 
 @dataclass(slots=True)
 class SampledState:
-    """State kept from SYNC to SYNC; an algorithm adds its own fields."""
+    """State of a sampled environment, kept from SYNC to SYNC; an algorithm adds its own fields."""
 
     axis: Axis = field(default_factory=Axis)
     model: SampledModel = field(default_factory=SampledModel)
@@ -120,7 +120,7 @@ SampledRun: TypeAlias = Run[SampledSettings[GivenT], StateT, stepped.HoldMemory]
 
 
 class Reply(NamedTuple):
-    """An algorithm's changes to the model's efforts in the next command."""
+    """Answer of an algorithm to the model's efforts: the efforts of the next command."""
 
     stored: float  # share of the model's state whose energy counts as stored, 0..1
     spring: float  # [N or N*m]
@@ -132,7 +132,7 @@ class Reply(NamedTuple):
 def sampled_settings(
     environment: Environment, parameters: DamperVelocity, loop: LoopProperties, limit: float = inf
 ) -> SampledSettings[Any]:
-    """Return the constants of a run.
+    """Return the constants of an algorithm that samples its environment.
 
     Raises:
         ParameterError: A windowed velocity without an encoder count.
