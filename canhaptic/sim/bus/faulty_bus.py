@@ -248,7 +248,7 @@ def frame_effects(effects: BusEffects, direction: Direction, seed: int, count: _
 
 
 _Deliver = Callable[[can.Message, int], None]
-"""Called as deliver(frame, now [ns]) when it arrives."""
+"""Called as deliver(frame, now [ns]) when a frame arrives."""
 Counts = Counter[tuple[str, str, int]]
 """Number of affected frames by (effect, direction, COB-ID)."""
 

@@ -20,8 +20,8 @@ class AccuracyParameters(Parameters):
     event_bits: Annotated[int, quantity("bit", ge=1, le=LEVELS)] = LEVELS
     """Events are bracketed to T / 2^event_bits."""
     substeps: Annotated[int, quantity("count", ge=1, le=1024)] = 1
-    """Substeps per sample time for effects that are not exact; a power of two. By default so many, at most 16, that
-    the fastest of these effects advances by no more than 0.25 rad in a substep."""
+    """Substeps per sample time for effects that are not exact; a power of two. By default the fastest of these effects
+    advances by at most 0.25 rad in a substep, with at most 16 substeps."""
     max_events: Annotated[int, quantity("count", ge=1, le=1_000_000)] = 1000
     """Largest number of events in one sample time; more end the run with an error that shows the plant's state."""
 

@@ -152,7 +152,7 @@ class NonlinearForce(Protocol):
         """Return the mean force [N or N*m] over a substep that starts at `position` and moves by `travel`."""
 
     def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
-        """Accept the substep; nothing by default."""
+        """Update the state at the end of a substep; nothing by default."""
         return
 
     def stored(self, position: float) -> float:
@@ -353,7 +353,7 @@ def guard_bounds(guards: Array, rates: Array, sample_time: float) -> GuardBounds
     Args:
         guards: Rows of the guards, shape (c, n).
         rates: F of dz/dt = F z, shape (n, n).
-        sample_time: T [s], the largest step; the rates are scaled to weigh alike there.
+        sample_time: T [s], the largest step, for which the rates are scaled to equal weight.
     """
     moving = rates.any(axis=1) if len(guards) else np.zeros(len(rates), dtype=bool)
     chord, spread = (_LOOSENING * bound[:, :, moving] for bound in _bounds(guards, rates, sample_time))

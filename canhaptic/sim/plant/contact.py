@@ -1,6 +1,6 @@
 """Parts of a plant whose modes are states of contact: dry friction with stiction, and a one-sided contact.
 
-Dry friction sticks or slides. Sticking is a mode of its own instead of a steep slope, which creeps (Karnopp, ASME J.
+Dry friction sticks or slides. Sticking is a separate mode instead of a steep slope, which would creep (Karnopp, ASME J.
 Dynamic Systems 107, 1985).
 
 A one-sided contact has springy, damped faces; the hard stop and each flank of backlash are such contacts. Touching:

@@ -134,7 +134,7 @@ class EffortForce(NonlinearForce):
         return mean_force(self.effort, self._bristle, position, travel, duration, torque)
 
     def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
-        """Accept the substep."""
+        """Update the state at the end of a substep."""
         bend(self.effort, self._bristle, travel, duration)
 
     def stored(self, position: float) -> float:

@@ -216,7 +216,7 @@ class Plant(AutomatonClock):
         super().begin(now)
 
     def advance_to(self, now: int, torque: float) -> None:
-        """Move the plant to `now` under a torque that was constant since the last call; still before `begin`.
+        """Move the plant to `now` under a torque that was constant since the last call; before `begin` it is at rest.
 
         Args:
             now: Time [ns] on the clock of `begin`; rounded to a tick of T / 2^24.

@@ -170,7 +170,7 @@ def least(value: float, rate: float, curvature: float, length: float) -> float:
 def leave(
     tables: ModeTables, state: Array, moved: Array, books: Any, counts: Indices, guard: int
 ) -> tuple[Array, Array]:
-    """Change the mode through a guard, with its jump; return the state and the spare state."""
+    """Change the mode through a guard, with its jump; return the state and the unused buffer."""
     mode = counts[MODE]
     after = tables.targets[mode][guard]
     counts[EVENTS] += 1
@@ -186,7 +186,7 @@ def leave(
 def settle(
     tables: ModeTables, state: Array, moved: Array, books: Any, counts: Indices, values: Any
 ) -> tuple[Array, Array, Any]:
-    """Leave every mode whose guards are violated at this state; return state, spare and the guards' values."""
+    """Leave every mode whose guards are violated at this state; return state, unused buffer and the guards' values."""
     for _ in range(_CHAIN):
         mode = counts[MODE]
         guards = tables.guards[mode]
@@ -219,7 +219,7 @@ def judge(
 def run_free(
     tables: ModeTables, state: Array, moved: Array, books: Any, counts: Indices, ticks: int
 ) -> tuple[Array, Array]:
-    """Move by `ticks` ignoring guards: whole sample times, then one step per bit; return state and spare."""
+    """Move by `ticks`, ignoring guards: whole sample times, then one step per bit; return state and unused buffer."""
     mode = counts[MODE]
     flows, works = tables.flows[mode], tables.works[mode]
     for _ in range(ticks >> LEVELS):
@@ -246,7 +246,7 @@ def run(
     """Move by `ticks` under constant inputs, through every event on the way.
 
     Returns:
-        State, spare state, and the ticks left: above zero with counts[MISSING] set or at a limit only.
+        State, unused buffer, and the ticks left: above zero with counts[MISSING] set or at a limit only.
     """
     state, moved, before = settle(tables, state, moved, books, counts, values[0])
     mode, after = counts[MODE], values[1]

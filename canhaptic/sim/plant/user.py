@@ -354,7 +354,7 @@ class OwnHand(UserParameters):
 
 
 class _OwnForce(NonlinearForce):
-    """The force of the hand as an effort of the plant; its work is the user's."""
+    """The force of a user-defined hand as a part of the plant; its work is the user's."""
 
     account: Account | None = "user"
 
@@ -373,5 +373,5 @@ class _OwnForce(NonlinearForce):
         return self._hand.force(self._time + 0.5 * duration, position + 0.5 * travel, velocity)
 
     def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
-        """Accept the substep."""
+        """Advance the time by the substep."""
         self._time += duration

@@ -280,7 +280,7 @@ def length(value: float, unit: str) -> str:
 
 
 def accuracy_tables(result: Row, *, wide: bool = False) -> list[Table]:
-    """Return every table; `wide` adds times per simulated second and their spread to the plant's."""
+    """Return every table; `wide` adds the time per simulated second and its spread to the table of the plant."""
     unit, floor, plant = result["unit"], _floor(result), result["plant"]
     rows = [[*_plant_cells(row, unit, floor), *(_wall(row) if wide else ())] for row in plant]
     orders = [[row["method"], _plain(row["declared"]), _fixed(row["fitted"], 2)] for row in result["orders"]]

@@ -123,7 +123,7 @@ class Variant:
         return render_group(engine, self.scene, cycles, furthest, tick)
 
     def work(self, cycles: int) -> tuple[str, float]:
-        """Return the code that the variant compiles, and its cost in cycles of a light plant."""
+        """Return the name of the code to compile, and the cost of the run in cycles of a light plant."""
         if not self.scene.groups:
             return self.case.algorithm, work_of(self.case, cycles)
         is_coarse = any(axis.loop.encoder_count for axis in self.scene.axes)  # decides the lengths of the buffers

@@ -344,7 +344,7 @@ def verdict_of(
         shares: Rendered over requested stiffness, shape (2, n).
         damped: Rendered over requested damping, shape (n,).
         least: Least true energy received, shape (n,) [J].
-        judged: Part of that energy that is judged [J].
+        judged: Energy that is judged [J]: `least`, or the sum that a declared device damping guarantees.
         ran: Whether both hands completed the run, in contact.
         allowance: Energy that may be generated [J].
         tolerance: Largest relative difference of a rendering from the requested one.

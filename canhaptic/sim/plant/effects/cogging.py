@@ -1,7 +1,7 @@
 """Cogging: the detent torque of magnets and slots, F = -amplitude * sin(2 pi q / pitch + phase), at any motor torque.
 
 A potential force: over a substep the mean along the travel is taken in closed form (a discrete gradient), so that the
-energy it stores is returned. States added: none (travel and effort of the splitting). Order 2.
+energy it stores is returned. States added: travel, effort (`splitting.py`). Order 2.
 Energy: stored. Typical: 0.5..3 % of the rated torque, pitch = one turn / lcm(poles, slots).
 Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2nd ed., 2003, ch. 4.
 """
@@ -27,7 +27,7 @@ class Cogging(EffectParameters):
     """Phase of the sine at position 0."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Add the effort."""
+        """Add the force."""
         scene.efforts.append(EffortForce(Effort(DETENT, self.amplitude, self.pitch, self.phase), None))
 
     def fastest(self, mass: float, torque: float) -> float:

@@ -4,7 +4,7 @@
     F = -(bristle_stiffness z + bristle_damping dz/dt + viscous v)
 
 The bristle takes an exponential update at the mean velocity of a substep; explicit Euler is unstable at one step a
-period. States added: bristle_deflection (and travel, effort of the splitting). Order 2.
+period. States added: bristle_deflection; travel, effort (`splitting.py`). Order 2.
 Energy: bristle_stiffness z^2 / 2 is stored, the rest of force times path is dissipated. With a constant bristle_damping
 LuGre is passive for every motion only if bristle_damping <= viscous * kinetic / (static - kinetic) (Barahanov and
 Ortega, IEEE Trans. Automatic Control 45(7), 2000); above this limit `dissipated` may decrease for a moment.
@@ -35,7 +35,7 @@ class LuGreFriction(EffectParameters, DryFriction):
     """Viscous friction in parallel with the bristles."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Add the bristle as an effort."""
+        """Add the force of the bristle."""
         scene.claim("friction model", self.type)
         scene.efforts.append(EffortForce(Effort(BRISTLE, **self.model_dump(exclude={"type"})), "dissipated"))
 

@@ -2,7 +2,7 @@
 
 F = -[kinetic + (static - kinetic) exp(-(v / stribeck_velocity)^2)] sign(v); stuck up to `static`. The constant part
 and stiction are modes of the exact core; the falling part depends on the mean velocity of a substep.
-States added: none (travel and effort of the splitting). Order 2, sticking and breakaway included.
+States added: travel, effort (`splitting.py`). Order 2, sticking and breakaway included.
 Energy: friction times path is dissipated. Typical stribeck velocity: 1..50 mm/s.
 Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994.
 """
@@ -24,7 +24,7 @@ class StribeckFriction(EffectParameters, DryFriction):
     """Velocity at which the friction has fallen by 63 % of the way from `static` to `kinetic`."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Add the modes of dry friction and the effort of the falling part."""
+        """Add the modes of dry friction and the force of the falling part."""
         scene.claim("friction model", self.type)
         self.add_stick_slip(scene, self.type)
         scene.efforts.append(EffortForce(Effort(FALLING, **self.model_dump(exclude={"type"})), "dissipated"))

@@ -1,7 +1,7 @@
 """Torque ripple: the torque constant varies with position, F = torque * amplitude * sin(2 pi q / pitch + phase).
 
-States added: none (travel and effort of the splitting). Order 2. Energy: booked as work of the motor; the true work of
-the motor then differs from that of the torque demand by at most the fraction `amplitude`.
+States added: travel, effort (`splitting.py`). Order 2. Energy: booked as work of the motor; the true work of the motor
+then differs from that of the torque demand by at most the fraction `amplitude`.
 Typical: 1..5 % at the 6th electrical harmonic. Source: Hanselman, "Brushless Permanent Magnet Motor Design", 2003.
 """
 
@@ -26,7 +26,7 @@ class TorqueRipple(EffectParameters):
     """Phase of the sine at position 0."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Add the effort."""
+        """Add the force."""
         scene.efforts.append(EffortForce(Effort(RIPPLE, self.amplitude, self.pitch, self.phase), "motor"))
 
     def fastest(self, mass: float, torque: float) -> float:

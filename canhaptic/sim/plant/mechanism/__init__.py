@@ -38,7 +38,7 @@ class Mechanism(Protocol):
         """Start its clock at `now` [ns]; until then it is at rest."""
 
     def advance_to(self, now: int, torques: tuple[float, ...]) -> None:
-        """Move to `now` [ns] under torques [N*m or N] that were constant since the last call; still before `begin`.
+        """Move to `now` [ns] under torques [N*m or N] that were constant since the last call; at rest before `begin`.
 
         Raises:
             ParameterError: `now` lies before the last call, or no motion is found under these torques.
