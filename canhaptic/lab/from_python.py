@@ -45,7 +45,7 @@ def compare(
         changes: Values of the scene to replace, as for `simulate`.
         duration: Duration [s]; by default the scene's.
         rate: Rate that replaces the scene's [Hz], possibly beyond its bus; for single axes, not over CAN.
-        over_can: Whether the whole CAN path is used instead of `DirectRig`.
+        over_can: Whether the whole CAN path is used instead of a loop without a bus.
         engine: Engine without a bus: "python" gives the bits of the path over CAN, "numba" differs by rounding and
             saves time on stiff plants and long runs, "auto" takes it where it is worthwhile.
         repeats: Interleaved timings of a step of a single axis, of which the minimum counts; 0 for none.

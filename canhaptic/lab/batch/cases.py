@@ -1,12 +1,8 @@
-"""Loops of a batch, from one scene and the keys that vary between scenes.
+"""Make the loops of a batch from one scene and the values of the keys that vary.
 
-Many loops of one kind: their common part, and the numbers in which they differ.
-
-The numbers of a batch, scene by scene: environment, settings of the algorithm, loop, flow and start of the plant.
-
-The continuous environments of many loops: their modes as matrices, for the kernel that follows them.
-
-The environments are those with a flow in closed form: `why_not_continuous` gives the reason for any other.
+`BatchCase` holds what the loops share and the numbers in which they differ; `scene_rows` turns these into the objects
+that the kernels of each scene take. `continuous_modes` gives the matrices of the continuous environment that a loop is
+compared with; `why_not_continuous` names the reason where an environment has no solution in closed form.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -51,22 +47,26 @@ Numbers = Mapping[str, Any]
 class BatchCase:
     """The common part of many loops, and the numbers that vary between them.
 
-    `numbers` holds varied values by name, each of shape (n_scenes,) or one number: of the models `environment`,
-    `passivity` and `loop` field by field; of the drive `counts_per_unit`, `torque_quantum` and `torque_limit`; of the
-    meter `last_from`, `damping_per_time` and `is_brief`; `seed` of everything random; `plant`, the place in `plants`. A
-    name that is absent has the value of its model.
+    `numbers` holds the values that vary, by name, each of shape (n_scenes,) or one number:
+
+    * `environment.NAME`, `passivity.NAME` and `loop.NAME`: a field of that model;
+    * `counts_per_unit`, `torque_quantum`, `torque_limit`: the drive;
+    * `last_from`, `damping_per_time`, `is_brief`: the meter;
+    * `seed`: the seed of all random numbers; `plant`: the index in `plants`.
+
+    A name that is absent keeps the value of the common case.
     """
 
     common: LoopCase
     numbers: Numbers
-    linear: event_plant.LinearMotion | None  # of the plants; None: they have events
-    plants: Sequence[event_plant.PlantValues] = ()  # with events, each distinct one once
+    linear: event_plant.LinearMotion | None  # motion of linear plants; None: the plants have events
+    plants: Sequence[event_plant.PlantValues] = ()  # distinct plants with events
     signals: Sequence[ComponentSpec] = ()  # effects on torque and encoder
-    losses: Losses = field(default_factory=Losses)  # of frames
+    losses: Losses = field(default_factory=Losses)  # lost frames
     reach: Reach = EVERYWHERE
 
     def number(self, section: str, name: str, absent: float = 0.0) -> Array | float:
-        """Value of a field of a model, varied or not."""
+        """Return a field of a model: one value for each scene where it varies, else one number."""
         model = getattr(self.common, section)
         found: Array | float = self.numbers.get(f"{section}.{name}", getattr(model, name, absent))
         return found
@@ -80,10 +80,10 @@ class BatchCase:
 
 
 class SceneRow(NamedTuple):
-    """One scene in kernel form."""
+    """One scene as the objects that its kernels take."""
 
     environment: Any  # plain object
-    settings: Any  # of the algorithm
+    settings: Any  # constants of the algorithm
     loop: LoopSettings
 
 
@@ -94,10 +94,10 @@ def kernel_of(algorithm: str) -> Kernel | None:
 
 
 def scene_rows(case: BatchCase, kernel: Kernel, count: int) -> Iterator[SceneRow]:
-    """Yield every scene.
+    """Yield the kernel objects of every scene.
 
     Args:
-        case: The scenes.
+        case: Common part and varied numbers of the scenes.
         kernel: Kernel of the algorithm.
         count: Number of scenes.
     """
@@ -113,7 +113,7 @@ def scene_rows(case: BatchCase, kernel: Kernel, count: int) -> Iterator[SceneRow
 
 
 def _models(section: str, model: Any, numbers: Numbers, count: int) -> Iterator[Any]:
-    """Yield the plain object of a parameter model for every scene; the same one where none of its numbers varies."""
+    """Yield a model's plain object for every scene; all scenes share one object if none of its numbers varies."""
     own = {name.removeprefix(f"{section}."): v for name, v in numbers.items() if name.startswith(f"{section}.")}
     columns = {name: values.tolist() for name, values in own.items() if isinstance(values, np.ndarray)}
     fields = {**vars(model), **{name: v for name, v in own.items() if name not in columns}}
@@ -124,7 +124,7 @@ def _models(section: str, model: Any, numbers: Numbers, count: int) -> Iterator[
 
 
 def loops_of(case: BatchCase, count: int) -> list[LoopSettings]:
-    """Return the loop between plant and controller of every scene."""
+    """Return each scene's loop settings: delay, encoder, torque limit, meter, signal effects and losses."""
     common, is_random = case.common, case.signals or case.losses.exists
     period = case.number("loop", "sample_time")
     values = {
@@ -152,11 +152,11 @@ def loops_of(case: BatchCase, count: int) -> list[LoopSettings]:
 
 
 def linear_plants(motion: event_plant.LinearMotion, *, listed: bool) -> LinearPlants:
-    """Return the plants of many scenes.
+    """Return the linear plants of many scenes as kernels take them.
 
     Args:
-        motion: Their motion.
-        listed: Whether Python runs the loops, on lists.
+        motion: Motion of the plants.
+        listed: Whether to use lists, for loops that Python runs, instead of arrays.
     """
     size = motion.starts.shape[1]
     found = np.ascontiguousarray(motion.flows[:, : size - 2]), motion.starts, np.zeros(size), np.zeros(size - 2)
@@ -164,7 +164,7 @@ def linear_plants(motion: event_plant.LinearMotion, *, listed: bool) -> LinearPl
 
 
 def why_not_continuous(case: BatchCase) -> str:
-    """Reason why continuous runs cannot be followed along with their loops; empty where they can."""
+    """Return "" if the continuous runs can be computed in step with the loops, else the reason why not."""
     if not isinstance(
         case.common.environment, SpringDamperWall | TwoSidedWall | DamperWall | ViscousMedium | FreeSpace
     ):
@@ -174,21 +174,21 @@ def why_not_continuous(case: BatchCase) -> str:
 
 
 class _Linear(NamedTuple):
-    """Many scenes: y' = F y in each mode, y = [states of the plant..., 1]."""
+    """Plant and continuous wall of many scenes: y' = F y in each mode, y = [states of the plant..., 1]."""
 
     rates: tuple[Array, ...]  # by mode, each of shape (n, k, k) [1/s]
     start: Array  # shape (n, k)
-    lower: Array  # solid below, -inf for none, shape (n,) [m or rad]
-    upper: Array  # solid above, inf for none
+    lower: Array  # surface of the wall below, -inf for none, shape (n,) [m or rad]
+    upper: Array  # surface of the wall above, inf for none
     stiffness: Array  # [N/m or N*m/rad]
     damping: Array  # [N*s/m or N*m*s/rad]
     everywhere: bool  # whether the damper acts in every mode
 
 
 class ContinuousModes(NamedTuple):
-    """The continuous environments of some scenes, y = [states of the plant..., 1] of length k."""
+    """Continuous environments of some scenes; the state is y = [states of the plant..., 1], of length k."""
 
-    settings: list[ReferenceSettings]  # of each scene
+    settings: list[ReferenceSettings]  # one for each scene
     flows: Array  # by mode: y after a step, shape (n, 3, k, k)
     rates: Array  # by mode: y' = F y, shape (n, 3, k, k) [1/s]
     starts: Array  # y at the first SYNC, shape (n, k)
@@ -200,13 +200,13 @@ class ContinuousModes(NamedTuple):
 
 
 class LoopJob(NamedTuple):
-    """Loops of one kind."""
+    """Loops that share one algorithm and one kind of plant."""
 
-    kernel: Kernel  # of the algorithm
-    rows: Sequence[SceneRow]  # of the scenes
-    modes: ContinuousModes  # of the continuous environments
-    cycles: int  # SYNCs
-    instead: Mapping[object, object]  # replacements of functions of the loop
+    kernel: Kernel  # algorithm
+    rows: Sequence[SceneRow]  # one for each scene
+    modes: ContinuousModes  # continuous environments to compare with
+    cycles: int  # SYNCs of a run
+    instead: Mapping[object, object]  # function of the loop -> its replacement
 
 
 def no_modes(count: int) -> ContinuousModes:
@@ -221,10 +221,10 @@ def continuous_modes(
     """Return the continuous environments of some scenes.
 
     Args:
-        case: These scenes; `why_not_continuous` is "".
+        case: The scenes; `why_not_continuous` must be "".
         count: Number of scenes.
         cycles: SYNCs of the whole run.
-        with_force: Whether the force is needed: read as often as `reference.continuous_reference` reads it.
+        with_force: Whether the force is needed; it is sampled as often as in `continuous.continuous_reference`.
         with_travel: Whether the travel is needed.
     """
     linear = _linear(case, count)
@@ -250,7 +250,7 @@ def continuous_modes(
 
 
 def _flows(rates: Array, step: Array) -> Array:
-    """State y after a step of y' = F y in many scenes, shape (n, k, k); computed once for equal scenes."""
+    """Return the transition matrices exp(F h) of many scenes, shape (n, k, k); equal scenes are computed once."""
     which: Any = slice(None)
     if (rates == rates[0]).all():
         step, which = np.unique(step, return_inverse=True)
@@ -301,12 +301,12 @@ def _fastest(linear: _Linear) -> Array:
 
 
 def why_not_batchable(scene: Scene) -> str:
-    """Return "" when the whole loop of a scene can run in a batch, else the reason by name.
+    """Return "" if the whole loop of a scene can run in a batch, else the reason, which names the part.
 
-    For example "effect coulomb_friction has events", "scene has 2 axes, expected one".
+    For example "algorithm X is own code" or "scene has 2 axes, expected one".
 
     Args:
-        scene: Validated; only its types matter, not its values.
+        scene: Valid scene; the result depends on the types in it, not on its numbers.
     """
     reason = why_not_beforehand(scene)
     if reason:
@@ -321,7 +321,7 @@ def why_not_batchable(scene: Scene) -> str:
 
 
 def why_not_compiled(case: LoopCase) -> str:
-    """Return "" when a loop can be compiled together with its plant, else the reason by name."""
+    """Return "" if a loop can be compiled together with its plant, else the reason, which names the part."""
     if case.simulation is None:
         return "the plant does not come from a scene"
     reason = _why_not_moved(case.simulation, case.algorithm, case.own)
@@ -333,14 +333,14 @@ def why_not_compiled(case: LoopCase) -> str:
 
 
 def why_not_compared(scene: Scene, metrics: Sequence[str]) -> str:
-    """Reason why a batch lacks the quantities for comparing a scene; empty where it has them."""
+    """Return "" if a batch can compute some metrics of a scene, else the reason why not."""
     if set(metrics).isdisjoint(CONTINUOUS) or event_plant.is_linear(simulation_of(scene.axes[0])):
         return ""
     return "a plant with events has its continuous run by itself"
 
 
 def why_not_beforehand(scene: Scene) -> str:
-    """Return the part of `why_not_batchable` that does not depend on the algorithm."""
+    """Return the reasons of `why_not_batchable` that can be found without building a controller."""
     if scene.groups:
         return f"group {scene.groups[0].name!r} renders on {len(scene.groups[0].axes)} axes together"
     if len(scene.axes) != 1:
@@ -364,11 +364,11 @@ def _why_not_moved(simulation: AxisSimulation, algorithm: str, own: type[Any] | 
 
 
 def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:
-    """Return the loop of a scene of one axis with the numbers that vary between scenes.
+    """Return the batch of a scene of one axis with varied keys.
 
     Args:
-        scene: Common part of the scenes, the delay included.
-        varied: Key of `BATCH_KEYS` but `loop.delay` -> value of each scene.
+        scene: Common part of the scenes, with their common delay.
+        varied: Key of `BATCH_KEYS`, except `loop.delay` -> value of each scene.
     """
     axis = scene.axes[0]
     passivity, numbers = axis.passivity.parameters, dict[str, Array | float]()
@@ -384,7 +384,7 @@ def batch_case(scene: Scene, varied: Mapping[str, Array]) -> BatchCase:
 
 
 def losses_of(scene: Scene) -> Losses:
-    """Frames that the bus of a scene loses; none where it selects them by COB-ID, time or bus."""
+    """Return the frame losses of a scene's bus; none if they are limited to some COB-IDs, times or buses."""
     effects = scene.bus_effects
     if effects is None or not effects.drop or effects.ids or effects.during or effects.buses:
         return Losses()
@@ -396,7 +396,7 @@ def losses_of(scene: Scene) -> Losses:
 
 
 def not_in_loop(scene: Scene, *, is_batched: bool) -> str:
-    """Bus effects that a loop without a bus leaves out, in words; "" for none."""
+    """Return a note that names the bus effects which a loop without a bus omits; "" for none."""
     if scene.bus_effects is None:
         return ""
     passed = ("drop",) if is_batched and losses_of(scene).exists else ()
@@ -405,12 +405,12 @@ def not_in_loop(scene: Scene, *, is_batched: bool) -> str:
 
 
 def many_loops(case: LoopCase, numbers: Numbers, varied: Mapping[str, Array]) -> BatchCase:
-    """Return a loop with the numbers that vary between scenes.
+    """Return the batch of a loop with varied numbers.
 
     Args:
-        case: Common part of the loops; `why_not_compiled` is "".
-        numbers: Varied numbers by the names of `BatchCase.numbers`.
-        varied: Keys of `BATCH_KEYS` under `simulation.` and `bus.rate` -> value of each scene.
+        case: Common part of the loops; `why_not_compiled` must be "".
+        numbers: Varied numbers, with the names of `BatchCase.numbers`.
+        varied: Key of `BATCH_KEYS` under `simulation.`, or `bus.rate` -> value of each scene.
     """
     simulation, period = cast(AxisSimulation, case.simulation), float(case.sample_time_ns)
     found: dict[str, Array | float] = {"seed": float(simulation.seed)}
@@ -429,7 +429,7 @@ def many_loops(case: LoopCase, numbers: Numbers, varied: Mapping[str, Array]) ->
 
 
 def _device_damping(case: LoopCase, simulation: AxisSimulation, varied: Mapping[str, Array]) -> Array | float:
-    """Device damping that the meter counts as certain, as `loop_case` does."""
+    """Return the certain damping of the device, by the rule of `loop_case` [N*s/m or N*m*s/rad]."""
     if "passivity.device_damping" in varied:
         return varied["passivity.device_damping"]
     if "simulation.plant.damping" in varied and case.loop.device_damping is None:
@@ -449,8 +449,8 @@ def check_values(scene: Scene, varied: Mapping[str, Array]) -> int:
     """Check the scenes with the least and the largest value of each key; return the number of scenes.
 
     Raises:
-        ParameterError: A key that cannot vary, values of different lengths, not finite or out of range, or an algorithm
-            that cannot do without one.
+        ParameterError: A key cannot vary, values differ in number, are not finite or out of range, or the algorithm
+            needs a value that the scene does not give.
     """
     lengths = {key: np.shape(values) for key, values in varied.items()}
     if len(set(lengths.values())) > 1 or any(len(shape) != 1 or shape[0] == 0 for shape in lengths.values()):

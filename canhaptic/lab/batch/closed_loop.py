@@ -1,14 +1,14 @@
-"""One plant and one controller in one loop, from SYNC to SYNC: a kernel, and its parts shared with other loops.
+"""Kernel of the loop of one axis: plant, encoder, controller, delay and torque limit, from SYNC to SYNC.
 
-The order and the rounding are as in `direct_rig.DirectRig`. A linear plant moves by the exact flow of one hold, its
-rows summed term by term; for one with events `plants.EventPlant` takes its place, and for any other the plant itself.
+`run_loop` calls small functions that other loops share or replace. A linear plant moves by its exact transition matrix
+over one hold, each row summed term by term. `plants.EventPlant` replaces it for plants with events,
+`scalar.ObjectPlant` for all others.
 
-The continuous environment of one loop, from SYNC to SYNC: a kernel.
-
-Plant, hand and a continuous wall are linear in each of at most three modes: outside, in the lower wall, in the upper
-wall. A step is exp(F h) of the mode, h short against the fastest motion of the scene. Where a step crosses a surface or
-turns round, and only there, it is done again from its Taylor series in pieces that move one way, so that no graze is
-missed: the end of a piece is bracketed and found by a few safeguarded Newton steps. Nothing is kept but the state.
+`follow` computes the continuous environment that the loop is compared with. Plant, hand and a continuous wall are
+linear in each of at most three modes: outside, in the lower wall, in the upper wall. A step multiplies the state by
+exp(F h) of its mode, with h short against the fastest motion. A step that crosses a surface or reverses near one is
+repeated from its Taylor series in monotonic pieces, so that no graze is missed: the end of a piece is bracketed and
+found by a few safeguarded Newton steps.
 """
 
 from collections.abc import Sequence
@@ -25,23 +25,23 @@ from canhaptic.sim.plant.effects.encoder_noise import noise, uniform
 from canhaptic.sim.plant.propagator import TICKS
 
 OUTSIDE, LOWER, UPPER = 0, 1, 2
-TERMS: Final = 14  # of the series: 0.5^14 / 14! is below 1e-15
+TERMS: Final = 14  # of the Taylor series: 0.5^14 / 14! is below 1e-15
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceSettings:
-    """A continuous environment."""
+    """Constants of a continuous environment."""
 
-    exists: bool = False  # whether the loop has one that can be followed
-    lower: float = -inf  # solid below [m or rad]
-    upper: float = inf  # solid above [m or rad]
+    exists: bool = False  # whether the loop has a continuous environment to compare with
+    lower: float = -inf  # surface of the wall below [m or rad]
+    upper: float = inf  # surface of the wall above [m or rad]
     stiffness: float = 0.0  # [N/m or N*m/rad]
     damping: float = 0.0  # [N*s/m or N*m*s/rad]
     everywhere: bool = False  # whether the damper acts in every mode
-    with_force: bool = False  # whether the force is asked for
-    with_travel: bool = False  # whether it is asked how far it goes
-    readings: int = 1  # of the force in a hold
-    steps: int = 1  # between two readings
+    with_force: bool = False  # whether the force is needed
+    with_travel: bool = False  # whether the travel is needed
+    readings: int = 1  # samples of the force in a hold
+    steps: int = 1  # steps between two samples
     step: float = 0.0  # [s]
     last_from: int = 0  # SYNC with which the last part of the run begins
 
@@ -52,8 +52,8 @@ class ReferenceState:
 
     mode: int = OUTSIDE
     cycle: int = 0
-    torque: float = 0.0  # at the last reading [N or N*m]
-    variation: float = 0.0  # of the torque [N or N*m]
+    torque: float = 0.0  # at the last sample [N or N*m]
+    variation: float = 0.0  # total variation of the torque [N or N*m]
     highest: float = -inf  # position at any SYNC [m or rad]
     lowest: float = inf
     last_highest: float = -inf  # the same in the last part
@@ -79,7 +79,7 @@ def follow(settings: ReferenceSettings, reference: ReferenceState, memory: Refer
 
 
 def begin_reference(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
-    """Take the first SYNC, with the start in `memory.state`."""
+    """Initialise a continuous run from the state in `memory.state`, at the first SYNC."""
     position = memory.state[0]
     reference.mode = LOWER if position < settings.lower else UPPER if position > settings.upper else OUTSIDE
     reference.highest = reference.lowest = position
@@ -88,7 +88,7 @@ def begin_reference(settings: ReferenceSettings, reference: ReferenceState, memo
 
 
 def follow_hold(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> float:
-    """Move by one hold; return the mean torque in it, by the trapezoids between readings [N or N*m]."""
+    """Advance by one hold; return the mean torque in it, by the trapezoidal rule over its samples [N or N*m]."""
     mean = 0.0
     for _ in range(settings.readings):
         for _ in range(settings.steps):
@@ -122,7 +122,7 @@ def force(settings: ReferenceSettings, memory: ReferenceMemory) -> float:
 
 
 def move_step(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
-    """Move by one step, repeated in pieces where it may contain an event."""
+    """Advance by one step; repeat it in pieces where it may contain an event."""
     state, moved, mode = memory.state, memory.moved, reference.mode
     size, flow = len(state), memory.flows[mode]
     for row in range(size - 1):
@@ -135,7 +135,7 @@ def move_step(settings: ReferenceSettings, reference: ReferenceState, memory: Re
     if crossed or state[1] * moved[1] < 0.0:
         reach = (abs(state[1]) + abs(moved[1])) * settings.step
         nearest = min(abs(state[0] - settings.lower), abs(state[0] - settings.upper))
-        if nearest <= reach:  # what turns round elsewhere meets no event
+        if nearest <= reach:  # a reversal farther away meets no event
             move_in_pieces(settings, reference, memory)
             return
     for row in range(size - 1):
@@ -143,7 +143,7 @@ def move_step(settings: ReferenceSettings, reference: ReferenceState, memory: Re
 
 
 def move_in_pieces(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
-    """Move by one step, piece by piece: each ends at a surface, at a turning point, or at the end."""
+    """Advance by one step in monotonic pieces; each ends at a surface, at a reversal, or with the step."""
     state, series, left = memory.state, memory.series, settings.step
     for _ in range(64):  # pieces at most
         expand(memory, reference.mode)
@@ -168,21 +168,21 @@ def move_in_pieces(settings: ReferenceSettings, reference: ReferenceState, memor
 
 
 def surface_ahead(settings: ReferenceSettings, mode: int, way: float) -> float:
-    """Surface that a motion along `way` meets next [m or rad]; infinite where there is none."""
+    """Return the next surface in the direction of the sign of `way` [m or rad]; infinite if there is none."""
     if way > 0.0:
         return settings.lower if mode == LOWER else settings.upper if mode == OUTSIDE else inf
     return settings.upper if mode == UPPER else settings.lower if mode == OUTSIDE else -inf
 
 
 def mode_beyond(settings: ReferenceSettings, mode: int, is_up: bool) -> int:
-    """Return the mode on the other side of a surface."""
+    """Return the mode behind the surface that a motion up or down leaves this mode through."""
     if mode == OUTSIDE:
         return UPPER if is_up else LOWER
     return LOWER + UPPER - mode if settings.lower == settings.upper else OUTSIDE
 
 
 def expand(memory: ReferenceMemory, mode: int) -> None:
-    """Write the Taylor coefficients of the state in a mode."""
+    """Write the Taylor coefficients of the motion in a mode, from the present state."""
     series, rates, size = memory.series, memory.rates[mode], len(memory.state)
     for row in range(size):
         series[0][row] = memory.state[row]
@@ -195,7 +195,7 @@ def expand(memory: ReferenceMemory, mode: int) -> None:
 
 
 def value_at(series: Matrix, row: int, at: float) -> float:
-    """Return a polynomial at a time [s]."""
+    """Return the value of a row's polynomial at a time [s]."""
     total = series[TERMS - 1][row]
     for order in range(TERMS - 2, -1, -1):
         total = total * at + series[order][row]
@@ -203,14 +203,14 @@ def value_at(series: Matrix, row: int, at: float) -> float:
 
 
 def root(series: Matrix, row: int, constant: float, until: float, end: float) -> float:
-    """Root before `until` [s] of a monotonic polynomial.
+    """Return the root of a monotonic polynomial between 0 and `until` [s].
 
     Args:
-        series: Coefficients; the first is not used.
+        series: Coefficients; the constant one is replaced by `constant`.
         row: Row of the polynomial.
-        constant: First coefficient; 0 or of the sign opposite to `end`.
+        constant: Constant coefficient; 0, or opposite in sign to `end`.
         until: End of the bracket [s].
-        end: Value of the polynomial there.
+        end: Value of the polynomial at `until`.
     """
     low, high = 0.0, until
     at = until * constant / (constant - end)
@@ -241,8 +241,8 @@ class Winding:
     heat: float = 0.0  # final temperature above ambient over torque squared
     ambient: float = 0.0  # [K]
     hot: float = 1.0  # [K]
-    span: float = 1.0  # from warm to hot [K]
-    share: float = 0.0  # of the way to the final temperature in one hold
+    span: float = 1.0  # temperature from warm to hot [K]
+    share: float = 0.0  # part of the remaining temperature rise that one hold covers
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,35 +252,35 @@ class Signals:
     noise: float = 0.0  # standard deviation of a reading [m or rad]
     seed: int = 0  # of the noise
     encoder_step: float = 0.0  # of readings; 0: none [m or rad]
-    on_torque: bool = False  # whether any of what follows is there
-    saturation: float = inf  # of the torque [N or N*m]
-    saturates_last: bool = False  # behind the winding
-    torque_step: float = 0.0  # 0: none [N or N*m]
+    on_torque: bool = False  # whether any of the following effects exists
+    saturation: float = inf  # largest torque [N or N*m]
+    saturates_last: bool = False  # whether the saturation acts after the winding's limit
+    torque_step: float = 0.0  # quantisation of the torque; 0: none [N or N*m]
     winding: Winding = field(default_factory=Winding)
 
 
 @dataclass(frozen=True, slots=True)
 class Losses:
-    """Frames that a bus loses, singly or in runs (two states, good and lossy, for each direction)."""
+    """Frame losses of a bus, single or in bursts: a two-state model (good, lossy) for each direction."""
 
     exists: bool = False
-    after_heard: float = 0.0  # share that is lost behind a received frame
-    after_lost: float = 0.0  # behind one that was lost
-    to_drive: bool = False  # SYNCs and torques
-    to_master: bool = False  # positions
-    seed: int = 0
+    after_heard: float = 0.0  # probability of a loss after a received frame
+    after_lost: float = 0.0  # probability of a loss after a lost frame
+    to_drive: bool = False  # whether SYNCs and torques are lost
+    to_master: bool = False  # whether positions are lost
+    seed: int = 0  # of the random numbers
 
 
 @dataclass(frozen=True, slots=True)
 class LoopSettings:
     """Properties of the loop between plant and controller."""
 
-    delay: int = 0  # whole holds between computing a torque and its hold, 0 or 1
-    counts_per_unit: float = 0.0  # of the encoder; 0: ideal
+    delay: int = 0  # whole holds between the computation of a torque and its hold, 0 or 1
+    counts_per_unit: float = 0.0  # resolution of the encoder; 0: ideal
     torque_quantum: float = 0.0  # step of the command; 0: ideal [N or N*m]
-    torque_limit: float = inf  # of the drive [N or N*m]
-    lowest: float = -inf  # position from which on it counts as divergence [m or rad]
-    highest: float = inf
+    torque_limit: float = inf  # largest torque of the drive [N or N*m]
+    lowest: float = -inf  # positions at or below it count as divergence [m or rad]
+    highest: float = inf  # positions at or above it count as divergence
     meter: MeterSettings = field(default_factory=MeterSettings)
     signals: Signals = field(default_factory=Signals)
     losses: Losses = field(default_factory=Losses)
@@ -291,17 +291,17 @@ class CycleState:
     """State of a loop, apart from its plant."""
 
     cycle: int = 0  # last SYNC to which the plant was moved
-    held: float = 0.0  # since the SYNC before [N or N*m]
-    waiting: float = 0.0  # one sample late
-    acting: float = 0.0  # what of `held` reaches the motor
-    interaction: float = 0.0  # true energy that came in [J]
-    temperature: float = 0.0  # of the winding [K]
-    command: float = 0.0  # last of the controller [N or N*m]
-    is_synced: bool = True  # whether the drive received the last SYNC,
-    is_heard: bool = True  # the master its position,
-    is_sent: bool = True  # and the drive the command after it
-    lost_to_drive: bool = False  # last frame in that direction
-    lost_to_master: bool = False
+    held: float = 0.0  # torque held since the previous SYNC [N or N*m]
+    waiting: float = 0.0  # torque that is held from the next SYNC on, where commands are one sample late
+    acting: float = 0.0  # part of `held` that reaches the motor
+    interaction: float = 0.0  # true energy received [J]
+    temperature: float = 0.0  # winding [K]
+    command: float = 0.0  # last command of the controller [N or N*m]
+    is_synced: bool = True  # whether the drive received the last SYNC
+    is_heard: bool = True  # whether the master received its position
+    is_sent: bool = True  # whether the drive received the command that followed
+    lost_to_drive: bool = False  # whether the last frame to the drive was lost
+    lost_to_master: bool = False  # whether the last frame to the master was lost
 
 
 AxisRun: TypeAlias = Run[Any, Any, Any]
@@ -309,19 +309,19 @@ AxisRun: TypeAlias = Run[Any, Any, Any]
 
 
 class LinearPlant(NamedTuple):
-    """A plant that moves by one flow."""
+    """A linear plant, which moves by one transition matrix."""
 
-    flow: Sequence[Sequence[float]]  # over one hold, shape (states, states + 2)
+    flow: Sequence[Sequence[float]]  # transition matrix over one hold, shape (states, states + 2)
     state: Buffer  # [states..., torque, 1]; the first state is the position [m or rad]
     moved: Buffer  # buffer for the states, shape (states,)
 
 
 class LinearPlants(NamedTuple):
-    """The plants of many loops, each of which moves by its own flow."""
+    """Linear plants of many loops; the loops run in turn and share the buffers."""
 
-    flows: Any  # shape (n, states, states + 2), n = 1 where all have the same
-    starts: Any  # shape (n, states + 2)
-    state: Buffer
+    flows: Any  # transition matrices, shape (n, states, states + 2), n = 1 where all are equal
+    starts: Any  # initial states, shape (n, states + 2)
+    state: Buffer  # as in `LinearPlant`
     moved: Buffer
 
 
@@ -354,7 +354,7 @@ def read(signals: Signals, cycle: int, position: float) -> float:
 
 
 def encoder(plant: LinearPlant, signals: Signals, cycle: int, position: float) -> float:
-    """Return what the encoder of a plant reads of its position [m or rad]."""
+    """Return the encoder reading of a position [m or rad]."""
     return read(signals, cycle, position)
 
 
@@ -373,7 +373,7 @@ class ActingTorque(NamedTuple):
 
 
 def acting(signals: Signals, temperature: float, torque: float) -> ActingTorque:
-    """Torque that the motor gives for a command [N or N*m] at a temperature of its winding [K]."""
+    """Return the motor's torque for a command [N or N*m] at a winding temperature [K], and the new temperature."""
     winding = signals.winding
     if not signals.saturates_last:
         torque = min(max(torque, -signals.saturation), signals.saturation)
@@ -389,7 +389,7 @@ def acting(signals: Signals, temperature: float, torque: float) -> ActingTorque:
 
 
 def pass_frames(losses: Losses, place: CycleState, cycle: int) -> None:
-    """Lose or pass the frames of a SYNC."""
+    """Draw which frames of a SYNC are lost, and record it in `place`."""
     if losses.to_drive:
         place.lost_to_drive = is_lost(losses, place.lost_to_drive, cycle * TICKS + 1)
         place.is_synced = not place.lost_to_drive
@@ -408,7 +408,7 @@ def is_lost(losses: Losses, was_lost: bool, tick: int) -> bool:
 
 
 def step(environment: Environment, run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
-    """Kernel of an algorithm; the caller of `run_loop` supplies it."""
+    """Placeholder of an algorithm's step; the caller of `run_loop` binds one."""
     raise NotImplementedError
 
 
@@ -433,7 +433,7 @@ def run_loop(
         meter: Accumulates the figures.
         plant: Plant in the form of `move_plant`, at its start.
         place: State of the run, at its beginning.
-        continuous: Environment that the loop is compared with, if there is one.
+        continuous: Continuous environment that the loop is compared with, if it exists.
         reference: Continuous run, before it begins.
         reference_memory: Memory of the continuous run, at the start.
         cycles: SYNCs.
@@ -477,7 +477,7 @@ def answer(
     environment: Environment, run: AxisRun, loop: LoopSettings, meter: Meter, plant: LinearPlant, place: CycleState,
     true_position: float, cycle: int,
 ) -> bool:  # fmt: skip
-    """Let the controller answer a SYNC; return False if its input or output is not finite."""
+    """Read the encoder, step the controller and take the figures; return False if a number is not finite."""
     held = place.held
     position = encoder(plant, loop.signals, cycle, true_position)
     position = measured(loop, position) if isfinite(position) else position
@@ -492,7 +492,7 @@ def answer(
 
 
 def hand_over(loop: LoopSettings, place: CycleState) -> None:
-    """Send the command to the drive for the next free hold."""
+    """Pass the command to the drive, for this hold or, one sample late, for the next."""
     if loop.delay and place.is_synced:
         place.held = place.waiting
     if not place.is_sent:
@@ -515,5 +515,5 @@ def move_plant(plant: LinearPlant, torque: float, cycle: int) -> bool:
 
 
 def work_in(plant: LinearPlant, interaction: float, torque: float, travel: float) -> float:
-    """Energy that has come in [J], after a hold of constant torque [N or N*m] over a displacement [m or rad]."""
+    """Return the energy received so far [J], after a hold of constant torque over a displacement."""
     return interaction - torque * travel

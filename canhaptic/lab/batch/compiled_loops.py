@@ -1,9 +1,8 @@
-"""Loops of a batch compiled by numba, the controller, the plant and the figures in one; needs the extra `fast`.
+"""Loops of axes and groups compiled by numba, each with its controller, plant and figures; needs the extra `fast`.
 
-The loop of a group compiled by numba, its motors and its controller in one; needs the extra `fast`.
-
-For studies that need rows and not sums, each SYNC is written into a row. A linear plant moves by sums in another order
-than in `Plant`, so that numbers differ from those of `scalar.render` by rounding; where the last bit counts, take that.
+For studies that need every SYNC, a replacement of the meter writes rows (`compiled_rows`, `compiled_group_rows`). A
+compiled linear plant adds its products in another order than `Plant`, so that its rows differ from those of
+`scalar.render` by rounding; use `render` where the last bit matters.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,31 +38,31 @@ _GAMMA: Final = np.uint64(0x9E3779B97F4A7C15)  # as in `encoder_noise`
 _WHOLE: Final = 2.0**64
 
 WIDTH = 0
-"""Numbers of an environment; bound anew for each kind of loop."""
+"""Number of parameters of an environment; bound anew for each kind of loop."""
 
 
 def new_environment(*_numbers: float) -> Environment:
-    """Placeholder of the NamedTuple of an environment."""
+    """Placeholder: makes the NamedTuple of an environment."""
     raise NotImplementedError
 
 
 def own_step(environment: Environment, run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
-    """Placeholder of the kernel of an algorithm."""
+    """Placeholder: the step of an algorithm."""
     raise NotImplementedError
 
 
 def step_with(environment: Any, run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
-    """Replace `step`: the NamedTuple of an environment belongs to this process, its numbers are valid in any."""
+    """Replace `step`: pass the environment as plain numbers; its NamedTuple type exists in this process only."""
     return step_of_numbers(environment[0:], run, position, torque_applied)
 
 
 def step_of_numbers(numbers: tuple[float, ...], run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
-    """Take a step of the algorithm in an environment given by numbers; this part of a controller is stored on disk."""
+    """Step the algorithm in an environment given by its numbers; the machine code is stored on disk."""
     return own_step(new_environment(*numbers), run, position, torque_applied)
 
 
 def follow_nothing(*_unused: object) -> float:
-    """Replace `follow` where no scene is compared with a continuous run: this saves a third of the code to optimise."""
+    """Replace `follow` where no scene has a continuous run: a third less code to optimise."""
     return 0.0
 
 
@@ -73,7 +72,7 @@ def run_loops(
     references: Records, mode_flows: Array, mode_rates: Array, mode_starts: Array, state: Buffer,
     moved_state: Buffer, series: Matrix, first: int, cycles: int,
 ) -> int:  # fmt: skip
-    """Run one loop after the other from the `first`, see `run_loop`; return the number of the one that stopped."""
+    """Run the loops from index `first` on; return the index of a loop whose plant failed, else their number."""
     for i in range(first, len(table)):
         environment = new_environment(*fixed_tuple(table[i], WIDTH))
         zeros[:] = 0.0
@@ -109,7 +108,7 @@ def compiled_loops(kind: Any, kernel: Kernel, replaced: tuple[tuple[object, obje
 
 
 class CompiledLoops:
-    """One loop after the other, compiled; see `InterpretedLoops`.
+    """Runs loops one after the other, compiled; same interface as `InterpretedLoops`.
 
     Raises:
         NotBatchableError: numba cannot compile the environment.
@@ -181,12 +180,12 @@ def _mixed(value: np.uint64) -> np.uint64:
 
 
 def _of(values: Array, some: Numbers) -> Array:
-    """Part of some scenes; all of it where they share it."""
+    """Return the rows of some scenes; the only row where all scenes share it."""
     return values if len(values) == 1 else values[some]
 
 
 def _alike(kernel: Kernel, rows: Sequence[cases.SceneRow]) -> list[Numbers]:
-    """Return the numbers of the rows whose buffers have the same lengths, together."""
+    """Return the indices of the rows, grouped by equal lengths of the algorithm's buffers."""
     lengths: dict[int, tuple[int, ...]] = {}
     found: dict[tuple[int, ...], list[int]] = {}
     for i, row in enumerate(rows):
@@ -208,7 +207,7 @@ def _lengths(kernel: Kernel, settings: object) -> tuple[int, ...]:
 
 
 def _memory(kernel: Kernel, settings: object) -> tuple[object, Array]:
-    """Return the buffers of an algorithm, and the one array that holds them all."""
+    """Return an algorithm's buffers, and the single array of which they are views."""
     whole, used = np.zeros(sum(_lengths(kernel, settings))), 0
 
     def make_buffer(length: int) -> Array:
@@ -220,10 +219,10 @@ def _memory(kernel: Kernel, settings: object) -> tuple[object, Array]:
 
 
 def compiled_world(world: GroupModel) -> tuple[Any, Records]:
-    """A group model for compiled kernels, and its tables.
+    """Return a group model without its tables, and the tables as a record, for compiled kernels.
 
     Raises:
-        ParameterError: A part of it is given as functions in Python.
+        ParameterError: A part of the model is given as functions in Python.
     """
     if reason := why_not_world(world):
         raise ParameterError(
@@ -237,7 +236,7 @@ def run_records(
     world: GroupModel, tables: Records, settings: Records, states: Records, memories: Records, rig: Records,
     motors: Any, room: Records, followed: Records, meters: Records, rows: Any, cycles: int,
 ) -> None:  # fmt: skip
-    """Call `run_group` with records, of shape (1,) but for the motors."""
+    """Call `run_group` on records; each has shape (1,), except the motors."""
     whole = GroupModel(world.mechanism, world.geometry, world.mover, tables[0], world.functions)
     run_group(
         whole, settings[0], states[0], memories[0], rig[0], motors, room[0], followed[0], meters[0], rows, cycles
@@ -246,19 +245,19 @@ def run_records(
 
 @lru_cache(maxsize=16)
 def _compiled_loop(kernel: GroupKernel, parts: tuple[type, ...], replaced: tuple[tuple[object, object], ...]) -> Any:
-    """Return `run_records` compiled once in a process for each size of group."""
+    """Return `run_records` for an algorithm; numba compiles it once for each size of group."""
     instead = {step_group: kernel.step, noise: compiled_noise, uniform: compiled_uniform, **dict(replaced)}
     return compiled(run_records, instead, keep=True, parts=parts, units=(kernel.step, stepper.run))
 
 
 def run_compiled(case: GroupCase, cycles: int, rows: Array, instead: Mapping[object, object]) -> GroupMeter:
-    """Sums of a loop after its cycles, or when it diverged.
+    """Run the compiled loop of a group; return its sums at the end, or when it diverged.
 
     Args:
         case: Case that can be compiled.
         cycles: SYNCs.
-        rows: Rows for the replacement of `take_group`, shape (cycles, columns).
-        instead: Functions of the loop, each with its replacement.
+        rows: Rows that a replacement of `take_group` fills, shape (cycles, columns).
+        instead: Function of the loop -> its replacement.
     """
     world = case.world
     bare, tables = compiled_world(world)
@@ -285,7 +284,7 @@ def _fill(into: object, record: Any) -> None:
 
 
 def write(row: Buffer, at: int, balance: EnergyBalance) -> None:
-    """Write a balance into a row."""
+    """Write a balance into a row from index `at` on."""
     row[at], row[at + 1], row[at + 2], row[at + 3] = balance.torque, balance.h_i, balance.h_pas, balance.h_m
     row[at + 4], row[at + 5], row[at + 6], row[at + 7] = balance.h_r, balance.h_s, balance.h_dis, balance.gen
     row[at + 8], row[at + 9], row[at + 10] = balance.deficit, balance.leak, balance.paid
@@ -318,16 +317,16 @@ def nothing(*_unused: object) -> None:
 
 
 def compiled_group_rows(case: GroupCase, cycles: int) -> Array:
-    """Rows of all SYNCs of a group up to the end of its loop; see `LoopRun.rows`."""
+    """Return the rows of all SYNCs of a group until its loop ends; see `LoopRun.rows`."""
     rows = np.empty((cycles, 1 + 3 * len(case.rig.loops) + len(EnergyBalance._fields)))
     return rows[: int(run_compiled(case, cycles, rows, {take_group: keep_group}).figures.cycles)]
 
 
 def compiled_rows(case: LoopCase, cycles: int, reach: Reach) -> Array:
-    """Rows of all SYNCs of one axis up to the end of its loop; see `LoopRun.rows`.
+    """Return the rows of all SYNCs of one axis until its loop ends; see `LoopRun.rows`.
 
     Args:
-        case: Case for which `cases.why_not_compiled` is "".
+        case: Case to run; `cases.why_not_compiled` must be "".
         cycles: SYNCs.
         reach: Positions that do not count as divergence.
 

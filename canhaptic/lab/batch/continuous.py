@@ -1,7 +1,7 @@
-"""The continuous environment at every SYNC and in between: the reference for every sampled algorithm.
+"""Motion and force in the continuous environment, at every SYNC and in between: the reference for sampled algorithms.
 
-A wall, damper or free space on a linear plant has its flow in closed form, as in a batch (`closed_loop.follow_hold`);
-any other is integrated by DOP853 on the textbook plant (`canhaptic.lab.reference`).
+A wall, damper or free space on a linear plant is solved in closed form between events (`closed_loop.follow_hold`); any
+other environment or plant is integrated by DOP853 on the textbook plant (`canhaptic.lab.reference`).
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ def continuous_reference(
     sample_time_ns: int,
     cycles: int,
 ) -> ContinuousReference:
-    """Motion and force that the user would feel from the continuous environment.
+    """Return the motion and force that the user would feel from the continuous environment.
 
     Args:
         environment: Environment to render without sampling.
@@ -69,7 +69,7 @@ def continuous_reference(
 def _in_closed_form(
     environment: Environment, simulation: AxisSimulation, step: float, count: int
 ) -> tuple[Array, Array] | None:
-    """Positions and velocities at every `step` [s]; None where the flow is not known in closed form."""
+    """Return positions and velocities at every `step` [s]; None where the motion has no closed form."""
     if (simulation.user is not None and not simulation.user.has_equations) or not is_linear(simulation):
         return None
     step_ns = round(step * 1e9)

@@ -8,15 +8,15 @@ from canhaptic.errors import ParameterError
 from canhaptic.extras import install_hint
 
 Engine = Literal["auto", "numba", "python"]
-"""As requested."""
+"""Engine as a user requests it."""
 ChosenEngine = Literal["numba", "python"]
 
 WORTH_COMPILING: Final = 1e6
-"""Scenes times cycles from which compiling pays: Python takes 5 us for each (`unprotected`) to 60 us (`guarded`, a stop
-and friction), and compiling 4 to 14 s once for a kind of scene; compiled code takes 0.5 us at most."""
+"""Scenes times cycles from which compiling pays. Python takes 5 us (`unprotected`) to 60 us (`guarded`, a stop and
+friction) a cycle, compiled code at most 0.5 us; compiling takes 4 to 14 s, once for a kind of scene."""
 
 WORTH_COMPILING_GROUPS: Final = 3e5
-"""The same for groups, for each of which Python takes some 150 us, compiling 20 s once."""
+"""The same for groups: Python takes some 150 us a cycle, and compiling 20 s."""
 _FOREIGN: Final = ".numba_config.yaml"
 
 
@@ -25,10 +25,11 @@ def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
 
     Args:
         engine: Requested engine.
-        pays: Whether compiling takes less time than it saves.
+        pays: Whether compiling saves more time than it takes.
 
     Raises:
-        ParameterError: An unknown name, numba is requested and not installed, or the current folder would steer it.
+        ParameterError: The name is unknown, numba is requested but not installed, or the current folder has a file
+            with settings of numba.
     """
     if engine not in ("auto", "numba", "python"):
         raise ParameterError(f"engine: got {engine!r}, expected auto, numba or python")

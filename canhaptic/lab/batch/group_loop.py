@@ -1,25 +1,18 @@
-"""One group of a scene in a loop without a bus: motors, the controller of the group, and a record of every SYNC.
+"""Kernel of the loop of a group without a bus: motors, encoders, the group's controller, delay and torque limits.
 
-Order and rounding are as in `DirectRig`: the true positions, the encoders' counts, the step, the torque that the
-drives apply for the command.
+`run_group` is for several motors what `closed_loop.run_loop` is for one axis. Linear motors move by one transition
+matrix; the other kinds replace `move_motors`:
 
-Motors and the controller of a group in one loop, from SYNC to SYNC: a kernel, as `closed_loop` is for one axis.
+* `EventMotors`: plants with events, current loops or forces over substeps. Separate axes have one `EventPlant` each, a
+  stage is one plant of several motors. Every mode that a plant can enter is computed before the loop starts. If one
+  plant needs booked work or substeps, all use them, because one loop moves them all.
+* `FiveBarMotors`: a five-bar.
+* `Motors`: plants as objects, in Python only.
 
-Plants that move by one flow are in the loop; others replace `move_motors`. The network's request at the true positions,
-without sampling errors, is followed along with the controller: the held torques are split into shares of
-spring and damper by it.
+With `GroupRig.explains` the loop also computes the network's request at the true positions, without sampling errors.
+It splits the held torques into the rendered shares of spring and damper.
 
-Motors of a group whose plants have events, current loops or forces over substeps, in the loop of the group.
-
-Separate plants side by side are one `EventPlant` each; a stage is one plant of several motors. All modes that a
-plant can enter are compiled beforehand, so that the loop is never interrupted. All plants use the features of the
-stepper that any of them needs, booked work or substeps: one loop moves them all.
-
-The motors of a five-bar in the loop of a group; kernels.
-
-Models of the motors of a group for its loop: one flow, the stepper, or a five-bar.
-
-The one group of a scene in kernel form: environment, algorithm and motors.
+`group_case` makes the loop from a scene.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -64,38 +57,38 @@ _FREE, _EXIT = Branch.FREE.value, Branch.EXIT.value
 class GroupRig(NamedTuple):
     """Properties of the loop between motors and controller."""
 
-    delay: int  # whole holds between computing a torque and its hold, 0 or 1
-    loops: list[LoopSettings]  # of every motor
-    damping_per_time: Buffer  # b / T of every motor for certain [N/m or N*m/rad]
+    delay: int  # whole holds between the computation of a torque and its hold, 0 or 1
+    loops: list[LoopSettings]  # one for each motor
+    damping_per_time: Buffer  # b / T of each motor, with b its certain damping [N/m or N*m/rad]
     furthest: float  # distance from the origin that counts as divergence [m or rad]
-    explains: bool  # whether the shares of spring and damper are asked for
-    true: group_kernel.MotionSettings  # of a group that knows its true positions
+    explains: bool  # whether the rendered shares of spring and damper are needed
+    true: group_kernel.MotionSettings  # settings with which the network follows the true positions
 
 
 class LinearMotors(NamedTuple):
-    """Motors that move by one flow."""
+    """Linear motors, which move by one transition matrix."""
 
-    flow: Matrix  # over one hold, shape (states, states + motors + 1)
+    flow: Matrix  # transition matrix over one hold, shape (states, states + motors + 1)
     state: Buffer  # [states..., torques..., 1]
     moved: Buffer  # buffer for the states
-    places: Indices  # of the positions of the motors in the state
+    places: Indices  # index of each motor's position in the state
 
 
 class GroupRoom(NamedTuple):
     """Buffers of the loop, of shape (motors,) unless stated."""
 
-    held: Buffer  # since the SYNC before [N or N*m]
-    waiting: Buffer  # one sample late
-    acting: Buffer  # what of `held` reaches the motors
-    temperatures: Buffer  # of their windings [K]
-    true: Buffer  # positions [m or rad]
-    read: Buffer  # positions that the encoders read
-    seen: Buffer  # positions as the controller sees them
-    moved: Buffer  # true motion in the hold that ended
-    spring: Buffer  # asked for at the last SYNC [N or N*m]
+    held: Buffer  # torques held since the previous SYNC [N or N*m]
+    waiting: Buffer  # torques that are held from the next SYNC on, where commands are one sample late
+    acting: Buffer  # part of `held` that reaches the motors
+    temperatures: Buffer  # windings [K]
+    true: Buffer  # true positions [m or rad]
+    read: Buffer  # positions with the effects of the encoders
+    seen: Buffer  # positions in whole counts, as the controller gets them
+    moved: Buffer  # true displacement in the hold that ended
+    spring: Buffer  # spring part of the request at the last SYNC [N or N*m]
     still: Buffer  # zeros
-    asked: group_kernel.MotionMemory  # of the group that is followed with its true positions
-    request: group_kernel.RequestedEfforts  # of its network
+    asked: group_kernel.MotionMemory  # memory of the network at the true positions
+    request: group_kernel.RequestedEfforts  # efforts that this network requests
 
 
 @dataclass(slots=True)
@@ -103,18 +96,18 @@ class GroupMeter:
     """Running sums of a group."""
 
     figures: Meter = field(default_factory=Meter)
-    supplied: float = 0.0  # by a mover [J]
-    work: float = 0.0  # of all motors [J]
-    spring_spring: float = 0.0  # sums of products of the requested efforts, over holds that began and ended in contact
+    supplied: float = 0.0  # energy from a mover [J]
+    work: float = 0.0  # work of all motors [J]
+    spring_spring: float = 0.0  # products of the requested efforts, over holds that began and ended in contact
     spring_damper: float = 0.0
     damper_damper: float = 0.0
-    held_spring: float = 0.0  # of the held with the requested efforts
+    held_spring: float = 0.0  # products of the held torques and the requested efforts, over the same holds
     held_damper: float = 0.0
-    damping_asked: float = 0.0  # along the motion, as `Meter.damping` is what was rendered [N*s/m or N*m*s/rad]
+    damping_asked: float = 0.0  # requested damping along the motion; `Meter.damping` is the rendered one
 
 
 def step(*_kernel: Any) -> group_kernel.GroupHold:
-    """Kernel of an algorithm, see `GroupKernel`; the caller of `run_group` supplies it."""
+    """Placeholder of an algorithm's step (`GroupKernel.step`); the caller of `run_group` binds one."""
     raise NotImplementedError
 
 
@@ -132,9 +125,9 @@ def run_group(
         rig: Properties of the loop between motors and controller.
         motors: Motors in the form of `move_motors`, at their start.
         room: Buffers of zeros.
-        followed: Motion of the group at its true positions, at rest.
+        followed: Motion of the network at the true positions, at rest.
         meter: Accumulates the sums.
-        rows: Rows for the replacement of `take_group`.
+        rows: Rows that a replacement of `take_group` fills; else unused.
         cycles: SYNCs.
     """
     figures = meter.figures
@@ -166,7 +159,7 @@ def run_group(
 
 
 def act(rig: GroupRig, room: GroupRoom, cycle: int) -> None:
-    """Record the part of the held torques that reaches the motors until a SYNC."""
+    """Compute the part of each held torque that reaches its motor in the hold before a SYNC."""
     for i in range(len(room.held)):
         signals = rig.loops[i].signals
         if not cycle:
@@ -178,14 +171,14 @@ def act(rig: GroupRig, room: GroupRoom, cycle: int) -> None:
 
 
 def see(rig: GroupRig, room: GroupRoom, cycle: int) -> None:
-    """Write the encoder readings of the positions."""
+    """Write the positions in whole counts of the encoders."""
     for i in range(len(room.seen)):
         at, loop = room.read[i], rig.loops[i]
         room.seen[i] = measured(loop, read(loop.signals, cycle, at)) if isfinite(at) else at
 
 
 def send(rig: GroupRig, room: GroupRoom, torques: Buffer) -> None:
-    """Take the torques that the drives apply for a command in the next free hold."""
+    """Pass the commands to the drives, for this hold or, one sample late, for the next."""
     for i in range(len(room.held)):
         command = commanded(rig.loops[i], torques[i])
         if rig.delay:
@@ -195,7 +188,7 @@ def send(rig: GroupRig, room: GroupRoom, torques: Buffer) -> None:
 
 
 def is_away(rig: GroupRig, room: GroupRoom) -> bool:
-    """Whether a motor is farther away than any user could move it."""
+    """Return whether a motor has diverged: it is at least `rig.furthest` away from the origin."""
     for i in range(len(room.true)):
         if not -rig.furthest < room.true[i] < rig.furthest:
             return True
@@ -203,7 +196,7 @@ def is_away(rig: GroupRig, room: GroupRoom) -> bool:
 
 
 def take_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, hold: group_kernel.GroupHold) -> None:
-    """Take one SYNC; see `meter.take`."""
+    """Add one SYNC to the sums of a group; see `meter.take`."""
     figures, account, square, largest = meter.figures, hold.account, 0.0, 0.0
     figures.cycles += 1.0
     for i in range(len(room.held)):
@@ -228,7 +221,7 @@ def take_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, 
 def explain(
     world: GroupModel, rig: GroupRig, room: GroupRoom, followed: group_kernel.GroupMotion, meter: GroupMeter
 ) -> None:
-    """Follow the network with the true motion, and add any hold that began and ended in contact to the sums."""
+    """Move the network with the true motion; add a hold that began and ended in contact to the sums of the shares."""
     was_engaged, request = followed.engaged, room.request
     follow(world, rig.true, followed, room.asked, room.true, room.moved, 1)
     if followed.engaged:
@@ -253,10 +246,10 @@ def explain(
 
 
 def shares(meter: GroupMeter) -> tuple[float, float]:
-    """Return the shares of spring and damper that were rendered; NaN without any.
+    """Return the rendered shares of spring and damper; NaN where none was requested.
 
-    The spring's share is found from the held torques by least squares with the damper; the damper's is the damping
-    booked by the controller over the requested one.
+    The spring's share is a least-squares fit of the held torques to the requested efforts of spring and damper. The
+    damper's share is the damping booked by the controller over the requested one.
     """
     both, nothing = meter.spring_spring * meter.damper_damper, float("nan")
     apart = both - meter.spring_damper * meter.spring_damper
@@ -269,7 +262,7 @@ def shares(meter: GroupMeter) -> tuple[float, float]:
 
 
 def move_motors(motors: Any, room: GroupRoom, cycle: int) -> float:
-    """Move the motors to a SYNC; return the work that they did in that hold [J], NaN where they cannot move."""
+    """Move the motors to a SYNC; return their work in that hold [J], NaN where the plant cannot be advanced."""
     state, moved = motors.state, motors.moved
     states, work, count = len(moved), 0.0, len(room.held)
     if cycle:
@@ -284,7 +277,7 @@ def move_motors(motors: Any, room: GroupRoom, cycle: int) -> float:
 
 
 def arrive(room: GroupRoom, i: int, at: float, cycle: int) -> float:
-    """Record the position of a motor at a SYNC [m or rad]; return the work that it did in that hold [J]."""
+    """Record the position `at` of a motor at a SYNC [m or rad]; return its work in that hold [J]."""
     room.moved[i] = at - room.true[i] if cycle else 0.0
     room.true[i] = room.read[i] = at
     return room.acting[i] * room.moved[i]
@@ -293,10 +286,10 @@ def arrive(room: GroupRoom, i: int, at: float, cycle: int) -> float:
 class EventMotors(NamedTuple):
     """Motors whose plants have events."""
 
-    plants: Any  # `EventPlant` of each
-    owners: Indices  # of each motor: number of its plant
-    forces: Indices  # place of its torque in the state of that
-    places: Indices  # place of its position
+    plants: Any  # tuple of `EventPlant`
+    owners: Indices  # index of each motor's plant
+    forces: Indices  # index of each motor's torque in the state of that plant
+    places: Indices  # index of its position there
 
 
 def run_with_efforts(plant: event_plant.EventPlant, ticks: int, most: int) -> int:
@@ -305,12 +298,12 @@ def run_with_efforts(plant: event_plant.EventPlant, ticks: int, most: int) -> in
 
 
 def work_over(plant: event_plant.EventPlant, way: float) -> float:
-    """Work of a motor in a hold [J], from its torque times displacement."""
+    """Return the work of a motor in a hold [J]: `way`, its torque times displacement."""
     return way
 
 
 def booked_over(plant: event_plant.EventPlant, way: float) -> float:
-    """Replace `work_over` where the work is booked."""
+    """Replace `work_over` where the stepper integrates the work."""
     now = plant.now[0]
     booked: float = plant.books[0].totals[0] + now.rippled - now.began_work
     return booked
@@ -336,7 +329,7 @@ class FiveBarMotors(NamedTuple):
 
     settings: Any  # (FiveBarSettings,)
     state: Any  # (FiveBarState,)
-    left: int  # place of the left motor among those of the group
+    left: int  # index of the left motor in the group
     right: int
 
 
@@ -353,14 +346,14 @@ def move_five_bar(motors: FiveBarMotors, room: GroupRoom, cycle: int) -> float:
 
 
 class Motors:
-    """The motors of a group as plants or one mechanism, at their start.
+    """Motors of a group as objects: one plant for each, or one mechanism.
 
     Args:
-        scene: Scene with the group alone.
+        scene: Scene with only this group.
         axes: Axes of the group.
 
     Raises:
-        InputError: The motors are not simulated, or move with others.
+        InputError: The motors are not simulated, or their mechanism also moves other axes.
     """
 
     def __init__(self, scene: Scene, axes: Sequence[AxisScene]) -> None:
@@ -420,21 +413,21 @@ def move_objects(motors: Motors, room: GroupRoom, cycle: int) -> float:
 
 
 class GroupPlant(NamedTuple):
-    """The motors of a group in a form of its loop."""
+    """Motors of a group for its loop."""
 
-    made: Callable[[bool], Any]  # (whether Python runs the loop, on lists) -> motors at their start
-    replaced: Mapping[object, object]  # functions of the loop, each with its replacement
+    made: Callable[[bool], Any]  # (True for lists, which Python takes; False for arrays) -> motors at their start
+    replaced: Mapping[object, object]  # function of the loop -> its replacement
 
 
 def _plant_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> GroupPlant | str:
-    """Return the motors of a group, or the reason why they cannot run in the group's loop.
+    """Return the motors of a group, or the reason why the loop of a group cannot move them.
 
     Args:
-        scene: Scene with the group alone.
+        scene: Scene with only this group.
         axes: Axes of the group.
 
     Raises:
-        InputError: The motors of the group are not simulated, or move with others.
+        InputError: The motors are not simulated, or their mechanism also moves other axes.
     """
     of, time = mechanism_of_group(scene), scene.bus.sample_time_ns
     if of is not None:
@@ -451,7 +444,7 @@ def _plant_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> GroupPlant | str:
 
 
 def _of_mechanism(moving: Any, order: Sequence[int], of: MechanismScene) -> GroupPlant | str:
-    """Model of a mechanism in the loop; `order` has the places of the group's motors among the mechanism's."""
+    """Return a mechanism for the loop, or why there is none; `order`: index of each motor in the mechanism."""
     if isinstance(moving, five_bar.FiveBarMotion):
         return _of_five_bar(moving, order.index(0), order.index(1))
     if not isinstance(moving, XYMotion):
@@ -465,7 +458,7 @@ def _of_mechanism(moving: Any, order: Sequence[int], of: MechanismScene) -> Grou
 def _with_events(
     models: Sequence[Callable[[], PlantModel]], accuracy: Sequence[AccuracyParameters | None], *places: Sequence[int]
 ) -> GroupPlant:
-    """Plants of motors with events; `places` are owners, forces and places of `EventMotors`."""
+    """Return motors whose plants have events; `places` are `owners`, `forces` and `places` of `EventMotors`."""
     is_booked = any(event_plant.works_are_booked(model()) for model in models)  # more than torque times displacement
 
     def made(listed: bool) -> EventMotors:
@@ -495,7 +488,7 @@ def _of_five_bar(motion: five_bar.FiveBarMotion, left: int, right: int) -> Group
 
 
 def _side_by_side(plants: Sequence[Plant]) -> GroupPlant:
-    """Return plants of states [position, ..., torque, 1] each as one."""
+    """Return separate linear plants, each with the state [position, ..., torque, 1], as one linear plant."""
     flows, starts = [plant.whole_flow() for plant in plants], [plant.scene.initial_state() for plant in plants]
     sizes = [len(start) - 2 for start in starts]
     places = [sum(sizes[:i]) for i in range(len(sizes))]
@@ -509,11 +502,11 @@ def _side_by_side(plants: Sequence[Plant]) -> GroupPlant:
 
 
 def _stage(stage: XYMotion, order: Sequence[int]) -> GroupPlant:
-    """Return a stage, whose forces are constant states.
+    """Return a linear stage, in whose state the torques are constants.
 
     Args:
         stage: Stage without dry friction.
-        order: Index of each motor of the group among the motors of the stage.
+        order: Index of each motor of the group in the stage.
     """
     flow, start = stage.whole_flow(), stage.state
     forces = [stage.force_places[at] for at in order]
@@ -529,14 +522,14 @@ def _listed(flow: Array, state: Array, places: Sequence[int]) -> GroupPlant:
 
 
 class GroupCase(NamedTuple):
-    """One group in kernel form."""
+    """One group as the objects that its loop takes."""
 
     kernel: group_kernel.GroupKernel
     world: GroupModel
     settings: Any
     rig: GroupRig
     motors: GroupPlant
-    why_not: str = ""  # reason by name why its loop cannot be compiled; "" where it can
+    why_not: str = ""  # reason why its loop cannot be compiled; "" where it can
 
     @property
     def is_compilable(self) -> bool:
@@ -544,7 +537,7 @@ class GroupCase(NamedTuple):
         return not self.why_not
 
     def with_objects(self, scene: Scene) -> "GroupCase":
-        """Return the same group with plants as objects, which have their effects themselves."""
+        """Return the same group with its plants as objects, which apply all effects themselves."""
         axes = [scene.axis(name) for name in scene.groups[0].axes]
         bare = [replace(loop, signals=Signals()) for loop in self.rig.loops]
         Motors(scene, axes)  # refuses what cannot be built before a run would count it as diverged
@@ -560,14 +553,14 @@ class GroupCase(NamedTuple):
 
 
 def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
-    """Return the one group of a scene.
+    """Return the group of a scene for its loop.
 
     Args:
-        scene: Scene with one group, alone.
-        explains: Whether the shares of spring and damper are needed.
+        scene: Scene with only this group.
+        explains: Whether the rendered shares of spring and damper are needed.
 
     Raises:
-        InputError: The motors of the group are not simulated, or move with others.
+        InputError: The motors are not simulated, or their mechanism also moves other axes.
         ParameterError: The group cannot be built.
     """
     (group,) = scene.groups
@@ -590,7 +583,7 @@ def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
 
 
 def _loop_of(axis: AxisScene, bus: BusParameters) -> LoopSettings:
-    """Loop between a motor and the controller of its group, with the effects of its plant on torque and encoder."""
+    """Return the loop settings of one motor, with the effects of its plant on torque and encoder."""
     parameters, of = axis.parameters, axis.simulation
     signals = Signals() if of is None else event_plant.signals_of(of.effects, bus.sample_time, of.seed)
     return LoopSettings(

@@ -1,6 +1,6 @@
-"""Runs many loops of one kind, in parts whose rows fit the memory; parts and engine do not change any figure.
+"""Run a batch of loops and return its figures; neither the engine nor the size of the parts changes a figure.
 
-Loops of a batch run by Python, one after the other: where numba is missing, and as reference for compiled ones.
+`InterpretedLoops` runs the loops in Python, where numba is missing and as the reference for compiled loops.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,11 +25,11 @@ from canhaptic.scene.models import Scene
 
 
 class InterpretedLoops:
-    """One loop after the other.
+    """Runs loops one after the other, in Python.
 
     Attributes:
-        meters: Meter of every scene.
-        references: Memory of each scene's continuous run.
+        meters: Meter of each scene.
+        references: State of each scene's continuous run.
     """
 
     def __init__(self, job: cases.LoopJob) -> None:
@@ -44,7 +44,7 @@ class InterpretedLoops:
         Args:
             some: Indices of the scenes.
             plants: Plants of the scenes.
-            stopped: Called with the plants, the number of a scene, and the SYNC to which its plant cannot move.
+            stopped: Called for each plant that cannot be advanced: (plants, index of the scene, SYNC it cannot reach).
         """
         for number, i in enumerate(some):
             row, kernel = self._rows[i], self._kernel
@@ -67,7 +67,7 @@ def _functions(kernel: Kernel, instead: tuple[tuple[object, object], ...]) -> tu
 
 
 def reference_memory_of(modes: cases.ContinuousModes, row: int) -> closed_loop.ReferenceMemory:
-    """Return the matrices and buffers of one scene as lists."""
+    """Return the matrices and buffers of one scene's continuous run, as lists."""
     flows, rates, starts = (values[row % len(values)].tolist() for values in modes[1:])
     return closed_loop.ReferenceMemory(
         flows, rates, starts, list(starts), [[0.0] * len(starts) for _ in range(closed_loop.TERMS)]
@@ -75,11 +75,11 @@ def reference_memory_of(modes: cases.ContinuousModes, row: int) -> closed_loop.R
 
 
 _MOST: Final = 8192
-"""Scenes whose rows are laid out at a time."""
+"""Scenes that are laid out in memory at a time."""
 _FORCES: Final = ("continuous", "force_squares", "force_worst")
 _TRAVELS: Final = ("continuous_travel", "continuous_rest")
 _COMPARED: Final = (*_TRAVELS, "position_squares", "position_worst", *_FORCES)
-"""Sums that need the continuous runs; those that need their forces, and how far they go."""
+"""Sums that need a continuous run; `_FORCES` need its force as well, `_TRAVELS` its travel."""
 
 
 def march(
@@ -90,18 +90,18 @@ def march(
     metrics: Sequence[str],
     stopped: dict[int, str] | None = None,
 ) -> dict[str, Array]:
-    """Return metrics of many loops, each of shape (n_scenes,), in the order of the scenes.
+    """Run many loops; return each metric with shape (n_scenes,), in the order of the scenes.
 
     Args:
         case: Common part of the loops, and the numbers in which they differ.
         scenes: Number of scenes.
-        cycles: SYNCs, the first included.
+        cycles: SYNCs of a run, the first included.
         engine: See `run_batch`.
         metrics: Names of `ALL`.
-        stopped: Called with the number of a scene whose plant could not be advanced, and why; its metrics are NaN.
+        stopped: Filled with the reason for each scene whose plant could not be advanced; its metrics are NaN.
 
     Raises:
-        NotBatchableError: The algorithm is no kernel, or numba cannot compile the environment.
+        NotBatchableError: The algorithm is not written as a kernel, or numba cannot compile the environment.
     """
     names = list(metrics)
     failed: dict[int, str] = {}
@@ -177,20 +177,20 @@ def run_batch(
     seeds: Array | None = None,
     stopped: dict[int, str] | None = None,
 ) -> Mapping[str, Array]:
-    """Return the figures of many scenes, each of shape (n_scenes,); the order of the scenes does not matter.
+    """Run many scenes of one axis; return each figure with shape (n_scenes,).
 
     Args:
         scene: Common part of the scenes; `why_not_batchable(scene)` must be "".
         varied: Key of `BATCH_KEYS` -> value of each scene, shape (n_scenes,), in SI.
         cycles: SYNCs, at least 2.
-        engine: "numba" needs the extra `fast`; "auto" takes it where it is installed and worthwhile, else "python".
-        metrics: Names of `ALL`; None for `METRICS`. Those of
-            `CONTINUOUS` march a continuous run with every loop and are NaN where it has no closed form.
-        seeds: Seed of everything random in each scene, shape (n_scenes,); by default the scene's seed.
-        stopped: Called with the numbers of scenes whose plant could not be advanced, and why; their figures are NaN.
+        engine: "numba" needs the extra `fast`; "auto" takes it where it is installed and saves time, else "python".
+        metrics: Names of `ALL`; None for `METRICS`. Those of `CONTINUOUS` also compute a continuous run for each scene,
+            and are NaN where that has no closed form.
+        seeds: Seed of the random numbers of each scene, shape (n_scenes,); by default the scene's seed.
+        stopped: Filled with the reason for each scene whose plant could not be advanced; its figures are NaN.
 
     Raises:
-        ParameterError: A key that cannot vary inside a batch, a value out of its range, an unknown metric.
+        ParameterError: A key cannot vary inside a batch, a value is out of its range, or a metric is unknown.
         NotBatchableError: The scene cannot run in a batch.
     """
     names = list(METRICS) if metrics is None else list(metrics)

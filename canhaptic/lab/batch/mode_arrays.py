@@ -1,9 +1,9 @@
-"""All modes of a plant as arrays of one shape, and the products of the stepper as loops over them.
+"""Modes of a plant as arrays of one shape, and the stepper's matrix products as plain loops over them.
 
-The loops take lists of lists as they take arrays: Python and machine code add the same numbers in the same order, so
-that these loops give the same bits in both. The interpreted plant takes NumPy's products instead, which add in another
-order: it differs from the compiled one by rounding, below 1e-9 of the travel where the motion is not chaotic. Matrices
-are stored by columns: the inner loop runs over rows, and no sum is reordered.
+The loops take lists or arrays and add in a fixed order, so that Python and machine code give the same bits. The plant
+of a run (`Plant`) uses NumPy's products, which add in another order: it differs by rounding, less than 1e-9 of the
+travel where the motion is not chaotic. Matrices are stored by columns, so that the inner loop runs over rows and no sum
+is reordered.
 """
 
 from collections.abc import Sequence
@@ -22,14 +22,14 @@ Matrix = Sequence[Sequence[float]]
 
 
 class Books(NamedTuple):
-    """Sums of the works, and the buffer of one product."""
+    """Accumulated works, and a buffer for one product."""
 
     totals: Any  # shape (works,) [J]
     rows: Any  # [y, Q y for each work], shape (n * (1 + works),)
 
 
 def move(columns: Matrix, state: Buffer, moved: Buffer) -> None:
-    """Write the product with the state; `columns` has shape (n, n_rows)."""
+    """Write the matrix, given by its columns, times the state into `moved`; `columns` has shape (n, n_rows)."""
     for row in range(len(moved)):
         moved[row] = 0.0
     for column in range(len(columns)):
@@ -39,7 +39,7 @@ def move(columns: Matrix, state: Buffer, moved: Buffer) -> None:
 
 
 def evaluate(guards: Matrix, state: Buffer, values: Buffer) -> Buffer:
-    """Write and return all rows of the guards times the state."""
+    """Write the matrix, given by its rows, times the state into `values`, and return it."""
     for row in range(len(guards)):
         factors, total = guards[row], 0.0
         for column in range(len(state)):
@@ -49,7 +49,7 @@ def evaluate(guards: Matrix, state: Buffer, values: Buffer) -> Buffer:
 
 
 def pace(values: Buffer, first: int) -> float:
-    """Return the length of the scaled rates of the state, the values from `first` on."""
+    """Return the Euclidean norm of the values from index `first` on: the scaled rates of the state."""
     total = 0.0
     for row in range(first, len(values)):
         total += values[row] * values[row]
@@ -57,7 +57,7 @@ def pace(values: Buffer, first: int) -> float:
 
 
 def largest_term(guards: Matrix, guard: int, state: Buffer) -> float:
-    """Return the largest term in the sum that gives the value of a guard."""
+    """Return the largest |term| of the sum that is the value of a guard."""
     largest = 0.0
     for column in range(len(state)):
         largest = max(largest, abs(guards[guard][column] * state[column]))
@@ -74,12 +74,12 @@ def stored(storage: Matrix, state: Buffer) -> float:
 
 
 def flat_tables(modes: Sequence[Mode], targets: Sequence[Sequence[int]], works: int) -> ModeTables:
-    """Return the tables of the modes as arrays; guards that a mode does not have are zero.
+    """Return the modes as arrays of one shape; a mode with fewer guards than others is padded with zeros.
 
     Args:
-        modes: Compiled modes.
-        targets: Mode behind each guard, by mode and guard.
-        works: Number of works.
+        modes: Modes of the plant.
+        targets: For each mode and guard, the mode that the guard leads to.
+        works: Number of accumulated works.
     """
     size, count = len(modes[0].storage), max(len(mode.exits) for mode in modes)
     guards = np.zeros((len(modes), 2 * count + size, size))
@@ -105,6 +105,6 @@ def flat_tables(modes: Sequence[Mode], targets: Sequence[Sequence[int]], works: 
 
 
 def _columns(stacked: Any, size: int, works: int) -> Any:
-    """Return [y, Q y for each work] by columns, out of the matrix of `Mode.works` for one level."""
+    """Return the columns of [y, Q y for each work], from the matrix of `Mode.works` for one level."""
     forms = stacked[: works * (size + works)].reshape(works, size + works, size)[:, :size]
     return np.concatenate([stacked[works * (size + works) :], *forms]).T

@@ -1,27 +1,18 @@
-"""The flow of many linear plants over one sample time, in arrays: mass, bearings and a hand that follows sinusoids.
+"""Plants of one axis for the loops of a batch: linear ones in arrays, and those with events as kernels.
+
+`linear_motion` gives the transition matrices of many linear plants (mass, bearings, a hand that follows sinusoids):
 
     m v' = torque - b v + K (x_u - q) + D (v_u - v) + push   (`user` and `plant` of canhaptic.sim.plant)
 
-States and their order are as in `Plant`, and so is the flow: exp(F T) by a series and doubling. The sum of a row
-is taken term by term and not by a matrix product, so that a position may differ from that of `Plant` by a few units in
-its last place per hold. Plants with other linear effects are made one by one, each distinct one once.
+The states and exp(F T), by a series and doubling, are as in `Plant`. Each row is summed term by term, so that a
+position may differ from that of `Plant` by a few units in its last place per hold.
 
-A plant with events in the loop of a batch: replacements of `closed_loop.move_plant`; kernels.
+`EventPlant` is a plant with events, a current loop, or forces over substeps that are not piecewise affine. Its
+functions replace `closed_loop.move_plant`; the modes, the stepper and the secant over a substep are those of
+`canhaptic.sim.plant`, on arrays. All modes are computed before a loop starts (about a millisecond each), and scenes
+with equal plants share them.
 
-The modes, the stepper and the solution over substeps come from `canhaptic.sim.plant`, on arrays of all modes,
-which are compiled before the loop begins.
-
-Forces that are not piecewise affine, in the loop of a batch: `canhaptic.sim.plant.splitting` on arrays; kernels.
-
-The force of a substep is found by the same secant, with `EventPlant` in the place of the plant.
-
-Plants with events for many loops: the modes of one plant as kernels take them.
-
-Scenes with the same plant share its modes, which cost a millisecond each.
-
-Loops with plants that have events, grouped by plant.
-
-Effects of a plant that change a number and not the motion: the encoder reading, and the acting torque.
+`signals_of` gives the effects that change a number and not the motion: the encoder reading and the acting torque.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -55,52 +46,52 @@ from canhaptic.sim.plant.stepper import COUNTS, EVENTS, LIMIT, MISSING, MODE, NO
 from canhaptic.sim.plant.user import UserParameters
 
 _MOST_MODES: Final = 100
-"""Modes of one plant at most; more would take longer to compile than a run."""
+"""Largest number of modes of a plant; computing more would take longer than a run."""
 
 
 @dataclass(slots=True)
 class EventState:
     """State of a plant kept from hold to hold, in addition to its state vector."""
 
-    changes: int = 0  # of the timetable that are done
-    force: float = 0.0  # of the efforts in the substep before [N or N*m]
-    slope: float = -1.0  # of their residual there
+    changes: int = 0  # scheduled mode changes that are done
+    force: float = 0.0  # sum of the efforts in the previous substep [N or N*m]
+    slope: float = -1.0  # slope of their residual there
     rippled: float = 0.0  # work of a torque ripple [J]
-    is_stopped: bool = False  # by too many events
-    began_work: float = 0.0  # of the motor at the start of the hold, a ripple's included [J]
-    saved_work: float = 0.0  # at the start of the substep, with `EventPlant.saved`
+    is_stopped: bool = False  # whether there were too many events
+    began_work: float = 0.0  # motor's work at the start of the hold, with that of a ripple [J]
+    saved_work: float = 0.0  # work, mode and events at the start of the substep, with `EventPlant.saved`
     saved_mode: int = 0
     saved_events: int = 0
-    start: float = 0.0  # position there [m or rad]
-    begin: float = 0.0  # torque of the motor there [N or N*m]
-    held: float = 0.0  # its mean over the substep [N or N*m]
+    start: float = 0.0  # position at the start of the substep [m or rad]
+    begin: float = 0.0  # motor torque there [N or N*m]
+    held: float = 0.0  # mean motor torque over the substep [N or N*m]
     duration: float = 0.0  # of the substep [s]
-    ticks: int = 0  # asked for
-    passed: int = 0  # that passed
-    limit: int = 0  # events at which the substep ends; -1: the first
+    ticks: int = 0  # requested ticks of the substep
+    passed: int = 0  # ticks until its first event, or all
+    limit: int = 0  # number of events at which the substep ends; -1: the next one
 
 
 class EventPlant(NamedTuple):
-    """A plant with events, shared by many loops in turn; everything except the tables is changed in place."""
+    """A plant with events, used by many loops in turn; everything except the tables is changed in place."""
 
     tables: ModeTables
     settings: StepperSettings
     state: Any  # z = [states..., torque, 1]
     spare: Any
-    books: tuple[Books]  # (Books,), the first work of which is that of the motor
+    books: tuple[Books]  # (Books,); its first work is that of the motor
     counts: Indices  # see `stepper`
     values: tuple[Buffer, Buffer]  # two buffers for the values of guards
-    sines: Indices  # places of the hand's oscillators in the state: a cosine follows each sine
-    change_ticks: Indices  # of the timetable, in order
-    change_targets: Sequence[Indices]  # by change and mode: the mode that it leads to
+    sines: Indices  # indices of the hand's sines in the state; a cosine follows each sine
+    change_ticks: Indices  # ticks of the scheduled mode changes, ascending
+    change_targets: Sequence[Indices]  # for each change and mode, the mode that it leads to
     now: Sequence[EventState] | Records  # (EventState,)
     saved: Buffer  # z at the start of the substep
-    efforts: Sequence[Effort] | Records  # `Effort` of each force that is solved over substeps
-    bristles: Sequence[Bristle] | Records  # `Bristle` of each
-    substep_ticks: int
-    torque_place: int  # in z: of the torque of the motor,
-    travel_place: int  # of the way in the substep,
-    force_place: int  # of the sum of the forces
+    efforts: Sequence[Effort] | Records  # forces that are solved over substeps
+    bristles: Sequence[Bristle] | Records  # bristle state of each of these forces
+    substep_ticks: int  # ticks of a substep
+    torque_place: int  # index of the motor torque in z
+    travel_place: int  # index of the displacement in the substep
+    force_place: int  # index of the sum of the forces
 
 
 class EventPlants(NamedTuple):
@@ -108,7 +99,7 @@ class EventPlants(NamedTuple):
 
     plant: EventPlant
     start: Buffer  # state at the first SYNC, shape (n,)
-    first: int  # number of the mode there
+    first: int  # mode at the first SYNC
 
 
 def begin_events(plants: EventPlants, row: int) -> None:
@@ -129,13 +120,13 @@ def events_at(plants: EventPlants, row: int) -> EventPlant:
 
 
 def move_events(plant: EventPlant, torque: float, cycle: int) -> bool:
-    """Move a plant to a SYNC under a constant torque [N or N*m]; return False at more events than allowed."""
+    """Replace `move_plant`: move a plant to a SYNC under a torque; return False if it had too many events."""
     plant.state[len(plant.state) - 2] = torque
     return move_held(plant, cycle)
 
 
 def move_held(plant: EventPlant, cycle: int) -> bool:
-    """Move a plant to a SYNC under the torque held in its state; see `move_events`."""
+    """Move a plant to a SYNC under the torque in its state; see `move_events`."""
     counts, now = plant.counts, plant.now[0]
     now.is_stopped, now.began_work = False, plant.books[0].totals[0] + now.rippled
     end = cycle * TICKS
@@ -158,12 +149,12 @@ def move_held(plant: EventPlant, cycle: int) -> bool:
 
 
 def run_ticks(plant: EventPlant, ticks: int, most: int) -> int:
-    """Move by some ticks; return the ticks left at the limit of events."""
+    """Advance by a number of ticks; return the ticks left when the limit of events was reached, 0 if it was not."""
     return run_on(plant, ticks, most)
 
 
 def run_on(plant: EventPlant, ticks: int, most: int) -> int:
-    """Move by a number of ticks with only the stepper, through every event."""
+    """Advance by a number of ticks with the stepper, through every event; see `run_ticks`."""
     plant.counts[LIMIT] = most
     state, _, left = run(
         plant.tables, plant.settings, plant.state, plant.spare, plant.books, plant.counts, plant.values, ticks
@@ -174,7 +165,7 @@ def run_on(plant: EventPlant, ticks: int, most: int) -> int:
 
 
 def tidy(plant: EventPlant) -> None:
-    """Restore the hand's oscillators to unit amplitude."""
+    """Restore the hand's sines and cosines to unit amplitude."""
     state = plant.state
     for i in range(len(plant.sines)):
         sine, cosine = state[plant.sines[i]], state[plant.sines[i] + 1]
@@ -183,11 +174,11 @@ def tidy(plant: EventPlant) -> None:
 
 
 def book_nothing(works: Any, state: Buffer, books: tuple[Books]) -> None:
-    """Replace `stepper.book` where the motor's work is its torque times displacement."""
+    """Replace `stepper.book` by nothing where the motor's work is its torque times displacement."""
 
 
 def book_motor(works: Any, state: Buffer, books: tuple[Books]) -> None:
-    """Replace `stepper.book`: the work of the motor alone; `works` has shape (n, 2 n)."""
+    """Replace `stepper.book`: accumulate only the work of the motor; `works` has shape (n, 2 n)."""
     only, size = books[0], len(state)
     move(works, state, only.rows)
     total = 0.0
@@ -197,13 +188,13 @@ def book_motor(works: Any, state: Buffer, books: tuple[Books]) -> None:
 
 
 def booked_work(plant: EventPlant, interaction: float, torque: float, travel: float) -> float:
-    """Replace `closed_loop.work_in` where the motor's work is booked."""
+    """Replace `closed_loop.work_in` where the stepper integrates the motor's work."""
     booked: float = plant.books[0].totals[0] + plant.now[0].rippled
     return 0.0 - booked
 
 
 def run_substeps(plant: EventPlant, ticks: int, most: int) -> int:
-    """Replace `event_plant.run_ticks`: move in substeps that end at their first event at the latest."""
+    """Replace `run_ticks`: advance in substeps, each of which ends at its first event at the latest."""
     counts, now = plant.counts, plant.now[0]
     while ticks:
         ticks -= substep(plant, min(ticks, plant.substep_ticks), most)
@@ -213,9 +204,9 @@ def run_substeps(plant: EventPlant, ticks: int, most: int) -> int:
 
 
 def substep(plant: EventPlant, ticks: int, most: int) -> int:
-    """Move by `ticks` or to the first event; return the ticks that passed.
+    """Advance by `ticks`, or to the first event; return the ticks that passed.
 
-    The force is consistent with its own motion, at the end of which the plant is left.
+    The secant search leaves the plant at the end of the substep, with the force that its own motion produces.
     """
     state, counts, now = plant.state, plant.counts, plant.now[0]
     for row in range(len(state)):
@@ -241,7 +232,7 @@ def substep(plant: EventPlant, ticks: int, most: int) -> int:
 
 
 def residual_of_plant(plant: EventPlant, force: float) -> float:
-    """Replace `splitting.residual`; 0 where the plant cannot be advanced, which ends the search."""
+    """Replace `splitting.residual`; return 0 where the plant cannot be advanced, which ends the search."""
     state, counts, now = plant.state, plant.counts, plant.now[0]
     if now.is_stopped:
         return 0.0
@@ -267,23 +258,23 @@ def residual_of_plant(plant: EventPlant, force: float) -> float:
 CALLS: Final = (
     stepper.run, splitting.fixed_point, residual_of_plant, doubt_of_late, end_gap, free_of_late, largest_of_late,
 )  # fmt: skip
-"""Long functions, called from several places, and certificates that most loops reach at few SYNCs, or never."""
+"""Functions that are called, not inlined: long ones with several callers, and certificates that are rarely needed."""
 
 
 Plants = closed_loop.LinearPlants | EventPlants
-"""Plants that a loop of a batch moves."""
+"""Plants of the loops of a batch."""
 Stopped = Callable[[Plants, int, int], None]
-"""Takes plants, the number of a scene, and the SYNC to which its plant could not be moved."""
+"""Called for a plant that cannot be advanced, with (plants, index of the scene, SYNC that it cannot reach)."""
 
 
 class PlantValues(NamedTuple):
-    """One plant of a batch, before it is made."""
+    """Description of one plant of a batch."""
 
     simulation: AxisSimulation
     sample_time_ns: int
 
     def scene(self) -> PlantModel:
-        """Model of the plant."""
+        """Return the model of the plant."""
         effects = [effect_of(effect) for effect in self.simulation.effects]
         return collect(self.simulation.plant, self.simulation.user, effects, self.sample_time_ns * 1e-9)
 
@@ -291,11 +282,11 @@ class PlantValues(NamedTuple):
 def distinct_plants(
     simulation: AxisSimulation, sample_time_ns: Array | float, varied: Mapping[str, Array]
 ) -> tuple[list[PlantValues], NDArray[np.intp]]:
-    """Distinct plants, and the number of each scene's plant, shape (n_scenes,).
+    """Return the distinct plants, and the index of each scene's plant, shape (n_scenes,).
 
     Args:
         simulation: Common part of the scenes.
-        sample_time_ns: One value, or one for each scene, shape (n_scenes,) [ns].
+        sample_time_ns: Sample time, common or one for each scene, shape (n_scenes,) [ns].
         varied: Keys under `simulation.` -> value of each scene.
     """
     keys = {key: values for key, values in varied.items() if key.startswith("simulation.")}
@@ -310,13 +301,13 @@ def distinct_plants(
 
 
 class EventModes:
-    """The modes of one plant, all that can be entered, and its start.
+    """All modes that a plant can enter, and its start, as kernels take them.
 
     Args:
         scene: Model of the plant.
-        accuracy: Accuracy; the defaults when None.
-        listed: Whether Python runs the loop, on lists.
-        is_booked: Whether the motor's work is booked; None: as the plant requires.
+        accuracy: Accuracy; None for the defaults.
+        listed: Whether to use lists, for a loop that Python runs, instead of arrays.
+        is_booked: Whether the stepper integrates the motor's work; None: if the plant requires it.
     """
 
     def __init__(
@@ -349,7 +340,7 @@ class EventModes:
         return EventPlants(plant, form(start), first)
 
     def _changes(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Compile every mode that can be entered; return ticks and targets of the timetable."""
+        """Compute every mode that can be entered; return ticks and targets of the scheduled mode changes."""
         machine, targets, mode = self._machine, list[list[int]](), 0
         timetable = ((round(time / machine.tick_time), part, into) for time, part, into in self._scene.schedule)
         changes = sorted(timetable, key=lambda change: change[0])
@@ -362,7 +353,7 @@ class EventModes:
         return np.array([tick for tick, _, _ in changes], dtype=np.int64), np.array(targets, dtype=np.int64).T.copy()
 
     def error(self, plants: EventPlants, cycle: int) -> EventLimitError:
-        """Reason why a loop was stopped in the hold before a SYNC."""
+        """Return the error of a loop that was stopped in the hold before a SYNC."""
         machine, plant, accuracy = self._machine, plants.plant, self._accuracy
         where = f"plant before {cycle * TICKS * machine.tick_time:.9g} s"
         described = machine.described(int(plant.counts[MODE]), [float(value) for value in plant.state])
@@ -370,7 +361,7 @@ class EventModes:
         return EventLimitError(accuracy.max_events, described, where, plant.settings.max_products if used_up else 0)
 
     def _efforts(self) -> tuple[Any, Any]:
-        """Return the efforts, and their bristles."""
+        """Return the forces that are solved over substeps, and their bristle states."""
         efforts = [getattr(effort, "effort", None) for effort in self._scene.efforts]
         bristles = [Bristle() for _ in efforts]
         if self._listed:
@@ -379,18 +370,18 @@ class EventModes:
 
 
 def by_its_way() -> dict[object, object]:
-    """Functions to replace in a loop where the motor's work is its torque times displacement."""
+    """Return the replacements for a loop in which the motor's work is its torque times displacement."""
     products = ("move", "evaluate", "pace", "largest_term", "stored")
     return {stepper.book: book_nothing, **{getattr(stepper, name): getattr(mode_arrays, name) for name in products}}
 
 
 def works_are_booked(scene: PlantModel) -> bool:
-    """Whether the motor's work is more than its torque times displacement: by a current loop, or a ripple."""
+    """Return whether the motor's work must be integrated: with a current loop, or a torque ripple."""
     return scene.motor_torque != "torque" or any(effort.account == "motor" for effort in scene.efforts)
 
 
 def loop_replacements(plants: Sequence[PlantValues]) -> dict[object, object]:
-    """Replacements of functions of the loop for plants with events; none for linear ones."""
+    """Return the replacements of functions of the loop for plants with events; none for linear plants."""
     if not plants:
         return {}
     scene = plants[0].scene()
@@ -408,13 +399,13 @@ def loop_replacements(plants: Sequence[PlantValues]) -> dict[object, object]:
 def run_event_plants(
     loops: Any, plants: Sequence[PlantValues], which: Array, stopped: dict[int, EventLimitError], *, listed: bool
 ) -> None:
-    """Run every loop.
+    """Run the loops of plants with events, grouped by plant.
 
     Args:
         loops: `InterpretedLoops` or `CompiledLoops`.
-        plants: Each different plant.
-        which: Number of the plant of each loop, shape (n,).
-        stopped: Called with the numbers of loops whose plants could not be advanced, and why.
+        plants: Distinct plants.
+        which: Index of the plant of each loop, shape (n,).
+        stopped: Filled with the error of each loop whose plant could not be advanced.
         listed: Whether Python runs the loops.
     """
     for number in np.unique(which).tolist():
@@ -428,21 +419,21 @@ def run_event_plants(
 
 
 def never_stopped(*_what: object) -> None:
-    """Placeholder, never called by a loop of a linear plant."""
+    """Stand in for `Stopped` with linear plants, which never fail."""
 
 
 _TORQUE: Final = ("torque_saturation", "thermal_derating", "torque_quantisation")
 SIGNAL_EFFECTS: Final = ("encoder_noise", "encoder_quantisation", *_TORQUE)
-"""Names in a scene of effects that change a number and not the motion."""
+"""Names of the effects that change a reading or a torque and add no motion of their own."""
 
 
 def signals_of(effects: Sequence[ComponentSpec], sample_time: float, seed: int) -> Signals:
-    """Return the signal effects of a plant as numbers.
+    """Return the effects of a plant on encoder and torque, as numbers.
 
     Args:
         effects: Effects of the plant, in the order in which they act.
         sample_time: Sample time [s].
-        seed: Seed of everything random.
+        seed: Seed of the random numbers.
     """
     found: dict[str, Any] = {effect.name: effect.parameters for effect in effects}
     order = [effect.name for effect in effects if effect.name in _TORQUE]
@@ -462,19 +453,19 @@ def signals_of(effects: Sequence[ComponentSpec], sample_time: float, seed: int) 
 
 
 _ANY_NS: Final = 1_000_000
-"""A sample time, where it does not matter [ns]."""
+"""Sample time for questions whose answer does not depend on it [ns]."""
 
 
 class LinearMotion(NamedTuple):
-    """How many plants move, each by its own flow; n = 1 where all are the same. States as in `Plant`."""
+    """Motion of the linear plants of many scenes; n = 1 where all are equal. States as in `Plant`."""
 
-    flows: Array  # state after a hold, shape (n, k, k)
-    starts: Array  # shape (n, k)
-    rates: Array | None  # rates of change where they are known in closed form, shape (n, k, k) [1/s]
+    flows: Array  # transition matrices over a hold, shape (n, k, k)
+    starts: Array  # initial states, shape (n, k)
+    rates: Array | None  # F of y' = F y where it is known in closed form, shape (n, k, k) [1/s]
 
 
 def is_linear(simulation: AxisSimulation) -> bool:
-    """Whether one flow moves a plant, and the motor's work is the held torque times displacement.
+    """Return whether a plant is linear, and the motor's work is the held torque times displacement.
 
     Raises:
         ParameterError: An effect does not fit the plant.
@@ -485,17 +476,17 @@ def is_linear(simulation: AxisSimulation) -> bool:
 
 
 def why_not_in_loop(simulation: AxisSimulation) -> str:
-    """Return "" when a loop of a batch can move a plant, else the reason by name."""
+    """Return "" if a loop of a batch can move a plant, else the reason."""
     try:
         scene = PlantValues(simulation, _ANY_NS).scene()
     except ParameterError as error:
-        return f"effect {error.part} does not stand alone ({error})"
+        return f"effect {error.part} cannot be simulated by itself ({error})"
     own = any(not hasattr(effort, "effort") for effort in scene.efforts)
     return "a force of the plant is own code" if own else why_not_events(scene)
 
 
 def why_not_events(model: PlantModel) -> str:
-    """Return "" when the modes of a plant are few enough to be compiled beforehand, else the reason by name."""
+    """Return "" if the modes of a plant are few enough to be computed before the loop, else the reason."""
     modes = prod(len(part.modes) for part in model.parts)
     return "" if modes <= _MOST_MODES else f"a plant of {modes} modes, expected {_MOST_MODES} at most"
 
@@ -503,11 +494,11 @@ def why_not_events(model: PlantModel) -> str:
 def linear_motion(
     simulation: AxisSimulation, sample_time_ns: Array | float, varied: Mapping[str, Array]
 ) -> LinearMotion:
-    """Return how many plants move.
+    """Return the motion of the linear plants of many scenes; each distinct one is computed once.
 
     Args:
         simulation: Common part of the scenes.
-        sample_time_ns: One value, or one for each scene, shape (n_scenes,) [ns].
+        sample_time_ns: Sample time, common or one for each scene, shape (n_scenes,) [ns].
         varied: Keys under `simulation.` -> value of each scene.
     """
     keys = {key: values for key, values in varied.items() if key.startswith("simulation.")}

@@ -1,8 +1,8 @@
-"""Stability of the linear sampled loop by closed form: one matrix and its eigenvalues for each scene.
+"""Stability of the linear sampled loop in closed form: one matrix and its eigenvalues for each scene.
 
-A wall in permanent contact is linear, and so is the loop around it: with z = [q, v, q before, torque that
-waits] one hold is a matrix, and the loop decays where its eigenvalues are inside the unit circle. For maps of 10^4
-scenes before one is run; a scene with events needs a run.
+A wall in permanent contact makes the loop linear. With z = [q, v, previous q, delayed torque] one hold is a matrix; the
+loop is stable if all its eigenvalues are inside the unit circle. This maps 10^4 scenes without running one; a scene
+with events must be run.
 """
 
 from collections.abc import Mapping
@@ -38,7 +38,7 @@ def loop_matrices(loops: Loops, sample_time: Array | float, delay: int) -> Array
         delay: Whole holds between the computation of a torque and the hold in which it acts, 0 or 1.
 
     Raises:
-        ParameterError: A mass or sample time that is not positive, or another delay.
+        ParameterError: A mass or sample time is not positive, or the delay is neither 0 nor 1.
     """
     columns = [np.atleast_1d(value) for value in (*loops, sample_time)]
     mass, damping, hand, stiffness, viscosity, period = np.broadcast_arrays(*columns)
@@ -73,7 +73,7 @@ def decay_per_hold(loops: Loops, sample_time: Array | float, delay: int) -> Arra
 
 
 def _linear_loop(scene: Scene, varied: Mapping[str, Array]) -> tuple[AxisSimulation, Environment, float]:
-    """Return the simulated side, the environment and its stiffness [N/m or N*m/rad] of a scene with a linear loop."""
+    """Return simulation, environment and stiffness [N/m or N*m/rad] of a scene; refuse a loop that is not linear."""
     if scene.groups:
         raise ParameterError(f"{scene.source}: spectral radius: expected one axis, got a group; run the scenes instead")
     axis = scene.axes[0]
@@ -96,11 +96,11 @@ def _linear_loop(scene: Scene, varied: Mapping[str, Array]) -> tuple[AxisSimulat
 def spectral_radius(scene: Scene, varied: Mapping[str, Array]) -> Array:
     """Return the largest |eigenvalue| of one hold of each linear sampled loop, shape (n_scenes,): stable below 1.
 
-    The loop is closed by the environment as if in permanent contact (a wall: on both sides), rendered by
-    `unprotected` with the velocity of the last hold, at the delay of the scene, without encoder steps and limits.
+    The environment counts as permanently in contact (a wall: on both sides). It is rendered by `unprotected` with the
+    velocity of the last hold, at the delay of the scene, without encoder steps and limits.
 
     Args:
-        scene: Scene with a linear plant and hand, an environment with a linear stiffness, and one axis.
+        scene: Scene with one axis, a linear plant and hand, and an environment with a linear stiffness.
         varied: Key of `BATCH_KEYS` -> value of each scene, shape (n_scenes,), in SI.
 
     Raises:

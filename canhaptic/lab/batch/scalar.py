@@ -1,14 +1,9 @@
-"""One scene at a time, with the names of the batch: for scenes that do not fit it, and as its reference.
+"""Run one axis or one group without a bus, in Python or compiled: its figures, or a record of every SYNC.
 
-One loop with a record of every SYNC, by Python or compiled; the choice for a study, and the note about it.
-
-One group compiled with its motors, with a record of every SYNC; see `compiled_loops`.
-
-One group of a scene in a loop without a bus, with the names of the batch.
-
-Figures of one axis apply to a group as follows: energies are sums over all its motors and a mover; torques are
-Euclidean norms, `torque_peak` is the largest of any motor. Travel, stiffness and comparisons with a continuous run are
-NaN: a group has no position.
+It takes every plant, also those that do not fit a batch, and is the reference for batches. The figures have the same
+names. For a group their meaning is: energies are sums over all its motors and a mover; torques are Euclidean norms,
+`torque_peak` is the largest of any motor; travel, stiffness and comparisons with a continuous run are NaN, because a
+group has no single position.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,7 +40,7 @@ from canhaptic.sim.plant.plant import Plant
 
 
 class ObjectPlant:
-    """A plant as an object, in the place of `LinearPlant`.
+    """A plant as an object, used in place of `LinearPlant`.
 
     Args:
         plant: Plant at its start.
@@ -75,13 +70,13 @@ def object_encoder(plant: ObjectPlant, signals: closed_loop.Signals, cycle: int,
 
 
 def object_step(environment: Environment, run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
-    """Replace `step`: the memory is a controller."""
+    """Replace `step`: the memory is a controller object."""
     balance: EnergyBalance = run.memory.step(position, torque_applied)
     return balance
 
 
 def known_reference(_settings: object, _reference: object, memory: ReferenceMemory, cycle: int) -> float:
-    """Replace `follow`: the series are the positions and mean torques of a continuous run."""
+    """Replace `follow`: `memory.series` holds the positions and mean torques of a finished continuous run."""
     positions, torques = memory.series
     memory.state[0] = positions[cycle]
     return torques[cycle]
@@ -100,7 +95,7 @@ def forget(recorder: Recorder) -> None:
 
 
 def _run(case: LoopCase, cycles: int, loop: LoopSettings, meter: Any, continuous: ContinuousReference | None) -> str:
-    """Run a loop with its plant and controller as they are; return why the controller stopped it."""
+    """Run a loop with plant and controller as objects; return "", or why the controller stopped it."""
     known = [] if continuous is None else [continuous.position.tolist(), continuous.torque.tolist()]
     try:
         _object_loop(isinstance(meter, Recorder))(
@@ -115,7 +110,7 @@ def _run(case: LoopCase, cycles: int, loop: LoopSettings, meter: Any, continuous
 
 @lru_cache(maxsize=2)
 def _object_loop(is_recorded: bool) -> Callable[..., bool]:
-    """Return `run_loop` for objects, with a recorder or a meter."""
+    """Return `run_loop` bound to objects, with a recorder or a meter."""
     of, replaced = closed_loop, dict[object, object]()
     replaced |= {of.step: object_step, of.move_plant: move_object, of.work_in: object_work}
     replaced |= {of.encoder: object_encoder, of.follow: known_reference}
@@ -127,7 +122,7 @@ def _object_loop(is_recorded: bool) -> Callable[..., bool]:
 def render(
     case: LoopCase, cycles: int, reach: Reach = EVERYWHERE, progress: Callable[[], None] | None = None
 ) -> LoopRun:
-    """Run a case from the plant's initial state; a run that diverges or fails ends early and is marked so.
+    """Run a case from the plant's initial state; a run that diverges or fails ends early, and its `ended` says so.
 
     Args:
         case: Case to run.
@@ -137,7 +132,7 @@ def render(
 
     Raises:
         EventLimitError: The plant had more events in one sample time than allowed.
-        ParameterError: The algorithm needs a value that its loop does not give.
+        ParameterError: The algorithm needs a property of the loop that the case does not give.
     """
     recorder, loop = Recorder(tick=progress), replace(loop_settings(case, cycles), lowest=reach[0], highest=reach[1])
     reason = _run(case, cycles, loop, recorder, None)
@@ -148,11 +143,11 @@ def render_by(
     engine: ChosenEngine, case: LoopCase, cycles: int, reach: Reach = EVERYWHERE,
     progress: Callable[[], None] | None = None,
 ) -> LoopRun:  # fmt: skip
-    """Run a case as `render` does; `LoopRun.engine` names the engine, and why it differs from the requested one.
+    """Run a case as `render` does; `LoopRun.engine` names the engine, and why it is not the requested one.
 
     Args:
-        engine: "python" gives the bits of the path over CAN; "numba" differs from it by rounding, and runs in Python
-            what cannot be compiled.
+        engine: "python" gives the same bits as a run over CAN; "numba" differs by rounding, and falls back to Python
+            for a case that cannot be compiled.
         case: Case to run.
         cycles: SYNCs.
         reach: Positions that do not count as divergence.
@@ -160,7 +155,7 @@ def render_by(
 
     Raises:
         EventLimitError: The plant had more events in one sample time than allowed.
-        ParameterError: The algorithm needs a value that its loop does not give.
+        ParameterError: The algorithm needs a property of the loop that the case does not give.
     """
     if engine == "python":
         return render(case, cycles, reach, progress)
@@ -182,7 +177,7 @@ def render_by(
 
 
 def work_of(case: LoopCase, cycles: int) -> float:
-    """Cost of a run, in cycles of a light plant."""
+    """Return the cost of a run, in cycles of a plant without substeps."""
     if case.simulation is None:
         return 0.0
     accuracy, plant = case.simulation.accuracy, PlantValues(case.simulation, case.sample_time_ns).scene()
@@ -198,17 +193,17 @@ def render_group(
     engine: ChosenEngine, scene: Scene, cycles: int, furthest: float = axis_loop.FURTHEST,
     progress: Callable[[], None] | None = None,
 ) -> LoopRun:  # fmt: skip
-    """Run the one group of a scene; see `render_by`. Python moves the plants themselves.
+    """Run the group of a scene; see `render_by`. Python moves the plants as objects.
 
     Args:
         engine: As for `render_by`.
-        scene: Scene with one group, alone.
+        scene: Scene with only this group.
         cycles: SYNCs.
         furthest: Distance from the origin that counts as divergence [m or rad].
         progress: Called once per cycle.
 
     Raises:
-        InputError: The motors of the group are not simulated, or move with others.
+        InputError: The motors are not simulated, or their mechanism also moves other axes.
         ParameterError: The group cannot be built.
     """
     case, reach = group_case(scene), Reach(-furthest, furthest)
@@ -227,12 +222,12 @@ def render_group(
 
 
 def group_meter(case: GroupCase, cycles: int, engine: ChosenEngine = "python") -> GroupMeter:
-    """Return the sums of a loop after its cycles, or when it diverged.
+    """Run the loop of a group; return its sums at the end, or when it diverged.
 
     Args:
-        case: Case of the group, compiled where it can be.
+        case: Case of the group.
         cycles: SYNCs.
-        engine: Python takes every case.
+        engine: "numba" falls back to Python for a case that cannot be compiled.
     """
     if engine == "numba" and case.is_compilable:
         from canhaptic.lab.batch.compiled_loops import run_compiled
@@ -264,7 +259,7 @@ def _python_loop(kernel: GroupKernel, replaced: tuple[tuple[object, object], ...
 
 
 def group_figures(meter: GroupMeter, metrics: Sequence[str] | None = None) -> dict[str, float]:
-    """Figures from sums; NaN for those that need a position."""
+    """Return the figures of a group from its sums; NaN for figures that need a single position."""
     names, sums = list(METRICS if metrics is None else metrics), meter.figures
     of_a_position = "travel", "stiffness_rendered.value", "stiffness_rendered.share", *CONTINUOUS
     own = [name for name in names if name not in of_a_position]
@@ -273,16 +268,16 @@ def group_figures(meter: GroupMeter, metrics: Sequence[str] | None = None) -> di
 
 
 def run_scalar(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) -> dict[str, float]:
-    """Return the figures of one scene by the names of `METRICS`.
+    """Run one scene; return its figures by the names of `ALL`.
 
     Args:
-        scene: Scene with a simulated first axis, which is run; or with one group of axes.
+        scene: Scene with one group of axes, or with a simulated first axis, which is run.
         cycles: SYNCs.
         metrics: Names of `ALL`; None for `METRICS`, which need no continuous run.
 
     Raises:
-        InputError: The axis is not simulated, or a continuous run is requested and it has none.
-        ParameterError: The algorithm needs a value that its loop does not give.
+        InputError: The axis is not simulated, or a metric needs a continuous run and there is none.
+        ParameterError: The algorithm needs a property of the loop that the scene does not give.
     """
     if scene.groups:
         return group_figures(group_meter(group_case(scene), cycles), metrics)
@@ -297,7 +292,7 @@ def run_scalar(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) 
 def run_case(
     case: LoopCase, cycles: int, metrics: Sequence[str] | None = None, continuous: ContinuousReference | None = None
 ) -> dict[str, float]:
-    """Return the figures of one loop by the names of `METRICS`; see `run_scalar`."""
+    """Run one loop; return its figures by the names of `ALL`; see `run_scalar`."""
     meter, names = Meter(), list(METRICS if metrics is None else metrics)
     if _run(case, cycles, loop_settings(case, cycles), meter, continuous):
         diverge(meter)
@@ -309,7 +304,7 @@ def run_case(
 
 
 def loop_settings(case: LoopCase, cycles: int) -> LoopSettings:
-    """Loop between plant and controller in a run of some cycles."""
+    """Return the loop settings of a case for a run of some cycles."""
     last_from = float(last_rows(cycles, case.sample_time_ns * 1e-9).start)
     (found,) = loops_of(BatchCase(case, {"last_from": last_from}, None), 1)
     return found

@@ -1,4 +1,4 @@
-"""The keys of a scene that may differ inside one batch, and the scene with other values at them."""
+"""Keys of a scene that may vary inside one batch, and copies of a scene with other values at these keys."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -25,18 +25,18 @@ BATCH_KEYS: Final[dict[str, tuple[str, ...]]] = {
     "loop": ("delay",),
     "axes.0": ("counts_per_unit", "rated_torque", "torque_limit"),
 }  # fmt: skip
-"""Section -> keys; `environment.stiffness`, `bus.rate`, ... `loop.delay` is 0 or 1 and replaces `bus.rpdo`."""
+"""Section -> names of its keys, such as `environment.stiffness`; `loop.delay` is 0 or 1 and replaces `bus.rpdo`."""
 
 
 def scene_with(scene: Scene, values: Mapping[str, float]) -> Scene:
-    """Return a scene of one axis with other values, each validated by the model that owns it.
+    """Return a scene of one axis with other values, each validated by its parameter model.
 
     Args:
         scene: Scene with one simulated axis.
         values: Key of `BATCH_KEYS` -> value in SI.
 
     Raises:
-        ParameterError: A key that cannot vary, or a value out of its range.
+        ParameterError: A key cannot vary, or a value is out of its range.
     """
     axis, bus = scene.axes[0], scene.bus
     for key, value in values.items():
@@ -57,10 +57,10 @@ def scene_with(scene: Scene, values: Mapping[str, float]) -> Scene:
 
 
 def split_key(key: str) -> tuple[str, str]:
-    """Return (section, name) of a key that may vary.
+    """Return (section, name) of a key that may vary inside a batch.
 
     Raises:
-        ParameterError: It may not.
+        ParameterError: The key cannot vary inside a batch.
     """
     for section, names in BATCH_KEYS.items():
         name = key.removeprefix(f"{section}.")
@@ -87,7 +87,7 @@ _ABSENT: Final = {
 
 
 def _changed(part: Any, path: Sequence[str], value: Any, key: str) -> Any:
-    """Return a part of a scene with another value at a path, validated by the model that owns it."""
+    """Return a part of a scene with another value at a path, validated by its parameter model."""
     name, *rest = path
     if isinstance(part, ComponentSpec):
         if name not in type(part.parameters).model_fields:

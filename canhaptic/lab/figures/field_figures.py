@@ -1,7 +1,7 @@
-"""The field's own figures of an algorithm on one axis: one definition each; `figures` lists them.
+"""Figures from the literature on haptic rendering: K-B plot, M-width, rate-hardness, impedance, drag, energy given out.
 
-Comparisons with the continuous environment (errors, force variation, limit cycle, rendered stiffness) are defined in
-`figures.py`, the time of a step in `axis_loop.py`; here are further figures of the literature on haptic rendering.
+Errors, force variation, limit cycle and rendered stiffness, which compare with the continuous environment, are in
+`figures.py`; the time of a step is in `axis_loop.py`.
 """
 
 import math
@@ -14,27 +14,27 @@ from canhaptic.control.environments.environment import Environment
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
 
 NEAR: Final = 0.05
-"""Largest relative error of a stiffness that counts as rendered accurately."""
+"""Largest relative error of an accurately rendered stiffness."""
 
 _WINDOW: Final = 0.02
-"""Time after the first contact in which the force rises [s]."""
+"""Time after the first contact in which the rate of the force is measured [s]."""
 
 
 def energy_given_out(run: LoopRun) -> float:
-    """Largest energy that the port had given out beyond what was put in, after any hold [J].
+    """Return the largest net energy that the port generated, after any hold [J]; 0 for a passive run.
 
-    Source: the condition that a passivity observer watches, Hannaford and Ryu 2002, doi:10.1109/70.988969; here with
-    the energy of the plant instead of the booked one.
+    Source: the condition of a passivity observer, Hannaford and Ryu 2002, doi:10.1109/70.988969, here with the energy
+    of the plant instead of the booked energy.
     """
     return max(0.0, -run.least_interaction)
 
 
 def energy_beyond_device(run: LoopRun, device_damping: float, sample_time: float) -> float:
-    """Largest energy given out beyond the energy received and the device's own dissipation, after any hold [J].
+    """Return the largest net energy generated beyond the device's own dissipation, after any hold [J].
 
-    A display is passive where this is 0, also where its environment alone is not: Colgate and Schenkel, "Passivity of a
-    class of sampled-data systems", Journal of Robotic Systems 14, 1997 (its condition is quoted at second hand).
-    In a hold with a displacement D a damping b takes at least b D^2 / T.
+    A display with a value of 0 is passive together with its device, even if its rendered environment alone is not:
+    Colgate and Schenkel, "Passivity of a class of sampled-data systems", Journal of Robotic Systems 14, 1997 (condition
+    quoted from secondary sources). In a hold with the displacement D a damping b dissipates at least b D^2 / T.
 
     Args:
         run: Run of an axis.
@@ -47,7 +47,7 @@ def energy_beyond_device(run: LoopRun, device_damping: float, sample_time: float
 
 
 def rate_hardness(run: LoopRun, environment: Environment, sample_time: float) -> float | None:
-    """Return the largest rate of the force after the first contact over the speed at it [N/m or N*m/rad].
+    """Return the largest rate of the force after the first contact, over the speed of that contact [N/m or N*m/rad].
 
     An ideal wall gives its stiffness. Source: Lawrence, Pao, Dougherty, Salada and Pavlou, "Rate-hardness: a new
     performance metric for haptic interfaces", IEEE Trans. Robotics and Automation 16, 2000 (abstract only).
@@ -58,7 +58,7 @@ def rate_hardness(run: LoopRun, environment: Environment, sample_time: float) ->
         sample_time: Sample time [s].
 
     Returns:
-        None where there was no contact, or the first one was reached without speed.
+        None where there was no contact, the run began in contact, or the first contact had no speed.
     """
     touching = np.array([bool(environment.contact(q)) for q in run.true_position.tolist()])
     if not touching.any() or touching[0]:
@@ -73,8 +73,8 @@ def rate_hardness(run: LoopRun, environment: Environment, sample_time: float) ->
 def drag(run: LoopRun) -> float | None:
     """Return the mean magnitude of the torque held out of contact [N or N*m]; None without such a hold.
 
-    Free motion should feel like nothing: the lower end of the Z-width, Colgate and Brown, "Factors affecting the
-    Z-width of a haptic display", ICRA 1994, pp. 3205-3210 (quoted from secondary sources).
+    It is the lower end of the Z-width, ideally 0: Colgate and Brown, "Factors affecting the Z-width of a haptic
+    display", ICRA 1994, pp. 3205-3210 (quoted from secondary sources).
     """
     free = ~np.isfinite(run.damping[1:])  # no hold ends at the first SYNC
     return float(np.abs(run.torque[1:][free]).mean()) if free.any() else None
@@ -83,11 +83,11 @@ def drag(run: LoopRun) -> float | None:
 def rendered_impedance(run: LoopRun, sample_time: float, frequency: float) -> complex:
     """Return force over velocity at one frequency, over the whole periods of the last half [N*s/m or N*m*s/rad].
 
-    A display is transparent where this equals the requested impedance, over frequency. Held forces are taken
-    as they act, constant over each hold; positions at their SYNCs.
+    A display is transparent if this equals the requested impedance at every frequency. Forces are constant over each
+    hold; positions are sampled at the SYNCs.
 
     Args:
-        run: Run of a hand that moves with this frequency, always in contact.
+        run: Run with a hand that moves at this frequency, always in contact.
         sample_time: Sample time [s].
         frequency: Frequency [Hz]; below half of the rate.
     """
@@ -107,22 +107,22 @@ def asked_impedance(stiffness: float, damping: float, frequency: float) -> compl
 
 
 class StiffestWalls(NamedTuple):
-    """The borders of a K-B plot; each of the shape of the trials without their first dimension."""
+    """Borders of a K-B plot; the arrays have the shape of the trials without their first dimension."""
 
-    passive: Array  # the largest stiffness that is passive as all smaller ones are; 0 where not even the least is
-    near: Array  # the largest of these whose stiffness is rendered within `NEAR`; 0 where none is
-    is_open: Any  # whether the largest that was tried is passive, too
+    passive: Array  # largest stiffness up to which every wall is passive; 0: not even the least
+    near: Array  # largest of these stiffnesses that is rendered within `NEAR`; 0: none
+    is_open: Any  # whether every wall tried is passive, so that the border is beyond the range
 
 
 def stiffest_walls(stiffnesses: Array, passive: Any, shares: Array) -> StiffestWalls:
-    """Largest stiffness up to which all walls are passive, and the stiffest of these that is rendered accurately.
+    """Return the largest stiffness up to which all walls are passive, and the largest of these rendered accurately.
 
-    Over the damping of the wall this is the K-B plot, or Z-width: Colgate and Brown 1994, as above.
+    Plotted over the wall's damping, this is the K-B plot or Z-width of Colgate and Brown 1994, as above.
 
     Args:
-        stiffnesses: Stiffnesses tried, rising, shape (n,) [N/m or N*m/rad].
-        passive: Whether each was passive, shape (n, ...).
-        shares: Stiffness rendered over the requested one, shape (n, ...); NaN where there is none.
+        stiffnesses: Stiffnesses tried, ascending, shape (n,) [N/m or N*m/rad].
+        passive: Whether each wall was passive, shape (n, ...).
+        shares: Rendered over requested stiffness, shape (n, ...); NaN where unknown.
     """
     kept = np.logical_and.accumulate(np.asarray(passive, dtype=bool), axis=0)
     near = kept & (np.abs(shares - 1.0) <= NEAR)
@@ -135,17 +135,17 @@ def stiffest_walls(stiffnesses: Array, passive: Any, shares: Array) -> StiffestW
 class MWidth(NamedTuple):
     """Range of stable virtual masses [kg or kg*m^2]."""
 
-    least: float  # below zero: inertia is taken away
+    least: float  # negative: the largest inertia that can be compensated
     most: float
 
 
 def m_width(mass: float, damping: float, sample_time: float, delay: int = 0, cutoff: float = math.inf) -> MWidth:
-    """Range of virtual masses that an unloaded device displays stably.
+    """Return the range of virtual masses that an unloaded device displays stably.
 
     Source: Colonnese and Okamura, "M-width: stability and accuracy of haptic rendering of virtual mass", RSS 2012, and
-    IJRR 34, 2015, doi:10.1177/0278364914559294 (the abstracts were read: "the dynamic range of virtual masses
-    renderable in a stable manner"). The virtual mass is the second backward difference of the sampled position, held
-    over T; without damping, delay and filter the loop is z^2 + (M / 2m) (z + 1) = 0, stable for -m < M < 2m.
+    IJRR 34, 2015, doi:10.1177/0278364914559294 (abstracts only: "the dynamic range of virtual masses renderable in a
+    stable manner"). The virtual mass acts on the second backward difference of the sampled position, held over T.
+    Without damping, delay and filter the loop is z^2 + (M / 2m) (z + 1) = 0, which is stable for -m < M < 2m.
 
     Args:
         mass: m, the mass of the device [kg or kg*m^2].
@@ -169,7 +169,7 @@ def m_width(mass: float, damping: float, sample_time: float, delay: int = 0, cut
 
 
 def _moved_in_a_hold(mass: float, damping: float, sample_time: float) -> Array:
-    """Numerator of position over held force, (x1 z + x0) / (z - 1)(z - p), highest power first."""
+    """Return [x1, x0] of position over held force, (x1 z + x0) / ((z - 1) (z - p))."""
     ratio = damping * sample_time / mass
     if ratio < 1e-6:
         return np.full(2, 0.5 * sample_time**2 / mass)
@@ -178,7 +178,7 @@ def _moved_in_a_hold(mass: float, damping: float, sample_time: float) -> Array:
 
 
 def _last_stable(is_stable: Callable[[float], bool], step: float) -> float:
-    """Largest stable value from zero in steps of `step`, to six digits; infinite beyond a million steps."""
+    """Return the last stable value from zero in the direction of `step`, to six digits; infinite beyond 1e6 steps."""
     inside, outside = 0.0, 1e-3 * step
     while is_stable(outside):
         inside, outside = outside, 1.1 * outside

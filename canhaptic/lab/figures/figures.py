@@ -1,9 +1,8 @@
-"""The figures of a run: each is defined here once, by name, unit and the sums it needs.
+"""Definitions of all figures of a run: name, meaning, unit, the sums it needs, and which value is better.
 
-The sums come from `meter`, taken during a run, or from recorded rows.
-Energies [J] are the plant's unless named as accounted (`believed_...`).
-
-One table for impedance displays, one for admittance displays, and the definitions of the arena's.
+The sums are those of `meter`, gathered during a run or from recorded rows. Energies [J] are the plant's, unless the
+name begins with `believed_`: those are the controller's account. There is one table for impedance displays, one for
+admittance displays, and one for the figures of the arena.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,10 +21,10 @@ from canhaptic.lab.reference import REST, ContinuousReference
 from canhaptic.scene.models import Scene
 
 _LAST_PART: Final = 0.1
-"""Last part of a run, in which rest and limit cycles are judged; at most `_LONGEST_LAST` [s]."""
+"""Share of a run at its end in which rest and limit cycles are judged; at most `_LONGEST_LAST` [s]."""
 _LONGEST_LAST: Final = 2.0
 _LEAST_EFFORT: Final = 1e-9
-"""Effort below which there is nothing to be rendered [N or N*m]."""
+"""Smallest requested effort whose rendered share is computed [N or N*m]."""
 _LAST: Final = ("diverged", "continuous_travel", "continuous_rest")
 _ERRORS: Final = ("position_squares", "position_worst", "force_squares", "force_worst")
 
@@ -34,12 +33,12 @@ class Figure(NamedTuple):
     """A figure of a run."""
 
     meaning: str
-    unit: str  # "" a number, "1" a share; "m", "N", "N/m", "N*s/m" of a linear axis
-    sums: tuple[str, ...] = ()  # that it is made of, see `meter.Meter`
-    label: str = ""  # its row in the table of `compare`; "": none
-    better: Literal["", "less", "near one", "not negative"] = ""
+    unit: str  # "": a number, "1": a share; otherwise the unit for a linear axis, such as "m" or "N/m"
+    sums: tuple[str, ...] = ()  # sums from which it is computed; fields of `meter.Meter`, and of the continuous run
+    label: str = ""  # heading of its row in the table of `compare`; "": no row
+    better: Literal["", "less", "near one", "not negative"] = ""  # which value is better; "": neither
     source: str = "own definition"
-    of: Callable[["_Display"], float] = lambda _: nan  # the figure, of an admittance display
+    of: Callable[["_Display"], float] = lambda _: nan  # computes the figure for an admittance display
 
 
 _PAPER: Final = "the paper, eqs. 3 and 4"
@@ -95,7 +94,7 @@ METRICS: Final[dict[str, Figure]] = {
     "branches.depleted": Figure("holds that took more than was stored", "", ("depleted",)),
     "branches.exit": Figure("holds that ended a contact", "", ("exit",)),
 }  # fmt: skip
-"""Figures of a loop by itself. One with a label is a row of `compare`, and needs no other file."""
+"""Figures that need no continuous run. A figure with a label is a row of `compare`."""
 
 _RMS: Final = ("position_squares", "cycles")
 _AT_REST: Final = ("last_force", "last_state", "last_asked", "last", *_LAST)
@@ -115,25 +114,26 @@ CONTINUOUS: Final[dict[str, Figure]] = {
     "stiffness_at_rest.share": Figure("that over the mean effort asked for there", "1", _AT_REST, "stiffness at rest",
                                       "near one"),
 }  # fmt: skip
-"""The same, of what needs a continuous run of the same user, NaN without one; a batch has one for walls with spring and
-damper on one or two sides, dampers and free space, and plants with nothing but viscous friction and tremor added."""
+"""Figures that compare with a continuous run of the same user; NaN without one. A batch has a continuous run for walls
+with spring and damper on one or two sides, dampers and free space, if the plant has no effects on its motion other than
+viscous friction and tremor."""
 
 _WEAKEST_LAST: Final[Array] = np.array(WEAKEST_LAST, dtype=float)
 
 ALL: Final = {**METRICS, **CONTINUOUS}
-"""Every metric."""
+"""All figures of an impedance display."""
 _OF_DAMPING: Final = ("mean", "least", "most")
 
 
 def figures(
     environment: Environment, run: LoopRun, reference: ContinuousReference | None, sample_time: float
 ) -> dict[str, Any]:
-    """Return the figures of one run as plain values; None where there is nothing to measure.
+    """Return the figures of one run as plain values; None where a figure does not apply.
 
     Args:
         environment: Rendered environment.
         run: Run of one algorithm.
-        reference: The continuous run of the same user; None where there is none.
+        reference: Continuous run of the same user, if it is known.
         sample_time: Sample time [s].
     """
     margin, sums = run.interaction - run.dissipated, _sums_of_run(environment, run, reference, sample_time)
@@ -154,7 +154,7 @@ def figures(
 
 
 def _measured(metric: str, sums: Mapping[str, float]) -> float | None:
-    """Return a metric of one run; None where a sum is missing or there is nothing to measure."""
+    """Return a metric of one run; None where a sum is missing or the metric does not apply."""
     if not set(ALL[metric].sums) <= set(sums):
         return None
     value = float(metrics_of([metric], {name: np.array([sums[name]]) for name in ALL[metric].sums})[metric][0])
@@ -164,7 +164,7 @@ def _measured(metric: str, sums: Mapping[str, float]) -> float | None:
 def _sums_of_run(
     environment: Environment, run: LoopRun, reference: ContinuousReference | None, sample_time: float
 ) -> dict[str, float]:
-    """Return the sums behind the figures, by the names in `ALL`; without a reference none of the comparison with it."""
+    """Return the sums of one run by name; without a reference, those of the comparison with it are missing."""
     cycles = len(run.rows)
     meter, settings = Meter(), MeterSettings(float(last_rows(cycles, sample_time).start))
     holds = (run.position, run.true_position, run.torque, run.interaction)
@@ -181,7 +181,7 @@ def _sums_of_run(
 
 
 def sums_of_continuous(reference: ContinuousReference, cycles: int, sample_time: float) -> dict[str, float]:
-    """Return the sums of a continuous run over some SYNCs, by the names in `ALL`."""
+    """Return the sums of a continuous run over some SYNCs, by name."""
     return {
         "continuous_travel": reference.travel,
         "continuous_rest": float(np.ptp(reference.position[last_rows(cycles, sample_time)])),
@@ -201,7 +201,7 @@ def sums_of(metrics: Sequence[str]) -> tuple[str, ...]:
 
 
 def metrics_of(metrics: Sequence[str], sums: Mapping[str, Array]) -> dict[str, Array]:
-    """Return metrics from the sums of many runs, shape (n_runs,) each; NaN where there is nothing to measure."""
+    """Return metrics computed from the sums of many runs, shape (n_runs,) each; NaN where one does not apply."""
     with np.errstate(all="ignore"):
         return {metric: _metric(metric, sums) for metric in metrics}
 
@@ -223,7 +223,7 @@ def _metric(metric: str, sums: Mapping[str, Array]) -> Array:
 
 
 def _at_rest(metric: str, sums: Mapping[str, Array]) -> Array:
-    """Figures of the last part of the run, where the continuous axis rests there."""
+    """Return a metric of the last part of the runs; NaN where the continuous axis does not rest there."""
     rest = sums["continuous_rest"]
     rests = (sums["diverged"] == 0.0) & (rest <= REST * np.maximum(sums["continuous_travel"], 1e-9))
     if metric == "limit_cycle":
@@ -234,12 +234,12 @@ def _at_rest(metric: str, sums: Mapping[str, Array]) -> Array:
 
 
 class _Display(NamedTuple):
-    """A run of an admittance display, with what several of its figures need."""
+    """A run of an admittance display, with values that several figures need."""
 
     run: AdmittanceRun
     motion: Array  # true positions, velocities and forces
-    felt: tuple[float, float]  # mass and damping, see `felt`
-    asked: float  # mass that is to be rendered [kg or kg*m^2]; 0: none
+    felt: tuple[float, float]  # apparent mass and damping, see `felt`
+    asked: float  # requested mass [kg or kg*m^2]; 0: none
     shares: tuple[float, float, int]  # see `AdmittanceRun.shares`
 
 
@@ -268,7 +268,7 @@ DISPLAY_METRICS: Final[dict[str, Figure]] = {
     "certificate": Figure("weakest of any hold: 0 exact, 4 none, 5 velocity loop, 6 hand force", "",
                           of=lambda d: d.shares[2]),
 }  # fmt: skip
-"""The figures of an admittance display in a sweep; a name of impedance displays means the same here."""
+"""Figures of an admittance display. A name that impedance displays use too has the same meaning."""
 
 _COLGATE_BROWN: Final = 'Colgate and Brown, "Factors affecting the Z-width of a haptic display", ICRA 1994'
 FIELD_FIGURES: Final[dict[str, Figure]] = {
@@ -292,7 +292,7 @@ FIELD_FIGURES: Final[dict[str, Figure]] = {
     "drag in free motion": Figure("mean size of the force held out of contact", "N", source=_COLGATE_BROWN),
     "time of a step": Figure("processor time of one step in Python, interleaved with the others", "us"),
 }  # fmt: skip
-"""Definitions of the arena's figures; their functions are in `field_figures`."""
+"""Definitions of the arena's figures; `field_figures` has the functions."""
 
 
 def _most(values: Array) -> float:
@@ -300,12 +300,12 @@ def _most(values: Array) -> float:
 
 
 def display_figures(scene: Scene, cycles: int, metrics: Sequence[str] = tuple(DISPLAY_METRICS)) -> dict[str, float]:
-    """Return the figures of one display, or of one group of them; NaN for those that only impedance displays have.
+    """Return the figures of one admittance display or group; NaN for figures that only impedance displays have.
 
     Args:
-        scene: Simulated scene of that axis or group alone.
+        scene: Simulated scene with only that axis or group.
         cycles: SYNCs.
-        metrics: Names.
+        metrics: Names of the figures.
 
     Raises:
         InputError: An axis is not simulated.
@@ -316,7 +316,7 @@ def display_figures(scene: Scene, cycles: int, metrics: Sequence[str] = tuple(DI
 
 
 def figures_of(run: AdmittanceRun, scene: Scene) -> dict[str, float]:
-    """Return every figure of a run of a scene of one part."""
+    """Return all figures of a run of an admittance display or group."""
     part = scene.groups[0].network if scene.groups else scene.axes[0].environment
     asked = getattr(part.parameters, "inertia", getattr(part.parameters, "mass", None)) or 0.0
     display = _Display(run, run.motion, felt(run, scene), float(asked), run.shares())

@@ -1,7 +1,7 @@
-"""The sums behind the figures of one run, gathered SYNC by SYNC: memory does not grow with cycles.
+"""Sums behind the figures of one run, gathered SYNC by SYNC in constant memory.
 
-Kernels, so that interpreted runs, compiled ones and runs that kept their rows have the same sums. `figures` defines the
-use of each sum.
+They are kernels, so that interpreted runs, compiled runs and recorded rows give the same sums. `figures` defines how a
+figure is computed from them.
 """
 
 from dataclasses import dataclass
@@ -19,22 +19,22 @@ BRIEF: Final = frozenset((
     "cycles", "diverged", "true_position", "lost", "least_covered", "interaction", "least_interaction", "margin",
     "believed", "dissipated", "believed_margin", "believed_error", "surplus", "torque_peak",
 ))  # fmt: skip
-"""Sums that need no look at the environment."""
+"""Sums that do not need the environment."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeterSettings:
-    """Settings of the sums."""
+    """Constants of the sums."""
 
-    last_from: float = 0.0  # SYNC with which the last part of the run begins (`figures.last_rows`)
+    last_from: float = 0.0  # SYNC at which the last part of the run begins (`figures.last_rows`)
     damping_per_time: float = 0.0  # b / T of the device [N/m or N*m/rad]
     friction: float = 0.0  # Coulomb friction of the device in motion [N or N*m]
-    is_brief: bool = False  # whether nothing but the sums of `BRIEF` is gathered
+    is_brief: bool = False  # whether only the sums of `BRIEF` are gathered
 
 
 @dataclass(slots=True)
 class Meter:
-    """Running sums and extremes of one axis; energies in [J]. Its fields are named in `figures.ALL`."""
+    """Running sums and extremes of one axis; energies in [J]. `Figure.sums` refers to the fields by name."""
 
     cycles: float = 0.0
     diverged: float = 0.0
@@ -92,14 +92,14 @@ def take(
     interaction: float,
     balance: EnergyBalance,
 ) -> None:
-    """Take one SYNC.
+    """Add one SYNC to the sums.
 
     Args:
         environment: The rendered environment.
-        settings: Settings of the run.
-        meter: Meter of the run; changed.
+        settings: Constants of the sums.
+        meter: Sums of the run; changed.
         cycle: Index of the SYNC.
-        position: Position as the controller read it [m or rad].
+        position: Position that the controller received [m or rad].
         true_position: True position [m or rad].
         torque: Torque applied in the hold that ended [N or N*m].
         interaction: True energy received since the start [J].
@@ -128,7 +128,7 @@ def miss(
     environment: Environment, settings: MeterSettings, meter: Meter, cycle: int, true_position: float, torque: float,
     interaction: float,
 ) -> None:  # fmt: skip
-    """Record a SYNC whose position did not reach the controller; see `take`."""
+    """Add a SYNC whose position did not reach the controller; see `take`."""
     nothing, surplus = 0.0, meter.surplus
     balance = new(EnergyBalance, (
         nothing, nothing, nothing, nothing, nothing, nothing, surplus, nothing, nothing, nothing, nothing, _HELD,
@@ -140,7 +140,7 @@ def miss(
 def take_energy(
     settings: MeterSettings, meter: Meter, moved: float, interaction: float, balance: EnergyBalance
 ) -> None:
-    """Take the energies of one SYNC; see `take`."""
+    """Add the energies of one SYNC; see `take`."""
     meter.interaction = interaction
     meter.least_interaction = min(meter.least_interaction, interaction)
     meter.lost += settings.damping_per_time * (moved * moved) + settings.friction * abs(moved)
@@ -160,10 +160,10 @@ def diverge(meter: Meter) -> None:
 
 
 def compare(meter: Meter, position: float, torque: float, continuous_position: float, continuous_torque: float) -> None:
-    """Compare one SYNC with the continuous environment.
+    """Add the difference of one SYNC from the continuous environment.
 
     Args:
-        meter: Meter of the run; changed.
+        meter: Sums of the run; changed.
         position: True position [m or rad].
         torque: Torque applied in the hold that ended [N or N*m].
         continuous_position: Position in the continuous environment [m or rad].
@@ -178,7 +178,7 @@ def compare(meter: Meter, position: float, torque: float, continuous_position: f
 
 
 def count_branch(meter: Meter, branch: int) -> None:
-    """Count a hold."""
+    """Count a hold by its branch."""
     if branch == _FREE:
         meter.free += 1.0
     elif branch == _EXACT:
@@ -196,7 +196,7 @@ def count_branch(meter: Meter, branch: int) -> None:
 
 
 def take_last_part(environment: Environment, meter: Meter, true_position: float, torque: float) -> None:
-    """Take a SYNC of the last part of the run."""
+    """Add a SYNC of the last part of the run."""
     meter.last += 1.0
     meter.last_highest = max(meter.last_highest, true_position)
     meter.last_lowest = min(meter.last_lowest, true_position)
@@ -209,7 +209,7 @@ def take_last_part(environment: Environment, meter: Meter, true_position: float,
 
 
 def take_contact(environment: Environment, meter: Meter, position: float, torque: float, rendered: float) -> None:
-    """Take a hold in contact."""
+    """Add a hold in contact."""
     meter.contacts += 1.0
     meter.damping += rendered
     meter.damping_least = min(meter.damping_least, rendered)

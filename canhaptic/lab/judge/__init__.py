@@ -1,5 +1,6 @@
-"""An independent reference plant in textbook form, to check the simulated plant: event-located or fixed-step methods.
+"""Independent reference plant in textbook form, which checks the simulated plant.
 
-Shares with `canhaptic.sim.plant.plant` only the parameters of a scene and the columns of a motion. The equations are
-written again (time instead of oscillators, forces instead of rows, no matrices), and so are the mode transitions.
+It shares only the parameters of a scene and the columns of a motion with `canhaptic.sim.plant.plant`. Its equations are
+written separately (functions of time instead of oscillators, forces instead of matrix rows), and so are its mode
+transitions. It is solved with event location or with fixed steps.
 """

@@ -1,7 +1,7 @@
-"""Motion of several motors as ordinary differential equations: separate axes, an X-Y stage, a five-bar.
+"""Equations of motion of several motors: separate axes, an X-Y stage, a five-bar.
 
-The five-bar has the links of the simulated one; the method differs: `M(q) v' = torque + ... - C(q, v)`, in
-accelerations and for any solver, where the simulated one takes steps of a discrete gradient in momenta.
+The five-bar has the links of the simulated one and another method: `M(q) v' = torque + ... - C(q, v)`, in accelerations
+and for any solver. The simulated one takes discrete-gradient steps in momenta.
 """
 
 import math
@@ -24,7 +24,7 @@ State = Sequence[float]
 
 
 class ReferenceGroup(SwitchedModel, Protocol):
-    """Motors and their mechanics; the torque of `rates` has one entry per motor."""
+    """Motors and their mechanics; the `torque` of `rates` has one entry for each motor."""
 
     @property
     def evaluations(self) -> int:
@@ -34,17 +34,17 @@ class ReferenceGroup(SwitchedModel, Protocol):
         """Return the positions of the motors [m or rad]."""
 
     def velocities(self, state: State) -> Floats:
-        """Return their velocities [m/s or rad/s]."""
+        """Return the velocities of the motors [m/s or rad/s]."""
 
     def works(self, state: State) -> tuple[float, float]:
         """Return the works of all motors and of the user since the start [J]."""
 
     def inertia(self, positions: State) -> list[Floats]:
-        """Inertia at the motors [kg or kg*m^2]."""
+        """Return the inertia at each motor [kg or kg*m^2]."""
 
 
 class AxesModel:
-    """Motors that each move a separate plant; its modes are the modes of the plants in sequence."""
+    """Motors with a separate plant each; the modes are those of all plants in sequence."""
 
     def __init__(self, models: Sequence[Model], masses: Sequence[float]) -> None:
         self._models, self._masses = models, masses
@@ -95,13 +95,13 @@ class AxesModel:
 
 
 def _of_motor(way: Transition, motor: int, part: slice, first: int) -> Transition:
-    """A transition of one plant as one of the group's.
+    """Return a transition of one plant as a transition of the group.
 
     Args:
         way: Transition of the plant.
-        motor: Index of its motor.
+        motor: Index of the plant's motor.
         part: Part of the state that belongs to the plant.
-        first: Place of its first mode.
+        first: Index of the plant's first mode among all modes.
     """
 
     def value(time: float, state: Any, torques: Any) -> float:
@@ -117,7 +117,7 @@ def _of_motor(way: Transition, motor: int, part: slice, first: int) -> Transitio
 
 
 class _TwoMotors:
-    """Two motors and a handle in the plane; state: two positions, two velocities, works of motors and user."""
+    """Two motors and a handle in the plane; state: two positions, two velocities, work of the motors and the user."""
 
     first: Modes = ()
     switches = False
@@ -178,7 +178,7 @@ class StageModel(_TwoMotors):
         return [way for i, guide in enumerate(self._guides) for way in guide.ways(i, modes[i])]
 
     def _forces(self, time: float, state: State, torques: State) -> tuple[Floats, tuple[float, float]]:
-        """Forces on the masses without dry friction, and the hand's part of them [N]."""
+        """Return the forces on the masses without dry friction, and the hand's part of these forces [N]."""
         place, speed = state[:2], state[2:4]
         hand = hand_pull(self._hand, time, (place[0], place[1]), (speed[0], speed[1]))
         pairs = zip(torques, hand, self._damping, speed, strict=True)
@@ -230,7 +230,7 @@ class FiveBarModel(_TwoMotors):
         """Return the pose at two motor angles [rad].
 
         Raises:
-            ParameterError: It is singular.
+            ParameterError: The pose is singular.
         """
         pose = five_bar.pose_at(self._linkage, left, right)
         if not pose.is_regular:
@@ -238,7 +238,7 @@ class FiveBarModel(_TwoMotors):
         return pose
 
     def _stop_pull(self, span: float) -> float:
-        """Force of the elbow stop, positive where it draws the elbows together [N]."""
+        """Return the force of the elbow stop, positive if it draws the elbows together [N]."""
         if self._stop is None:
             return 0.0
         return self._stop.stiffness * (max(0.0, span - self._stop.most) - max(0.0, self._stop.least - span))
@@ -248,7 +248,7 @@ def mechanism_model(parameters: MechanismParameters, hand: TaskHand | None) -> S
     """Return the equations of a mechanism.
 
     Raises:
-        InputError: There are none.
+        InputError: There are no equations for it.
     """
     if isinstance(parameters, XYStage):
         return StageModel(parameters, hand)

@@ -1,14 +1,13 @@
-"""The reference plant of a scene: elements collected, states named, and one right-hand side for any solver.
+"""Reference plant of a scene: ordinary differential equations with modes, for any solver.
 
 State: position, velocity, [twist, load_velocity], [motor_torque], [temperature], [depths, bristle], work of the motor,
 work of the user. Every effect that acts on the motion is included; effects of the encoder are not.
 
-Forces of the reference plant, one element each: its forces on the bodies, and its transitions between modes.
+`Model` collects elements. Each is one source of force: it adds to `forces` (one for each body, motor first) and to
+`rates`, and has its own transitions between modes. Signs, units and sources are those of the effect of the same name
+in `canhaptic.sim.plant.effects`.
 
-An element adds to `forces` (one per body, motor first) and to `rates`. Signs, units and sources are as in the effect
-of the same name in `canhaptic.sim.plant.effects`.
-
-Motion of the states found by a reference method, and the difference of two motions.
+`motion_of` and `difference` turn states into motions and compare two motions.
 """
 
 import math
@@ -30,7 +29,7 @@ Floats = list[float]
 
 
 class State(Protocol):
-    """A state, as a list or as scipy's array."""
+    """State vector, as a list or as scipy's array."""
 
     def __getitem__(self, index: int, /) -> float: ...
 
@@ -42,7 +41,7 @@ _NEGLIGIBLE: Final = 1e-12  # of a guard's scale: less than that below zero is r
 
 
 class Transition(NamedTuple):
-    """Leaves a mode where `value` falls through zero."""
+    """Transition out of a mode, at the moment when `value` falls through zero."""
 
     element: int
     mode: str
@@ -52,7 +51,7 @@ class Transition(NamedTuple):
 
 
 class BodyPlace(NamedTuple):
-    """Position of a body in the state: the sum of factor times state."""
+    """Position of a body as a linear combination of states."""
 
     velocity: int
     terms: tuple[tuple[int, float], ...]
@@ -67,13 +66,13 @@ class Element(Protocol):
 
     @property
     def modes(self) -> tuple[str, ...]:
-        """Its modes, the first at the start."""
+        """Modes of the element; the first is the one at the start."""
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Add its forces and the rates of its own states."""
+        """Add the element's forces, and the rates of its own states."""
 
     def ways(self, index: int, mode: str) -> Sequence[Transition]:
-        """Return the transitions out of a mode; `index` is the element's own index."""
+        """Return the transitions out of a mode; `index` is the index of this element."""
 
 
 _Apply = Callable[[float, State, str, Floats, Floats], None]
@@ -110,7 +109,7 @@ def detents(amplitude: float, pitch: float, phase: float) -> Smooth:
 
 
 def shaft_between(stiffness: float, damping: float, twist: int, load: int) -> Smooth:
-    """Spring and damper between motor and load; `twist` and `load`, a velocity, are places in the state."""
+    """Spring and damper between motor and load; `twist` and `load`: indices of the twist and the load's velocity."""
 
     def apply(time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
         force = stiffness * state[twist] + damping * (state[VELOCITY] - state[load])
@@ -124,15 +123,15 @@ _Numbers = Sequence[tuple[float, ...]]
 
 
 def hand_on(place: BodyPlace, grasps: _Numbers, push: float, rest: float, sines: _Numbers, rows: _Numbers) -> Smooth:
-    """K (x_u - q) + D (v_u - v) + push on the last body; its work goes to the last state.
+    """Hand on the last body: K (x_u - q) + D (v_u - v) + push; the last state is its work.
 
     Args:
-        place: Place of the held body.
-        grasps: (from time, stiffness, damping), ascending.
+        place: Position of the held body.
+        grasps: (start time, stiffness, damping) of each grasp, ascending.
         push: Constant force.
         rest: Rest position of the spring.
-        sines: (amplitude, angular frequency, phase) of the voluntary motion.
-        rows: (time, place) of a recorded voluntary motion, joined by straight lines; empty: none.
+        sines: (amplitude, angular frequency, phase) of each sinusoid of the voluntary motion.
+        rows: (time, position) of a recorded voluntary motion, linearly interpolated; empty: none.
     """
 
     def apply(time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
@@ -156,7 +155,7 @@ def hand_on(place: BodyPlace, grasps: _Numbers, push: float, rest: float, sines:
 
 
 def own_hand(force_of: Callable[[float, float, float], float]) -> Smooth:
-    """A user-defined force on the motor, by time, position and velocity; its work goes to the last state."""
+    """User-defined force on the motor, a function of time, position and velocity; the last state is its work."""
 
     def apply(time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
         velocity = float(state[VELOCITY])
@@ -168,7 +167,7 @@ def own_hand(force_of: Callable[[float, float, float], float]) -> Smooth:
 
 
 def lugre(p: Any, deflection: int) -> Smooth:
-    """Bristles that bend and slip; the deflection is a state."""
+    """LuGre friction: bristles that bend and slip; `deflection` is their index in the state."""
 
     def apply(time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
         velocity, bend = state[VELOCITY], state[deflection]
@@ -201,7 +200,7 @@ class ReferenceContact:
         self._stiffness, self._damping, self._depth = stiffness, damping, depth
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Add the force while it touches, and the rate of the depth."""
+        """Add the force while in contact, and the rate of the dent's depth."""
         if mode == "touching":
             rates[self._depth] = self._approach(state)
             force = self._force(state)
@@ -235,16 +234,16 @@ class ReferenceContact:
 
 
 class ReferenceStickSlip:
-    """Dry friction on a body: held up to `static`, then `kinetic`; with Stribeck an excess that decays with speed.
+    """Dry friction on a body: sticks up to `static`, then slides with `kinetic`, plus a Stribeck excess if given.
 
     Args:
-        kinetic: Level while sliding.
-        static: Level at breakaway.
-        excess: Excess of the Stribeck characteristic at rest; 0 without it.
-        stribeck_velocity: Velocity scale of that decay.
+        kinetic: Friction while sliding.
+        static: Friction at breakaway.
+        excess: Stribeck excess at zero speed, which decays with speed; 0: none.
+        stribeck_velocity: Speed scale of that decay.
         velocity: Velocity at the start.
         others: (time, state, torque) -> sum of the other forces on the body.
-        body: Index of the body, and of its velocity in the state; the motor by default.
+        body: Index of the body, and index of its velocity in the state; the motor by default.
     """
 
     def __init__(
@@ -258,7 +257,7 @@ class ReferenceStickSlip:
         self.modes = (first, *(mode for mode in ("stuck", "forward", "backward") if mode != first))
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Add the friction while sliding; stuck, it balances every other force."""
+        """Add the sliding friction, or at rest a force that balances all other forces."""
         if mode == "stuck":
             forces[self._body] = 0.0
             return
@@ -283,12 +282,12 @@ class ReferenceStickSlip:
 
 
 class ReferenceWinding:
-    """A winding at a limited supply: U = R i + L di/dt + K v, torque K i; the requested voltage is clipped to +-U.
+    """Motor winding with a limited supply voltage: u = R i + L di/dt + K v, torque K i, u clipped to +-U.
 
     Args:
-        limit: Supply U, constant K of back-EMF and torque, resistance R and inductance L.
-        place: Index of the motor's torque in the state.
-        wanted: (state, torque held) -> rate of the torque that the current loop requests.
+        limit: Supply voltage U, back-EMF and torque constant K, resistance R and inductance L.
+        place: Index of the motor torque in the state.
+        wanted: (state, held torque) -> rate of the torque that the current loop requests.
     """
 
     modes: tuple[str, ...] = ("free", "high", "low")
@@ -329,11 +328,11 @@ _COMMANDS: Final = ("torque_saturation", "torque_quantisation", "thermal_deratin
 _ONCE: Final = ("current_loop", "voltage_limit", "shaft_compliance", "backlash", "lugre_friction", _COMMANDS[2], *_DRY)
 _OFTEN: Final = ("torque_ripple", "viscous_friction", "cogging", "hard_stop", "grasp_change", "tremor", *_COMMANDS[:2])
 _OF_THE_ENCODER: Final = ("encoder_noise", "encoder_quantisation")
-"""Effects on measured values alone; the motion does not depend on them."""
+"""Effects that change measured values only, not the motion."""
 
 
 class Model:
-    """One scene as ordinary differential equations with modes.
+    """One plant and hand as ordinary differential equations with modes.
 
     Args:
         parameters: Mass and bearings.
@@ -341,14 +340,14 @@ class Model:
         effects: Effects as for `Plant`.
 
     Raises:
-        ParameterError: An effect or the hand has no equations here, or an effect is given twice and has them once.
+        ParameterError: An effect or the hand has no equations here, or an effect occurs more often than they allow.
 
     Attributes:
         names: Names of the states.
         start: State at time 0.
         first: Mode of each element at time 0.
         breaks: Times at which the equations change [s].
-        kinematics: States that are integrals of velocities: index -> (index of the velocity, factor).
+        kinematics: States that integrate a velocity: index -> (index of the velocity, factor).
         evaluations: Number of evaluations of the forces.
         switches: Whether any element can leave its mode.
     """
@@ -377,9 +376,9 @@ class Model:
         self._close()
 
     def add(self, element: Element) -> None:
-        """Add a further element that acts on the motor, such as an environment.
+        """Add an element that acts on the motor, such as an environment.
 
-        Its forces come before dry friction, which balances the remaining force.
+        Its forces are added before dry friction, which balances the sum of all other forces at rest.
         """
         dry = 1 if self._friction is not None else 0
         self._elements.insert(len(self._elements) - dry, element)
@@ -482,7 +481,7 @@ class Model:
         return rates
 
     def _forces(self, time: float, state: State, torque: float, modes: Modes, rates: Floats, count: int) -> Floats:
-        """Force of the first `count` elements on each body; writes the rates that they know."""
+        """Return the force of the first `count` elements on each body, and write the rates of their states."""
         self.evaluations += 1
         forces = [0.0] * len(self._masses)
         held = self._held(state, torque, rates) if self._commands else torque
@@ -499,7 +498,7 @@ class Model:
         return forces
 
     def _held(self, state: State, torque: float, rates: Floats) -> float:
-        """Torque that the drive applies for a command; writes the rate of the winding's temperature."""
+        """Return the torque that the drive applies for a command, and write the rate of the winding's temperature."""
         for command in self._commands:
             if command.type == "torque_saturation":
                 torque = max(-command.limit, min(command.limit, torque))
@@ -515,12 +514,12 @@ class Model:
         return torque
 
     def _wanted(self, state: State, torque: float) -> float:
-        """Rate of the motor's torque that the current loop asks for."""
+        """Return the rate of the motor torque that the current loop requests."""
         held = self._held(state, torque, [0.0] * len(self.names)) if self._commands else torque
         return float((held - state[self._current]) / self._lag)
 
     def _other_forces(self, time: float, state: State, torque: float) -> float:
-        """All forces on the motor but dry friction, in the modes of the last call of `ways`."""
+        """Return all forces on the motor except dry friction, in the modes of the last call of `ways`."""
         return self._forces(time, state, torque, self._asked, [0.0] * len(self.names), len(self._elements) - 1)[0]
 
     def ways(self, modes: Modes) -> list[Transition]:
@@ -530,15 +529,19 @@ class Model:
 
     @property
     def dynamic_size(self) -> int:
-        """Number of states besides the work of motor and user, on which nothing depends."""
+        """Return the number of states without the work of motor and user, on which no rate depends."""
         return len(self.names) - 2
 
 
 def _require_known(effect: str, number: int) -> None:
-    """Refuse an effect without equations: a judge that ignores an effect would blame the plant for it.
+    """Refuse an effect without equations: if it were ignored, the simulated plant would seem wrong.
+
+    Args:
+        effect: Effect of a plant.
+        number: Count of this type so far, the effect included.
 
     Raises:
-        ParameterError: The effect has no equations here, or as the `number`-th of its type.
+        ParameterError: The effect has no equations here, or there are too many of its type.
     """
     if effect in _OF_THE_ENCODER or effect in _OFTEN or (effect in _ONCE and number == 1):
         return

@@ -1,12 +1,10 @@
-"""Solvers of the plant as textbooks write it: event-located by scipy, and fixed-step as most simulators take them.
+"""Solvers of the reference plant: adaptive ones of scipy with event location, and fixed steps as in most simulators.
 
-Equations with modes by scipy's adaptive solvers, every change of mode located; needs the extra `study`.
+The adaptive solvers (extra `study`) locate every change of mode. DOP853 at 1e-12 is the reference of the accuracy
+study, LSODA at 1e-9 an independent check.
 
-DOP853 at 1e-12 is the reference of the accuracy study, LSODA at 1e-9 an independent check.
-
-The reference plant by fixed-step methods, as in most simulators: a mode changes at the end of a step only.
-
-So each has its own order while no mode switches, and order 1 where one does.
+With fixed steps a mode changes only at the end of a step. Each method has its own order while no mode switches, and
+order 1 where one does.
 """
 
 import math
@@ -32,7 +30,7 @@ _Stop = Callable[[], bool] | None
 
 
 class SwitchedModel(Protocol):
-    """Ordinary differential equations with modes; a torque is a number, or one for each motor.
+    """Ordinary differential equations with modes; `torque` is a number, or a sequence with one for each motor.
 
     Attributes:
         start: State at time 0.
@@ -112,12 +110,12 @@ def located_states(
 def states_at(
     model: SwitchedModel, times: Sequence[float], rtol: float, stop: _Stop = None, longest: float = _LONGEST_STEP
 ) -> list[Floats]:
-    """Return every state without a torque at some times, by DOP853 with dense output.
+    """Return the states at some times, without a motor torque, by DOP853 with dense output.
 
     Args:
         model: The plant and the forces on it.
         times: Times, ascending from 0 [s].
-        rtol: Relative tolerance; a thousandth of it is the absolute one, of each state in its own unit.
+        rtol: Relative tolerance; the absolute one is a thousandth of it, in the unit of each state.
         stop: Polled regularly; true aborts.
         longest: Longest step [s]; guards are checked, and modes may change, at the ends of steps.
 
@@ -143,7 +141,7 @@ def states_at(
 
 
 class _Solved:
-    """A model on its way by a solver of `scipy.integrate.solve_ivp`; raises InputError where scipy is missing."""
+    """Model that a solver of `scipy.integrate.solve_ivp` advances; raises InputError where scipy is missing."""
 
     def __init__(self, model: SwitchedModel, **how: Any) -> None:
         try:
@@ -155,7 +153,7 @@ class _Solved:
         self.state, self._modes = list(model.start), model.first
 
     def advance(self, torque: Any, now: float, end: float, read: Callable[[Any], None] = lambda _result: None) -> None:
-        """Move to a time under one torque; `read` receives every solution on the way."""
+        """Advance from `now` to `end` under a constant torque; `read` receives the solution of every piece."""
         model, state, modes = self._model, self.state, self._modes
         for _ in range(_MOST_CHANGES):
             state, modes = settled(model, now, state, torque, modes)
@@ -185,7 +183,7 @@ def _require_running(stop: _Stop) -> None:
 def settled(
     model: SwitchedModel, time: float, state: list[float], torque: Any, modes: Modes
 ) -> tuple[list[float], Modes]:
-    """Return state and modes after every transition whose value is below zero."""
+    """Return state and modes after all transitions whose value is below zero."""
     for _ in range(16):  # without time between them
         broken = next((way for way in model.ways(modes) if way.value(time, state, torque) < -way.rounding), None)
         if broken is None:
@@ -195,7 +193,7 @@ def settled(
 
 
 def through(way: Transition, state: Sequence[float], modes: Modes) -> tuple[Floats, Modes]:
-    """State and modes after a transition."""
+    """Return state and modes after a transition."""
     after = [float(value) for value in state]
     if way.reset is not None:
         way.reset(after)
@@ -203,7 +201,7 @@ def through(way: Transition, state: Sequence[float], modes: Modes) -> tuple[Floa
 
 
 def _event(way: Transition) -> Any:
-    """Guard value slightly beyond zero: a guard that stays at zero is not an event."""
+    """Return an event function slightly beyond the guard's zero, so that a guard that stays at zero is not an event."""
 
     def event(time: float, state: State, torque: Any, _modes: Modes) -> float:
         return way.value(time, state, torque) + way.rounding
@@ -223,7 +221,7 @@ def fixed_step(model: Model, torques: Sequence[float], sample_time_ns: int, step
 def fixed_step_states(
     model: SwitchedModel, torques: Sequence[Any], sample_time_ns: int, step: Callable[..., Floats], substeps: int
 ) -> list[Floats]:
-    """Return every state at the end of each hold; not finite from where it diverges.
+    """Return the state at the end of each hold; not finite after a divergence.
 
     Args:
         model: The plant.
@@ -273,7 +271,7 @@ def runge_kutta_4(model: SwitchedModel, now: float, state: Floats, torque: Any, 
 
 
 class _ImplicitMidpoint:
-    """Steps of the implicit midpoint rule, order 2, solved by Newton's method with a kept Jacobian."""
+    """Implicit midpoint rule, order 2, solved by Newton's method with a reused Jacobian."""
 
     def __init__(self) -> None:
         self._solvers: dict[tuple[Modes, float], Array] = {}
@@ -297,7 +295,7 @@ class _ImplicitMidpoint:
         return result
 
     def _matrix(self, model: Model, time: float, state: Array, torque: float, key: tuple[Modes, float]) -> Array:
-        """Return I - h/2 df/dy of the states without the works, by differences."""
+        """Return I - h/2 df/dy of the states without the works, by finite differences."""
         if key not in self._solvers:
             modes, step = key
             size = model.dynamic_size

@@ -1,1 +1,1 @@
-"""The sampled loop without a bus, or over it: one case of a scene, run and recorded."""
+"""Runs of one axis or group, without a bus or over CAN, with a record of every SYNC."""

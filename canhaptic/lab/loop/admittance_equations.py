@@ -1,10 +1,10 @@
-"""The rig of an admittance display as ordinary differential equations, for a solver that shares nothing with the plant.
+"""Equations of an admittance display and its hand, for a solver that shares no code with the simulated plant.
 
     M v' = c (r - v) + f_I + F - b v,   f_I' = k (r - v),   F = k_g (x - q) + d_g (w - v)
     m x'' = -F + K (x_u - x) + D (x_u' - w) + push,          E' = F v
 
-q, v of the mass before the sensor, x, w of the mass behind it; r is the command. Effects and torque limits are left
-out.
+q, v: mass on the motor's side of the sensor; x, w: mass on the hand's side; r: velocity command; f_I: integral part of
+the velocity loop; F: force at the sensor. Effects and torque limits are omitted.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 
 
 def why_no_equations(simulation: AxisSimulation) -> str:
-    """Return the name of the plant's part that these equations omit; empty where they are complete."""
+    """Return "" if the equations describe a plant completely, else the name of the part that they omit."""
     display, user = simulation.admittance, simulation.user
     if display is None:
         return "no admittance display"
@@ -29,7 +29,7 @@ def why_no_equations(simulation: AxisSimulation) -> str:
     if simulation.effects:
         return f"effect {simulation.effects[0].name}"
     if user is not None and not user.has_equations:
-        return "a hand of the user's own, or a recorded one"
+        return "a user-defined or recorded hand"
     return ""
 
 
@@ -38,11 +38,11 @@ def integrate(simulation: AxisSimulation, held: Sequence[float], sample_time: fl
 
     Args:
         simulation: Simulation of the axis.
-        held: Velocity commanded in the hold before each SYNC [m/s or rad/s]; the first is not used.
+        held: Velocity command in the hold before each SYNC [m/s or rad/s]; the first is not used.
         sample_time: T [s].
 
     Raises:
-        InputError: `why_no_equations`, or the solver failed.
+        InputError: `why_no_equations` names a part, or the solver failed.
     """
     from scipy.integrate import solve_ivp
 

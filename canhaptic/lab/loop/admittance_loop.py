@@ -1,7 +1,7 @@
-"""Admittance displays in a loop without a bus: plants, sensors, encoders, a controller, and the energies of the plants.
+"""Run an admittance display without a bus: plants, sensors, encoders, controller, and the energies of the plants.
 
-One axis, or one group of axes with one account. Encoder and force are whole counts, commands whole quanta, with the
-same delay as on the bus of the scene; an error that would stop the rig ends the run.
+A run has one axis, or one group of axes with a common account. Encoder and force are read in whole counts, commands are
+whole quanta, and the delay is that of the scene's bus. An error that would stop the rig ends the run.
 """
 
 from collections import deque
@@ -21,24 +21,29 @@ from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controller, build_group
 from canhaptic.sim.plant.velocity_drive import AdmittancePlant
 
-_STILL: Final = 1e-9  # command that counts as none [m/s or rad/s]
-_FEWEST: Final = 30  # SYNCs from which the felt mass is computed
+_STILL: Final = 1e-9  # smallest command that counts as motion [m/s or rad/s]
+_FEWEST: Final = 30  # fewest SYNCs for a fit of the apparent mass
 
 
 def is_display(scene: Scene) -> bool:
-    """Whether the axes of a scene with a single part are admittance displays."""
+    """Return whether all axes of a scene are admittance displays."""
     return all(axis.parameters.admittance is not None for axis in scene.axes)
 
 
 @dataclass(frozen=True)
 class AdmittanceRun(LoopRun):
-    """Result of one run; energies are of all axes together, and a torque is a velocity that acted [m/s or rad/s]."""
+    """Result of one run; energies are sums over all axes, and `torque` holds velocity commands [m/s or rad/s]."""
 
-    motion: Array = field(default_factory=lambda: np.empty((0, 1, 3)))  # true positions, velocities and forces
+    motion: Array = field(default_factory=lambda: np.empty((0, 1, 3)))  # true position, velocity, force of each axis
     resolution: float = 0.0  # uncertainty of the energy [J]
 
     def shares(self) -> tuple[float, float, int]:
-        """Return the shares of cut holds among those with a command, and of uncertified ones; weakest certificate."""
+        """Return three figures of the certificates.
+
+        Returns:
+            Share of the holds with a command in which a certificate limited it; share of all holds without a
+            certificate; and the weakest certificate.
+        """
         certificate = self.booked.certificate.astype(int)
         cuts = Certificate.VELOCITY_LOOP, Certificate.LARGEST_HAND_FORCE, Certificate.DECLARED_HAND
         cut = np.isin(certificate, [of.value for of in cuts])
@@ -49,7 +54,7 @@ class AdmittanceRun(LoopRun):
 
 
 class _Motor:
-    """One axis: its simulation, and its readings."""
+    """One simulated axis, with its encoder and force sensor."""
 
     def __init__(self, axis: AxisScene, scene: Scene) -> None:
         given, display, simulation = axis.parameters, axis.parameters.admittance, simulation_of(axis)
@@ -77,14 +82,14 @@ class _Motor:
 
 
 def run_display(scene: Scene, cycles: int) -> AdmittanceRun:
-    """Result of a run of one axis, or of one group.
+    """Run one axis or one group of admittance displays.
 
     Args:
-        scene: Simulated scene of that axis or group alone.
+        scene: Simulated scene with only that axis or group.
         cycles: SYNCs.
 
     Raises:
-        InputError: An axis is not simulated, or is no admittance display.
+        InputError: An axis is not simulated, or is not an admittance display.
         ParameterError: The controller cannot be built.
     """
     motors, groups = [_Motor(axis, scene) for axis in scene.axes], scene.groups
@@ -102,7 +107,7 @@ def run_display(scene: Scene, cycles: int) -> AdmittanceRun:
 def _walk(
     motors: list[_Motor], controller: Any, scene: Scene, cycles: int, recorder: Recorder, motion: list[list[float]]
 ) -> str:
-    """Record every SYNC; return why the rig was stopped."""
+    """Run and record every SYNC; return "", or why the rig was stopped."""
     period = scene.bus.sample_time_ns
     under_way = deque([[0.0] * len(motors) for _ in range(scene.bus.delay)])
     held, before, reason = [0.0] * len(motors), [0.0] * len(motors), ""
@@ -136,10 +141,11 @@ def _walk(
 
 
 def felt(run: AdmittanceRun, scene: Scene) -> tuple[float, float]:
-    """Mass [kg or kg*m^2] and damping [N*s/m or N*m*s/rad] that best fit true forces and velocities.
+    """Return the apparent mass [kg or kg*m^2] and damping [N*s/m or N*m*s/rad], by least squares.
 
-    F - k (q - rest) = m v' + b v + F_0, m and b the same for all axes; away from walls and limits of the position. NaN
-    where there is too little motion, and on a path, across which a hand feels another mass.
+    F - k (q - rest) = m v' + b v + F_0 is fitted to true forces and velocities, with one m and b for all axes, away
+    from walls and position limits. NaN where there is too little motion, and for a path, because its mass depends on
+    the direction.
     """
     if scene.groups and scene.groups[0].network.name != "virtual_mass":
         return float("nan"), float("nan")
@@ -165,7 +171,7 @@ def felt(run: AdmittanceRun, scene: Scene) -> tuple[float, float]:
 
 
 def _is_free(scene: Scene, place: int, position: Array, near: float) -> NDArray[np.bool_]:
-    """SYNCs at which every axis is farther than a distance from its walls and limits."""
+    """Return at which SYNCs an axis is farther than `near` from its walls and limits, shape (n,)."""
     environment: Any = (scene.groups[0].network if scene.groups else scene.axes[0].environment).parameters
     environment = environment.of_axis(place) if scene.groups else environment
     display = scene.axes[place].parameters.admittance

@@ -1,12 +1,10 @@
-"""One algorithm on one simulated axis, without a bus: a record of every hold with the plant's true values.
+"""Loop of one axis without a bus: its case, made from a scene, and its result, a record of every hold.
 
-Loops of an axis without a bus, and plants without a controller, from a scene, for studies.
+`loop_case` makes a case from a scene. `with_algorithm` and `able_under` exchange the algorithm of an axis: common
+parameters are kept, and properties that it needs and the scene does not declare are taken from the simulated plant.
 
-An axis under another algorithm: common parameters are kept, and undeclared properties are taken from the plant.
-
-Cost of one step of an algorithm: its own run is fed to a fresh controller, interleaved with the others.
-
-Times apply to this machine at this moment: for comparing the columns of one table, never a pass mark.
+`microseconds_per_step` measures the time of a step. Times are valid for one machine at one moment; they compare the
+columns of one table and are never a pass mark.
 """
 
 from array import array
@@ -43,7 +41,7 @@ from canhaptic.units import Parameters
 Array = NDArray[np.float64]
 
 FURTHEST: Final = 1e3
-"""Distance that counts as divergence unless something is known of the motion [m or rad]."""
+"""Distance from the origin that counts as divergence where the range of the motion is unknown [m or rad]."""
 _APART: Final = (Branch.FREE.value, Branch.EXIT.value)
 
 
@@ -51,7 +49,7 @@ _APART: Final = (Branch.FREE.value, Branch.EXIT.value)
 class LoopCase:
     """One algorithm, one environment, one plant, and the loop between them.
 
-    `loop` holds what the algorithm assumes; everything else is true.
+    `loop` holds the assumptions of the algorithm; all other values are those of the simulation.
     """
 
     environment: Environment
@@ -63,11 +61,11 @@ class LoopCase:
     delay: int  # whole holds, 0 or 1
     counts_per_unit: float | None = None  # None: ideal encoder
     torque_quantum: float | None = None  # None: ideal torque [N or N*m]
-    torque_limit: float | None = None  # of the drive [N or N*m]
-    device_damping: float = 0.0  # that the device has for certain [N*s/m or N*m*s/rad]
-    own: type[Any] | None = None  # algorithm of the user's own, in place of `algorithm`
-    device_friction: float = 0.0  # Coulomb friction in motion that the device has for certain [N or N*m]
-    simulation: AxisSimulation | None = None  # what `make_plant` makes; None where a compiled loop cannot move it
+    torque_limit: float | None = None  # largest torque of the drive [N or N*m]
+    device_damping: float = 0.0  # certain damping of the device [N*s/m or N*m*s/rad]
+    own: type[Any] | None = None  # user-defined algorithm, in place of `algorithm`
+    device_friction: float = 0.0  # certain Coulomb friction of the device in motion [N or N*m]
+    simulation: AxisSimulation | None = None  # description of the plant; None where a compiled loop cannot move it
 
     def controller(self) -> Controller:
         """Return the algorithm, at rest."""
@@ -78,14 +76,14 @@ class LoopCase:
 
 
 class Reach(NamedTuple):
-    """Positions that an axis may take; farther away it has diverged."""
+    """Range of positions; an axis outside of it has diverged."""
 
     lowest: float = -FURTHEST  # [m or rad]
     highest: float = FURTHEST
 
     @classmethod
     def around(cls, motion: Array) -> "Reach":
-        """Ten times the range of a known motion [m or rad], shape (n,)."""
+        """Return a reach of ten times the range of a known motion, shape (n,) [m or rad], around its centre."""
         lowest, highest = float(motion.min()), float(motion.max())
         centre, furthest = 0.5 * (lowest + highest), 10.0 * max(highest - lowest, 5e-3)
         return cls(centre - furthest, centre + furthest)
@@ -98,15 +96,15 @@ EVERYWHERE: Final = Reach()
 class LoopRun:
     """Result of one run; row k belongs to SYNC k. Energies are sums since the start [J]."""
 
-    rows: Array  # true energy received, then seen and true positions and torques of each motor, then the balance
-    axes: int | None = None  # motors of a group, whose columns are of shape (n, axes); None: one axis, shape (n,)
-    ended: str = ""  # "" when it ran to its end, else "diverged" or "stopped"
-    reason: str = ""  # why it was stopped, in words
-    engine: str = "python"  # what computed it: python or numba
+    rows: Array  # columns: true energy received; measured positions, true positions and torques of the motors; balance
+    axes: int | None = None  # motors of a group, whose columns have shape (n, axes); None: one axis, shape (n,)
+    ended: str = ""  # "" if the run is complete, else "diverged" or "stopped"
+    reason: str = ""  # why it was stopped
+    engine: str = "python"  # python or numba; with ": " and the reason if it is not the requested one
 
     @property
     def position(self) -> Array:
-        """Positions as the controller saw them [m or rad]."""
+        """Positions that the controller received [m or rad]."""
         return self._of_motors(0)
 
     @property
@@ -121,12 +119,12 @@ class LoopRun:
 
     @property
     def interaction(self) -> Array:
-        """TRUE sum of h_i, from the plant, shape (n,)."""
+        """Energy received since the start, by the plant: the true sum of h_i, shape (n,) [J]."""
         return self.rows[:, 0]
 
     @cached_property
     def booked(self) -> Any:
-        """Balances of the controller, an `EnergyBalance` whose fields are columns of shape (n,)."""
+        """Balances of the controller: an `EnergyBalance` whose fields are columns of shape (n,)."""
         return EnergyBalance(*self.rows[:, -len(EnergyBalance._fields) :].T)
 
     def balances(self) -> Iterator[EnergyBalance]:
@@ -137,17 +135,17 @@ class LoopRun:
 
     @cached_property
     def believed(self) -> Array:
-        """Sum of h_i as booked."""
+        """Sum of h_i since the start, as booked by the controller, shape (n,) [J]."""
         return np.cumsum(self.booked.h_i)
 
     @cached_property
     def dissipated(self) -> Array:
-        """Sum of h_r as booked."""
+        """Sum of h_r since the start, as booked by the controller, shape (n,) [J]."""
         return np.cumsum(self.booked.h_r)
 
     @property
     def damping(self) -> Array:
-        """Damping rendered, NaN out of contact [N*s/m or N*m*s/rad]."""
+        """Rendered damping, NaN out of contact, shape (n,) [N*s/m or N*m*s/rad]."""
         return np.where(np.isin(self.booked.branch, _APART), np.nan, self.booked.damping_rendered)
 
     @cached_property
@@ -160,7 +158,7 @@ class LoopRun:
 
     @property
     def residual(self) -> float:
-        """Largest residual of the identity over the largest term of its hold (A1)."""
+        """Largest residual of the balance of a hold, over the largest term of that hold (A1)."""
         booked = self.booked
         before: Any = np.concatenate([[0.0], booked.h_s])[:-1]
         terms = (before, booked.h_s, np.abs(booked.h_i), booked.h_r, booked.gen, booked.deficit, booked.leak)
@@ -184,7 +182,7 @@ class LoopRun:
 
     @property
     def variation(self) -> float:
-        """Total variation of the torque, the first step from zero included [N or N*m]."""
+        """Total variation of the torque, with the first step from zero [N or N*m]."""
         return float(np.abs(np.diff(self.torque, prepend=0.0)).sum())
 
     def _of_motors(self, which: int) -> Array:
@@ -194,10 +192,10 @@ class LoopRun:
 
 
 class Recorder:
-    """Records every SYNC, of the loop without a bus and of the one over it.
+    """Records every SYNC of a run, without a bus or over CAN.
 
     Args:
-        axes: Motors of a group; None: one axis.
+        axes: Number of motors of a group; None for one axis.
         tick: Called at every SYNC.
     """
 
@@ -208,23 +206,23 @@ class Recorder:
         self, interaction: float, position: Sequence[float], true_position: Sequence[float], torque: Sequence[float],
         balance: EnergyBalance,
     ) -> None:  # fmt: skip
-        """Take one SYNC, in the order of `LoopRun.rows`."""
+        """Record one SYNC, in the order of `LoopRun.rows`."""
         self._flat.extend((interaction, *position, *true_position, *torque, *balance))
         if self._tick is not None:
             self._tick()
 
     def run(self, ended: str = "", reason: str = "") -> LoopRun:
-        """Return everything recorded so far; see `LoopRun`."""
+        """Return the rows recorded so far as a `LoopRun`."""
         width = 1 + 3 * (self._axes or 1) + len(EnergyBalance._fields)
         return LoopRun(np.array(self._flat).reshape(-1, width), self._axes, ended, reason)
 
 
 def finished(run: LoopRun, cycles: int, reach: Reach) -> LoopRun:
-    """Return a run with its end: before its last SYNC it diverged, or it was stopped.
+    """Return a run with `ended` and `reason` filled in: it diverged, was stopped, or is complete.
 
     Args:
-        run: Run with its reason, if anything is known of it.
-        cycles: SYNCs that were asked for.
+        run: Run, with its reason if the controller stopped it.
+        cycles: SYNCs that were requested.
         reach: Positions that do not count as divergence.
     """
     last = run.rows[-1:, 1 + (run.axes or 1) :][:, : run.axes or 1]
@@ -236,7 +234,7 @@ def finished(run: LoopRun, cycles: int, reach: Reach) -> LoopRun:
 
 
 def cycles_of(scene: Scene, duration: float | None) -> int:
-    """SYNCs of a run of a duration [s], at least 2; for None the duration of the scene."""
+    """Return the number of SYNCs in a duration [s], at least 2; None: the duration of the scene."""
     return max(2, round((duration or scene.run.duration or 5.0) / scene.bus.sample_time))
 
 
@@ -244,7 +242,7 @@ def require_design_room(margin: float, tolerance: float) -> None:
     """Refuse a margin or a tolerance of a design that is out of range.
 
     Raises:
-        InputError: One is.
+        InputError: A value is out of range.
     """
     if not 0.0 <= margin <= 10.0 or not 0.0 < tolerance < 1.0:
         raise InputError(
@@ -253,12 +251,12 @@ def require_design_room(margin: float, tolerance: float) -> None:
 
 
 def require_single_axes(scene: Scene, command: str, axis: str | None = None) -> None:
-    """Refuse axes that a group of the scene moves together.
+    """Refuse axes on which a group renders.
 
     Args:
         scene: Scene of the study.
         command: Command of the study, for the message.
-        axis: The only axis studied; None for all.
+        axis: Name of the only axis that is studied; None for all axes.
 
     Raises:
         InputError: A group renders on one of them, or one is an admittance display.
@@ -274,7 +272,7 @@ def require_single_axes(scene: Scene, command: str, axis: str | None = None) -> 
 
 
 def parts_of(scene: Scene) -> dict[str, Scene]:
-    """Independently rendering parts, axes or groups, by name, each as a scene alone."""
+    """Split a scene into its parts, axes outside groups and groups: name -> scene with only that part."""
     alone = {
         axis.parameters.name: replace(scene, axes=(axis,), groups=(), mechanisms=())
         for axis in scene.axes
@@ -288,10 +286,10 @@ def parts_of(scene: Scene) -> dict[str, Scene]:
 
 
 def mechanism_of_group(scene: Scene) -> MechanismScene | None:
-    """Return the mechanism that the one group of a scene moves; None where each of its axes has a separate plant.
+    """Return the mechanism of a scene's only group; None where each of its axes has a separate plant.
 
     Raises:
-        InputError: Its motors move with others.
+        InputError: The mechanism also moves other axes, or not all axes of the group.
     """
     (group,) = scene.groups
     if not scene.mechanisms:
@@ -306,9 +304,9 @@ def mechanism_of_group(scene: Scene) -> MechanismScene | None:
 
 
 def at_rate(scene: Scene, rate: float) -> Scene:
-    """The scene at another rate [Hz], without a check of the bus load.
+    """Return a scene at another rate [Hz], without a check of the bus load.
 
-    Nor is the torque's arrival time checked: it acts in the first half of its hold at the latest.
+    `torque_window` is limited to half a hold, so that a torque always acts in the first half of its hold.
 
     Raises:
         ParameterError: The rate is out of range.
@@ -322,10 +320,10 @@ def at_rate(scene: Scene, rate: float) -> Scene:
 
 
 def environment_of(axis: AxisScene) -> Environment:
-    """Return the environment of an axis, an instance of a class in `ENVIRONMENTS`.
+    """Return the environment of an axis.
 
     Raises:
-        InputError: A group renders on it.
+        InputError: A group renders on the axis.
     """
     if axis.group:
         raise InputError(
@@ -346,7 +344,7 @@ def plant_parts(axis: AxisScene) -> tuple[PlantParameters, UserParameters | None
 
 
 def loop_case(axis: AxisScene, scene: Scene) -> LoopCase:
-    """Return an axis as a loop without a bus, with the quantisation, delay and torque limit of its scene."""
+    """Return the case of an axis: its loop without a bus, with quantisation, delay and torque limit of the scene."""
     simulation, given, time, under = simulation_of(axis), axis.parameters, scene.bus.sample_time_ns, axis.passivity
     quantum = None if given.rated_torque is None else given.rated_torque * 1e-3
     friction = sum(float(getattr(effect.parameters, "kinetic", 0.0)) for effect in simulation.effects)
@@ -360,24 +358,24 @@ def loop_case(axis: AxisScene, scene: Scene) -> LoopCase:
 
 
 def viscous_friction(simulation: AxisSimulation) -> float:
-    """Return the damping that effects add to the plant's [N*s/m or N*m*s/rad]."""
+    """Return the viscous damping that effects add to the plant [N*s/m or N*m*s/rad]."""
     viscous = (effect.parameters for effect in simulation.effects if effect.name == "viscous_friction")
     return sum((float(getattr(effect, "damping", 0.0)) for effect in viscous), 0.0)
 
 
 PLANT_OF: Final = {"moving_mass": "mass", "device_damping": "damping", "device_damping_bound": "damping"}
-"""Property of the loop -> parameter of the simulated plant that is its true value."""
+"""Declared property of the loop -> parameter of the simulated plant with its true value."""
 
 
 class AbleAxis(NamedTuple):
-    """An axis completed with the properties that its algorithm needs."""
+    """An axis with all properties that its algorithm needs."""
 
     axis: AxisScene
-    from_plant: tuple[str, ...] = ()  # properties of its loop that the scene does not declare, taken from the plant
+    from_plant: tuple[str, ...] = ()  # names of properties that were taken from the plant
 
     @property
     def remark(self) -> str:
-        """Properties taken from the plant, in words; "" for none."""
+        """Note that lists the properties taken from the plant; "" for none."""
         shown = [f"{key} {getattr(self.axis.loop, key):g}" for key in self.from_plant if key != "device_damping_bound"]
         return f"from the plant: {', '.join(shown)}" if self.from_plant else ""
 
@@ -388,14 +386,14 @@ def own_algorithms(scene: Scene) -> list[str]:
 
 
 def chosen_algorithms(algorithms: Sequence[str] | None, own: Sequence[str] = ()) -> list[str]:
-    """Requested names, each known; for None all of them, the one for real rigs first.
+    """Return the requested algorithms without repetitions; for None all of them, `guarded` first.
 
     Args:
         algorithms: Requested names.
-        own: Names of user-defined algorithms, also permitted; for None they come first.
+        own: Names of user-defined algorithms, which are permitted as well; for None they come before the others.
 
     Raises:
-        ParameterError: One is unknown.
+        ParameterError: A name is unknown.
     """
     chosen = list(dict.fromkeys(algorithms or (*own, "guarded", *ALGORITHMS)))
     for name in [name for name in chosen if name not in own]:
@@ -407,17 +405,17 @@ _Part = TypeVar("_Part", AxisScene, GroupScene)
 
 
 def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
-    """An axis under another algorithm, with the common parameters (alpha, velocity, ...) kept."""
+    """Return an axis under another algorithm; parameters that both have (alpha, velocity, ...) are kept."""
     return _under(axis, name, ALGORITHMS, "passivity algorithm")
 
 
 def group_under(group: GroupScene, name: str) -> GroupScene:
-    """A group under another algorithm, with the common parameters kept."""
+    """Return a group under another algorithm; parameters that both have are kept."""
     return _under(group, name, GROUP_ALGORITHMS, "group algorithm")
 
 
 def display_under(axis: AxisScene, name: str) -> AxisScene:
-    """An admittance display under another algorithm, with defaults where it differs from the scene's.
+    """Return an admittance display under another algorithm, with the default parameters of that algorithm.
 
     Raises:
         ParameterError: The algorithm needs parameters that the scene does not give.
@@ -431,7 +429,7 @@ def display_group_under(group: GroupScene, name: str) -> GroupScene:
 
 
 def _under(part: _Part, name: str, table: Mapping[str, str], kind: str, *, keeps: bool = True) -> _Part:
-    """A part of a scene under an algorithm of a table; `keeps` the parameters that both have."""
+    """Return an axis or group under an algorithm of a table; `keeps`: whether parameters that both have are kept."""
     if part.passivity.name == name:
         return part
     model, given = load(table, name, kind).parameters_type, part.passivity.parameters
@@ -446,10 +444,10 @@ def _under(part: _Part, name: str, table: Mapping[str, str], kind: str, *, keeps
 
 
 def able_under(axis: AxisScene, name: str, scene: Scene) -> AbleAxis:
-    """An axis under an algorithm; where properties that it needs are undeclared, they are taken from the plant.
+    """Return an axis under an algorithm; properties that it needs and lacks are taken from the simulated plant.
 
     Raises:
-        ParameterError: It cannot be built even so.
+        ParameterError: The algorithm refuses the axis even with these properties.
     """
     chosen = with_algorithm(axis, name)
     try:
@@ -465,15 +463,15 @@ def able_under(axis: AxisScene, name: str, scene: Scene) -> AbleAxis:
 
 
 _BLOCK: Final = 250
-"""Steps between two readings of the clock: short enough that some repeat of each block is not interrupted."""
+"""Steps in a block that is timed: few enough that at least one repeat of each block is not interrupted."""
 
 
 def microseconds_per_step(cases: Mapping[str, tuple[Any, LoopRun]], repeats: int) -> dict[str, float]:
-    """Return the time of a step [us]: the minimum of each block of steps over interleaved repeats.
+    """Return the time of a step [us]: each block of steps counts with the least time of all repeats.
 
     Args:
-        cases: Algorithm -> its case and the run that feeds it; a run without steps is left out.
-        repeats: Number of repeats of each, in turn A B C A B C, so that a drifting machine affects all alike.
+        cases: Algorithm -> its case, and the run whose positions and torques are replayed; empty runs are omitted.
+        repeats: Repeats of each algorithm, in turn (A B C A B C), so that a slow phase of the machine affects all.
     """
     pairs = {name: _middle_of(run) for name, (_, run) in cases.items() if run.position.size}
     best = {name: [float("inf")] * -(-len(of_run) // _BLOCK) for name, of_run in pairs.items()}
@@ -491,7 +489,7 @@ def microseconds_per_step(cases: Mapping[str, tuple[Any, LoopRun]], repeats: int
 
 
 def _middle_of(run: LoopRun) -> list[tuple[float, float]]:
-    """(position, torque applied) of 2000 steps from the middle of a run, where contacts are; of a group lists."""
+    """Return (position, applied torque) of 2000 steps from the middle of a run; lists of them for a group."""
     begin = max(0, (len(run.position) - 2000) // 2)
     part = slice(begin, begin + 2000)
     return list(zip(run.position[part].tolist(), run.torque[part].tolist(), strict=True))

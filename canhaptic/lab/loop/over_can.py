@@ -1,6 +1,6 @@
-"""The figures of the bus-less loop over the whole CAN path: frames, drives, limiter and all, in lock-step.
+"""Run a scene over the whole CAN path (frames, drives, limiter) in lock-step, with the record of a loop without a bus.
 
-One scene under several algorithms, each over its simulated drives: the account of every run.
+`accounts_over_can` runs one scene under several algorithms and returns the account of every run.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,11 +20,11 @@ from canhaptic.scene.parts import build_axis_controllers
 from canhaptic.signals import Sample, Truth
 
 _Take = Callable[[int, Sample, EnergyBalance, Truth], None]
-"""Takes one cycle of one axis: its place, the drive's report, the booked balance, and the true values."""
+"""Called for each cycle of each axis with (index of the axis, the drive's report, booked balance, true values)."""
 
 
 def walk_over_can(scene: Scene, cycles: int, take: _Take) -> list[LedgerSummary]:
-    """Run the controllers of a scene on its simulated drives, pass every cycle on, and return the accounts.
+    """Run a scene's controllers on its simulated drives; return the account of each axis.
 
     Args:
         scene: Scene without groups.
@@ -54,7 +54,7 @@ def walk_over_can(scene: Scene, cycles: int, take: _Take) -> list[LedgerSummary]
 
 
 def render_over_can(scene: Scene, cycles: int, counter: Callable[[], None]) -> list[LoopRun]:
-    """One run per axis; a run that a drive or the limiter ends is marked so.
+    """Return one run per axis; where a drive or the limiter ends the run, `ended` and `reason` say so.
 
     Args:
         scene: Scene with the algorithm to run.
@@ -81,7 +81,7 @@ Progress = Callable[[int], None]
 
 
 def known_algorithms(table: Mapping[str, str], kind: str, algorithms: Sequence[str] | None) -> list[str]:
-    """Requested names, each known; all of them for None.
+    """Return the requested algorithms without repetitions; for None all of a table.
 
     Args:
         table: Name -> "module:Class".
@@ -89,7 +89,7 @@ def known_algorithms(table: Mapping[str, str], kind: str, algorithms: Sequence[s
         algorithms: Requested names.
 
     Raises:
-        ParameterError: One is unknown.
+        ParameterError: A name is unknown.
     """
     for name in algorithms or ():
         load(table, name, kind)
@@ -99,13 +99,15 @@ def known_algorithms(table: Mapping[str, str], kind: str, algorithms: Sequence[s
 def accounts_over_can(
     scene: Scene, names: Sequence[str], cycles: int, under: Callable[[Scene, str], Scene], progress: Progress | None
 ) -> dict[str, dict[str, Any]]:
-    """Return the account of a run under each algorithm, with its `status` and a `remark`; a refused one has only these.
+    """Run a scene under each algorithm; return name -> account with `status` and `remark`.
+
+    An algorithm that refuses the scene has only `status` and `remark`.
 
     Args:
         scene: Scene with all drives simulated in this process.
         names: Names of the algorithms.
         cycles: SYNCs of each run.
-        under: (scene, name) -> the scene under that algorithm; may refuse with a ParameterError.
+        under: (scene, name) -> the scene under that algorithm; a ParameterError means that it refuses the scene.
         progress: Called with the number of cycles done so far, of all runs together.
 
     Raises:
@@ -136,7 +138,7 @@ def _report(progress: Progress, before: int, cycles: int) -> None:
 
 
 def heading_of(scene: Scene, cycles: int, path: str = "can") -> dict[str, Any]:
-    """Heading of a comparison; path "can", or "direct" without a bus; rate in Hz, delay in holds, duration in s."""
+    """Return the heading of a comparison; path: "can" or, without a bus, "direct"; SI, delay in holds."""
     return {
         "scene": scene.source,
         "config_hash": scene.config_hash(),

@@ -1,6 +1,6 @@
-"""Studies of scenes: the variations make cases, each case a row of plain values, the rows tables and pictures."""
+"""Studies of scenes: variations of a scene are cases, each case gives a row of values, and rows become tables."""
 
 from typing import Any
 
 Row = dict[str, Any]
-"""Plain values by name, as `--json` prints them."""
+"""Result of one case: values by name, as `--json` prints them."""

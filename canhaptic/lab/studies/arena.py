@@ -1,20 +1,17 @@
-"""The arena: every passivity algorithm on scenes that are hard for it, at several rates and delays.
+"""Benchmark of passivity algorithms (the arena): demanding scenes at several rates and delays, then a ranking.
 
-Cases of an arena, and the figures of one: an algorithm on a scene at a rate and a delay, without a bus.
+A case is one algorithm on one scene at one rate and delay, run without a bus (`group_figures`). Workers compute the
+cases and `ArenaStore` keeps them, so that a stopped arena can be resumed. A stored case is reused only if its scene,
+rate, delay, algorithm, duration, and all code that computes it are unchanged.
 
-Measurements on one rig under every algorithm: K-B plot, impedance, time of a step; and the M-width of the rig.
+On one rig the arena also measures the K-B plot, the impedance and the time of a step of every algorithm, and the
+M-width. In the K-B plot a wall counts as passive if the display with its device is: after every hold the net energy
+given out is at most the certain dissipation by damping and friction of the device, and at least a tenth of the wall is
+rendered. Colgate's condition demands this for every hand; here one hand moves in and out of the wall. So an algorithm
+may pass above Colgate's line, and none may fail below it.
 
-A wall counts as passive where the display is, device included: after every hold the energy given out is at most what
-went in and what damping and friction of the device certainly take. Colgate's condition asks this of every hand; here
-one hand moves in and out of the wall. So an algorithm may pass above Colgate's line, and none may fail below it.
-
-One row per algorithm: its figures over all cases, its rank in each, and where it gives out energy.
-
-Finished cases of an arena on disk, a chunk each: an arena that was stopped continues where it was. A case is
-identified by its scene, rate, delay, algorithm and duration, and by the code that made it: all of the package that
-computes, and the file of a user-defined algorithm.
-
-The whole arena: cases to workers, finished ones to the store as they arrive, then the rig, then the ranking.
+The ranking has one row per algorithm with its figures over all cases, its rank in each figure, and the scenes in which
+it gives out energy.
 """
 
 import hashlib
@@ -57,14 +54,14 @@ from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 
 _MARK: Final = ".py:"
 _OF_THE_PLANT: Final = "sim_"
-"""Begins the names of scenes about the plant, which render nothing."""
+"""Prefix of scenes that only test the simulated plant and render nothing."""
 
 
 def scenes_named(names: Sequence[str] | None) -> list[Path]:
-    """Return scenes by their names in `configs/hard` or by file; None means all that render something.
+    """Return the files of scenes, given by name in `configs/hard` or by path; None: all that render an environment.
 
     Raises:
-        InputError: No scene has that name.
+        InputError: A name is neither a scene in `configs/hard` nor a file.
     """
     folder = shipped("configs") / "hard"
     hard = {path.stem: path for path in sorted(folder.glob("*.yaml"))}
@@ -77,7 +74,7 @@ def scenes_named(names: Sequence[str] | None) -> list[Path]:
 
 
 def label_of(algorithm: str) -> str:
-    """Return the name of an algorithm in results; for a user-defined one, the file without its folder and the class."""
+    """Return the name of an algorithm in results; of a user-defined algorithm `FILE.py:Class` without its folder."""
     return Path(algorithm).name if is_own(algorithm) else algorithm
 
 
@@ -87,15 +84,15 @@ def is_own(algorithm: str) -> bool:
 
 
 def entry_of(reference: str, path: Path, allow_code: bool) -> ComponentSpec:
-    """Return the algorithm of the user's own that `FILE.py:Class` names, for a scene.
+    """Return the user-defined algorithm `FILE.py:Class`, for a scene.
 
     Args:
         reference: File and class.
-        path: Path of the scene, which supplies the keys that the algorithm knows.
+        path: Path of the scene, whose parameters the algorithm takes over.
         allow_code: Whether the file may run.
 
     Raises:
-        InputError: It may not, or is no algorithm.
+        InputError: The file may not run, or the class is not an algorithm.
     """
     file, _, name = reference.partition(":")
     own = Path(file).resolve()
@@ -105,10 +102,10 @@ def entry_of(reference: str, path: Path, allow_code: bool) -> ComponentSpec:
 
 
 def scene_under(path: Path, algorithm: str, *, allow_code: bool = False) -> Scene:
-    """Return a scene of one axis under an algorithm, with indispensable values taken from the plant.
+    """Return a scene of one axis under an algorithm; properties that it needs and lacks are taken from the plant.
 
     Raises:
-        InputError: The scene has groups or several axes, or own code may not run.
+        InputError: The scene has groups or several axes, or user-defined code may not run.
         ParameterError: The algorithm refuses the scene.
     """
     scene = load_scene(path, allow_code=allow_code)
@@ -123,7 +120,7 @@ def scene_under(path: Path, algorithm: str, *, allow_code: bool = False) -> Scen
 
 
 def with_loop(scene: Scene, rate: float, delay: int) -> Scene:
-    """Return a scene at another rate [Hz] and delay; torques act at their SYNC, as in a loop without a bus."""
+    """Return a scene at another rate [Hz] and delay; torques act exactly at a SYNC, as in a loop without a bus."""
     scene = axis_loop.at_rate(scene, rate)
     timing = {"torque_window": 0.0, "sync_jitter": 0.0}
     bus = scene.bus.model_copy(update={"rpdo": "synchronous" if delay else "event"})
@@ -132,11 +129,11 @@ def with_loop(scene: Scene, rate: float, delay: int) -> Scene:
 
 
 def group_figures(group: "ArenaPlan", known: Collection[tuple[int, str]] = ()) -> list[Row]:
-    """Return the figures of every case of a group.
+    """Return the figures of every case of a plan with one scene and one rate.
 
     Args:
-        group: Plan with one scene and one rate, whose cases share one continuous run.
-        known: (delay, algorithm label) of cases to leave out.
+        group: The plan; its cases share one continuous run.
+        known: (delay, algorithm label) of cases to omit.
     """
     asked = [(d, name) for d in group.delays for name in group.algorithms if (d, label_of(name)) not in known]
     if not asked:
@@ -189,15 +186,15 @@ def rounded(value: float) -> float:
 
 
 _PARTS: Final = {"position_error": "rms", "force_variation": "ratio", "stiffness_rendered": "share"}
-"""Figure -> its part that counts."""
+"""Figure of `figures` -> the part of it that the arena uses."""
 DAMPINGS: Final = (0.0, 0.05, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)  # [N*s/m]
 _STIFFNESSES: Final = (1e2, 1e6)  # [N/m]
 FREQUENCIES: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # [Hz]
 _SPRING: Final = SpringDamperWall(stiffness=1000.0, damping=5.0)
-"""Object of the impedance measurement: the hand presses on it with `_PRESS` and never leaves it."""
+"""Environment of the impedance measurement; the hand moves around `_PRESS`, so that it never leaves contact."""
 _HAND: Final = UserParameters(stiffness=2000.0, damping=20.0)
 _AMPLITUDE: Final = 5e-3  # [m]
-_PRESS: Final = -0.05  # middle of the motion of the hand [m]
+_PRESS: Final = -0.05  # mean position of the hand [m]
 _METRICS: Final = ("diverged", "least_covered", "stiffness_rendered.share")
 _RATES: Final = (100.0, 300.0, 1000.0, 3000.0, 8000.0)
 """Rates of the M-width [Hz]."""
@@ -206,13 +203,13 @@ Rows = list[Row]
 
 
 def tried_stiffnesses(per_decade: int) -> Array:
-    """Return the stiffnesses of the K-B plot, rising by equal factors, both ends included, shape (n,) [N/m]."""
+    """Return the stiffnesses of the K-B plot, evenly spaced in the logarithm, ends included, shape (n,) [N/m]."""
     least, most = _STIFFNESSES
     return np.geomspace(least, most, 1 + round(per_decade * np.log10(most / least)))
 
 
 def borders(rig: Path, algorithm: str, delay: int, per_decade: int, *, allow_code: bool = False) -> Rows:
-    """Return the K-B plot of an algorithm: over the damping, the stiffest passive wall and the stiffest accurate one.
+    """Return the K-B plot of an algorithm: for each damping, the stiffest passive wall and the stiffest accurate one.
 
     Args:
         rig: Scene of one axis with a wall.
@@ -242,7 +239,7 @@ def borders(rig: Path, algorithm: str, delay: int, per_decade: int, *, allow_cod
 
 
 def _tried(scene: Scene, walls: Mapping[str, Array]) -> Mapping[str, Array]:
-    """Return the figures of walls, compiled where the algorithm has a kernel."""
+    """Run walls and return their figures, in a batch if the algorithm has a kernel."""
     cycles = axis_loop.cycles_of(scene, None)
     if not why_not_batchable(scene):
         return run_batch(scene, walls, cycles, metrics=_METRICS)
@@ -252,7 +249,7 @@ def _tried(scene: Scene, walls: Mapping[str, Array]) -> Mapping[str, Array]:
 
 
 def _on_rig(rig: Path, algorithm: str, delay: int, allow_code: bool = False) -> Scene | None:
-    """Return the rig under an algorithm at a delay; None where that refuses it."""
+    """Return the rig under an algorithm at a delay; None if the algorithm refuses the rig."""
     try:
         scene = scene_under(rig, algorithm, allow_code=allow_code)
     except ParameterError:
@@ -261,9 +258,9 @@ def _on_rig(rig: Path, algorithm: str, delay: int, allow_code: bool = False) -> 
 
 
 def theory(rig: Path, delay: int) -> dict[str, Rows]:
-    """Return the theoretical limits in the K-B plot by name, each a list of damping and stiffness.
+    """Return the theoretical limits in the K-B plot: name -> points of damping and stiffness.
 
-    They apply to the plain wall, and the largest stiffness that a certificate of `guarded` holds; see
+    Two limits apply to the plain wall; the third is the largest stiffness that `guarded` certifies. See
     `lab.studies.map`.
     """
     plain, ours = (with_loop(s, s.bus.rate, delay) for s in (scene_under(rig, n) for n in ("unprotected", "guarded")))
@@ -282,9 +279,9 @@ def theory(rig: Path, delay: int) -> dict[str, Rows]:
 
 
 def impedances(rig: Path, algorithm: str, delay: int, *, allow_code: bool = False) -> Rows:
-    """Return the impedance that an algorithm renders over the requested one, at each of `FREQUENCIES`.
+    """Return the rendered over the requested impedance, as magnitude and angle [rad], at each of `FREQUENCIES`.
 
-    The environment is a spring with a damper, always in contact; the ratio is given as magnitude and angle [rad].
+    The environment is a spring with a damper, always in contact.
     """
     scene, found = _on_rig(rig, algorithm, delay, allow_code), Rows()
     if scene is None:
@@ -321,7 +318,7 @@ def times_of_steps(rig: Path, algorithms: Sequence[str], *, allow_code: bool = F
 
 
 def mass_widths(rig: Path) -> Rows:
-    """Return the M-width of the rig at several rates and delays: no algorithm of a torque axis renders a mass."""
+    """Return the M-width of the rig at several rates and delays; it does not depend on the algorithm."""
     plant = simulation_of(scene_under(rig, "unprotected").axes[0]).plant
     return [
         {"rate": rate, "delay": delay}
@@ -335,11 +332,11 @@ def mass_widths(rig: Path) -> Rows:
 
 
 class Column(NamedTuple):
-    """One figure of the table."""
+    """One figure of the ranking."""
 
-    what: str
+    what: str  # heading
     unit: str
-    value: Callable[[Sequence[Row]], float | None]
+    value: Callable[[Sequence[Row]], float | None]  # from the cases of an algorithm; None where it does not apply
     is_ranked: bool = True  # whether less is better
 
 
@@ -348,7 +345,7 @@ def _count(figure: str) -> Callable[[Sequence[Row]], float]:
 
 
 def _combined(figure: str, by: Callable[[Sequence[float]], Any] = np.median) -> Callable[[Sequence[Row]], float | None]:
-    """Return the function from cases to one number: a figure of those that were completed, combined."""
+    """Return a function that combines a figure of all cases which ran to their end, for example to its median."""
 
     def of(cases: Sequence[Row]) -> float | None:
         values = [case[figure] for case in cases if case["status"] == "completed" and case[figure] is not None]
@@ -376,15 +373,15 @@ COLUMNS: Final[dict[str, Column]] = {
     "rate_hardness": Column("rate-hardness over stiffness, median", "1", _combined("rate_hardness"), is_ranked=False),
     "drag": Column("drag in free motion, mean", "N", _combined("drag", np.mean)),
 }  # fmt: skip
-"""Key -> figure; in each that is ranked less is better."""
+"""Key -> figure of the ranking; less is better."""
 
 
 def ranking(algorithms: Sequence[str], cases: Sequence[Row]) -> list[Row]:
-    """Return one row per algorithm.
+    """Return the figures of each algorithm over its cases, one row per algorithm.
 
     Args:
         algorithms: Names, in the order of the rows.
-        cases: Figures of the cases of all algorithms.
+        cases: Cases of all algorithms.
     """
     rows = []
     for name in algorithms:
@@ -395,7 +392,7 @@ def ranking(algorithms: Sequence[str], cases: Sequence[Row]) -> list[Row]:
 
 
 def ranks(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
-    """Return the rank of each algorithm in each ranked figure: one more than the number of better ones."""
+    """Return the rank of each algorithm in each ranked figure: 1 + the number of better algorithms."""
     found: dict[str, dict[str, int]] = {row["algorithm"]: {} for row in rows}
     for key, column in COLUMNS.items():
         known = {row["algorithm"]: row[key] for row in rows if row[key] is not None}
@@ -406,7 +403,7 @@ def ranks(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
 
 
 def given_out(algorithms: Sequence[str], cases: Sequence[Row]) -> dict[str, dict[str, dict[str, float]]]:
-    """Return where energy is given out: algorithm -> scene -> number of cases beyond the device, and the most [J]."""
+    """Return algorithm -> scene -> number of cases that give out energy beyond the device, and the largest [J]."""
     found: dict[str, dict[str, dict[str, float]]] = {name: {} for name in algorithms}
     for case in cases:
         if case["algorithm"] in found and case["status"] != "refused":
@@ -417,27 +414,27 @@ def given_out(algorithms: Sequence[str], cases: Sequence[Row]) -> dict[str, dict
 
 
 _KIND: Final = "arena"
-_LARGEST: Final = 100_000_000  # [B], of the files that a case is made of
+_LARGEST: Final = 100_000_000  # largest file of a scene or algorithm [B]
 _COMPUTES: Final = ("control", "kernels", "scene", "sim", "lab")
 """Folders of the package whose code determines the result of a case."""
 
 
 class ArenaStore(Store):
-    """The finished cases of an arena.
+    """Finished cases of an arena on disk.
 
     Args:
-        folder: Folder of the store; created if need be.
-        force: Whether to start afresh.
+        folder: Folder of the store; created if it does not exist.
+        force: Whether to delete stored cases.
 
     Raises:
-        CanHapticError: It cannot be read or made.
+        CanHapticError: The folder cannot be read or created.
     """
 
     def __init__(self, folder: Path, *, force: bool = False) -> None:
         try:
             folder.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"{folder.parent}: cannot be made ({error.strerror}); name another --out") from error
+            raise InputError(f"{folder.parent}: cannot be created ({error.strerror}); give another --out") from error
         if force or not folder.exists():
             create_store(folder, _KIND, {}, replace=force)
         super().__init__(folder, _KIND, writable=True)
@@ -448,7 +445,7 @@ class ArenaStore(Store):
         return [json.loads((self.folder / name).read_text(encoding="utf-8")) for name in names if name in self.chunks]
 
     def add(self, group: "ArenaPlan", found: Iterable[Row]) -> None:
-        """Store the figures of cases of a group; all of them are on disk on return.
+        """Store cases of a group; they are on the disk on return.
 
         Raises:
             LogWriteError: The folder cannot be written.
@@ -482,7 +479,7 @@ RATES: Final = (100.0, 300.0, 1000.0, 3000.0, 8000.0)  # [Hz]
 DELAYS: Final = (0, 1)
 LONGEST: Final = 2.0  # [s] of one run
 PER_DECADE: Final = 12
-"""Stiffnesses in a decade of the K-B plot."""
+"""Stiffnesses per decade of the K-B plot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -491,7 +488,7 @@ class ArenaPlan:
 
     Attributes:
         scenes: Files, each with one simulated axis.
-        algorithms: Names, and `FILE.py:Class` of the user's own.
+        algorithms: Names, or `FILE.py:Class` for user-defined algorithms.
         rates: Rates [Hz].
         delays: Delays in whole holds, 0 or 1.
         longest: Largest duration of a run [s].
@@ -510,7 +507,7 @@ class ArenaPlan:
     allow_code: bool = False
 
     def groups(self) -> list["ArenaPlan"]:
-        """Return the cases, grouped by shared continuous run: a plan for each scene at each rate."""
+        """Split the plan into one for each scene and rate, whose cases share one continuous run."""
         return [replace(self, scenes=(path,), rates=(rate,)) for path in self.scenes for rate in self.rates]
 
     def names(self) -> list[str]:
@@ -521,14 +518,14 @@ class ArenaPlan:
         """Check every scene and algorithm before anything runs.
 
         Raises:
-            InputError: One cannot be used.
+            InputError: A scene or an algorithm cannot be used.
         """
         if not (self.scenes and self.algorithms and self.rates and self.delays):
             raise InputError("arena: got no scene, algorithm, rate or delay; leave the option out to take all")
         if not set(self.delays) <= {0, 1}:
             raise InputError(f"arena: got the delays {self.delays}, expected 0 (event) or 1 (synchronous)")
         if len(self.names()) < len(self.algorithms) or len({path.stem for path in self.scenes}) < len(self.scenes):
-            raise InputError("arena: two scenes or two algorithms have one name; give each file another name")
+            raise InputError("arena: two scenes or two algorithms have the same name; rename one of the files")
         axis_loop.chosen_algorithms([name for name in self.algorithms if not is_own(name)] or None)
         for path in self.scenes:
             scene_under(path, "unprotected", allow_code=self.allow_code)
@@ -543,14 +540,14 @@ def run_arena(
     progress: Callable[[Progress], None] = lambda _: None,
     stop_requested: Callable[[], bool] = lambda: False,
 ) -> Row | None:
-    """Return all results as plain values; None where it was stopped, with finished cases in the store.
+    """Run an arena; return all results as plain values, or None if it was stopped.
 
     Args:
         plan: Plan of the arena.
-        store: Store of finished cases.
+        store: Store of finished cases, which are not run again.
         executor: Executor for groups of cases; None: this thread.
         progress: Called with the number of finished cases.
-        stop_requested: Polled regularly; true stops the arena.
+        stop_requested: Polled regularly; True stops the arena.
 
     Raises:
         InputError: A scene, an algorithm or the store cannot be used.
@@ -593,7 +590,7 @@ def _job(group: ArenaPlan, finished: Sequence[Row], store: ArenaStore, count: Co
 
 
 def _of_rig(plan: ArenaPlan, stop_requested: Callable[[], bool]) -> Row:
-    """Return the figures measured on the rig, without any that a request to stop left out."""
+    """Return the figures measured on the rig; those after a request to stop are missing."""
     found: dict[str, list[Row]] = {"borders": [], "impedance": []}
     for name in plan.algorithms:
         for delay in plan.delays:

@@ -1,11 +1,11 @@
-"""Every algorithm on one scene: its axes, admittance displays or groups, judged by the plant's own energies.
+"""Compare algorithms on one scene: its axes, admittance displays or groups, judged by the energies of the plant.
 
     user + plant -> continuous environment        the reference of an axis: no sampling, encoder or limit
     user + plant -> encoder -> algorithm -> delay -> torque quantum and limit -> plant        once per algorithm
 
-Axes run without a bus by default (`DirectRig`: the same floats, a tenth of the time), compiled, or over the whole CAN
-path. Displays run over their simulated drives, groups too, or compiled without a bus; neither has a continuous
-reference.
+Axes run without a bus by default (the same floats as over CAN, in a tenth of the time), compiled, or over the whole CAN
+path. Admittance displays run over their simulated drives, and so do groups unless they run compiled without a bus;
+neither has a continuous reference.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -32,7 +32,7 @@ _BATCH: Final = 64  # cycles between two reports of progress
 
 @dataclass(frozen=True, slots=True)
 class AxisComparison:
-    """One axis: the continuous run, and one run per algorithm that could be built."""
+    """Runs of one axis: the continuous one, and one for each algorithm that does not refuse it."""
 
     name: str
     unit: str
@@ -55,10 +55,10 @@ def are_displays(scene: Scene) -> bool:
 
 
 def compared_algorithms(scene: Scene, algorithms: Sequence[str] | None) -> list[str]:
-    """Return the requested names, each known; for None all algorithms of the scene's axes, displays or groups.
+    """Return the requested algorithms without repetitions; for None all that fit the scene's axes, displays or groups.
 
     Raises:
-        ParameterError: One is unknown.
+        ParameterError: A name is unknown.
     """
     if are_displays(scene):
         every = DISPLAY_GROUP_ALGORITHMS if all(axis.group for axis in scene.axes) else DISPLAY_ALGORITHMS
@@ -86,14 +86,15 @@ def compare(
         algorithms: Names of `compared_algorithms`; all of them by default.
         duration: Duration [s]; by default the scene's.
         rate: Rate that replaces the scene's [Hz], possibly beyond its bus; for single axes, not over CAN.
-        over_can: Whether the whole CAN path is used instead of `DirectRig`.
-        engine: Engine without a bus: "python" gives the bits of the path over CAN, "numba" differs by rounding and
-            saves time on stiff plants and long runs, "auto" takes it where it is worthwhile.
+        over_can: Whether the whole CAN path is used instead of a loop without a bus.
+        engine: Engine without a bus: "python" gives the same bits as the path over CAN, "numba" differs by rounding and
+            saves time on stiff plants and long runs, "auto" chooses numba where it saves time.
         repeats: Interleaved timings of a step of a single axis, of which the minimum counts; 0 for none.
         progress: Called with the number of cycles done so far, of all runs together.
 
     Raises:
-        InputError: Nothing is simulated, an unknown algorithm, axes of several kinds, or a rate over CAN.
+        InputError: Nothing is simulated, an algorithm is unknown, axes are of several kinds, or a rate is given with
+            CAN.
     """
     names, displays = compared_algorithms(scene, algorithms), are_displays(scene)
     if rate is not None:
@@ -110,10 +111,10 @@ def compare(
 
 
 def _require_rate(scene: Scene, *, displays: bool, over_can: bool) -> None:
-    """Refuse a rate other than the scene's.
+    """Refuse another rate for runs that use the drives of the scene.
 
     Raises:
-        InputError: The drives of the runs have that of the scene.
+        InputError: The scene has displays or groups, or runs over CAN.
     """
     if displays:
         raise InputError("--rate: for impedance displays; for admittance displays use --set bus.rate=...")
@@ -124,7 +125,7 @@ def _require_rate(scene: Scene, *, displays: bool, over_can: bool) -> None:
 
 
 class _Counter:
-    """Cycles done, reported now and then."""
+    """Counts cycles and reports every `_BATCH` of them."""
 
     def __init__(self, progress: Progress | None) -> None:
         self._progress, self._done = progress, 0
@@ -136,7 +137,7 @@ class _Counter:
 
 
 def reference_of(axis: AxisScene, scene: Scene, cycles: int) -> tuple[ContinuousReference | None, str]:
-    """Return the continuous run of an axis, and how it was found; None and the reason where there is none."""
+    """Return the continuous run of an axis and its method; None and the reason if there is none."""
     (plant, user, effects, _), period = axis_loop.plant_parts(axis), scene.bus.sample_time_ns
     try:
         found = continuous_reference(axis_loop.environment_of(axis), plant, user, effects, period, cycles)
@@ -146,7 +147,7 @@ def reference_of(axis: AxisScene, scene: Scene, cycles: int) -> tuple[Continuous
 
 
 def _able(axis: AxisScene, name: str, scene: Scene) -> axis_loop.AbleAxis | str:
-    """Return an axis under an algorithm, or why that refuses it."""
+    """Return an axis under an algorithm, or the reason why the algorithm refuses it."""
     try:
         return axis_loop.able_under(axis, name, scene)
     except ParameterError as error:
@@ -156,7 +157,7 @@ def _able(axis: AxisScene, name: str, scene: Scene) -> axis_loop.AbleAxis | str:
 def _of_axes(
     scene: Scene, names: Sequence[str], cycles: int, counter: Callable[[], None], engine: Engine | None, repeats: int
 ) -> Comparison:
-    """Return the comparison of single axes; by an engine without a bus, or None: over CAN."""
+    """Compare algorithms on single axes, with an engine without a bus, or over CAN where `engine` is None."""
     axis_loop.require_single_axes(scene, "compare")
     if not all(axis.simulation is not None for axis in scene.axes):
         raise InputError(f"{scene.source}: has no `simulation`, expected a plant and a user to compare on; add one")

@@ -1,28 +1,19 @@
-"""Maps of a sweep: largest wall stiffness over rate, damping and every other varied key, and its rendered share.
+"""Maps of a sweep: the largest stiffness that passes over rate, damping and any other varied key, and its accuracy.
 
-The figures of a sweep by the values of its keys: a grid as arrays with one dimension per key, samples as lists.
+`MapField` gives the figures of a sweep as arrays with one dimension per key of a grid, or as lists of samples.
+`border_of` finds the Z-width: the largest stiffness that passes for all values of the keys that are not drawn, and the
+largest that is also accurate. `panels_of` chooses the panels of a map. The first shows all algorithms together with
+theory; there "passive" refers to the display with its device's dissipation, and to the hand of the scene.
 
-Theoretical limits of a wall on a device, in closed form.
-
-Colgate and Schenkel, "Passivity of a class of sampled-data systems", Journal of Robotic Systems 14, 1997: with the
-damping b of the device a sampled wall H(z) is passive for every user if and only if, at every frequency,
+`theory_of` computes limits in closed form. Colgate and Schenkel, "Passivity of a class of sampled-data systems",
+Journal of Robotic Systems 14, 1997: with the damping b of the device, a sampled wall H(z) is passive for every user if
+and only if, at every frequency,
 
     b > T / (2 - 2 cos wT) * Re{(1 - e^-jwT) H(e^jwT)}
 
 For a spring k without delay that is b > k T / 2. Abbott and Okamura (IEEE Trans. Robotics 21, 2005) add the encoder:
-the Coulomb friction of the device must cover half a count of the spring, k < 2 f_c / count: for a wall without a damper
-and without delay, on a device that has such friction; it makes no statement about any other.
-
-Z-width: the largest stiffness that passes at every value of the other keys, and the largest that is also accurate.
-
-One panel of a map as plain values, with the common parts of its picture and its page.
-
-The first row of a map: the stiffest wall that is passive and accurate, all algorithms in one panel with theory.
-
-Passive refers to the display, with the device's dissipation, and to the hand of the scene, at its worst over
-every key that is not drawn.
-
-The panels of a map: chosen by the varied and requested keys, filled from the figures of a sweep.
+the device's Coulomb friction f_c must satisfy k < 2 f_c / count. This holds for a wall without damper and delay, on a
+device with such friction.
 """
 
 import json
@@ -58,16 +49,16 @@ class MapField:
     """One axis of a sweep under one algorithm.
 
     Args:
-        table: File of the sweep.
+        table: Results of the sweep.
         axis: Name of the axis.
-        controller: Name of the algorithm; "" for the scene's own where the sweep varied none.
+        controller: Name of the algorithm; "" if the sweep did not vary it.
         allow_code: Whether program files that the scene names may run.
 
     Attributes:
         keys: Numeric keys with more than one value, in the order given.
-        values: Values of each of these keys: its levels in a grid, one per scene for samples.
+        values: Values of each of these keys: all levels of a grid, or one value per scene for samples.
         is_grid: Whether figures have one dimension per key.
-        scene: Unvaried scene of this axis alone under this algorithm.
+        scene: Scene with only this axis under this algorithm, without varied values.
         algorithm: Name of its algorithm.
         is_display: Whether the axis is an admittance display.
     """
@@ -90,7 +81,7 @@ class MapField:
         self.is_display = is_display(self.scene)
 
     def figure(self, metric: str) -> Array:
-        """Return a figure, in a grid with one dimension per key of `keys` and one for the others; NaN where missing."""
+        """Return a figure, NaN where a scene is not completed; for a grid with one dimension per key, the rest last."""
         found = self._shaped(self._table.figure(self.axis, metric))
         return np.where(self.judged(), found, np.nan)
 
@@ -105,7 +96,7 @@ class MapField:
         return found
 
     def has(self, metric: str) -> bool:
-        """Whether the sweep has a figure."""
+        """Return whether the sweep computed a figure."""
         return metric in self._table.metrics
 
     def label(self, key: str) -> str:
@@ -114,16 +105,16 @@ class MapField:
         return f"{key} [{unit}]" if unit else key
 
     def levels(self, key: str | None) -> list[dict[str, float]]:
-        """Return every value of a key, rising, each as {key: value}; one empty mapping for None."""
+        """Return the values of a key in ascending order, each as {key: value}; [{}] for None."""
         return [{}] if key is None else [{key: value} for value in sorted(self.values[key].tolist())]
 
     def words(self, at: Mapping[str, float]) -> str:
-        """Return values of keys in words, such as `, damping 5 N*s/m`."""
+        """Return values of keys as text, such as `, damping 5 N*s/m`."""
         said = (f"{key.rpartition('.')[2]} {at[key]:.3g} {_unit_of(self.scene, key)}" for key in at)
         return "".join(f", {words.rstrip()}" for words in said)
 
     def _shaped(self, column: NDArray[Any]) -> Any:
-        """Return a column of this algorithm; of a grid with the numeric keys first, all others last."""
+        """Return the rows of this algorithm; for a grid one dimension per numeric key, all other keys last."""
         rows = column[self._rows]
         if not self.is_grid:
             return rows
@@ -137,27 +128,27 @@ def fields_of(table: SweepTable, axis: str | None = None, *, allow_code: bool = 
     """Return one field per algorithm.
 
     Args:
-        table: File of the sweep.
+        table: Results of the sweep.
         axis: Name of the axis; the first by default.
         allow_code: Whether program files that the scene names may run.
 
     Raises:
-        InputError: No such axis, nothing is finished, or nothing numeric varies.
+        InputError: There is no such axis, no chunk is finished, or no numeric key varies.
     """
     name = axis or table.axes[0]
     if name not in table.axes:
         raise InputError(f"{table.folder}: has no axis {name!r}, expected one of: {', '.join(table.axes)}")
     if not table.done().any():
-        raise InputError(f"{table.folder}: no chunk is finished yet, so there is nothing to draw; let the sweep run on")
+        raise InputError(f"{table.folder}: no chunk is finished yet, so there is nothing to draw; resume the sweep")
     controllers = list(dict.fromkeys(table.values(CONTROLLER))) if CONTROLLER in table.keys else [""]
     fields = [MapField(table, name, str(controller), allow_code=allow_code) for controller in controllers]
     if not fields[0].keys:
-        raise InputError(f"{table.folder}: no key with numbers was varied, so there is no axis to draw along")
+        raise InputError(f"{table.folder}: has no axis to draw along; sweep again with --vary of a key with numbers")
     return fields
 
 
 def _scene(table: SweepTable, axis: str, controller: str, allow_code: bool) -> Scene:
-    """Return the scene before anything varied, of only one axis."""
+    """Return the scene of one axis under an algorithm, without varied values."""
     overrides = json.loads(table.note("overrides"))
     scene = scene_from_text(table.note("scene"), table.note("source"), overrides, allow_code=allow_code)
     chosen = next(one for one in scene.axes if axis in (one.parameters.name, one.group))
@@ -168,7 +159,7 @@ def _scene(table: SweepTable, axis: str, controller: str, allow_code: bool) -> S
 
 
 def _unit_of(scene: Scene, key: str) -> str:
-    """Return the unit that the model of a varied key gives it on the axis of a scene; "" for a pure number."""
+    """Return the unit of a varied key on the axis of a scene; "" for a pure number."""
     [axis] = scene.axes
     simulation = axis.simulation
     user = simulation and simulation.user
@@ -197,7 +188,7 @@ _TRIED: Final = np.geomspace(1.0, 1e8, 801)
 
 
 def colgate_stiffness(damping: float, wall_damping: float, sample_time: float, delay: int) -> float:
-    """Return the largest stiffness [N/m or N*m/rad] permitted by the condition above.
+    """Return the largest stiffness [N/m or N*m/rad] that is passive by the condition of Colgate and Schenkel.
 
     Args:
         damping: b of the device [N*s/m or N*m*s/rad].
@@ -220,17 +211,17 @@ class Theory(NamedTuple):
     """Largest stiffness by each theory [N/m or N*m/rad]; None where a theory does not apply."""
 
     colgate: float | None  # passive for every hand
-    abbott_okamura: float | None  # the same, of encoder and dry friction
-    eigenvalues: float | None  # the plain wall touched all the time, with the hand of the scene, is stable
-    certificate: float | None  # the largest that a certificate of the scene's own algorithm holds
+    abbott_okamura: float | None  # passive for every hand, with encoder counts and dry friction
+    eigenvalues: float | None  # plain wall in permanent contact is stable, with the hand of the scene
+    certificate: float | None  # largest stiffness that the scene's own algorithm certifies
 
 
 def theory_at(field: MapField, values: Mapping[str, float]) -> Theory:
     """Return the theoretical limits at some values of a field's keys.
 
     Args:
-        field: Field with the scene and axis.
-        values: Key -> value; keys that occur in no formula are ignored.
+        field: Field of the axis and algorithm.
+        values: Key -> value; keys that no formula uses are ignored.
     """
     names = {batch_key(key, field.index, field.axis) or "": value for key, value in values.items()}
     return theory_of(scene_with(field.scene, {name: value for name, value in names.items() if name in BATCHED}))
@@ -255,7 +246,7 @@ def theory_of(scene: Scene) -> Theory:
 
 
 def _stable_stiffness(scene: Scene) -> float | None:
-    """Return up to which stiffness the plain wall is stable by its eigenvalues; None where the loop is not linear."""
+    """Return the stiffness up to which the plain wall is stable by its eigenvalues; None if the loop is not linear."""
     try:
         radii = spectral_radius(scene, {"environment.stiffness": _TRIED})
     except (ParameterError, NotImplementedError):
@@ -272,7 +263,7 @@ JUDGEMENTS: Final = {
     "covered": "energy in less energy out of the plant >= 0 at the handle, friction and damping of the device included "
     "(`run` judges the motor alone unless they are declared: --by passive)",
 }
-"""Name -> meaning of passing, in words."""
+"""Name of a judgement -> the condition for passing."""
 _ENERGIES: Final = {
     "passive": "least_interaction",
     "margin": "margin",
@@ -283,23 +274,18 @@ SHARE: Final = "stiffness_rendered.share"
 
 
 class _Border(NamedTuple):
-    """The largest value of a key that passes with all below it, or the largest near one of these.
+    """Border of a field along one key; the arrays have the shape of the other keys."""
 
-    Arrays have the shape of the other keys of a field.
-
-    NaN where a scene was not run; 0 where not even the least passes, or none is near; `open` where the largest passes.
-    """
-
-    value: Array
-    open: Mask
+    value: Array  # largest value up to which all pass; 0: not even the least passes; NaN: scenes are missing
+    open: Mask  # whether the largest value passes, so that the border is beyond the range
 
 
 def usual_judgement(field: MapField) -> str:
-    """Return the default judgement of an algorithm.
+    """Return the default judgement of an algorithm: the property that it promises.
 
-    The plain wall promises nothing for its port: with the device's dissipation it is stable or not, by the eigenvalues
-    of the loop; where that is not linear, damping and dry friction of the device must cover at any moment what the port
-    gave out, as Abbott and Okamura require. The others are judged by what they promise.
+    `unprotected` does not promise a passive port. It is judged by the eigenvalues of the loop; where the loop is not
+    linear, damping and dry friction of the device must at any moment cover the energy that the port gave out, as Abbott
+    and Okamura require.
     """
     if field.algorithm == "unprotected":
         if field.has(RADIUS) and np.isfinite(field.figure(RADIUS)).any():
@@ -309,7 +295,7 @@ def usual_judgement(field: MapField) -> str:
 
 
 def _passes(field: MapField, judgement: str) -> Mask:
-    """Return which scenes pass, shaped as a figure of the field."""
+    """Return which scenes pass a judgement, in the shape of a figure."""
     if judgement != "stable":
         return np.asarray(field.figure(_ENERGIES[judgement]) >= -PASSIVE_TOLERANCE)
     passed = field.judged()
@@ -322,31 +308,31 @@ def _passes(field: MapField, judgement: str) -> Mask:
 
 
 def passing_share(field: MapField, judgement: str) -> float:
-    """Return the share of the judged scenes that pass."""
+    """Return the share of the scenes with a contact that pass a judgement."""
     judged = field.judged()
     return float((_passes(field, judgement) & judged).sum() / max(1, judged.sum()))
 
 
 def common_judgement(field: MapField) -> str:
-    """Return the common judgement of all algorithms: as displays, device included, where that is known."""
+    """Return the judgement for a panel with all algorithms: display and device together, if the sweep has that."""
     return next((name for name in ("covered", "passive") if field.has(_ENERGIES[name])), "margin")
 
 
 def border_of(field: MapField, key: str, kept: list[str], judgement: str, *, near: bool = False) -> _Border:
-    """Return the largest passing value of a key, the worst over every key that is not kept.
+    """Return the largest value of a key up to which all scenes pass, whatever the values of keys that are not kept.
 
     Args:
         field: Field with a grid.
-        key: Key whose largest value is wanted, such as environment.stiffness.
+        key: Key whose border is searched, such as environment.stiffness.
         kept: Keys that remain as dimensions of the result, in this order.
         judgement: Name of a judgement, in `JUDGEMENTS`.
-        near: Whether to return the largest of these values at which the stiffness is rendered within `NEAR`.
+        near: Whether to return the largest of the passing values at which the stiffness is rendered within `NEAR`.
     """
     order, rank = [field.keys.index(name) for name in (key, *kept)], np.argsort(field.values[key])
     folded = tuple(range(1 + len(kept), len(field.keys) + 1))
 
     def arranged(figure: NDArray[Any]) -> Any:
-        """Return a figure with rising values of the key first, then the kept keys, then all others."""
+        """Return a figure with dimensions key (ascending), kept keys, all others."""
         return np.moveaxis(figure, order, range(len(order)))[rank]
 
     judged = arranged(field.judged())
@@ -364,14 +350,14 @@ _COLOURS: Final = (BLUE, GREEN, PURPLE, ORANGE, SKY, VERMILION, GREY)
 _BLACK: Final = ("ours", "abbott_okamura", "eigenvalues", "certificate")
 _FEW: Final = 8
 _LOG_SPAN: Final = 8.0
-"""Ratio of largest and least value from which an axis is logarithmic."""
+"""Ratio of largest to least value from which an axis is logarithmic."""
 CurveStyle = Literal["measured", "ours", "colgate", "abbott_okamura", "eigenvalues", "certificate"]
-"""What a line represents."""
+"""Kind of a line: measured, measured under `guarded`, or a theory."""
 
 
 @dataclass(frozen=True, slots=True)
 class PanelCurve:
-    """One line of a panel; lines of one level of a key share their number."""
+    """One line of a panel; `number` chooses its colour, and lines for the same value of a key share it."""
 
     label: str
     x: Array
@@ -381,13 +367,13 @@ class PanelCurve:
 
     @property
     def colour(self) -> str:
-        """Return the colour as #RRGGBB; black for limits valid at every level, and for the algorithm for rigs."""
+        """Return the colour as #RRGGBB; black for `guarded`, and for limits that do not depend on `number`."""
         return "#000000" if self.style in _BLACK else _COLOURS[self.number % len(_COLOURS)]
 
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """A panel of lines; both axes positive where logarithmic."""
+    """A panel of lines."""
 
     title: str
     x_label: str
@@ -398,7 +384,7 @@ class Lines:
     note: str = ""
 
     def marks(self) -> list[float]:
-        """Return the values to mark along a logarithmic x; none where there are too many."""
+        """Return the ticks of a logarithmic x axis: all values, or none if there are too many."""
         return _few(np.concatenate([line.x for line in self.lines] or [np.empty(0)])) if self.x_log else []
 
     def has_something(self) -> bool:
@@ -408,7 +394,7 @@ class Lines:
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """A panel of coloured cells, or of dots where the scenes form no grid."""
+    """A panel of coloured cells, or of dots if the scenes are samples."""
 
     title: str
     x_label: str
@@ -427,7 +413,7 @@ class Cells:
     untouched: Any = False  # which scenes had no contact, of the shape of `values`
 
     def marks(self) -> list[float]:
-        """Return the values to mark along a logarithmic x; none where there are too many, or no columns."""
+        """Return the ticks of a logarithmic x axis: all values, or none if there are too many, or dots."""
         return _few(self.x) if self.x_log and not self.dots else []
 
     def has_something(self) -> bool:
@@ -460,7 +446,7 @@ def _edges_of(values: Array, *, log: bool) -> Array:
 
 
 def common_limits(panels: Sequence[Panel | None]) -> tuple[float, float]:
-    """Return limits of the colours that fit every panel of cells in a row."""
+    """Return the range of the colours for all panels of cells in a row."""
     cells = [panel for panel in panels if isinstance(panel, Cells)]
     if not cells:
         return 0.0, 1.0
@@ -476,12 +462,12 @@ def common_limits(panels: Sequence[Panel | None]) -> tuple[float, float]:
 
 
 def is_log(values: Array) -> bool:
-    """Return whether an axis with these values is logarithmic."""
+    """Return whether an axis with these values should be logarithmic."""
     return bool(values.min() > 0.0 and values.max() / values.min() >= _LOG_SPAN)
 
 
 def positive(values: Array) -> Array:
-    """Return values for a logarithmic axis: NaN where they are not positive."""
+    """Return values with NaN in place of those that are not positive, for a logarithmic axis."""
     return np.where(values > 0.0, values, np.nan)
 
 
@@ -495,13 +481,16 @@ _OF_PLAIN_WALL: Final[dict[CurveStyle, str]] = {
 
 
 def headline(fields: list[MapField], z: str, x: str, y: str | None) -> list[Lines]:
-    """Return one panel per value of y, or for the least, middle and largest of many; none where shares are unknown.
+    """Return panels with all algorithms and theory: one per value of y, or for the least, middle and largest of many.
 
     Args:
         fields: Fields of one grid, one per algorithm.
         z: Key of the stiffness.
         x: Key along the x axis.
-        y: Another key; None where there is none.
+        y: Another key; None if there is no other.
+
+    Returns:
+        An empty list if the sweep lacks the rendered share of the stiffness.
     """
     if not all(one.has(SHARE) and common_judgement(one) != "margin" for one in fields):
         return []
@@ -529,7 +518,7 @@ def _panel(fields: list[MapField], z: str, x: str, at: dict[str, float]) -> Line
 
 
 def _judged(field: MapField, judgement: str) -> str:
-    """Return in words what a wall had to keep, and for which hand."""
+    """Return a note on the condition that a wall had to pass, and for which hand."""
     user: Any = field.scene.axes[0].simulation and field.scene.axes[0].simulation.user
     motion = getattr(getattr(user, "motion", None), "type", "own")
     return f"{JUDGEMENTS[judgement]}; for the scene's hand alone ({motion} motion)"
@@ -538,7 +527,7 @@ def _judged(field: MapField, judgement: str) -> str:
 def _border_along(
     field: MapField, z: str, x: str, at: Mapping[str, float], judgement: str, *, near: bool = False
 ) -> Array:
-    """Return the border over rising x at values of other keys; NaN where not even the least passes."""
+    """Return the border over ascending x, at given values of other keys; NaN where not even the least passes."""
     border = border_of(field, z, [x, *at], judgement, near=near).value[np.argsort(field.values[x])]
     for key, level in at.items():
         border = border[:, int(np.flatnonzero(field.values[key] == level)[0])]
@@ -546,7 +535,7 @@ def _border_along(
 
 
 def _lines(field: MapField, title: str, x: str, z: str, curves: Sequence[PanelCurve], note: str) -> Lines:
-    """Return a panel with the curves that have a point."""
+    """Return a panel with all curves that have at least one point."""
     shown = tuple(curve for curve in curves if np.isfinite(curve.y).any())
     log = is_log(field.values[x]), is_log(field.values[z])
     return Lines(title, field.label(x), field.label(z), shown, *log, note)
@@ -555,9 +544,9 @@ def _lines(field: MapField, title: str, x: str, z: str, curves: Sequence[PanelCu
 def _theory(
     field: MapField, labels: Mapping[CurveStyle, str], x: str, at: Mapping[str, float], number: int = 0
 ) -> list[PanelCurve]:
-    """Return lines of theory over rising x; NaN where one is zero or does not apply.
+    """Return lines of theory over ascending x; NaN where a limit is zero or does not apply.
 
-    Where a further key is worst of all, theory is taken at the scene's own value.
+    Keys that are not drawn have the value of the scene.
     """
     places = np.sort(field.values[x])
     found = [theory_at(field, {**at, x: float(place)}) for place in places]
@@ -578,7 +567,7 @@ _OF_WALLS: Final = ("margin", "stiffness_rendered.share", _DAMPING, _ERROR)
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """Keys and figure of a map; None: chosen from the varied keys."""
+    """Keys, figure and judgement that the user requests for a map; None: chosen here."""
 
     x: str | None = None
     y: str | None = None
@@ -587,10 +576,10 @@ class Chosen:
 
 
 def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel | None]]:
-    """Return the panels of a map, by columns: all algorithms together on top, then one column per algorithm.
+    """Return the panels of a map by columns, one for each algorithm; on top, panels with all algorithms together.
 
     Raises:
-        InputError: A key that was not varied or a figure that was not asked for.
+        InputError: A requested key was not varied, or the sweep did not compute a requested figure.
     """
     _check(fields[0], chosen)
     if chosen.metric is not None or not fields[0].is_grid:
@@ -609,13 +598,13 @@ def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel | None]
 
 
 def _display_panels(field: MapField, chosen: Chosen) -> list[Panel]:
-    """Return the panels of an admittance display: the mass felt, the energy given out, how often a guard acts."""
+    """Return the panels of an admittance display: apparent mass, energy given out, share of holds that are limited."""
     x = chosen.x or (_MASS if _MASS in field.keys else None)
     return [_metric_panel(field, Chosen(x, chosen.y), metric) for metric in _OF_DISPLAYS if field.has(metric)]
 
 
 def _keys(field: MapField, chosen: Chosen) -> tuple[str, str, str | None]:
-    """Return the key that is searched, the key across, and the keys with one line or panel each."""
+    """Return the key whose border is searched, the key of the x axis, and the key with one line or panel per value."""
     free = [key for key in field.keys if key != chosen.x] or field.keys
     z = _STIFFNESS if _STIFFNESS in free else free[-1]
     others = sorted((key for key in field.keys if key != z), key=_preference)
@@ -630,11 +619,11 @@ def _check(field: MapField, chosen: Chosen) -> None:
     if chosen.x is not None and chosen.x == chosen.y:
         raise InputError(f"--x and --y: got {chosen.x} twice; give two keys")
     if chosen.metric is not None and not field.has(chosen.metric):
-        raise InputError(f"--metric: {chosen.metric!r} is not in the file; sweep again with --metrics {chosen.metric}")
+        raise InputError(f"--metric: {chosen.metric!r} is not in the sweep; repeat it with --metrics {chosen.metric}")
 
 
 def _usual_panels(field: MapField, chosen: Chosen, *, beside: bool) -> list[Panel]:
-    """Return the panels of one algorithm; its border only where no panel shows it with the others'."""
+    """Return the panels of one algorithm; `beside`: whether a panel with all algorithms shows its border already."""
     if len(field.keys) == 1:
         return [
             _metric_panel(field, chosen, metric) for metric in _OF_WALLS if field.has(metric) and metric != _DAMPING
@@ -649,7 +638,7 @@ def _preference(key: str) -> int:
 
 
 def _width(field: MapField, z: str, x: str, y: str | None, judgement: str) -> Panel:
-    """Return the largest z that passes over x (and y), the worst over every other key."""
+    """Return a panel of the largest passing z over x (and y), the worst case over all other keys."""
     border = border_of(field, z, [x] if y is None else [x, y], judgement)
     title = f"{field.algorithm}: largest {z.rpartition('.')[2]}"
     note = f"{_judged(field, judgement)}; worst case over all other keys"
@@ -707,7 +696,7 @@ def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
 
 
 def _shown(field: MapField, metric: str) -> tuple[Array, str, str]:
-    """Return a figure as it is drawn: energies below zero as the missing amount, renderings as shares of requests."""
+    """Return a figure as drawn, its label and kind: negative energies as missing amounts, others as shares or plain."""
     values = field.figure(metric)
     if metric in ("margin", "least_interaction", "believed_margin"):
         words = {"margin": "missing in the margin, eq. 4", "least_interaction": "given out beyond what came in"}
@@ -734,9 +723,9 @@ def _asked_damping(field: MapField, values: Array) -> Array | float:
 
 
 def _worst(values: Array, kind: str) -> Array:
-    """Return the worst over all but the first two: most energy missing, largest error, share furthest from one.
+    """Return the worst value over all dimensions but the first two.
 
-    Of any other figure it is the least.
+    The worst is the largest error or missing energy, the share furthest from one, or the least of any other figure.
     """
     flat = values.reshape(*values.shape[:2], -1)
     score = {"share": np.abs(flat - 1.0), "plain": -flat}.get(kind, flat)
@@ -745,7 +734,7 @@ def _worst(values: Array, kind: str) -> Array:
 
 
 def _profile(field: MapField, key: str, metric: str) -> Panel:
-    """Return a figure along the only key that was varied."""
+    """Return a panel of a figure over the only key that was varied."""
     values, label, kind = _shown(field, metric)
     order = np.argsort(field.values[key])
     flat = _worst(values.reshape(len(order), 1, -1), kind)[:, 0]

@@ -1,6 +1,6 @@
-"""The jobs of a study on workers: in this process, in a process pool, on a Dask cluster, on any executor.
+"""Run the jobs of a study: in this process, in a process pool, on a Dask cluster, or on any executor.
 
-A pool whose worker dies is replaced and its unfinished work is run again; Dask does that by itself.
+If a worker of a pool dies, the pool is replaced and its unfinished jobs are run again; Dask does that by itself.
 """
 
 import multiprocessing
@@ -22,9 +22,9 @@ T = TypeVar("T")
 _CONNECT: Final = 10.0
 """Time allowed for a scheduler to answer [s]."""
 _LOOK: Final = 0.2
-"""Time between two looks at a request to stop [s]."""
+"""Time between two polls of a request to stop [s]."""
 _MOST_LOSSES: Final = 3
-"""Pools lost in a row without a job finished in between."""
+"""Largest number of pools lost in a row without a finished job in between."""
 
 
 class Progress(NamedTuple):
@@ -37,12 +37,12 @@ class Progress(NamedTuple):
 
 
 class Job(NamedTuple):
-    """Some cases of a study that are finished together."""
+    """Some cases of a study that a worker computes together."""
 
-    what: str  # in words, as in "scenes 0 to 49"
-    run: Callable[..., Any]
-    arguments: Callable[[], tuple[Any, ...]]  # asked for when it is submitted
-    take: Callable[[Any], None]  # stores what it gave
+    what: str  # description for messages, such as "scenes 0 to 49"
+    run: Callable[..., Any]  # function that a worker calls
+    arguments: Callable[[], tuple[Any, ...]]  # makes its arguments when the job is submitted
+    take: Callable[[Any], None]  # stores its result
 
 
 class Count:
@@ -50,7 +50,7 @@ class Count:
 
     Args:
         total: Number of all cases.
-        begun: Number of those that an earlier run had finished.
+        begun: Number of cases that an earlier run had finished.
         progress: Called with the progress.
 
     Attributes:
@@ -67,12 +67,12 @@ class Count:
         self._progress(self.state)
 
     def compiling(self, cases: int) -> None:
-        """Show how many cases of the job under way are done while their loop is being compiled."""
+        """Show how many cases of the running job are done while their loop is being compiled."""
         self._progress(self.state._replace(done=self.state.done + cases, compiles=True))
 
 
 class SerialExecutor(Executor):
-    """Executor that runs everything at once, in this thread."""
+    """Executor that runs each job immediately, in this thread."""
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
         """Return a completed future."""
@@ -85,10 +85,10 @@ class SerialExecutor(Executor):
 
 
 class Pool:
-    """Worker processes of our own; `renew` replaces them when one died.
+    """Worker processes; `renew` replaces them after one died.
 
-    They are started afresh (`spawn`), so that they inherit no thread or lock of this process. They leave Ctrl-C to this
-    process, and end when it does, however it ends.
+    They are spawned, so that they inherit no thread or lock of this process. They ignore Ctrl-C, and end when this
+    process ends, for any reason.
 
     Args:
         workers: Number of processes.
@@ -105,7 +105,7 @@ class Pool:
         return self.executor
 
     def close(self) -> None:
-        """End the processes once they have finished their present work."""
+        """End the processes after they have finished their running jobs."""
         self.executor.shutdown(wait=True, cancel_futures=True)
 
     def _made(self) -> ProcessPoolExecutor:
@@ -115,7 +115,7 @@ class Pool:
 
 @contextmanager
 def pool_of(workers: int) -> Iterator[Pool | None]:
-    """Yield a pool of processes, or None where one is enough; it is closed at the end."""
+    """Yield a pool of processes, which is closed at the end; None for one worker, which is this process."""
     if workers == 1:
         yield None
         return
@@ -124,7 +124,7 @@ def pool_of(workers: int) -> Iterator[Pool | None]:
 
 
 def begin_worker() -> None:
-    """Leave Ctrl-C to the parent, use one thread, and end with the parent; called in a new process."""
+    """Initialise a worker process: ignore Ctrl-C, use one thread for linear algebra, and end with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -146,7 +146,7 @@ def dask_executor(address: str) -> Iterator[tuple[Executor, int]]:
         address: Address of the scheduler, such as tcp://10.0.0.5:8786.
 
     Raises:
-        InputError: Dask is not installed, no scheduler answers, or it has no worker.
+        InputError: Dask is not installed, no scheduler answers, or the cluster has no worker.
     """
     try:
         from distributed import Client
@@ -173,18 +173,18 @@ def run_jobs(
     where: object,
     in_flight: int = 4,
 ) -> None:
-    """Run jobs until all are finished or a stop is requested; jobs under way are still finished.
+    """Run jobs until all are finished or a stop is requested; running jobs are still completed and stored.
 
     Args:
         jobs: The jobs, in the order of their submission.
-        executor: Executor; None: this thread, one job after the other. A `Pool` gets two jobs a process.
+        executor: Executor; None: this thread. A `Pool` gets two jobs per process at a time.
         stop_requested: Polled regularly.
         where: Place of the results, for messages.
         in_flight: Largest number of jobs submitted to another executor and not yet taken.
 
     Raises:
-        CanHapticError: A job fails with it.
-        WorkersLostError: The workers die again and again, or cannot run a job.
+        CanHapticError: A job fails with this error.
+        WorkersLostError: Workers die repeatedly, or cannot run a job.
     """
     if executor is None or isinstance(executor, Pool):
         in_flight = 1 if executor is None else 2 * executor.workers
@@ -192,7 +192,7 @@ def run_jobs(
 
 
 class _Run:
-    """Jobs on their way: which wait, and which are out."""
+    """State of `run_jobs`: jobs that wait, and jobs that are submitted."""
 
     def __init__(self, jobs: Sequence[Job], executor: Executor | Pool, in_flight: int, where: object) -> None:
         self._waiting, self._executor, self._in_flight, self._where = [*jobs][::-1], executor, in_flight, where
@@ -245,7 +245,7 @@ class _Run:
             self._losses = 0
 
     def _lost(self, error: BrokenExecutor) -> None:
-        """Begin anew with new workers after one died, unless that has failed before."""
+        """Queue the unfinished jobs again with new workers, unless workers died too often."""
         self._waiting += self._out.values()
         self._out.clear()
         self._losses += 1

@@ -1,7 +1,7 @@
-"""The store of a study: a folder with `study.json`, which states the request, and one file for each finished chunk.
+"""Store of a study: a folder with `study.json`, which describes the request, and one file for each finished chunk.
 
-A file is written anew, flushed to the disk and renamed into place: after a kill at any moment it exists completely, or
-not at all, and the study goes on where it was. Room for all results is checked before anything runs.
+A file is written under another name, flushed to the disk and renamed, so that after a kill it exists completely or not
+at all, and the study can be resumed. Disk space for all results is checked before anything runs.
 """
 
 import errno
@@ -24,7 +24,7 @@ _VERSION: Final = 2
 _KEPT: Final = {"sweep": "what was finished is kept, --resume goes on"}
 _GOES_ON: Final = "what was finished is kept, the same command goes on"
 _ROOM_OF_LAYOUT: Final = 1 << 20
-"""Least room for names and remarks [bytes]."""
+"""Disk space reserved for names and remarks [bytes]."""
 
 
 class Store:
@@ -33,14 +33,14 @@ class Store:
     Args:
         folder: Folder made by `create_store`.
         kind: Kind of the study, "sweep" or "arena".
-        writable: Whether chunks will be written; only one process can.
+        writable: Whether chunks will be written; only one process can write.
 
     Attributes:
         document: The request, as plain values.
         chunks: Names of the finished chunks.
 
     Raises:
-        LogFormatError: It is no store, of another study or of a newer version.
+        LogFormatError: The folder is no store, or holds another kind of study or a newer version.
         LogWriteError: Another process writes it.
     """
 
@@ -68,7 +68,7 @@ class Store:
         """Write a chunk; it is on the disk on return.
 
         Raises:
-            LogWriteError: The disk refuses, or the store is open for reading only; what was finished before stays.
+            LogWriteError: The chunk cannot be written, or the store is read-only; finished chunks are kept.
         """
         if self._lock is None:
             raise LogWriteError(f"{self.folder}: is open for reading only; open it with writable=True")
@@ -80,15 +80,16 @@ def create_store(folder: Path, kind: str, document: Row, *, room: int = 0, repla
     """Create an empty store; it appears completely or not at all.
 
     Args:
-        folder: Folder, which is created in an existing one.
+        folder: Folder to create; its parent must exist.
         kind: Kind of the study.
         document: The request, as plain values.
         room: Size of all results [bytes].
-        replace: Whether to replace a store that is there.
+        replace: Whether to replace an existing store.
 
     Raises:
-        InputError: It exists.
-        LogWriteError: The folder cannot be made, the disk is too small for all results, or another process writes it.
+        InputError: The store exists already.
+        LogWriteError: The folder cannot be created, the disk is too small for all results, or another process writes
+            it.
     """
     if folder.is_file():
         raise InputError(f"{folder}: is a file, expected a folder of results; give another --out")

@@ -109,7 +109,7 @@ def test_plants_that_do_not_fit_are_named():
     axis = scene.axes[0]
     assert axis.simulation is not None
     alone = replace(scene, axes=(replace(axis, simulation=replace(axis.simulation, user=None)),))
-    assert "effect tremor does not stand alone" in why_not_batchable(alone)
+    assert "effect tremor cannot be simulated by itself" in why_not_batchable(alone)
     with pytest.raises(NotBatchableError, match="one by one with run_scalar"):
         run_batch(alone, {}, 10)
 

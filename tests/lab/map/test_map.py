@@ -285,7 +285,7 @@ def test_edges_lie_halfway_between_neighbours():
     [
         (Chosen(x="bus.bitrate"), "was not varied"),
         (Chosen(x="bus.rate", y="bus.rate"), "give two keys"),
-        (Chosen(metric="travel"), "not in the file"),
+        (Chosen(metric="travel"), "not in the sweep"),
     ],
 )
 def test_what_cannot_be_drawn_is_named(two_controllers, chosen, message):

@@ -1,9 +1,11 @@
-"""Sweeps: any keys of a scene, on a grid or a Latin hypercube, on one core, a process pool or a cluster.
+"""Sweeps: vary any keys of a scene on a grid or a Latin hypercube, on one core, a process pool or a cluster.
 
-vary          parser of `--vary`, and the scenes by global index
-chunk         where a varied key is in a scene; from values to scenes, and to their figures
-run_sweep     chunks to workers and to the store          first_use    Python runs scenes while their loop is compiled
-sweep_table   the results                                 summary      their meaning in words
+vary          parses `--vary` and numbers the scenes
+chunk         makes scenes from values and computes their figures
+run_sweep     sends chunks of scenes to workers, and results to the store
+first_use     runs scenes in Python while their loop is being compiled
+sweep_table   reads and writes the results
+summary       tables of a finished or running sweep
 """
 
 from canhaptic.lab.studies.sweep.run_sweep import sweep

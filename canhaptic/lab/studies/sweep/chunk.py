@@ -1,17 +1,14 @@
-"""The figures of consecutive scenes, wherever they are computed: a pure function of the recipe and their values.
+"""Compute the figures of consecutive scenes of a sweep (`run_chunk`), from its recipe and the values of each scene.
 
-Scenes of one kind run together in the batch engine, or one by one where that is not possible, with the reason stored.
-The division of scenes into chunks changes nothing, because no scene depends on another.
+Scenes that fit the batch engine run together, others one by one, with the reason stored. No scene depends on another,
+so that the size of a chunk changes no figure. A recipe is plain data, which workers receive by pickle.
 
-Position of a varied key in a scene: `environment.stiffness` means every axis, even one with a value of its own.
+A short key such as `environment.stiffness` applies to every axis, even one with its own `environment`. A key with a
+full path (`axes.0.environment.stiffness`, `bus.rate`) applies to that entry only.
 
-A key with a full path (`axes.0.environment.stiffness`, `bus.rate`) means that entry alone.
-
-From one row of values to a scene, or to the reason why there is none. Plain data: workers receive it by pickle.
-
-A value that is wrong on its own (`stiffness=abc`, an unknown key, a mass of -1) ends the sweep before it begins: it is
-a typing error. A row whose values are valid but do not fit together (a rate that the bus cannot carry, an algorithm
-without a value that it needs) is a finding: the row is kept as refused, with the reason, and the others run.
+A value that is wrong by itself (`stiffness=abc`, an unknown key, a mass of -1) is an error before the sweep starts. If
+valid values do not fit together (a rate that the bus cannot carry, an algorithm without a value that it needs), that
+scene is stored as refused, with the reason, and the others run.
 """
 
 import itertools
@@ -47,10 +44,10 @@ from canhaptic.scene.own_code import require_same_code
 
 
 def places_of(scene: Scene, keys: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """Return the override paths of each key.
+    """Return the paths at which each key must be overridden.
 
     Args:
-        scene: Scene loaded without a fault, from text.
+        scene: Valid scene, loaded from text.
         keys: Keys as given to `--vary`.
     """
     faults = Diagnostics()
@@ -60,7 +57,7 @@ def places_of(scene: Scene, keys: tuple[str, ...]) -> dict[str, tuple[str, ...]]
 
 
 def batch_key(key: str, axis: int, name: str) -> str | None:
-    """Return the name of a key in a scene of only that axis; None when it does not affect that axis.
+    """Return the name of a key in a scene with only one of the axes; None if the key does not affect that axis.
 
     Args:
         key: Key as given to `--vary`.
@@ -79,7 +76,7 @@ def batch_key(key: str, axis: int, name: str) -> str | None:
 
 
 def _places(document: MarkedMapping, key: str) -> tuple[str, ...]:
-    """Return the shared place of a key, where there is one or no axis has its own, and those of axes with their own."""
+    """Return the path of a key in the common section, and its paths in axes with their own section."""
     head, _, rest = key.partition(".")
     part, owner = rest.partition(".")[0], document.get("simulation")
     if head in OWN_SECTIONS and rest:
@@ -102,33 +99,33 @@ def _has(value: object, name: str) -> bool:
 RATE: Final = "bus.rate"
 _SEED: Final = "simulation.seed"
 _MOST_CORNERS: Final = 6
-"""Number of keys up to which every corner is tried; beyond it, the neighbours of two opposite corners."""
+"""Largest number of keys for which all corners are tried; with more keys, the neighbours of two opposite corners."""
 
 Row = tuple[tuple[str, Value], ...]
-"""(key, value) of one scene, or of several that share these values."""
+"""(key, value) pairs of one scene, or pairs that several scenes share."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """Recipe for every scene of a sweep.
+    """Data from which every scene of a sweep can be made.
 
     Attributes:
         source: File of the scene, the base of relative paths.
         text: Text of the scene.
-        overrides: Values that override the scene before anything varies.
-        varied: The keys; a range has only its ends.
-        places: Override paths of each key, in the order of `varied`.
+        overrides: Overrides of the scene that apply to all of the sweep.
+        varied: Varied keys; of a range only the ends.
+        places: Paths at which each key is overridden, in the order of `varied`.
         axes: Names of the axes outside groups, and of the groups.
-        seed: Seed from which every scene's own is derived.
+        seed: Seed from which the seed of each scene is derived.
         metrics: Requested metrics.
-        engine: Engine for scenes that fit a batch; chosen once, so that all workers agree.
-        duration: Length of every run [s]; None: the scene's.
-        cycles: SYNCs of every scene; None: from the duration.
+        engine: Engine for scenes that fit a batch; chosen once, so that all workers use the same.
+        duration: Length of every run [s]; None: that of the scene.
+        cycles: SYNCs of every run; None: from the duration.
         beyond_bus: Whether rates that the bus could not carry are accepted.
         allow_code: Whether the program files that scenes name may run, here and in workers.
         own_code: (file or plug-in, SHA-256) of the scene's user code; a worker with different code refuses the scene.
         displays: Whether every axis is an admittance display.
-        alone: Reason why every scene runs by itself although it might fit a batch; "" where batches are worthwhile.
+        alone: Reason why scenes run one by one even if they fit a batch; "" if batches are used.
     """
 
     source: str
@@ -152,15 +149,15 @@ class Recipe:
 class Built(NamedTuple):
     """A scene, or the reason why there is none."""
 
-    scene: Scene | None
-    remark: str  # why it is refused, or what was given to an algorithm
-    from_plant: tuple[str, ...] = ()  # loop properties taken from the plant
+    scene: Scene | None  # None if it is refused
+    remark: str  # reason of the refusal, or note on the properties taken from the plant
+    from_plant: tuple[str, ...] = ()  # names of the loop properties taken from the plant
 
     def permitted(self) -> Scene:
-        """Return the scene; raise where there is none.
+        """Return the scene.
 
         Raises:
-            InputError: There is none.
+            InputError: The scene is refused.
         """
         if self.scene is None:
             raise InputError(self.remark)
@@ -168,17 +165,16 @@ class Built(NamedTuple):
 
 
 def make_recipe(scene: Scene, points: Points, *, allow_code: bool = False, **options: Any) -> Recipe:
-    """Return the recipe of a sweep, with every value tried on its own.
+    """Return the recipe of a sweep, after each value was checked by itself.
 
     Args:
         scene: Simulated scene, from a file or text.
         points: Scenes of the sweep.
         allow_code: Whether the program files that scenes name may run.
-        options: Further attributes of the recipe: metrics and engine, and where they are not the default duration,
-            cycles and beyond_bus.
+        options: Further attributes of the recipe: metrics, engine, and optionally duration, cycles and beyond_bus.
 
     Raises:
-        InputError: The scene has no text or simulation, or an unknown algorithm is asked for.
+        InputError: The scene has no text or simulation, or an algorithm is unknown.
         SceneError: A key or a value is wrong by itself.
     """
     if not scene.text:
@@ -209,7 +205,7 @@ def make_recipe(scene: Scene, points: Points, *, allow_code: bool = False, **opt
 
 @lru_cache(maxsize=256)
 def scene_of(recipe: Recipe, row: Row) -> Built:
-    """Return the scene of a row of values, checked as if written so.
+    """Return the scene with some values, checked like a scene file with these values.
 
     Args:
         recipe: Recipe of the sweep.
@@ -229,7 +225,7 @@ def scene_of(recipe: Recipe, row: Row) -> Built:
 
 
 def seeded(recipe: Recipe, scene: Scene, index: int) -> Scene:
-    """Return a scene whose random seed follows from its global index, unless the sweep varies the seed itself."""
+    """Return a scene with the seed that belongs to its global index, unless the sweep varies the seed."""
     seeds = seeds_of(recipe, scene, np.array([index]))
     if scene.simulation is None or seeds is None:
         return scene
@@ -242,7 +238,7 @@ def seeded(recipe: Recipe, scene: Scene, index: int) -> Scene:
 
 
 def seeds_of(recipe: Recipe, scene: Scene, indices: NDArray[np.intp]) -> Array | None:
-    """Return the seeds of `seeded` for the first axis of scenes with some global indices; None where it sets none."""
+    """Return the seeds that `seeded` gives to scenes with some global indices; None where it changes no seed."""
     if scene.simulation is None or any(varied.key == _SEED for varied in recipe.varied):
         return None
     return scene_seeds(recipe.seed, indices)
@@ -255,9 +251,9 @@ def cycles_in(recipe: Recipe, scene: Scene) -> int:
 
 @lru_cache(maxsize=4096)
 def is_box_permitted(recipe: Recipe, shared: Row) -> bool:
-    """Return whether every scene within these values is permitted, for all values of the other keys.
+    """Return whether all scenes that share some values are permitted, whatever the values of the other keys.
 
-    Every limit of a scene is a bound from below or above, so that what is permitted in the corners is permitted inside.
+    Every limit of a scene is an upper or lower bound, so that it is enough to check the corners of the ranges.
     """
     fixed = {key for key, _ in shared}
     free = [v for v in recipe.varied if v.key not in fixed]
@@ -275,10 +271,10 @@ def _corners(free: list[Varied]) -> list[Row]:
 
 
 def _try_alone(recipe: Recipe, varied: Varied) -> None:
-    """Refuse a value that no other value could make right.
+    """Refuse a value that is wrong by itself, whatever the values of the other keys.
 
     Raises:
-        SceneError: One is; the message is that of the scene.
+        SceneError: A value is wrong; with the message of the scene.
     """
     if varied.key == CONTROLLER:
         names = [str(value) for value in varied.values]
@@ -316,7 +312,7 @@ def _overrides(recipe: Recipe, values: Mapping[str, Value], *, with_unit: bool =
 
 
 def _under(scene: Scene, controller: str) -> Built:
-    """Return the scene with every axis under an algorithm, which takes missing but needed values from the plant."""
+    """Return the scene with every axis under an algorithm; needed properties that are missing come from the plant."""
     if scene.groups:
         return Built(None, f"{CONTROLLER} {controller}: group {scene.groups[0].name!r} has algorithms of its own")
     found: list[axis_loop.AbleAxis] = []
@@ -335,20 +331,20 @@ def _under(scene: Scene, controller: str) -> Built:
 
 
 def _first_line(error: Exception) -> str:
-    """Return the first fault of an error without the override that it names, which is one of the sweep's own."""
+    """Return the first line of an error, without the name of the override that the sweep made."""
     line = str(error).splitlines()[0]
     return line.partition(": ")[2] if line.startswith("--set ") else line
 
 
 RADIUS: Final = "spectral_radius"
-"""Metric of the linear sampled loop, from its eigenvalues; NaN where the loop is not linear."""
+"""Metric: largest |eigenvalue| of the linear sampled loop; NaN where the loop is not linear."""
 FIGURES: Final = tuple(dict.fromkeys((*ALL, RADIUS, *DISPLAY_METRICS)))
 USUAL: Final = (*METRICS, RADIUS)
-"""Metrics that need no continuous run of each scene."""
+"""Metrics that need no continuous run; the default."""
 
 
 def usual_figures(scene: Scene) -> tuple[str, ...]:
-    """Return the default metrics of a sweep: those for each kind of display in the scene."""
+    """Return the default metrics of a sweep, for the kinds of displays in the scene."""
     displays = [is_display(part) for part in axis_loop.parts_of(scene).values()]
     if not any(displays):
         return USUAL
@@ -359,45 +355,45 @@ STATUS: Final = ("pending", "completed", "refused", "failed", "no contact")
 COMPLETED, REFUSED, _FAILED, UNTOUCHED = range(1, len(STATUS))
 ENGINES: Final = ("none", "closed form", "python", "numba", "scalar")
 SLOTS: Final = 32
-"""Different remarks that one chunk keeps."""
+"""Largest number of different remarks in a chunk."""
 _MORE: Final = "more remarks than a chunk keeps; canhaptic check CONFIG --set with its values says which"
 
 _CLOSED_FORM, _SCALAR = ENGINES.index("closed form"), ENGINES.index("scalar")
 BATCHED: Final = frozenset(f"{section}.{name}" for section, names in BATCH_KEYS.items() for name in names)
-"""Every key that may differ inside a batch."""
+"""All keys that may vary inside a batch."""
 _Rows = NDArray[np.intp]
 
 
 class ChunkResult(NamedTuple):
-    """Results of a chunk, row by row; every array of shape (n_scenes,)."""
+    """Results of a chunk; every array has shape (n_scenes,)."""
 
-    figures: dict[str, Array]  # by "axis/metric", NaN where there is nothing
+    figures: dict[str, Array]  # by "axis/metric"; NaN where a metric does not apply
     status: NDArray[np.uint8]  # index in STATUS
     engine: NDArray[np.uint8]  # index in ENGINES
-    remark: NDArray[np.uint8]  # 0 for none, else one more than the index in texts
-    texts: tuple[str, ...]
-    of_plant: str = ""  # which properties an algorithm took from the simulated plant, in words; "" for none
+    remark: NDArray[np.uint8]  # 0 for none, else 1 + index in texts
+    texts: tuple[str, ...]  # remarks
+    of_plant: str = ""  # note on the properties taken from the simulated plant; "" for none
 
 
 def run_chunk(recipe: Recipe, start: int, columns: Mapping[str, Column]) -> ChunkResult:
-    """Return the figures of the scenes `start` and following.
+    """Compute the figures of consecutive scenes.
 
     Args:
         recipe: Recipe of the sweep.
         start: Global index of the first scene.
-        columns: Values by key, of equal length.
+        columns: Values of the scenes by key, of equal length.
     """
     return _Chunk(recipe, start, columns).run()
 
 
 def is_batch_key(recipe: Recipe, key: str) -> bool:
-    """Return whether scenes that differ in a key fit one batch, for every axis that the key affects."""
+    """Return whether a key may vary inside a batch, on every axis that it affects."""
     names = [batch_key(key, index, name) for index, name in enumerate(recipe.axes)]
     return all(name is None or name in BATCHED for name in names)
 
 
 class _Chunk:
-    """Consecutive scenes on their way from values to figures."""
+    """Computation of one chunk, see `run_chunk`."""
 
     def __init__(self, recipe: Recipe, start: int, columns: Mapping[str, Column]) -> None:
         self._recipe, self._start, self._columns = recipe, start, columns
@@ -421,7 +417,7 @@ class _Chunk:
         return ChunkResult(self._figures, self._status, self._engine, self._remark, tuple(self._texts), self._of_plant)
 
     def _permitted(self) -> _Rows:
-        """Return the rows with compatible values; the others are noted as refused."""
+        """Return the rows whose values are permitted; store the others as refused."""
         refused = []
         for rows in self._groups({key for key in self._columns if key not in self._free}, np.arange(self._count)):
             if is_box_permitted(self._recipe, self._row(int(rows[0]), set(self._columns) - self._free)):
@@ -434,7 +430,7 @@ class _Chunk:
         return np.setdiff1d(np.arange(self._count), np.array(refused, dtype=np.intp))
 
     def _groups(self, keys: set[str], rows: _Rows) -> list[_Rows]:
-        """Return the rows that share the values of some keys, in the order of their first."""
+        """Group rows by equal values of some keys; return the groups in the order of their first row."""
         kinds = np.zeros(len(rows), dtype=np.int64)
         for key in keys:
             numbers = np.unique(np.asarray(self._columns[key])[rows], return_inverse=True)[1]
@@ -458,7 +454,7 @@ class _Chunk:
             self._one_by_one(rows, reason)
 
     def _closed_form(self, built: Built, rows: _Rows, batched: Sequence[str]) -> str:
-        """Fill in the spectral radius where the loop is linear; return "" or why it is not."""
+        """Store the spectral radius if the loop is linear; return "", else why it is not."""
         reason = ""
         for index, name in enumerate(self._recipe.axes):
             scene = _alone(built, name)
@@ -471,7 +467,7 @@ class _Chunk:
         return reason
 
     def _in_arrays(self, built: Built, rows: _Rows, batched: Sequence[str]) -> str:
-        """Run the rows as one batch per axis; return "" or the reason why that cannot be."""
+        """Run the rows as one batch for each axis; return "", else the reason why they cannot run in a batch."""
         recipe, cycles = self._recipe, cycles_in(self._recipe, built.permitted())
         metrics = [metric for metric in recipe.metrics if metric != RADIUS]
         found: dict[str, Array] = {}
@@ -497,7 +493,7 @@ class _Chunk:
         return ""
 
     def _varied(self, built: Built, scene: Scene, index: int, rows: _Rows, batched: Sequence[str]) -> dict[str, Array]:
-        """Return the values that differ within a batch of one axis, under the names of the batch."""
+        """Return the values that vary within a batch of one axis, by key of `BATCH_KEYS`."""
         varied: dict[str, Array] = {}
         for key in batched:
             name = batch_key(key, index, self._recipe.axes[index])
@@ -539,14 +535,14 @@ class _Chunk:
         self._status[rows], self._engine[rows], self._remark[rows] = status, engine, self._slot(remark)
 
     def _slot(self, remark: str) -> int:
-        """Return the number of a remark, 0 for none; those that a chunk has no room for share the last one."""
+        """Return the number of a remark, 0 for none; remarks beyond `SLOTS` share the last number."""
         if remark and remark not in self._texts and len(self._texts) < SLOTS:
             self._texts.append(remark if len(self._texts) < SLOTS - 1 else _MORE)
         return ["", *self._texts].index(remark) if remark in ("", *self._texts) else SLOTS
 
 
 def row_of(columns: Mapping[str, Column], row: int, keys: set[str] | None = None) -> Row:
-    """Return the values of one scene of some keys; None for all."""
+    """Return the values of one scene at some keys; None: at all keys."""
     return tuple(
         (key, float(values[row]) if isinstance(values, np.ndarray) else values[row])
         for key, values in columns.items()
@@ -555,12 +551,12 @@ def row_of(columns: Mapping[str, Column], row: int, keys: set[str] | None = None
 
 
 def _alone(built: Built, name: str) -> Scene:
-    """Return the scene of a single axis or group: they share nothing but the bus."""
+    """Return the scene with only one axis or group."""
     return axis_loop.parts_of(built.permitted())[name]
 
 
 def _figures_alone(recipe: Recipe, scene: Scene, asked: Sequence[str]) -> tuple[Mapping[str, float], bool, str]:
-    """Return the figures of one axis or group, whether its loop was compiled, and why a group's could not be."""
+    """Return the figures of one axis or group, whether its loop was compiled, and why a group's loop was not."""
     cycles = cycles_in(recipe, scene)
     if is_display(scene):
         return display_figures(scene, cycles, asked), False, ""
@@ -572,7 +568,7 @@ def _figures_alone(recipe: Recipe, scene: Scene, asked: Sequence[str]) -> tuple[
 
 
 def _remark_of(built: Built, *, is_batched: bool = False) -> str:
-    """Return the values given to an algorithm, and the parts of the scene that are not in its loop."""
+    """Return the note on properties taken from the plant, and on bus effects that the loop omits."""
     return _joined(built.remark, not_in_loop(built.permitted(), is_batched=is_batched))
 
 
@@ -581,7 +577,7 @@ def _joined(*remarks: str) -> str:
 
 
 def _is_taken(scene: Scene, name: str) -> bool:
-    """Whether the algorithm has the parameter that another algorithm of the sweep has."""
+    """Return whether the algorithm of a scene has the varied parameter, which may belong to another algorithm."""
     section, _, key = name.rpartition(".")
     axis = scene.axes[0]
     own = type(axis.passivity.parameters).model_fields
@@ -590,5 +586,5 @@ def _is_taken(scene: Scene, name: str) -> bool:
 
 @lru_cache(maxsize=64)
 def _free_keys(recipe: Recipe) -> frozenset[str]:
-    """Return the keys with a range, whose ends decide for all values between."""
+    """Return the keys that vary over a range inside a batch: if its ends are permitted, so are the values between."""
     return frozenset(v.key for v in recipe.varied if v.spacing != "list" and is_batch_key(recipe, v.key))

@@ -1,4 +1,4 @@
-"""The first use of a loop that is not compiled yet: Python runs scenes while a separate process compiles it."""
+"""First use of a loop: Python runs scenes while a separate process compiles the loop."""
 
 import multiprocessing
 from collections.abc import Callable, Mapping
@@ -15,22 +15,22 @@ from canhaptic.lab.studies.sweep.chunk import SLOTS, ChunkResult, Recipe, run_ch
 from canhaptic.lab.studies.sweep.vary import Column
 
 _FIRST: Final = 4
-"""Scenes that Python runs before it is known how long one takes."""
+"""Scenes that Python runs to measure the time of one."""
 _SLICE: Final = 0.5
-"""Time after which the end of compiling is looked for [s]."""
+"""Time between two checks whether compiling has ended [s]."""
 _COMPILING: Final = 10.0
-"""Time that compiling takes, about [s]: where Python would take longer for the rest of a chunk, it runs the first
-scenes and leaves the processor, whose caches they share, to the compiler."""
+"""Approximate time of compiling [s]. If Python would take longer for the rest of a chunk, it runs only the first scenes
+and then waits, which leaves the processor and its caches to the compiler."""
 
 
 class FirstUse:
-    """Runs chunks; a loop met for the first time is compiled in a separate process meanwhile.
+    """Runs chunks, and compiles a new loop in a separate process in the meantime.
 
-    Both engines give the same bits, so that it does not matter which scenes Python ran.
+    Both engines give the same bits, so that the figures do not depend on which scenes Python ran.
 
     Args:
-        report: Called with the finished scenes of a chunk while its loop is being compiled.
-        begin: Called in the compiling process.
+        report: Called with the number of finished scenes of a chunk while its loop is being compiled.
+        begin: Called first in the compiling process.
     """
 
     def __init__(self, report: Callable[[int], None], begin: Callable[[], None]) -> None:
@@ -51,7 +51,7 @@ class FirstUse:
     def _meanwhile(
         self, compiling: BaseProcess, recipe: Recipe, start: int, columns: Mapping[str, Column]
     ) -> ChunkResult:
-        """Run scenes in Python until their loop is compiled; where that ends sooner, wait for it after the first."""
+        """Run scenes in Python until their loop is compiled; if compiling ends sooner, wait for it after the first."""
         clock, count, done, size, each = WallClock(), len(next(iter(columns.values()))), 0, _FIRST, 0.0
         parts: list[ChunkResult] = []
         while done < count:
@@ -71,21 +71,21 @@ class FirstUse:
         return joined(parts)
 
     def close(self) -> None:
-        """End the compiling process: the remaining work takes less time than compiling."""
+        """Terminate the compiling process, whose result is no longer needed."""
         if self._compiling is not None:
             self._compiling.terminate()
             self._compiling.join()
 
 
 def _compile(begin: Callable[[], None], recipe: Recipe, start: int, columns: Mapping[str, Column]) -> None:
-    """Run two SYNCs of every scene, which compiles their loops; a failure here appears again in the sweep itself."""
+    """Compile the loops of a chunk by running two SYNCs of every scene; errors are ignored, the sweep repeats them."""
     begin()
     with suppress(Exception):
         run_chunk(replace(recipe, cycles=2, duration=None), start, columns)
 
 
 def joined(parts: list[ChunkResult]) -> ChunkResult:
-    """Return consecutive results as one."""
+    """Concatenate the results of consecutive parts of a chunk."""
     texts = list(dict.fromkeys(text for part in parts for text in part.texts))
     slots = [[0, *(min(texts.index(text) + 1, SLOTS) for text in part.texts)] for part in parts]
     remarks = [np.array(of, dtype=np.uint8)[part.remark] for of, part in zip(slots, parts, strict=True)]

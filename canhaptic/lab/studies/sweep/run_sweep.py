@@ -1,7 +1,7 @@
-"""A sweep: chunks of scenes to workers, results to the store as they come.
+"""Run a sweep: send chunks of scenes to workers, and store each result when it is ready.
 
-The result of a scene depends only on its values and its global index, so that serial, pool and cluster write the same
-bits; only the order in which chunks become ready differs.
+The result of a scene depends only on its values and its global index, so that one thread, a pool and a cluster write
+the same bits; only the order in which chunks become ready differs.
 """
 
 import json
@@ -43,15 +43,15 @@ from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
 
 _BATCH_CHUNK: Final = (1000, 5000)
-"""Least and most scenes of a chunk unless the user says otherwise: fewer, and making the batch costs more than it."""
+"""Default range of the scenes in a chunk: with fewer, making the batch costs more than running it."""
 _SCALAR_CHUNK: Final = (1, 50)
 _WORTH_A_POOL: Final = 1e6
-"""Scenes times cycles that Python runs, from which a pool of processes pays: some 10 s on one core."""
+"""Scenes times cycles in Python from which a pool of processes saves time: some 10 s on one core."""
 _MOST_PLANTS: Final = 6
-"""Values of a plant's key for which an error is estimated."""
+"""Largest number of values of a plant's key for which the simulation error is estimated."""
 _FEWEST_CHUNKS: Final = 16
 _FEWEST_TOGETHER: Final = 8
-"""Scenes of one kind in a sweep, below which making their batch costs more than running them."""
+"""Fewest scenes of a batch: below, making it costs more than running the scenes one by one."""
 
 
 class Asked(NamedTuple):
@@ -78,18 +78,18 @@ def sweep(
     stop_requested: Callable[[], bool] = lambda: False,
     **options: Any,
 ) -> Progress:
-    """Run every scene and store the figures in a folder; a stopped or killed sweep continues where it was.
+    """Run every scene and store the figures in a folder; a stopped or killed sweep can be resumed.
 
     Args:
         scene: Scene with simulated drives, from a file or text.
         vary: Varied keys, as for `--vary`.
         out: Folder of the results.
         executor: A `concurrent.futures.Executor`, or a `Pool`; None: in this thread.
-        resume: Whether to continue with an existing folder; a missing one is created.
+        resume: Whether to continue in an existing folder; a missing folder is created.
         force: Whether to replace the results of an existing folder.
-        in_flight: Largest number of chunks submitted to an executor and not yet written; a `Pool` gets two a process.
-        processes: Whether, where no executor is given, a long sweep that Python runs gets a process on each core, and
-            a loop that is not compiled yet is compiled in a separate process while Python runs scenes.
+        in_flight: Largest number of chunks submitted to an executor and not yet stored; ignored for a `Pool`.
+        processes: Whether processes may be started if no executor is given: one on each core for a long sweep in
+            Python, and one that compiles a new loop while Python runs scenes.
         progress: Called regularly with the progress.
         stop_requested: Polled regularly; True ends the sweep after the submitted chunks.
         options: As for `make_sweep`.
@@ -145,7 +145,7 @@ def make_sweep(
     chunk: int | None = None,
     **options: bool,
 ) -> Asked:
-    """Return a sweep, checked as far as possible before a scene runs.
+    """Prepare a sweep, and check it as far as possible before a scene runs.
 
     Args:
         scene: Scene with simulated drives, from a file or text.
@@ -156,14 +156,14 @@ def make_sweep(
         duration: Length of every run [s]; by default the scene's.
         cycles: SYNCs of every scene, instead of a duration.
         metrics: Names of `FIGURES`; by default `usual_figures`, which need no continuous run of each scene.
-        engine: Engine for scenes that fit a batch; "auto" is numba where it is installed and worthwhile.
-        chunk: Scenes that are finished together; affects only how much a kill can lose.
+        engine: Engine for scenes that fit a batch; "auto" is numba where it is installed and saves time.
+        chunk: Scenes that are stored together; it affects only how much work a kill can lose.
         options: `beyond_bus`: whether to accept rates that the bus could not carry, instead of refusing them.
-            `allow_code`: whether program files that a varied value names may run; the scene's own may if it was loaded
-            that way.
+            `allow_code`: whether program files that varied values name may run; those of the scene itself may run if
+            the scene was loaded with that permission.
 
     Raises:
-        InputError: Anything is wrong.
+        InputError: A key, a value or an option is wrong.
     """
     points = make_points([parse_vary(one) if isinstance(one, str) else one for one in vary], controllers, samples, seed)
     if unknown := [name for name in metrics or () if name not in FIGURES]:
@@ -176,7 +176,7 @@ def make_sweep(
     )  # fmt: skip
     together = _together(recipe, points)
     if together < _FEWEST_TOGETHER and not scene.groups and not recipe.displays:
-        reason = f"only {together} of the scenes differ in nothing but keys of a batch, expected {_FEWEST_TOGETHER}"
+        reason = f"only {together} of the scenes would share a batch, expected {_FEWEST_TOGETHER}"
         recipe = replace(recipe, alone=reason)
     least, most = _SCALAR_CHUNK if recipe.alone or _is_not_batchable(scene, controllers) else _BATCH_CHUNK
     chunk = chunk or min(most, max(least, -(-len(points) // _FEWEST_CHUNKS)))
@@ -186,7 +186,7 @@ def make_sweep(
 
 
 def _pays(scene: Scene, scenes: int, cycles: int) -> bool:
-    """Return whether compiling takes less time than it saves."""
+    """Return whether compiling saves more time than it takes."""
     if scene.groups:
         parts = [part for part in parts_of(scene).values() if part.groups]
         return scenes * cycles >= WORTH_COMPILING_GROUPS and any(group_case(part).is_compilable for part in parts)
@@ -194,13 +194,13 @@ def _pays(scene: Scene, scenes: int, cycles: int) -> bool:
 
 
 def _is_long(asked: Asked) -> bool:
-    """Return whether Python runs so many cycles that starting processes is a small part of the time."""
+    """Return whether Python has to run so many cycles that a pool of processes saves time."""
     cycles = asked.recipe.cycles or cycles_of(scene_of(asked.recipe, ()).permitted(), asked.recipe.duration)
     return asked.recipe.engine == "python" and len(asked.points) * cycles >= _WORTH_A_POOL
 
 
 def _together(recipe: Recipe, points: Points) -> int:
-    """Return how many scenes of the whole sweep differ in nothing but keys that may differ inside a batch."""
+    """Return how many scenes of the sweep differ only in keys that may vary inside a batch."""
     apart = [v for v in points.varied if not is_batch_key(recipe, v.key) or (v.key == RATE and recipe.cycles is None)]
     if points.samples and any(v.spacing != "list" for v in apart):
         return 1
@@ -208,7 +208,7 @@ def _together(recipe: Recipe, points: Points) -> int:
 
 
 def _is_not_batchable(scene: Scene, controllers: Sequence[str]) -> bool:
-    """Whether some of the scenes will have to run one by one."""
+    """Return whether some scenes must run one by one."""
     if scene.groups or any(is_display(part) for part in parts_of(scene).values()):
         return True
     under = ((axis, name) for axis in scene.axes for name in controllers or (axis.passivity.name,))
@@ -216,7 +216,7 @@ def _is_not_batchable(scene: Scene, controllers: Sequence[str]) -> bool:
 
 
 def _identity(scene: Scene, recipe: Recipe, points: Points) -> Row:
-    """Return the facts in which two runs must agree to share a folder."""
+    """Return the facts that must be equal for two runs to share a folder."""
     return {
         "configuration": scene.config_hash(),
         "varied": [{**asdict(v), "values": list(v.values), "given": str(v)} for v in points.varied],
@@ -232,9 +232,9 @@ def _identity(scene: Scene, recipe: Recipe, points: Points) -> Row:
 
 
 def _notes(scene: Scene, asked: Asked) -> dict[str, str]:
-    """Return texts about a sweep: scene, overrides, and the estimated errors of plants that are not exact.
+    """Return texts about a sweep: scene, overrides, and estimated errors of plants that are not simulated exactly.
 
-    They are of the first and last scene and of each kind of plant; the last line counts the others.
+    Errors are estimated for the first scene, the last, and one of each kind of plant; the last line counts the others.
     """
     lines, looked_at = [], _looked_at(asked.points)
     for index in looked_at:
@@ -248,7 +248,7 @@ def _notes(scene: Scene, asked: Asked) -> dict[str, str]:
 
 
 def _looked_at(points: Points) -> list[int]:
-    """Return the scenes whose error is estimated: the first, the last, the first with each listed part of a plant."""
+    """Return the scenes whose error is estimated: first, last, and the first with each listed value of a plant key."""
     found = {0, len(points) - 1}
     for varied in points.varied if not points.samples else ():
         if varied.spacing == "list" and varied.key.startswith("simulation."):
@@ -258,17 +258,17 @@ def _looked_at(points: Points) -> list[int]:
 
 
 def _check_same(table: SweepTable, asked: Asked) -> None:
-    """Refuse to go on with a file of something else.
+    """Refuse to resume a folder of another sweep.
 
     Raises:
-        InputError: It is; names what differs.
+        InputError: A fact of the sweep differs; the message names it.
     """
     for name, wanted in asked.identity.items():
         found = table.identity.get(name)
         if found != wanted:
             raise InputError(
                 f"{table.folder}: was made with {name.replace('_', ' ')} {_words(found)}, now {_words(wanted)}; "
-                "ask for the same, give another --out, or replace it with --force"
+                "repeat the earlier options, give another --out, or replace the folder with --force"
             )
 
 

@@ -1,4 +1,4 @@
-"""Contents of a sweep, as plain values and as tables for a terminal."""
+"""Summary of a sweep, as plain values and as tables for a terminal."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -22,7 +22,7 @@ _MOST_REMARKS: Final = 20
 
 
 def summary(table: SweepTable) -> Row:
-    """Return the account of a sweep as plain values: as `canhaptic sweep --json` prints it."""
+    """Return the summary of a sweep as plain values, as `canhaptic sweep --json` prints it."""
     remarks, status, engines = Counter[tuple[str, str, str]](), Counter[str](), Counter[str]()
     for ended, engine, remark, number in table.remarks():
         remarks[ended, engine, remark] += number
@@ -47,7 +47,7 @@ def summary(table: SweepTable) -> Row:
 
 
 def _figures(table: SweepTable, axis: str) -> Row:
-    """Return shares and medians over the completed scenes, per algorithm."""
+    """Return shares and medians over the completed scenes, by algorithm."""
     status = table.status(axis)
     if CONTROLLER not in table.keys:
         return {"of the scene": _shares(table, axis, status)}
@@ -74,7 +74,7 @@ def _kept(values: Array) -> float:
 
 
 def _finite(figure: Callable[[Array], Any]) -> Callable[[Array], float | None]:
-    """Return a figure computed from the finite values only; None where there is none."""
+    """Return a function that applies `figure` to the finite values only; None if there are none."""
 
     def of(values: Array) -> float | None:
         finite = values[np.isfinite(values)]
@@ -93,11 +93,11 @@ _SHARES: Final[Mapping[str, tuple[str, str, Callable[[Array], float | None]]]] =
     "mass_felt": ("mass felt, median", "mass_felt.share", _finite(np.median)),
     "guard_acts": ("guard acts, median", "guard_acts", _finite(np.median)),
 }
-"""Name -> heading, the figure, and what is made of it."""
+"""Name -> heading, metric, and the function from its values to one number."""
 
 
 def summary_report(found: Row) -> RenderableType:
-    """Return tables of a summary."""
+    """Return the tables of a summary for a terminal."""
     heading = Text.assemble(" ", (found["scene"], "bold"), f"   {found['finished']} of {found['scenes']} scenes   ",
                             "  ".join(found["varied"]))  # fmt: skip
     engines = {_ENGINES[name]: number for name, number in found["engines"].items()}

@@ -1,9 +1,10 @@
-"""The results of a sweep: a store whose chunks are NumPy archives of consecutive scenes.
+"""Results of a sweep: a store whose chunks are NumPy archives of consecutive scenes, with these arrays:
 
 KEY                    values of each scene: numbers in SI, or texts
-AXIS/METRIC            results; NaN where there is none
-status engine          see `STATUS`, `ENGINES` of `chunk`
-remark texts           one more than the index among the texts of the chunk; 0 for none
+AXIS/METRIC            figures; NaN where a metric does not apply
+status, engine         indices in `STATUS` and `ENGINES` of `chunk`
+remark                 0 for none, else 1 + index in texts
+texts                  remarks of the chunk
 """
 
 import io
@@ -28,22 +29,22 @@ _BYTES: Final = 8  # of one figure
 
 
 class SweepTable(Store):
-    """The open results of a sweep.
+    """Open results of a sweep.
 
     Args:
         path: Folder made by `create`.
-        writable: Whether chunks will be written; only one process can.
+        writable: Whether chunks will be written; only one process can write.
 
     Attributes:
         points: Scenes of the sweep.
-        identity: Identity of the sweep.
+        identity: Facts that a resumed sweep must match.
         chunk: Scenes per chunk.
         keys: Keys that vary, in the order given.
         axes: Names of the axes, in the order of the scene.
         metrics: Names of the figures, the same for every axis.
 
     Raises:
-        LogFormatError: It is none, or of a newer version.
+        LogFormatError: The folder holds no sweep, or one of a newer version.
         LogWriteError: Another process writes it.
     """
 
@@ -60,7 +61,7 @@ class SweepTable(Store):
         return len(self.points)
 
     def note(self, name: str) -> str:
-        """Return a text about the sweep; "" when there is none."""
+        """Return a note on the sweep by name; "" if there is none."""
         return str(self.document["notes"].get(name, ""))
 
     def done(self) -> NDArray[np.bool_]:
@@ -70,7 +71,7 @@ class SweepTable(Store):
         return flags
 
     def span(self, chunk: int) -> tuple[int, int]:
-        """Return the index of the first scene of a chunk, and one beyond the last."""
+        """Return the indices [start, stop) of the scenes of a chunk."""
         return chunk * self.chunk, min(len(self), (chunk + 1) * self.chunk)
 
     def finished(self) -> int:
@@ -82,11 +83,11 @@ class SweepTable(Store):
         return self.points.columns(0, len(self))[key]
 
     def figure(self, axis: str, metric: str) -> Array:
-        """Return a figure of every scene, NaN where there is none, shape (n,)."""
+        """Return a figure of every scene, shape (n,); NaN where it does not apply or is not computed yet."""
         return self._column(f"{axis}/{metric}", np.full(len(self), np.nan))
 
     def status(self, axis: str = "") -> NDArray[np.uint8]:
-        """Return the status of every scene, of one axis or of all, an index in `STATUS`, shape (n,)."""
+        """Return the status of every scene, for one axis or for all, as indices in `STATUS`, shape (n,)."""
         found = self._column("status", np.zeros(len(self), dtype=np.uint8))
         return _with_untouched(found, [self.figure(name, "contact") for name in self._judged(axis)])
 
@@ -95,17 +96,17 @@ class SweepTable(Store):
         return [name for name in self.axes if axis in ("", name) and "contact" in self.metrics]
 
     def engine(self) -> NDArray[np.uint8]:
-        """Return the engine of every scene, an index in `ENGINES`, shape (n,)."""
+        """Return the engine of every scene as indices in `ENGINES`, shape (n,)."""
         return self._column("engine", np.zeros(len(self), dtype=np.uint8))
 
     def remark(self, scene: int) -> str:
-        """Return why a scene was refused or ran alone, or which values its algorithm took from the plant."""
+        """Return the remark on a scene: why it was refused or ran alone, or which properties came from the plant."""
         texts, numbers = self._read(scene // self.chunk, "texts", "remark")
         number = int(numbers[scene % self.chunk])
         return str(texts[number - 1]) if number else ""
 
     def remarks(self) -> Iterator[tuple[str, str, str, int]]:
-        """Yield (status, engine, remark, number of scenes) of each chunk in turn, equal ones counted together."""
+        """Yield (status, engine, remark, number of scenes), chunk by chunk, with equal scenes counted together."""
         for chunk in np.flatnonzero(self.done()).tolist():
             texts, *rows = self._read(chunk, "texts", "status", "engine", "remark")
             _with_untouched(rows[0], self._read(chunk, *(f"{name}/contact" for name in self._judged())))
@@ -117,7 +118,7 @@ class SweepTable(Store):
         """Store a chunk; it is on the disk on return.
 
         Raises:
-            LogWriteError: The disk refuses; what was finished before stays.
+            LogWriteError: The chunk cannot be written; finished chunks are kept.
         """
         columns: dict[str, Any] = {**self.points.columns(*self.span(chunk)), **result.figures}
         columns |= {"status": result.status, "engine": result.engine, "remark": result.remark}
@@ -126,16 +127,16 @@ class SweepTable(Store):
         self.write(_name(chunk), content.getvalue())
 
     def _column(self, name: str, found: NDArray[Any]) -> NDArray[Any]:
-        """Return a column, filled with the finished rows."""
+        """Fill a column with the rows of the finished chunks, and return it."""
         for chunk in np.flatnonzero(self.done()).tolist():
             (found[slice(*self.span(chunk))],) = self._read(chunk, name)
         return found
 
     def _read(self, chunk: int, *names: str) -> list[NDArray[Any]]:
-        """Return columns of a chunk.
+        """Return arrays of a chunk.
 
         Raises:
-            LogFormatError: It is damaged or not there.
+            LogFormatError: The chunk is damaged or missing.
         """
         path = self.folder / _name(chunk)
         try:
@@ -153,17 +154,17 @@ def _with_untouched(status: NDArray[np.uint8], contacts: Sequence[Array]) -> NDA
 
 
 def create(path: Path, chunk: int, identity: Row, notes: dict[str, str], *, replace: bool) -> None:
-    """Create the folder of a sweep without a result; it appears completely or not at all.
+    """Create the folder of a sweep, without results; it appears completely or not at all.
 
     Args:
         path: Folder.
         chunk: Scenes per chunk.
         identity: Facts that a resumed sweep must match.
         notes: Texts about the sweep.
-        replace: Whether to replace a sweep that is there.
+        replace: Whether to replace an existing sweep.
 
     Raises:
-        InputError: It exists.
+        InputError: The folder exists already.
         LogWriteError: The folder is missing or read-only, the disk is too small for all results, or another process
             writes it.
     """

@@ -1,14 +1,13 @@
-"""Varied keys of a sweep: `environment.stiffness=1e2:1e6:log:40`, `bus.rate=40,1 kHz`, `bus.rpdo=event,synchronous`.
+"""Varied keys of a sweep (`parse_vary`), and its scenes by global index (`Points`).
 
     KEY=LOW:HIGH:N            N values, evenly spaced          KEY=LOW:HIGH:log:N     evenly spaced in the logarithm
     KEY=A,B,C                 exactly these, of any type       KEY=LOW:HIGH[:log]     a range, for a Latin hypercube
 
-Numbers are SI or carry a unit, as in a scene; the scene itself checks the dimension.
+For example `environment.stiffness=1e2:1e6:log:40`, `bus.rate=40,1 kHz`, `bus.rpdo=event,synchronous`. Numbers are in SI
+or have a unit, as in a scene, which checks the dimension.
 
-The scenes of a sweep by their global index: a grid, or a Latin hypercube that is the same on every machine.
-
-Only integers and a division determine the hypercube (a keyed hash, sorted), so that neither a version of NumPy nor the
-number of workers can change it.
+The scenes are a grid of all values or a Latin hypercube. The hypercube is computed with integers and one division (a
+keyed hash, sorted), so that it is the same on every machine, with any version of NumPy and any number of workers.
 """
 
 import math
@@ -27,7 +26,7 @@ from canhaptic.scene.document import Diagnostics, parse_yaml
 from canhaptic.units import parse_unit
 
 _MOST_VALUES: Final = 1_000_000
-"""Most values of one key."""
+"""Largest number of values of one key."""
 Value = float | str
 """A number in SI, or the YAML text of anything else."""
 
@@ -44,7 +43,7 @@ class Varied:
     Attributes:
         key: Path in the scene, as for `--set`.
         values: All values; for a range without a number of values, its two ends.
-        unit: Unit as typed with the ends of a range or the values; "" for SI.
+        unit: Unit as the user typed it; "" for SI.
         spacing: Spacing of a range; "list" for values given one by one.
         is_open: Whether it is a range whose values a Latin hypercube chooses.
     """
@@ -62,15 +61,15 @@ class Varied:
 
     @property
     def ends(self) -> tuple[Value, ...]:
-        """Values whose validity decides for all: the ends of a range, or each value of a list."""
+        """Values to be checked: the ends of a range, which decide for the values between, or all values of a list."""
         if self.spacing == "list":
             return self.values
         return tuple(dict.fromkeys((self.values[0], self.values[-1])))
 
     def at(self, shares: Array) -> "Column":
-        """Return the values at fractions of the range, 0 <= share < 1, shape (n,): a Latin hypercube's strata.
+        """Return the values at fractions of the range, 0 <= share < 1, shape (n,), for a Latin hypercube.
 
-        A list is divided into as many equal parts as it has values.
+        Each value of a list gets an equal part of 0 to 1.
         """
         if self.spacing == "list":
             return _picked(self, (shares * len(self.values)).astype(int))
@@ -78,7 +77,7 @@ class Varied:
         return np.array([_within(low, high, share, self.spacing) for share in shares.tolist()])
 
     def yaml(self, value: Value, *, with_unit: bool = False) -> str:
-        """Return a value as YAML text for an override: in SI, or in the unit as typed so that it can be checked."""
+        """Return a value as YAML text for an override, in SI; `with_unit`: in the typed unit, so that it is checked."""
         if isinstance(value, str):
             return value
         if with_unit and self.unit:
@@ -86,7 +85,7 @@ class Varied:
         return repr(int(value) if value.is_integer() and abs(value) < _LARGEST_INTEGER else value)
 
     def __str__(self) -> str:
-        """One line for a file and a screen."""
+        """Return the key and its values in one line, with six digits."""
         if self.spacing == "list":
             return f"{self.key}={','.join(short(value) for value in self.values)}"
         count = "" if self.is_open else f":{len(self.values)}"
@@ -97,7 +96,7 @@ def parse_vary(text: str) -> Varied:
     """Return the varied key of a `--vary` option.
 
     Raises:
-        InputError: It is none of the shapes above, or a number, spacing or count is out of range.
+        InputError: The text has none of the forms above, or a number, spacing or count is out of range.
     """
     key, equals, rest = text.partition("=")
     key, rest = key.strip(), rest.strip()
@@ -116,7 +115,7 @@ def ranged(key: str, low: float, high: float, count: int, spacing: Literal["lin"
     """Return a key with evenly spaced values, ends included, in SI.
 
     Raises:
-        InputError: The ends or the count make no range.
+        InputError: The ends are not finite and rising, or the count is out of range.
     """
     return Varied(key, _spaced(f"{key}={low:g}:{high:g}", low, high, count, spacing), "", spacing)
 
@@ -178,7 +177,7 @@ def _list(text: str, key: str, items: list[str]) -> Varied:
 
 
 def _plain(text: str, item: str) -> str:
-    """Return the text of a value that is valid YAML."""
+    """Return the text of a value, after checking that it is valid YAML."""
     faults = Diagnostics()
     parse_yaml(item, f"--vary {text}", faults, lined=False)
     faults.raise_if_any()
@@ -217,12 +216,12 @@ def _split(text: str, separator: str) -> list[str]:
 
 
 def short(value: Value) -> str:
-    """Return a value in words, a number with six digits."""
+    """Return a value as text, a number with six digits."""
     return value if isinstance(value, str) else f"{value:.6g}"
 
 
 CONTROLLER: Final = "controller"
-"""Name of the passivity algorithm among the varied keys; each point is judged under every one."""
+"""Varied key that stands for the passivity algorithm; each point is run under every algorithm."""
 _MOST_SCENES: Final = 100_000_000
 Column = Array | list[Value]
 """Values of one key for consecutive scenes: numbers, or YAML texts."""
@@ -235,10 +234,10 @@ _MANTISSA: Final = 53
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """All scenes of a sweep.
+    """Scenes of a sweep, by global index.
 
     Attributes:
-        varied: Keys with their values; the last one changes fastest in a grid.
+        varied: Keys with their values; in a grid the last key changes fastest.
         samples: Points of a Latin hypercube; 0 for the grid of all values.
         seed: Seed of the hypercube.
     """
@@ -249,7 +248,7 @@ class Points:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Values per key of a grid; (algorithms, samples) or (samples,) of a hypercube."""
+        """Shape of the scenes: number of values of each key of a grid, or ([algorithms,] samples) of a hypercube."""
         if not self.samples:
             return tuple(len(varied.values) for varied in self.varied)
         return (*(len(varied.values) for varied in self.varied if varied.key == CONTROLLER), self.samples)
@@ -258,7 +257,7 @@ class Points:
         return math.prod(self.shape)
 
     def numbers(self, key: str) -> NDArray[np.intp]:
-        """Return the index of every scene's value within a key of the grid, shape (n,)."""
+        """Return, for every scene, the index of its value among the values of a key of the grid, shape (n,)."""
         place = 0 if self.samples else [varied.key for varied in self.varied].index(key)
         return np.unravel_index(np.arange(len(self)), self.shape)[place]
 
@@ -279,12 +278,13 @@ def make_points(varied: Sequence[Varied], controllers: Sequence[str] = (), sampl
 
     Args:
         varied: Keys with their values.
-        controllers: Passivity algorithms to run every point under; none: the scene's own.
+        controllers: Passivity algorithms to run every point under; empty: the scene's own.
         samples: Points of a Latin hypercube; 0 for a grid.
         seed: Seed of the hypercube.
 
     Raises:
-        InputError: Nothing varies, a key twice, a range without a number in a grid, too many scenes.
+        InputError: Nothing varies, a key varies twice, a range of a grid has no number of values, or there are too many
+            scenes.
     """
     keys = [one.key for one in varied]
     twice = sorted({key for key in keys if keys.count(key) > 1})
@@ -306,7 +306,7 @@ def make_points(varied: Sequence[Varied], controllers: Sequence[str] = (), sampl
 
 
 def scene_seeds(base: int, indices: NDArray[np.intp]) -> Array:
-    """Return the seeds of the scenes of some global indices, whole numbers of shape (n,)."""
+    """Return the random seeds of scenes with some global indices: whole numbers, shape (n,)."""
     return (_hashed(base, 0xC0, indices.astype(np.uint64)) % np.uint64(1_000_000_001)).astype(float)
 
 
@@ -318,7 +318,7 @@ def _picked(varied: Varied, index: NDArray[np.intp]) -> Column:
 
 @lru_cache(maxsize=16)
 def _shares(samples: int, seed: int, order: int) -> Array:
-    """Return one point in each of n equal strata, shuffled, 0 <= share < 1, shape (samples,)."""
+    """Return one point in each of `samples` equal strata of 0 to 1, shuffled, shape (samples,)."""
     numbers = np.arange(samples, dtype=np.uint64)
     strata = np.argsort(_hashed(seed, 2 * order, numbers), kind="stable")
     within = (_hashed(seed, 2 * order + 1, numbers) >> np.uint64(64 - _MANTISSA)) * 2.0**-_MANTISSA
