@@ -133,6 +133,7 @@ def loops_of(case: BatchCase, count: int) -> list[LoopSettings]:
         "torque_limit": common.torque_limit or inf,
         "last_from": 0.0,
         "damping_per_time": common.device_damping / period,
+        "damping": case.number("environment", "damping"),
         "is_brief": 0.0,
         "seed": 0.0,
     }
@@ -143,10 +144,10 @@ def loops_of(case: BatchCase, count: int) -> list[LoopSettings]:
     rows = [
         LoopSettings(
             common.delay, counts, quantum, limit, *case.reach,
-            MeterSettings(last_from, damping, common.device_friction, brief == 1.0),
+            MeterSettings(last_from, per_time, common.device_friction, brief == 1.0, limit, damping),
             event_plant.signals_of(case.signals, time, int(seed)), replace(case.losses, seed=int(seed)),
         )
-        for time, counts, quantum, limit, last_from, damping, brief, seed in zip(*columns, strict=True)
+        for time, counts, quantum, limit, last_from, per_time, damping, brief, seed in zip(*columns, strict=True)
     ]  # fmt: skip
     return rows if varies else rows * count
 

@@ -6,6 +6,7 @@ from canhaptic.cli.output import write_json, write_line, write_note
 from canhaptic.lab.commands.results import check_files, write_files
 from canhaptic.lab.render.map_picture import draw_map, write_map
 from canhaptic.lab.studies.map import Chosen, Lines, Panel, fields_of, panels_of, passing_share, usual_judgement
+from canhaptic.lab.studies.sweep.chunk import UNRENDERED, UNTOUCHED
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 
 
@@ -25,11 +26,15 @@ def execute(arguments: argparse.Namespace) -> int:
             write_note(f"  {line}")
         by = {one.algorithm: arguments.by or usual_judgement(one) for one in fields}
         shares = {one.algorithm: passing_share(one, by[one.algorithm]) for one in fields}
-        untouched = {one.algorithm: float(one.untouched().mean()) for one in fields}
+        left_out = {
+            key: {one.algorithm: float(one.has_status(number).mean()) for one in fields}
+            for key, number in (("no_contact", UNTOUCHED), ("nothing_rendered", UNRENDERED))
+        }
     if arguments.json:
-        write_json({"file": str(arguments.file), "passing": shares, "no_contact": untouched, "lines": _lines(columns)})
+        write_json({"file": str(arguments.file), "passing": shares, **left_out, "lines": _lines(columns)})
     else:
-        _print(columns, [_share(name, share, untouched[name], by[name]) for name, share in shares.items()])
+        every = ((name, share, *(of[name] for of in left_out.values()), by[name]) for name, share in shares.items())
+        _print(columns, [_share(*one) for one in every])
     write_files(
         arguments, png=lambda path: draw_map(columns, caption, path),
         html=lambda path: write_map(columns, caption, path),
@@ -46,9 +51,11 @@ def _lines(columns: list[list[Panel | None]]) -> list[dict[str, object]]:
     ]  # fmt: skip
 
 
-def _share(name: str, share: float, untouched: float, by: str) -> str:
-    passing = [f"{100.0 * share:.3g} % of the scenes with a contact pass (judged by: {by})"] if untouched < 1.0 else []
-    return f" {name}: {', '.join([*passing, *([f'{100.0 * untouched:.3g} % had no contact'] if untouched else [])])}"
+def _share(name: str, share: float, untouched: float, unrendered: float, by: str) -> str:
+    words = [f"{100.0 * share:.3g} % of the scenes with a contact pass (judged by: {by})"] if untouched < 1.0 else []
+    words += [f"{100.0 * unrendered:.3g} % rendered nothing"] if unrendered else []
+    words += [f"{100.0 * untouched:.3g} % had no contact"] if untouched else []
+    return f" {name}: {', '.join(words)}"
 
 
 def _print(columns: list[list[Panel | None]], shares: list[str]) -> None:

@@ -6,8 +6,8 @@ admittance displays, and one for the figures of the arena.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
-from math import nan
+from dataclasses import asdict, replace
+from math import inf, nan
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
@@ -73,6 +73,14 @@ METRICS: Final[dict[str, Figure]] = {
     "damping_rendered.mean": Figure("in contact, NaN without", "N*s/m", ("damping", "contacts")),
     "damping_rendered.least": Figure("in contact, NaN without", "N*s/m", ("damping_least", "contacts")),
     "damping_rendered.most": Figure("in contact, NaN without", "N*s/m", ("damping_most", "contacts")),
+    "damping_rendered.share": Figure(
+        "mean damping in contact over the damping asked for", "1", ("damping", "damping_requested"),
+        "damping rendered", "near one",
+    ),
+    "effort_rendered.share": Figure(
+        "sum of |torque| sent in contact over that of the efforts asked for, each at most the torque limit", "1",
+        ("sizes_sent", "sizes_asked"),
+    ),
     "stiffness_rendered.value": Figure(
         "mean force over mean state in contact: over whole contacts the damper averages out; NaN without contact and "
         "where the state relaxes", "N/m", ("force", "state"),
@@ -122,12 +130,33 @@ _WEAKEST_LAST: Final[Array] = np.array(WEAKEST_LAST, dtype=float)
 
 ALL: Final = {**METRICS, **CONTINUOUS}
 """All figures of an impedance display."""
-_OF_DAMPING: Final = ("mean", "least", "most")
+_OF_DAMPING: Final = ("mean", "least", "most", "share")
+OUTCOMES: Final = ("", "no contact", "nothing rendered")
+"""Outcomes of a run: "" where an environment was touched and rendered. Without that, a passive run proves nothing."""
+OUTCOME_METRICS: Final = ("contact", "effort_rendered.share", "damping_rendered.share", "torque_peak")
+"""Metrics that decide the outcome."""
+_LEAST_RENDERED: Final = 0.1  # as for the headline of a run
+
+
+def outcomes(figure: Callable[[str], Any]) -> Any:
+    """Return the outcome of runs as indices in `OUTCOMES`, of the shape of the figures.
+
+    Nothing is rendered if less than a tenth of the requested effort was sent; where no effort was requested, if less
+    than a tenth of the damping was rendered; where neither is known, if no torque was sent.
+
+    Args:
+        figure: Returns a metric of `OUTCOME_METRICS`; None or NaN where it is unknown.
+    """
+    contact, effort, damping, peak = (np.asarray(figure(name), dtype=float) for name in OUTCOME_METRICS)
+    share = np.where(np.isfinite(effort), effort, damping)
+    is_silent = np.where(np.isfinite(share), share < _LEAST_RENDERED, peak == 0.0)
+    return np.where(contact == 0.0, 1, 2 * is_silent)
 
 
 def figures(
-    environment: Environment, run: LoopRun, reference: ContinuousReference | None, sample_time: float
-) -> dict[str, Any]:
+    environment: Environment, run: LoopRun, reference: ContinuousReference | None, sample_time: float,
+    torque_limit: float | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Return the figures of one run as plain values; None where a figure does not apply.
 
     Args:
@@ -135,8 +164,12 @@ def figures(
         run: Run of one algorithm.
         reference: Continuous run of the same user, if it is known.
         sample_time: Sample time [s].
+        torque_limit: Largest torque of the drive [N or N*m]; None: none.
     """
-    margin, sums = run.interaction - run.dissipated, _sums_of_run(environment, run, reference, sample_time)
+    margin = run.interaction - run.dissipated
+    limit = inf if torque_limit is None else torque_limit
+    settings = MeterSettings(torque_limit=limit, damping=environment.damping)
+    sums = _sums_of_run(environment, run, reference, sample_time, settings)
     parts: dict[str, dict[str, float | None]] = {}
     for name in ALL:
         whole, _, part = name.partition(".")
@@ -144,6 +177,7 @@ def figures(
     found: dict[str, Any] = {whole: of if set(of.values()) != {None} else None for whole, of in parts.items()}
     found |= {whole: of["value"] for whole, of in parts.items() if of.keys() == {"value"}}
     return found | {
+        "outcome": OUTCOMES[int(outcomes(lambda name: _measured(name, sums)))],
         "diverged": len(run.rows) * sample_time if run.ended == "diverged" else None,
         "damping_rendered": {"asked": environment.damping, **(found["damping_rendered"] or dict.fromkeys(_OF_DAMPING))},
         "margin": {"value": run.least_margin, "time": int(margin.argmin()) * sample_time},
@@ -162,11 +196,12 @@ def _measured(metric: str, sums: Mapping[str, float]) -> float | None:
 
 
 def _sums_of_run(
-    environment: Environment, run: LoopRun, reference: ContinuousReference | None, sample_time: float
-) -> dict[str, float]:
+    environment: Environment, run: LoopRun, reference: ContinuousReference | None, sample_time: float,
+    settings: MeterSettings,
+) -> dict[str, float]:  # fmt: skip
     """Return the sums of one run by name; without a reference, those of the comparison with it are missing."""
     cycles = len(run.rows)
-    meter, settings = Meter(), MeterSettings(float(last_rows(cycles, sample_time).start))
+    meter, settings = Meter(), replace(settings, last_from=float(last_rows(cycles, sample_time).start))
     holds = (run.position, run.true_position, run.torque, run.interaction)
     for cycle, hold in enumerate(zip(*map(np.ndarray.tolist, holds), run.balances(), strict=True)):
         take(environment, settings, meter, cycle, *hold)

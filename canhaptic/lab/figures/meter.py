@@ -30,6 +30,8 @@ class MeterSettings:
     damping_per_time: float = 0.0  # b / T of the device [N/m or N*m/rad]
     friction: float = 0.0  # Coulomb friction of the device in motion [N or N*m]
     is_brief: bool = False  # whether only the sums of `BRIEF` are gathered
+    torque_limit: float = inf  # largest torque of the drive [N or N*m]
+    damping: float = 0.0  # damper of the environment [N*s/m or N*m*s/rad]
 
 
 @dataclass(slots=True)
@@ -62,6 +64,9 @@ class Meter:
     state: float = 0.0
     force: float = 0.0
     asked: float = 0.0
+    sizes_asked: float = 0.0
+    sizes_sent: float = 0.0
+    damping_requested: float = 0.0
     free: float = 0.0
     start: float = 0.0
     exact: float = 0.0
@@ -117,7 +122,7 @@ def take(
     meter.torque = torque
     branch = balance.branch
     if branch != _FREE and branch != _EXIT and branch != _HELD:  # noqa: PLR1714 - `in` would search
-        take_contact(environment, meter, position, torque, balance.damping_rendered)
+        take_contact(environment, settings, meter, position, torque, balance)
     meter.certificate = max(meter.certificate, float(RANKS[balance.certificate]))
     count_branch(meter, branch)
     if meter.cycles > settings.last_from:
@@ -208,9 +213,14 @@ def take_last_part(environment: Environment, meter: Meter, true_position: float,
             meter.last_asked += environment.effort(state)
 
 
-def take_contact(environment: Environment, meter: Meter, position: float, torque: float, rendered: float) -> None:
+def take_contact(
+    environment: Environment, settings: MeterSettings, meter: Meter, position: float, torque: float,
+    balance: EnergyBalance,
+) -> None:  # fmt: skip
     """Add a hold in contact."""
+    rendered = balance.damping_rendered
     meter.contacts += 1.0
+    meter.damping_requested += settings.damping
     meter.damping += rendered
     meter.damping_least = min(meter.damping_least, rendered)
     meter.damping_most = max(meter.damping_most, rendered)
@@ -218,4 +228,7 @@ def take_contact(environment: Environment, meter: Meter, position: float, torque
         state = environment.true_state(position, 0.0, 0.0)
         meter.force -= torque
         meter.state += state
-        meter.asked += environment.effort(state)
+        asked = environment.effort(state)
+        meter.asked += asked
+        meter.sizes_asked += min(abs(asked), settings.torque_limit)
+        meter.sizes_sent += abs(balance.torque)

@@ -83,7 +83,7 @@ def _cell(value: float | str | None, row: _Row, unit: str, best: float | None) -
     if value is None:
         return Styled("-")
     if isinstance(value, str):
-        return Styled(row.show(value, unit), {"yes": "green", "in doubt": "yellow", "no": "red"}.get(value, ""))
+        return Styled(row.show(value, unit), _STYLES.get(value, ""))
     bad = row.is_bounded and value < -PASSIVE_TOLERANCE
     return Styled(row.show(value, unit), "red" if bad else "bold" if value == best else "")
 
@@ -102,11 +102,11 @@ def _best(values: list[float | str | None], better: Callable[[float], float] | N
 
 
 def _verdict(account: _Account) -> str | None:
-    """Return by the plant's energy whether the handle never gave out more than it had received: yes or no."""
-    if account.get("contact") == 0.0:
-        return "no contact"
-    least = account["least_interaction"]
-    return None if least is None else "yes" if least >= -PASSIVE_TOLERANCE else "no"
+    """Return by the plant's energy whether the handle never gave out more than it received: yes, no, or an outcome."""
+    least = account.get("truth", account)["least_interaction"]
+    if least is None or least < -PASSIVE_TOLERANCE:
+        return None if least is None else "no"
+    return str(account.get("outcome") or "yes")
 
 
 def _ranking(part: _Account) -> Text:
@@ -141,11 +141,6 @@ def _share(value: float, _unit: str) -> str:
     return f"{100.0 * value:.3g} %"
 
 
-def _asked_damping(account: _Account, _axis: _Account) -> float | None:
-    damping = account["damping_rendered"]
-    return float(damping["mean"] / damping["asked"]) if damping["asked"] and damping["mean"] is not None else None
-
-
 def _damping(account: _Account, group: _Account) -> str:
     rendered = account["damping_rendered"]
     return f"{rendered['least']:.3g}..{rendered['most']:.3g} {damping_unit(group['unit'])}"
@@ -170,6 +165,7 @@ def row_of(name: str, figure: Figure) -> _Row:
     return _Row(figure.label, read, _SHOWN[figure.unit], _BETTER.get(figure.better), figure.better == "not negative")
 
 
+_STYLES: Final = {"yes": "green", "in doubt": "yellow", "no": "red", "nothing rendered": "red"}
 _BETTER: Final[dict[str, Callable[[float], float]]] = {"less": abs, "near one": _from_one}
 _SHOWN: Final[dict[str, Callable[[float, str], str]]] = {
     "m": lambda value, unit: si(value, unit, 3) if unit == "m" else f"{1e3 * value:.3g} mrad",
@@ -182,14 +178,13 @@ _ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
     _Row("passive, by the plant", lambda a, _: _verdict(a)),
     *(row_of(name, figure) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.label),
-    _Row("damping rendered", _asked_damping, _share, _from_one),
     _Row("guarantee rests on", lambda a, _: a["certificate"] if a["contact"] else None, _guaranteed),
     _Row("time of a step", lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
 )
 _GROUP_ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
     _Row("passive, by the account", lambda a, _: a["passive"]),
-    _Row("passive, by the plant", lambda a, _: _verdict(a["truth"])),
+    _Row("passive, by the plant", lambda a, _: _verdict(a)),
     _Row("lowest net energy, from the plant", lambda a, _: a["truth"]["least_interaction"], _joule, is_bounded=True),
     _Row("smallest margin", lambda a, _: a["margin"]["value"], _joule, is_bounded=True),
     _Row("largest error of the account", lambda a, _: a["truth"]["believed_error"], _joule),
@@ -206,7 +201,7 @@ _DISPLAY_ROWS: Final = (
     _Row("energy out", lambda a, _: a["account"]["out"], _joule),
     _Row("uncertainty of the account, +-", lambda a, _: a["account"]["energy_resolution"], _joule),
     _Row("passive, by the account", lambda a, _: a["account"]["passive"]),
-    _Row("passive, by the plant", lambda a, _: _verdict(a["truth"])),
+    _Row("passive, by the plant", lambda a, _: _verdict(a)),
     _Row("guarantee rests on", lambda a, _: a["account"]["certificate"], _guaranteed),
     _Row("net energy, from the plant", lambda a, _: a["truth"]["interaction"], _joule),
     _Row("lowest net energy, from the plant", lambda a, _: a["truth"]["least_interaction"], _joule, is_bounded=True),

@@ -31,6 +31,8 @@ _LINES: Final[dict[str, Row]] = {
 }
 _WHITE, _BLACK = "#fffffe", "#000001"  # on coloured cells; no grey, which a dark page would turn over
 _MARKS: Final = "osv^<>DPX*hpd"
+_OF_STATUS: Final = {"no contact": "x", "nothing rendered": "_"}
+"""Status of a scene that is drawn grey -> its mark."""
 
 
 def draw_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: str | Path) -> None:
@@ -92,9 +94,15 @@ def _draw_row(figure: "Figure", axes: "Sequence[Axes]", panels: Sequence[Panel])
 
 def _draw_lines(place: "Axes", panel: Lines) -> None:
     place.grid(visible=True)
+    low, high = panel.y_range or (-np.inf, np.inf)
     for line in panel.lines:
         mark = _MARKS[line.number % len(_MARKS)] if line.style in ("measured", "ours") else None
-        place.plot(line.x, line.y, label=line.label, color=line.colour, marker=mark, **_LINES[line.style])
+        is_beyond = not np.any((line.y >= low) & (line.y <= high))
+        label = f"{line.label} (beyond what was tried)" if is_beyond else line.label
+        place.plot(line.x, line.y, label=label, color=line.colour, marker=mark, **_LINES[line.style])
+    if panel.y_range is not None:
+        room = 0.05 * (high - low)
+        place.set_ylim(*((0.8 * low, 1.25 * high) if panel.y_log else (low - room, high + room)))
     if panel.note:
         note = textwrap.fill(panel.note, _LETTERS - 20)
         place.text(0.0, -0.17, note, transform=place.transAxes, fontsize=8.0, color="#606060", va="top")
@@ -107,19 +115,21 @@ def _draw_cells(figure: "Figure", place: "Axes", panel: Cells, limits: tuple[flo
 
     norm = (LogNorm if panel.value_log else Normalize)(*limits)
     drawn: ScalarMappable
-    colours = "magma_r" if panel.more_is_worse else "viridis"
+    colours = "YlOrRd" if panel.more_is_worse else "viridis"  # neither ends in black, which looks like a gap
     if panel.dots:
         look: Row = {"norm": norm, "cmap": colours, "rasterized": True}
         drawn = place.scatter(panel.x, panel.y, c=panel.values, s=14.0, edgecolors="none", **look)
     else:
         drawn = place.pcolormesh(*panel.edges(), panel.values, norm=norm, cmap=colours, rasterized=True)
         _draw_contour(place, panel)
-    if np.any(panel.untouched):
+    x, y = (panel.x, panel.y) if panel.dots else np.meshgrid(panel.x, panel.y)
+    for status, mask in panel.marked.items():
+        if not mask.any():
+            continue
         if not panel.dots:
-            grey = np.where(panel.untouched, 0.3, np.nan)
+            grey = np.where(mask, 0.3, np.nan)
             place.pcolormesh(*panel.edges(), grey, cmap="Greys", vmin=0.0, vmax=1.0, rasterized=True)
-        x, y = (panel.x, panel.y) if panel.dots else np.meshgrid(panel.x, panel.y)
-        place.scatter(x[panel.untouched], y[panel.untouched], color=GREY, marker="x", s=14.0, label="no contact")
+        place.scatter(x[mask], y[mask], color=GREY, marker=_OF_STATUS[status], s=14.0, label=status)
         place.legend(loc="best", fontsize=8.0)
     figure.colorbar(drawn, ax=place, label=panel.value_label, pad=0.02)
 

@@ -37,7 +37,7 @@ from canhaptic.lab.batch.marching import run_batch
 from canhaptic.lab.batch.scalar import render, run_scalar
 from canhaptic.lab.batch.varied import scene_with
 from canhaptic.lab.figures import field_figures
-from canhaptic.lab.figures.figures import figures
+from canhaptic.lab.figures.figures import OUTCOME_METRICS, OUTCOMES, figures, outcomes
 from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.reference import ContinuousReference
@@ -161,7 +161,7 @@ def _figures_of(scene: Scene, cycles: int, reference: ContinuousReference | None
         cycles,
         axis_loop.EVERYWHERE if reference is None else axis_loop.Reach.around(reference.position),
     )
-    found = figures(environment, run, reference, sample_time)
+    found = figures(environment, run, reference, sample_time, axis.parameters.torque_limit)
     stiffness = getattr(environment, "stiffness", None)
     hardness = field_figures.rate_hardness(run, environment, sample_time)
     error, ratio, share = ((found[key] or {}).get(part) for key, part in _PARTS.items())
@@ -176,7 +176,8 @@ def _figures_of(scene: Scene, cycles: int, reference: ContinuousReference | None
         "limit_cycle": found["limit_cycle"],
         "drag": field_figures.drag(run),
     }
-    status = {"status": run.ended or "completed", "certificate": run.summary.certificate.name.lower()}
+    ended = run.ended or found["outcome"] or "completed"
+    status = {"status": ended, "certificate": run.summary.certificate.name.lower()}
     return status | {name: None if value is None else rounded(value) for name, value in values.items()}
 
 
@@ -195,7 +196,7 @@ _SPRING: Final = SpringDamperWall(stiffness=1000.0, damping=5.0)
 _HAND: Final = UserParameters(stiffness=2000.0, damping=20.0)
 _AMPLITUDE: Final = 5e-3  # [m]
 _PRESS: Final = -0.05  # mean position of the hand [m]
-_METRICS: Final = ("diverged", "least_covered", "stiffness_rendered.share")
+_METRICS: Final = ("diverged", "least_covered", "stiffness_rendered.share", *OUTCOME_METRICS)
 _RATES: Final = (100.0, 300.0, 1000.0, 3000.0, 8000.0)
 """Rates of the M-width [Hz]."""
 _REPEATS: Final = 5
@@ -228,6 +229,7 @@ def borders(rig: Path, algorithm: str, delay: int, per_decade: int, *, allow_cod
     }
     found = {name: values.reshape(-1, len(DAMPINGS)) for name, values in _tried(scene, walls).items()}
     kept = (found["diverged"] == 0.0) & (found["least_covered"] >= -PASSIVE_TOLERANCE)
+    kept &= outcomes(found.__getitem__) == 0
     border = zip(
         DAMPINGS, *field_figures.stiffest_walls(stiffnesses, kept, found["stiffness_rendered.share"]), strict=True
     )
@@ -340,6 +342,10 @@ class Column(NamedTuple):
     is_ranked: bool = True  # whether less is better
 
 
+_RAN: Final = ("completed", *OUTCOMES)
+"""Status of cases that ran to their end."""
+
+
 def _count(figure: str) -> Callable[[Sequence[Row]], float]:
     return lambda cases: float(sum(case[figure] > PASSIVE_TOLERANCE for case in cases))
 
@@ -348,14 +354,18 @@ def _combined(figure: str, by: Callable[[Sequence[float]], Any] = np.median) -> 
     """Return a function that combines a figure of all cases which ran to their end, for example to its median."""
 
     def of(cases: Sequence[Row]) -> float | None:
-        values = [case[figure] for case in cases if case["status"] == "completed" and case[figure] is not None]
+        values = [case[figure] for case in cases if case["status"] in _RAN and case[figure] is not None]
         return rounded(float(by(values))) if values else None
 
     return of
 
 
+def _ended(status: str) -> Callable[[Sequence[Row]], float]:
+    return lambda cases: float(sum(case["status"] == status for case in cases))
+
+
 def _most_given_out(cases: Sequence[Row]) -> float:
-    return max((case["energy_given_out"] for case in cases if case["status"] == "completed"), default=0.0)
+    return max((case["energy_given_out"] for case in cases if case["status"] in _RAN), default=0.0)
 
 
 COLUMNS: Final[dict[str, Column]] = {
@@ -365,7 +375,8 @@ COLUMNS: Final[dict[str, Column]] = {
         _count("energy_beyond_device"),
     ),
     "most_given_out": Column("most energy given out, completed runs", "J", _most_given_out),
-    "diverged": Column("runs that diverged", "1", lambda c: float(sum(case["status"] == "diverged" for case in c))),
+    "diverged": Column("runs that diverged", "1", _ended("diverged")),
+    "not_rendered": Column("cases with less than a tenth of the environment rendered", "1", _ended(OUTCOMES[2])),
     "position_error": Column("position error rms over travel, median", "1", _combined("position_error")),
     "force_variation": Column("force variation over the continuous one, median", "1", _combined("force_variation")),
     "stiffness_error": Column("stiffness rendered less 1, median size", "1", _combined("stiffness_error")),

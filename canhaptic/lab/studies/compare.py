@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Final
 
+import numpy as np
+
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.verdict import passive_verdict
@@ -20,7 +22,7 @@ from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch.continuous import continuous_reference
 from canhaptic.lab.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
 from canhaptic.lab.batch.scalar import render_by, render_group, work_of
-from canhaptic.lab.figures.figures import figures
+from canhaptic.lab.figures.figures import OUTCOMES, figures, outcomes
 from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.loop.over_can import Progress, accounts_over_can, heading_of, known_algorithms, render_over_can
 from canhaptic.lab.reference import ContinuousReference
@@ -213,8 +215,8 @@ def _of_axis(
             "status": "refused" if run is None else run.ended or "completed",
             "remark": "; ".join(filter(None, remarks)),
             "engine": None if run is None else run.engine,
-            **(figures(axis_loop.environment_of(axis), run, reference, scene.bus.sample_time)
-               if run is not None and run.position.size else {}),
+            **(figures(axis_loop.environment_of(axis), run, reference, scene.bus.sample_time,
+                       axis.parameters.torque_limit) if run is not None and run.position.size else {}),
             "microseconds_per_step": cost.get(name),
         }  # fmt: skip
     account = {
@@ -241,8 +243,13 @@ def _of_displays(scene: Scene, names: Sequence[str], cycles: int, progress: Prog
 def _of_display(axis: str, found: Row) -> Row:
     if "ports" not in found:
         return {"status": found["status"], "remark": found["remark"]}
-    status = f"{found['status']}: {found['remark']}" if found["remark"] else found["status"]
-    return {"status": status, "account": found["ports"][axis], "truth": found["truth"][axis]}
+    status, port = f"{found['status']}: {found['remark']}" if found["remark"] else found["status"], found["ports"][axis]
+    return {"status": status, "outcome": _outcome(port), "account": port, "truth": found["truth"][axis]}
+
+
+def _outcome(port: Row) -> str:
+    """Return the outcome of a run over CAN, by the headline of a port."""
+    return port["verdict"] if port["verdict"] in OUTCOMES else ""
 
 
 def _of_groups(scene: Scene, names: Sequence[str], cycles: int, engine: Engine, progress: Progress | None) -> Row:
@@ -280,7 +287,8 @@ def _groups_over_can(scene: Scene, names: Sequence[str], cycles: int, progress: 
 def _of_group(name: str, found: Row) -> Row:
     account = {"status": found["status"], "remark": found["remark"], "engine": "python"}
     if "ports" in found:
-        account |= {**found["ports"][name], "truth": found["truth"].get(name)}
+        port = found["ports"][name]
+        account |= {**port, "outcome": _outcome(port), "truth": found["truth"].get(name)}
     return account
 
 
@@ -303,6 +311,8 @@ def _compiled(scene: Scene, name: str, cycles: int) -> Row:
     account["status"], account["engine"] = run.ended or "completed", run.engine
     account["remark"] = "; ".join(text for text in (run.reason, run.engine.partition(": ")[2]) if text)
     account["passive"] = passive_verdict(run.least_interaction)[0]
+    known = {"contact": np.isfinite(run.damping).mean(), "torque_peak": np.abs(run.torque).max(initial=0.0)}
+    account["outcome"] = OUTCOMES[int(outcomes(known.get))]
     account["truth"] = {
         "interaction": float(run.interaction[-1]) if run.interaction.size else 0.0,
         "least_interaction": run.least_interaction,

@@ -19,7 +19,7 @@ device with such friction.
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from typing import Any, Final, Literal, NamedTuple
 
@@ -33,7 +33,7 @@ from canhaptic.lab.batch.varied import scene_with
 from canhaptic.lab.figures.field_figures import NEAR, stiffest_walls
 from canhaptic.lab.loop.admittance_loop import is_display
 from canhaptic.lab.loop.axis_loop import Array, display_under, viscous_friction, with_algorithm
-from canhaptic.lab.studies.sweep.chunk import BATCHED, COMPLETED, RADIUS, UNTOUCHED, batch_key
+from canhaptic.lab.studies.sweep.chunk import BATCHED, COMPLETED, RADIUS, STATUS, UNRENDERED, UNTOUCHED, batch_key
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.lab.studies.sweep.vary import CONTROLLER
 from canhaptic.scene.hints import quantisation_bound, stability_hints
@@ -65,7 +65,7 @@ class MapField:
 
     def __init__(self, table: SweepTable, axis: str, controller: str = "", *, allow_code: bool = False) -> None:
         self._table, self.axis = table, axis
-        self.index = table.axes.index(axis)
+        self.index, self._status = table.axes.index(axis), table.status(axis)
         self.is_grid, varied = not table.points.samples, table.points.varied
         self._rows: Any = np.array(table.values(CONTROLLER)) == controller if controller else slice(None)
         self._levels = {one.key: len(one.values) for one in varied if one.key != CONTROLLER}
@@ -83,16 +83,15 @@ class MapField:
     def figure(self, metric: str) -> Array:
         """Return a figure, NaN where a scene is not completed; for a grid with one dimension per key, the rest last."""
         found = self._shaped(self._table.figure(self.axis, metric))
-        return np.where(self.judged(), found, np.nan)
+        return np.where(self.has_status(COMPLETED), found, np.nan)
 
     def judged(self) -> Mask:
-        """Return which scenes were completed and touched, in the shape of a figure."""
-        found: Mask = self._shaped(self._table.status(self.axis) == COMPLETED)
-        return found
+        """Return which scenes were run and had a contact, in the shape of a figure."""
+        return self.has_status(COMPLETED, UNRENDERED)
 
-    def untouched(self) -> Mask:
-        """Return which scenes had no contact, in the shape of a figure."""
-        found: Mask = self._shaped(self._table.status(self.axis) == UNTOUCHED)
+    def has_status(self, *status: int) -> Mask:
+        """Return which scenes have one of some statuses of `STATUS`, in the shape of a figure."""
+        found: Mask = self._shaped(np.isin(self._status, status))
         return found
 
     def has(self, metric: str) -> bool:
@@ -298,7 +297,7 @@ def _passes(field: MapField, judgement: str) -> Mask:
     """Return which scenes pass a judgement, in the shape of a figure."""
     if judgement != "stable":
         return np.asarray(field.figure(_ENERGIES[judgement]) >= -PASSIVE_TOLERANCE)
-    passed = field.judged()
+    passed = field.has_status(COMPLETED)
     if field.has("diverged"):
         passed &= field.figure("diverged") == 0.0
     if field.has(RADIUS) and field.algorithm == "unprotected":
@@ -382,6 +381,7 @@ class Lines:
     x_log: bool
     y_log: bool
     note: str = ""
+    y_range: tuple[float, float] | None = None  # values of y that were tried, where y is a varied key
 
     def marks(self) -> list[float]:
         """Return the ticks of a logarithmic x axis: all values, or none if there are too many."""
@@ -410,7 +410,7 @@ class Cells:
     contour: float | None = None
     dots: bool = False
     more_is_worse: bool = False
-    untouched: Any = False  # which scenes had no contact, of the shape of `values`
+    marked: Mapping[str, Mask] = field(default_factory=dict)  # status -> its scenes, of the shape of `values`
 
     def marks(self) -> list[float]:
         """Return the ticks of a logarithmic x axis: all values, or none if there are too many, or dots."""
@@ -418,7 +418,7 @@ class Cells:
 
     def has_something(self) -> bool:
         """Whether there is anything to draw."""
-        return bool(np.isfinite(self.values).any() or np.any(self.untouched))
+        return bool(np.isfinite(self.values).any() or any(mask.any() for mask in self.marked.values()))
 
     def edges(self) -> tuple[Array, Array]:
         """Return the edges of the cells along x and y, shapes (nx + 1,) and (ny + 1,)."""
@@ -537,8 +537,9 @@ def _border_along(
 def _lines(field: MapField, title: str, x: str, z: str, curves: Sequence[PanelCurve], note: str) -> Lines:
     """Return a panel with all curves that have at least one point."""
     shown = tuple(curve for curve in curves if np.isfinite(curve.y).any())
-    log = is_log(field.values[x]), is_log(field.values[z])
-    return Lines(title, field.label(x), field.label(z), shown, *log, note)
+    log, tried = (is_log(field.values[x]), is_log(field.values[z])), field.values[z]
+    y_range = float(tried.min()), float(tried.max())
+    return Lines(title, field.label(x), field.label(z), shown, *log, note, y_range)
 
 
 def _theory(
@@ -561,7 +562,7 @@ _PREFERRED: Final = ("bus.rate", "environment.damping")
 _MOST_LINES: Final = 5
 _LEAST_ENERGY: Final = 1e-6  # [J]
 _ERROR: Final = "position_error.rms"
-_DAMPING: Final = "damping_rendered.mean"
+_DAMPING: Final = "damping_rendered.share"
 _OF_WALLS: Final = ("margin", "stiffness_rendered.share", _DAMPING, _ERROR)
 
 
@@ -678,20 +679,22 @@ def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
     y = chosen.y or next(key for key in sorted(others, key=_STIFFNESS.__ne__) if key != x)
     values, label, kind = _shown(field, metric)
     title = f"{field.algorithm}: {label}"
-    untouched: Any = field.untouched()
+    marked = {STATUS[number]: field.has_status(number) for number in (UNTOUCHED, UNRENDERED)}
     places = field.values[x], field.values[y]
     if field.is_grid:
         keys = [field.keys.index(key) for key in (y, x)]
-        values, untouched = np.moveaxis(values, keys, [0, 1]), np.moveaxis(untouched, keys, [0, 1])
+        values, *masks = (np.moveaxis(of, keys, [0, 1]) for of in (values, *marked.values()))
         title += ", worst case over all other keys" if any(size > 1 for size in values.shape[2:]) else ""
         columns, rows = (np.argsort(place) for place in places)
         values, places = _worst(values, kind)[rows][:, columns], (places[0][columns], places[1][rows])
-        untouched = untouched.any(axis=tuple(range(2, untouched.ndim)))[rows][:, columns]
+        folded = (mask.any(axis=tuple(range(2, mask.ndim)))[rows][:, columns] for mask in masks)
+        marked = dict(zip(marked, folded, strict=True))
     is_share, is_bad = kind == "share", kind in ("energy", "error")
     return Cells(
         title, field.label(x), field.label(y), *places, values, label, is_log(places[0]), is_log(places[1]),
         value_log=is_bad, limits=(0.0, 1.2) if is_share else None, contour=0.95 if is_share else None,
-        dots=not field.is_grid, more_is_worse=is_bad, untouched=untouched & np.isnan(values),
+        dots=not field.is_grid, more_is_worse=is_bad,
+        marked={status: mask & np.isnan(values) for status, mask in marked.items()},
     )  # fmt: skip
 
 
@@ -702,24 +705,11 @@ def _shown(field: MapField, metric: str) -> tuple[Array, str, str]:
         words = {"margin": "missing in the margin, eq. 4", "least_interaction": "given out beyond what came in"}
         missing = np.where(np.isnan(values), np.nan, np.maximum(-values, _LEAST_ENERGY))
         return missing, f"{words.get(metric, metric)} [J]", "energy"
-    if metric == _DAMPING:
-        asked = _asked_damping(field, values)
-        with np.errstate(all="ignore"):
-            return np.where(asked > 0.0, values / asked, np.nan), "damping rendered over asked", "share"
     if metric.endswith(".share"):
-        return values, f"{'mass felt' if metric == 'mass_felt.share' else 'stiffness rendered'} over asked", "share"
+        return values, f"{metric.removesuffix('.share').replace('_', ' ')} over asked", "share"
     if metric == _ERROR:
         return values, f"position error, rms [{field.unit}]", "error"
     return values, metric, "plain"
-
-
-def _asked_damping(field: MapField, values: Array) -> Array | float:
-    key = "environment.damping"
-    if key not in field.keys:
-        return float(getattr(field.scene.axes[0].environment.parameters, "damping", 0.0))
-    if not field.is_grid:
-        return field.values[key]
-    return np.expand_dims(field.values[key], [i for i in range(values.ndim) if i != field.keys.index(key)])
 
 
 def _worst(values: Array, kind: str) -> Array:

@@ -52,12 +52,32 @@ def test_a_scene_without_a_contact_counts_neither_as_passive_nor_as_active(capsy
     with SweepTable(tmp_path / "a") as table:
         field = fields_of(table)[0]
         (panel,) = [one for one in panels_of([field], Chosen(metric="margin"))[0] if isinstance(one, Cells)]
-        assert np.array_equal(panel.untouched, np.isnan(panel.values))
-        assert panel.untouched.mean() == 0.5
+        assert np.array_equal(panel.marked["no contact"], np.isnan(panel.values))
+        assert panel.marked["no contact"].mean() == 0.5
     assert main([*SMALL, "--set", "environment.position=-1"]) == 0
     shown = capsys.readouterr().out
     assert "status:   3 no contact" in shown
     assert "100 %" not in shown
+
+
+def test_a_wall_of_which_nothing_is_rendered_is_no_pass_as_a_run_of_the_same_scene_says(
+    capsys: Captured, tmp_path: Path
+) -> None:
+    late = ["--set", "environment.stiffness=1000", "--set", "passivity.current_lag=2 ms"]
+    words = ["--controllers", "unprotected,guarded", "--vary", "environment.damping=0,1", "--duration", "1.4", *late]
+    assert main(["sweep", DEMO, *words, "--out", str(tmp_path / "a"), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["status"] == {"completed": 2, "nothing rendered": 2}
+    assert [entry["scenes"] for entry in result["figures"]["handle"].values()] == [2, 0]
+    assert result["figures"]["handle"]["guarded"]["nothing_rendered"] == 2
+    assert main(["map", str(tmp_path / "a")]) == 0
+    shown = capsys.readouterr().out
+    assert " guarded: 0 % of the scenes with a contact pass (judged by: passive), 100 % rendered nothing" in shown
+    assert main(["compare", DEMO, "--algorithms", "unprotected,guarded", "--duration", "1.4", *late, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["axes"]["handle"]["algorithms"]
+    assert [found[name]["outcome"] for name in ("unprotected", "guarded")] == ["", "nothing rendered"]
+    assert found["guarded"]["effort_rendered"]["share"] < 0.1 < found["unprotected"]["effort_rendered"]["share"]
+    assert found["guarded"]["least_interaction"] >= 0.0
 
 
 @pytest.mark.parametrize(

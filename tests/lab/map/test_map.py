@@ -53,7 +53,7 @@ def two_controllers(tmp_path_factory):
         "least_covered",
         "diverged",
         "stiffness_rendered.share",
-        "damping_rendered.mean",
+        "damping_rendered.share",
     ]
     sweep(scene, vary, path, controllers=["unprotected", "guarded"], duration=1.6, metrics=metrics, engine="python")
     return path

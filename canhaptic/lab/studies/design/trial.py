@@ -207,7 +207,7 @@ _METRICS: Final = (
     "least_interaction",
     "least_covered",
     "stiffness_rendered.share",
-    "damping_rendered.mean",
+    "damping_rendered.share",
     "contact",
 )
 
@@ -314,8 +314,7 @@ class Trial:
             raise InputError(f"{self.scene.source}: no wall can be tried: {result.texts[0]}")
         self.engine, self.remark = chunk.ENGINES[int(result.engine.max())], result.of_plant or self.remark
         figures = {metric: result.figures[f"{name}/{metric}"].reshape(2, count) for metric in _METRICS}
-        with np.errstate(all="ignore"):
-            damped = np.array(figures["damping_rendered.mean"][1] / np.where(damping > 0.0, damping, np.nan))
+        damped = figures["damping_rendered.share"][1]
         least, judged = (figures[metric].min(axis=0) for metric in ("least_interaction", self._judged))
         ran = (
             (result.status == chunk.COMPLETED).reshape(2, count)

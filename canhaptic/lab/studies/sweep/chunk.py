@@ -29,7 +29,7 @@ from canhaptic.lab.batch.marching import run_batch
 from canhaptic.lab.batch.radius import spectral_radius
 from canhaptic.lab.batch.scalar import group_figures, group_meter, run_scalar
 from canhaptic.lab.batch.varied import BATCH_KEYS
-from canhaptic.lab.figures.figures import ALL, DISPLAY_METRICS, METRICS, display_figures
+from canhaptic.lab.figures.figures import ALL, DISPLAY_METRICS, METRICS, OUTCOMES, display_figures
 from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.loop.admittance_loop import is_display
 from canhaptic.lab.loop.axis_loop import Array
@@ -351,8 +351,8 @@ def usual_figures(scene: Scene) -> tuple[str, ...]:
     return tuple(DISPLAY_METRICS) if all(displays) else tuple(dict.fromkeys((*USUAL, *DISPLAY_METRICS)))
 
 
-STATUS: Final = ("pending", "completed", "refused", "failed", "no contact")
-COMPLETED, REFUSED, _FAILED, UNTOUCHED = range(1, len(STATUS))
+STATUS: Final = ("pending", "completed", "refused", "failed", *OUTCOMES[1:])
+COMPLETED, REFUSED, _FAILED, UNTOUCHED, UNRENDERED = range(1, len(STATUS))
 ENGINES: Final = ("none", "closed form", "python", "numba", "scalar")
 SLOTS: Final = 32
 """Largest number of different remarks in a chunk."""

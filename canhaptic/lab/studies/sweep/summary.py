@@ -12,7 +12,7 @@ from rich.text import Text
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.sweep.chunk import COMPLETED, RADIUS, UNTOUCHED
+from canhaptic.lab.studies.sweep.chunk import COMPLETED, RADIUS, STATUS, UNRENDERED, UNTOUCHED
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.lab.studies.sweep.vary import CONTROLLER
 from canhaptic.view.si import si
@@ -60,8 +60,9 @@ def _shares(table: SweepTable, axis: str, status: NDArray[np.uint8]) -> Row:
     """Return shares, least values and medians of some scenes that were touched; None where there are none."""
     rows = status == COMPLETED
     found: Row = {"scenes": int(rows.sum())}
-    if untouched := int((status == UNTOUCHED).sum()):
-        found["no_contact"] = untouched
+    for key, number in _PROVE_NOTHING.items():
+        if count := int((status == number).sum()):
+            found[key] = count
     for name, (_, metric, figure) in _SHARES.items():
         if metric in table.metrics:
             values = table.figure(axis, metric)[rows]
@@ -94,6 +95,8 @@ _SHARES: Final[Mapping[str, tuple[str, str, Callable[[Array], float | None]]]] =
     "guard_acts": ("guard acts, median", "guard_acts", _finite(np.median)),
 }
 """Name -> heading, metric, and the function from its values to one number."""
+_PROVE_NOTHING: Final = {"no_contact": UNTOUCHED, "nothing_rendered": UNRENDERED}
+"""Name -> status of scenes that count neither as passive nor as active."""
 
 
 def summary_report(found: Row) -> RenderableType:
@@ -121,7 +124,8 @@ _ENGINES: Final = {"none": "not run", "scalar": "one at a time", "python": "in b
 
 def _shares_table(found: Row) -> Table:
     entries = {(axis, name): entry for axis, of in found["figures"].items() for name, entry in of.items()}
-    heads = {"no_contact": "no contact", **{key: head for key, (head, _, _) in _SHARES.items()}}
+    heads = {key: STATUS[number] for key, number in _PROVE_NOTHING.items()}
+    heads |= {key: head for key, (head, _, _) in _SHARES.items()}
     shown = [key for key in heads if any(key in entry for entry in entries.values())]
     rows = [
         [f"{axis}, {name}", str(entry["scenes"]), *(_cell(key, entry.get(key)) for key in shown)]
@@ -133,6 +137,6 @@ def _shares_table(found: Row) -> Table:
 def _cell(key: str, value: float | None) -> str:
     if value is None:
         return "-"
-    if key == "no_contact":
+    if key in _PROVE_NOTHING:
         return str(value)
     return si(value, "J", 3) if key == "least_margin" else f"{100.0 * value:.3g} %"

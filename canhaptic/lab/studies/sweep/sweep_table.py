@@ -8,7 +8,7 @@ texts                  remarks of the chunk
 """
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.errors import LogFormatError
+from canhaptic.lab.figures.figures import outcomes
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.store import Store, create_store
-from canhaptic.lab.studies.sweep.chunk import COMPLETED, ENGINES, STATUS, UNTOUCHED, ChunkResult
+from canhaptic.lab.studies.sweep.chunk import COMPLETED, ENGINES, STATUS, UNRENDERED, UNTOUCHED, ChunkResult
 from canhaptic.lab.studies.sweep.vary import Column, Points, Varied
 
 _KIND: Final = "sweep"
@@ -89,11 +90,20 @@ class SweepTable(Store):
     def status(self, axis: str = "") -> NDArray[np.uint8]:
         """Return the status of every scene, for one axis or for all, as indices in `STATUS`, shape (n,)."""
         found = self._column("status", np.zeros(len(self), dtype=np.uint8))
-        return _with_untouched(found, [self.figure(name, "contact") for name in self._judged(axis)])
+        axes = [axis] if axis else self.axes
+        return self._with_outcomes(found, axes, lambda path: self._column(path, np.full(len(self), np.nan)))
 
-    def _judged(self, axis: str = "") -> list[str]:
-        """Return an axis, or all of them; none where the sweep does not know whether they were touched."""
-        return [name for name in self.axes if axis in ("", name) and "contact" in self.metrics]
+    def _with_outcomes(
+        self, status: NDArray[np.uint8], axes: Sequence[str], column: Callable[[str], Array]
+    ) -> NDArray[np.uint8]:
+        """Mark the completed scenes in which no axis was touched and rendered: they say nothing about passivity."""
+
+        def outcome(axis: str) -> Any:
+            return outcomes(lambda metric: column(f"{axis}/{metric}") if metric in self.metrics else np.nan)
+
+        found = np.stack([outcome(axis) for axis in axes])
+        marks = np.where((found == 0).any(axis=0), 0, found.max(axis=0))
+        return np.where(status == COMPLETED, np.array([COMPLETED, UNTOUCHED, UNRENDERED], np.uint8)[marks], status)
 
     def engine(self) -> NDArray[np.uint8]:
         """Return the engine of every scene as indices in `ENGINES`, shape (n,)."""
@@ -109,7 +119,7 @@ class SweepTable(Store):
         """Yield (status, engine, remark, number of scenes), chunk by chunk, with equal scenes counted together."""
         for chunk in np.flatnonzero(self.done()).tolist():
             texts, *rows = self._read(chunk, "texts", "status", "engine", "remark")
-            _with_untouched(rows[0], self._read(chunk, *(f"{name}/contact" for name in self._judged())))
+            rows[0] = self._with_outcomes(rows[0], self.axes, lambda path, chunk=chunk: self._read(chunk, path)[0])
             kinds, counts = np.unique(np.stack(rows), axis=1, return_counts=True)
             for (status, engine, number), count in zip(kinds.T.tolist(), counts.tolist(), strict=True):
                 yield STATUS[status], ENGINES[engine], str(texts[number - 1]) if number else "", count
@@ -144,13 +154,6 @@ class SweepTable(Store):
                 return [np.asarray(found[name]) for name in names]
         except (OSError, ValueError, KeyError, BadZipFile) as error:
             raise LogFormatError(f"{path}: cannot be read ({error}); remove it and --resume") from error
-
-
-def _with_untouched(status: NDArray[np.uint8], contacts: Sequence[Array]) -> NDArray[np.uint8]:
-    """Mark the completed scenes in which nothing was touched: they say nothing about passivity."""
-    if contacts:
-        status[(status == COMPLETED) & (np.stack(contacts) == 0.0).all(axis=0)] = UNTOUCHED
-    return status
 
 
 def create(path: Path, chunk: int, identity: Row, notes: dict[str, str], *, replace: bool) -> None:
