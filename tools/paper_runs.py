@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from canhaptic import load_scene
 from canhaptic.control.balance import Branch, EnergyBalance
 from canhaptic.control.ledger import LedgerSummary
-from canhaptic.lab.batch.continuous import continuous_reference
+from canhaptic.lab.batch.scalar import continuous_reference
 from canhaptic.lab.loop.axis_loop import environment_of, plant_parts
 from canhaptic.lab.loop.over_can import walk_over_can
 from canhaptic.lab.reference import ContinuousReference

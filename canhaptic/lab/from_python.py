@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from canhaptic.lab.batch.engine import Engine
+from canhaptic.lab.batch import Engine
 from canhaptic.lab.studies.compare import Comparison
 from canhaptic.lab.studies.compare import compare as compare_algorithms
 from canhaptic.scene.models import Scene

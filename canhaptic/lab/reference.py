@@ -2,7 +2,7 @@
 
 It is rendered to the same user and plant without sampling, encoder or torque limit, on the textbook plant by
 event-located DOP853 (extra `study`), which shares no code with the plant that it judges. Every effect and environment
-with equations here is taken, and any other refused. A wall on a linear plant needs no solver: `batch.continuous`.
+with equations here is taken, and any other refused. A wall on a linear plant needs no solver: `batch.scalar`.
 
 A network on the motors of a group in continuous time, by DOP853: what the hands would feel without sampling.
 

@@ -21,7 +21,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError, LogFormatError, ParameterError
-from canhaptic.lab.batch.engine import chosen_engine
+from canhaptic.lab.batch import chosen_engine
 from canhaptic.logs import bus_reader, repair
 from canhaptic.logs.repair import in_own_process
 from canhaptic.view.picture_style import require_matplotlib

@@ -14,7 +14,7 @@ from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
 from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.errors import InputError
-from canhaptic.lab.batch.continuous import continuous_reference
+from canhaptic.lab.batch.scalar import continuous_reference
 from canhaptic.lab.judge.reference_model import Model
 from canhaptic.lab.reference import continuous_run
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction

@@ -14,7 +14,7 @@ import canhaptic
 from canhaptic.audit.recompute import scene_of
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError, SceneError
-from canhaptic.lab.batch.engine import chosen_engine
+from canhaptic.lab.batch import chosen_engine
 from canhaptic.lab.judge.solvers import reference
 from canhaptic.lab.reference import textbook_model
 from canhaptic.lab.studies.accuracy.loop_sensitivity import continuous_loop

@@ -10,7 +10,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.lab.batch.cases import BatchCase, many_loops
-from canhaptic.lab.batch.continuous import continuous_reference
+from canhaptic.lab.batch.scalar import continuous_reference
 from canhaptic.lab.loop.axis_loop import Array, LoopCase
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.registry import load

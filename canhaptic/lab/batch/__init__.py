@@ -11,4 +11,47 @@ hold, a plant with events by the stepper of `canhaptic.sim.plant` (both in `plan
 other and are independent.
 
 Compiling takes some 10 s, once for each algorithm and environment; the machine code is stored on disk (`compiler`).
+
+`chosen_engine` chooses between machine code and Python; both give the same bits.
 """
+
+import os
+from importlib.util import find_spec
+from typing import Final, Literal
+
+from canhaptic.errors import ParameterError
+from canhaptic.extras import install_hint
+
+Engine = Literal["auto", "numba", "python"]
+"""Engine as a user requests it."""
+ChosenEngine = Literal["numba", "python"]
+
+WORTH_COMPILING: Final = 1e6
+"""Scenes times cycles from which compiling pays. Python takes 5 us (`unprotected`) to 60 us (`guarded`, a stop and
+friction) a cycle, compiled code at most 0.5 us; compiling takes 4 to 14 s, once for a kind of scene."""
+
+WORTH_COMPILING_GROUPS: Final = 3e5
+"""The same for groups: Python takes some 150 us a cycle, and compiling 20 s."""
+_FOREIGN: Final = ".numba_config.yaml"
+
+
+def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
+    """Return the engine that "auto" chooses here.
+
+    Args:
+        engine: Requested engine.
+        pays: Whether compiling saves more time than it takes.
+
+    Raises:
+        ParameterError: The name is unknown, numba is requested but not installed, or the current folder has a file
+            with settings of numba.
+    """
+    if engine not in ("auto", "numba", "python"):
+        raise ParameterError(f"engine: got {engine!r}, expected auto, numba or python")
+    there = find_spec("numba") is not None
+    if engine == "numba" and not there:
+        raise ParameterError(f"engine: got numba, which is not installed; {install_hint('fast')}, or use python")
+    chosen: ChosenEngine = ("numba" if there and pays else "python") if engine == "auto" else engine
+    if chosen == "numba" and os.path.lexists(_FOREIGN):
+        raise ParameterError(f"engine: numba would obey {_FOREIGN} of this folder; move it away, or use python")
+    return chosen

@@ -4,6 +4,10 @@ It takes every plant, also those that do not fit a batch, and is the reference f
 names. For a group their meaning is: energies are sums over all its motors and a mover; torques are Euclidean norms,
 `torque_peak` is the largest of any motor; travel, stiffness and comparisons with a continuous run are NaN, because a
 group has no single position.
+
+`continuous_reference` gives motion and force in the continuous environment, the reference for sampled algorithms. A
+wall, damper or free space on a linear plant is solved in closed form between events (`closed_loop.follow_hold`); any
+other environment or plant is integrated by DOP853 on the textbook plant (`canhaptic.lab.reference`).
 """
 
 from collections.abc import Callable, Sequence
@@ -18,25 +22,41 @@ import numpy as np
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.environment import Environment, plain
 from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, GroupMotion
+from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.stepped import Axis
 from canhaptic.errors import CanHapticError, ControlError
 from canhaptic.kernels import Run, with_quick_fields
 from canhaptic.kernels.records import bound
+from canhaptic.lab import reference
 from canhaptic.lab.batch import closed_loop
-from canhaptic.lab.batch.cases import BatchCase, NotBatchableError, loops_of, why_not_compiled
+from canhaptic.lab.batch.cases import (
+    BatchCase,
+    NotBatchableError,
+    continuous_modes,
+    loops_of,
+    many_loops,
+    why_not_compiled,
+    why_not_continuous,
+)
 from canhaptic.lab.batch.closed_loop import AxisRun, LoopSettings, ReferenceMemory, ReferenceSettings, ReferenceState
-from canhaptic.lab.batch.continuous import continuous_reference
-from canhaptic.lab.batch.engine import ChosenEngine
+from canhaptic.lab.batch import ChosenEngine
 from canhaptic.lab.batch.group_loop import GroupCase, GroupMeter, GroupRig, GroupRoom, group_case, run_group, take_group
 from canhaptic.lab.batch.group_loop import step as step_group
-from canhaptic.lab.batch.plants import PlantValues
+from canhaptic.lab.batch.marching import reference_memory_of
+from canhaptic.lab.batch.plants import PlantValues, is_linear
 from canhaptic.lab.figures.figures import CONTINUOUS, METRICS, last_rows, metrics_of, sums_of, sums_of_continuous
 from canhaptic.lab.figures.meter import Meter, MeterSettings, diverge, take
+from canhaptic.lab.judge.reference_model import Model
 from canhaptic.lab.loop import axis_loop
-from canhaptic.lab.loop.axis_loop import EVERYWHERE, LoopCase, LoopRun, Reach, Recorder, finished
+from canhaptic.lab.loop.axis_loop import EVERYWHERE, Array, LoopCase, LoopRun, Reach, Recorder, finished
 from canhaptic.lab.reference import ContinuousReference
-from canhaptic.scene.models import Scene
-from canhaptic.sim.plant.plant import Plant
+from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.far_side import build_plant
+from canhaptic.scene.models import AxisSimulation, Scene
+from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.plant.effects import Effect
+from canhaptic.sim.plant.plant import Plant, PlantParameters
+from canhaptic.sim.plant.user import UserParameters
 
 
 class ObjectPlant:
@@ -308,3 +328,70 @@ def loop_settings(case: LoopCase, cycles: int) -> LoopSettings:
     last_from = float(last_rows(cycles, case.sample_time_ns * 1e-9).start)
     (found,) = loops_of(BatchCase(case, {"last_from": last_from}, None), 1)
     return found
+
+
+def continuous_reference(
+    environment: Environment,
+    plant: PlantParameters,
+    user: UserParameters | None,
+    effects: Sequence[Effect],
+    sample_time_ns: int,
+    cycles: int,
+) -> ContinuousReference:
+    """Return the motion and force that the user would feel from the continuous environment.
+
+    Args:
+        environment: Environment to render without sampling.
+        plant: Moving mass.
+        user: The hand.
+        effects: Effects of the plant; effects on encoder and command are left out.
+        sample_time_ns: T [ns], the grid of the result.
+        cycles: SYNCs.
+
+    Raises:
+        InputError: There are no equations for the environment or an effect, or a solver is needed and scipy is missing.
+    """
+    reference.surfaces(environment)
+    readings = reference.readings_per_hold(sample_time_ns, cycles)
+    step = sample_time_ns * 1e-9 / readings
+    times = np.arange((cycles - 1) * readings + 1, dtype=np.float64) * step
+    specs = tuple(ComponentSpec(effect.type, effect) for effect in effects)  # type: ignore[arg-type]
+    simulation = AxisSimulation(SimulatedDriveParameters(counts_per_unit=1.0), plant, user, specs, 0)
+    found, method = _in_closed_form(environment, simulation, step, len(times)), "closed form between events"
+    if found is None:
+        run = reference.continuous_run(environment, Model(plant, user, effects), times.tolist(), 1e-10)
+        found, method = (run.position, run.velocity), "DOP853 with event location, relative tolerance 1e-10"
+    position, velocity = found
+    torque = reference.environment_torque(environment, position, velocity, step)
+    ends = 0.5 * (torque[1:] + torque[:-1])
+    mean = np.concatenate([[0.0], ends.reshape(-1, readings).mean(axis=1)]) if cycles > 1 else torque[:1]
+    variation = float(np.abs(np.diff(torque, prepend=0.0)).sum())
+    return ContinuousReference(position[::readings], mean, variation, times, torque, method)
+
+
+def _in_closed_form(
+    environment: Environment, simulation: AxisSimulation, step: float, count: int
+) -> tuple[Array, Array] | None:
+    """Return positions and velocities at every `step` [s]; None where the motion has no closed form."""
+    if (simulation.user is not None and not simulation.user.has_equations) or not is_linear(simulation):
+        return None
+    step_ns = round(step * 1e9)
+    case = many_loops(
+        LoopCase(
+            environment, "unprotected", None, LoopProperties(sample_time=step),
+            lambda: build_plant(simulation, step_ns), step_ns, 0, simulation=simulation,
+        ), {}, {},
+    )  # fmt: skip
+    if why_not_continuous(case):
+        return None
+    modes = continuous_modes(case, 1, count, with_force=False, with_travel=False)
+    settings, state, memory = modes.settings[0], ReferenceState(), reference_memory_of(modes, 0)
+    if not settings.exists:
+        return None
+    motion = np.empty((count, 2))
+    closed_loop.begin_reference(settings, state, memory)
+    for k in range(count):
+        if k:
+            closed_loop.follow_hold(settings, state, memory)
+        motion[k] = memory.state[0], memory.state[1]
+    return motion[:, 0], motion[:, 1]

@@ -9,8 +9,7 @@ from typing import Final
 from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.output import note_file, write_file, write_note
 from canhaptic.control.passivity import ALGORITHMS
-from canhaptic.lab.commands.results import show
-from canhaptic.lab.commands.scene_progress import scene_progress
+from canhaptic.lab.commands.results import scene_progress, show
 from canhaptic.lab.render.arena_picture import pictures_of, write_arena_page
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.arena import ArenaPlan, ArenaStore, run_arena, scenes_named

@@ -4,8 +4,7 @@ import argparse
 
 from canhaptic.cli.options import scene_of
 from canhaptic.cli.output import write_note
-from canhaptic.lab.commands.results import show
-from canhaptic.lab.commands.scene_progress import scene_progress
+from canhaptic.lab.commands.results import scene_progress, show
 from canhaptic.lab.render.design_report import design_report, snippet
 from canhaptic.lab.studies.compare import are_displays
 from canhaptic.lab.studies.design.admittance_design import display_design_report, display_snippet

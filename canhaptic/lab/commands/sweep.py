@@ -11,8 +11,7 @@ from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.options import scene_of
 from canhaptic.cli.output import note_file, write_note
 from canhaptic.errors import InputError
-from canhaptic.lab.commands.results import show
-from canhaptic.lab.commands.scene_progress import scene_progress
+from canhaptic.lab.commands.results import scene_progress, show
 from canhaptic.lab.studies.runner import Pool, Progress, dask_executor, pool_of
 from canhaptic.lab.studies.sweep.run_sweep import sweep
 from canhaptic.lab.studies.sweep.summary import summary, summary_report

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from canhaptic.lab.batch.continuous import continuous_reference
+from canhaptic.lab.batch.scalar import continuous_reference
 from canhaptic.lab.loop.axis_loop import environment_of, plant_parts
 from canhaptic.lab.studies.accuracy.loop_sensitivity import continuous_loop
 from canhaptic.scene.load import load_scene

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from canhaptic.cli.main import main
-from canhaptic.lab.commands.scene_progress import scene_progress
+from canhaptic.lab.commands.results import scene_progress
 from canhaptic.lab.studies.map import Cells, Chosen, fields_of, panels_of
 from canhaptic.lab.studies.runner import Progress
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable

@@ -8,7 +8,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
-from canhaptic.lab.loop.admittance_equations import integrate, why_no_equations
+from canhaptic.lab.studies.accuracy.admittance_accuracy import integrate, why_no_equations
 from canhaptic.lab.loop.admittance_loop import run_display
 from canhaptic.lab.render.accuracy_picture import draw_accuracy
 from canhaptic.lab.studies.accuracy.admittance_accuracy import study_display

@@ -7,12 +7,20 @@ The ideal display renders the same environment without protection at a 32nd of t
 drive is a thousand times as stiff, its encoder a thousand times as fine, and its sensor shows the mean of each hold
 without error. Its distance from an ideal display with twice its sample time estimates its own error.
 
-The module also makes the tables of the study, for a terminal and as Markdown.
+The module also makes the tables of the study, for a terminal and as Markdown, and has the equations of an admittance
+display and its hand, for a solver that shares no code with the simulated plant:
+
+    M v' = c (r - v) + f_I + F - b v,   f_I' = k (r - v),   F = k_g (x - q) + d_g (w - v)
+    m x'' = -F + K (x_u - x) + D (x_u' - w) + push,          E' = F v
+
+q, v: mass on the motor's side of the sensor; x, w: mass on the hand's side; r: velocity command; f_I: integral part of
+the velocity loop; F: force at the sensor. Effects and torque limits are omitted.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Final, cast
+from math import cos, pi, sin
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -22,14 +30,14 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
 from canhaptic.errors import CanHapticError, InputError, ParameterError
 from canhaptic.lab.figures.figures import figures_of
-from canhaptic.lab.loop.admittance_equations import integrate, why_no_equations
 from canhaptic.lab.loop.admittance_loop import AdmittanceRun, run_display
 from canhaptic.lab.loop.axis_loop import Array, at_rate, display_group_under, display_under, parts_of
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy.loop_sensitivity import Variant
 from canhaptic.lab.studies.accuracy.plant_solvers import Stop, holds_of
 from canhaptic.scene.method import simulation_of
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation, SimulatedForceSensor
 from canhaptic.view.si import si
 from canhaptic.view.table import Table
@@ -284,3 +292,68 @@ def _ideal(scene: Scene, steps: int) -> Scene:
     finer = at_rate(_under(scene, _PLAIN), steps / scene.bus.sample_time)
     bus = finer.bus.model_copy(update={"rpdo": "event"})  # a command acts at once
     return replace(finer, bus=bus, axes=tuple(map(changed, finer.axes)))
+
+
+def why_no_equations(simulation: AxisSimulation) -> str:
+    """Return "" if the equations describe a plant completely, else the name of the part that they omit."""
+    display, user = simulation.admittance, simulation.user
+    if display is None:
+        return "no admittance display"
+    if display.loop.torque_limit is not None:
+        return "the torque limit of the loop"
+    if simulation.effects:
+        return f"effect {simulation.effects[0].name}"
+    if user is not None and not user.has_equations:
+        return "a user-defined or recorded hand"
+    return ""
+
+
+def integrate(simulation: AxisSimulation, held: Sequence[float], sample_time: float) -> Array:
+    """Return position [m or rad] and energy through the sensor [J] at each SYNC, shape (len(held), 2), by DOP853.
+
+    Args:
+        simulation: Simulation of the axis.
+        held: Velocity command in the hold before each SYNC [m/s or rad/s]; the first is not used.
+        sample_time: T [s].
+
+    Raises:
+        InputError: `why_no_equations` names a part, or the solver failed.
+    """
+    from scipy.integrate import solve_ivp
+
+    if reason := why_no_equations(simulation):
+        raise InputError(f"no equations here for {reason}")
+    state = np.zeros(6)  # q, v, x, w, f_I, E
+    state[0] = state[2] = simulation.plant.initial_position
+    state[1] = state[3] = simulation.plant.initial_velocity
+    rows, rates = [state[[0, 5]]], _rates(simulation)
+    for number, command in enumerate(held[1:]):
+        span = (number * sample_time, (number + 1) * sample_time)
+        found: Any = solve_ivp(rates, span, state, "DOP853", args=(command,), rtol=1e-11, atol=1e-14)
+        if not found.success:
+            raise InputError(f"DOP853: {found.message}")
+        state = found.y[:, -1]
+        rows.append(state[[0, 5]])
+    return np.array(rows)
+
+
+def _rates(simulation: AxisSimulation) -> Any:
+    display, user, plant = simulation.admittance, simulation.user or UserParameters(), simulation.plant
+    if display is None:
+        raise InputError("no equations for an axis that is not an admittance display")
+    loop, grip = display.loop, display.grip
+    motion = user.sinusoid or SinusoidMotion(amplitude=0.0, frequency=1.0)
+    omega = 2.0 * pi * motion.frequency
+
+    def rates(time: float, state: Array, command: float) -> list[float]:
+        q, v, x, w, integral, _ = state.tolist()
+        angle = omega * time + motion.phase
+        place = user.rest + motion.offset + motion.amplitude * sin(angle)
+        speed = motion.amplitude * omega * cos(angle)
+        force = grip.stiffness * (x - q) + grip.damping * (w - v)
+        hand = user.stiffness * (place - x) + user.damping * (speed - w) + user.push
+        driven = loop.gain * (command - v) + integral - plant.damping * v
+        forced = (driven + force) / plant.mass, (hand - force) / grip.mass
+        return [v, forced[0], w, forced[1], loop.integral_gain * (command - v), force * v]
+
+    return rates

@@ -20,7 +20,7 @@ from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import ParameterError
-from canhaptic.lab.batch.engine import WORTH_COMPILING, WORTH_COMPILING_GROUPS, ChosenEngine, Engine, chosen_engine
+from canhaptic.lab.batch import WORTH_COMPILING, WORTH_COMPILING_GROUPS, ChosenEngine, Engine, chosen_engine
 from canhaptic.lab.batch.scalar import render_by, render_group, work_of
 from canhaptic.lab.judge.reference_model import MotionError
 from canhaptic.lab.loop import axis_loop

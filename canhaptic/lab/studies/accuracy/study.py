@@ -26,7 +26,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError
-from canhaptic.lab.batch.engine import Engine
+from canhaptic.lab.batch import Engine
 from canhaptic.lab.loop.axis_loop import able_under, microseconds_per_step, parts_of
 from canhaptic.lab.reference import ContinuousMotion, continuous_group
 from canhaptic.lab.studies import Row

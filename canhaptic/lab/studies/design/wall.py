@@ -27,7 +27,7 @@ from canhaptic.control.certificates.scalar_bounds import displacement_response, 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.guarded import GuardedParameters, hand_response, kept_for_contacts
 from canhaptic.errors import CheckFailedError
-from canhaptic.lab.batch.engine import Engine
+from canhaptic.lab.batch import Engine
 from canhaptic.lab.loop.axis_loop import Array, able_under, loop_case, plant_parts, require_design_room
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import are_displays, compare
