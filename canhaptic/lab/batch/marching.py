@@ -13,9 +13,8 @@ import numpy as np
 from canhaptic.errors import EventLimitError, ParameterError
 from canhaptic.kernels import Kernel, Run, list_of_zeros
 from canhaptic.kernels.records import bound
-from canhaptic.lab.batch import cases, closed_loop
+from canhaptic.lab.batch import WORTH_COMPILING, Engine, cases, chosen_engine, closed_loop
 from canhaptic.lab.batch.cases import NotBatchableError
-from canhaptic.lab.batch import WORTH_COMPILING, Engine, chosen_engine
 from canhaptic.lab.batch.plants import Plants, Stopped, loop_replacements, never_stopped, run_event_plants
 from canhaptic.lab.batch.varied import scene_with
 from canhaptic.lab.figures.figures import ALL, METRICS, last_rows, metrics_of, sums_of

@@ -28,7 +28,7 @@ from canhaptic.errors import CanHapticError, ControlError
 from canhaptic.kernels import Run, with_quick_fields
 from canhaptic.kernels.records import bound
 from canhaptic.lab import reference
-from canhaptic.lab.batch import closed_loop
+from canhaptic.lab.batch import ChosenEngine, closed_loop
 from canhaptic.lab.batch.cases import (
     BatchCase,
     NotBatchableError,
@@ -39,7 +39,6 @@ from canhaptic.lab.batch.cases import (
     why_not_continuous,
 )
 from canhaptic.lab.batch.closed_loop import AxisRun, LoopSettings, ReferenceMemory, ReferenceSettings, ReferenceState
-from canhaptic.lab.batch import ChosenEngine
 from canhaptic.lab.batch.group_loop import GroupCase, GroupMeter, GroupRig, GroupRoom, group_case, run_group, take_group
 from canhaptic.lab.batch.group_loop import step as step_group
 from canhaptic.lab.batch.marching import reference_memory_of

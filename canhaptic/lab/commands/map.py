@@ -33,8 +33,8 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.json:
         write_json({"file": str(arguments.file), "passing": shares, **left_out, "lines": _lines(columns)})
     else:
-        every = ((name, share, *(of[name] for of in left_out.values()), by[name]) for name, share in shares.items())
-        _print(columns, [_share(*one) for one in every])
+        parts = {name: [of[name] for of in left_out.values()] for name in shares}
+        _print(columns, [_share(name, share, by[name], *parts[name]) for name, share in shares.items()])
     write_files(
         arguments, png=lambda path: draw_map(columns, caption, path),
         html=lambda path: write_map(columns, caption, path),
@@ -51,7 +51,7 @@ def _lines(columns: list[list[Panel | None]]) -> list[dict[str, object]]:
     ]  # fmt: skip
 
 
-def _share(name: str, share: float, untouched: float, unrendered: float, by: str) -> str:
+def _share(name: str, share: float, by: str, untouched: float, unrendered: float) -> str:
     words = [f"{100.0 * share:.3g} % of the scenes with a contact pass (judged by: {by})"] if untouched < 1.0 else []
     words += [f"{100.0 * unrendered:.3g} % rendered nothing"] if unrendered else []
     words += [f"{100.0 * untouched:.3g} % had no contact"] if untouched else []

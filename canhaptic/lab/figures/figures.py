@@ -150,7 +150,7 @@ def outcomes(figure: Callable[[str], Any]) -> Any:
     contact, effort, damping, peak = (np.asarray(figure(name), dtype=float) for name in OUTCOME_METRICS)
     share = np.where(np.isfinite(effort), effort, damping)
     is_silent = np.where(np.isfinite(share), share < _LEAST_RENDERED, peak == 0.0)
-    return np.where(contact == 0.0, 1, 2 * is_silent)
+    return np.where(contact == 0.0, 1, 2 * (is_silent & (contact > 0.0)))
 
 
 def figures(

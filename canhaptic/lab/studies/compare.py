@@ -19,9 +19,8 @@ from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGOR
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.verdict import passive_verdict
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.lab.batch.scalar import continuous_reference
 from canhaptic.lab.batch import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
-from canhaptic.lab.batch.scalar import render_by, render_group, work_of
+from canhaptic.lab.batch.scalar import continuous_reference, render_by, render_group, work_of
 from canhaptic.lab.figures.figures import OUTCOMES, figures, outcomes
 from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.loop.over_can import Progress, accounts_over_can, heading_of, known_algorithms, render_over_can

@@ -683,12 +683,13 @@ def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
     places = field.values[x], field.values[y]
     if field.is_grid:
         keys = [field.keys.index(key) for key in (y, x)]
-        values, *masks = (np.moveaxis(of, keys, [0, 1]) for of in (values, *marked.values()))
+        values = np.moveaxis(values, keys, [0, 1])
         title += ", worst case over all other keys" if any(size > 1 for size in values.shape[2:]) else ""
         columns, rows = (np.argsort(place) for place in places)
         values, places = _worst(values, kind)[rows][:, columns], (places[0][columns], places[1][rows])
-        folded = (mask.any(axis=tuple(range(2, mask.ndim)))[rows][:, columns] for mask in masks)
-        marked = dict(zip(marked, folded, strict=True))
+        for status, mask in marked.items():
+            folded: Any = np.moveaxis(mask, keys, [0, 1]).any(axis=tuple(range(2, mask.ndim)))
+            marked[status] = folded[rows][:, columns]
     is_share, is_bad = kind == "share", kind in ("energy", "error")
     return Cells(
         title, field.label(x), field.label(y), *places, values, label, is_log(places[0]), is_log(places[1]),

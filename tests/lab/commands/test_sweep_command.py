@@ -44,9 +44,9 @@ def test_a_scene_without_a_contact_counts_neither_as_passive_nor_as_active(capsy
     words = ["--vary", "environment.position=0.01,-1", "--controllers", "unprotected,guarded"]
     assert main([*SMALL, *words, "--out", str(tmp_path / "a"), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert result["status"] == {"completed": 6, "no contact": 6}
-    for entry in result["figures"]["handle"].values():
-        assert (entry["scenes"], entry["no_contact"]) == (3, 3)
+    assert result["status"] == {"completed": 3, "no contact": 6, "nothing rendered": 3}  # guarded begins in the wall
+    for entry, counts in zip(result["figures"]["handle"].values(), ((3, 3), (0, 3)), strict=True):
+        assert (entry["scenes"], entry["no_contact"]) == counts
     assert main(["map", str(tmp_path / "a"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["no_contact"] == {"unprotected": 0.5, "guarded": 0.5}
     with SweepTable(tmp_path / "a") as table:

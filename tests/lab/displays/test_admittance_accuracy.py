@@ -8,10 +8,9 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
-from canhaptic.lab.studies.accuracy.admittance_accuracy import integrate, why_no_equations
 from canhaptic.lab.loop.admittance_loop import run_display
 from canhaptic.lab.render.accuracy_picture import draw_accuracy
-from canhaptic.lab.studies.accuracy.admittance_accuracy import study_display
+from canhaptic.lab.studies.accuracy.admittance_accuracy import integrate, study_display, why_no_equations
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import simulation_of
 

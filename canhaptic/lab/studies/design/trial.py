@@ -44,8 +44,8 @@ from canhaptic.control.port_hamiltonian.shapes.anisotropic_spring import Anisotr
 from canhaptic.control.port_hamiltonian.shapes.general import General
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import CanHapticError, InputError
-from canhaptic.lab.batch.cases import why_not_beforehand
 from canhaptic.lab.batch import ChosenEngine, Engine, chosen_engine
+from canhaptic.lab.batch.cases import why_not_beforehand
 from canhaptic.lab.batch.group_loop import group_case, shares
 from canhaptic.lab.batch.scalar import group_meter, render_group
 from canhaptic.lab.loop.axis_loop import Array

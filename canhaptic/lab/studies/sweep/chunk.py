@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.errors import CanHapticError, InputError, ParameterError, SceneConflictError, SceneError
-from canhaptic.lab.batch.cases import NotBatchableError, not_in_loop, why_not_batchable, why_not_compared
 from canhaptic.lab.batch import ChosenEngine
+from canhaptic.lab.batch.cases import NotBatchableError, not_in_loop, why_not_batchable, why_not_compared
 from canhaptic.lab.batch.group_loop import group_case
 from canhaptic.lab.batch.marching import run_batch
 from canhaptic.lab.batch.radius import spectral_radius

@@ -18,8 +18,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from canhaptic.errors import InputError
-from canhaptic.lab.batch.cases import why_not_batchable
 from canhaptic.lab.batch import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
+from canhaptic.lab.batch.cases import why_not_batchable
 from canhaptic.lab.batch.group_loop import group_case
 from canhaptic.lab.loop.admittance_loop import is_display
 from canhaptic.lab.loop.axis_loop import cycles_of, parts_of, with_algorithm

@@ -1,4 +1,4 @@
-"""Results of a sweep: a store whose chunks are NumPy archives of consecutive scenes, with these arrays:
+"""Results of a sweep: a store whose chunks are NumPy archives of consecutive scenes.
 
 KEY                    values of each scene: numbers in SI, or texts
 AXIS/METRIC            figures; NaN where a metric does not apply
@@ -10,6 +10,7 @@ texts                  remarks of the chunk
 import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 from zipfile import BadZipFile
@@ -119,7 +120,7 @@ class SweepTable(Store):
         """Yield (status, engine, remark, number of scenes), chunk by chunk, with equal scenes counted together."""
         for chunk in np.flatnonzero(self.done()).tolist():
             texts, *rows = self._read(chunk, "texts", "status", "engine", "remark")
-            rows[0] = self._with_outcomes(rows[0], self.axes, lambda path, chunk=chunk: self._read(chunk, path)[0])
+            rows[0] = self._with_outcomes(rows[0], self.axes, partial(self._figure_in, chunk))
             kinds, counts = np.unique(np.stack(rows), axis=1, return_counts=True)
             for (status, engine, number), count in zip(kinds.T.tolist(), counts.tolist(), strict=True):
                 yield STATUS[status], ENGINES[engine], str(texts[number - 1]) if number else "", count
@@ -141,6 +142,9 @@ class SweepTable(Store):
         for chunk in np.flatnonzero(self.done()).tolist():
             (found[slice(*self.span(chunk))],) = self._read(chunk, name)
         return found
+
+    def _figure_in(self, chunk: int, path: str) -> Array:
+        return self._read(chunk, path)[0]
 
     def _read(self, chunk: int, *names: str) -> list[NDArray[Any]]:
         """Return arrays of a chunk.
