@@ -419,7 +419,7 @@ def run_event_plants(
 
 
 def never_stopped(*_what: object) -> None:
-    """Stand in for `Stopped` with linear plants, which never fail."""
+    """Placeholder for `Stopped`; linear plants never call it."""
 
 
 _TORQUE: Final = ("torque_saturation", "thermal_derating", "torque_quantisation")

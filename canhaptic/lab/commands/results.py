@@ -1,4 +1,4 @@
-"""Output of a study: progress on standard error, its result on standard output and in the files named by the command."""
+"""Output of a study: progress on standard error, the result on standard output and in files that the command names."""
 
 import argparse
 import sys

@@ -318,7 +318,7 @@ def common_judgement(field: MapField) -> str:
 
 
 def border_of(field: MapField, key: str, kept: list[str], judgement: str, *, near: bool = False) -> _Border:
-    """Return the largest value of a key up to which all scenes pass, whatever the values of keys that are not kept.
+    """Return the largest value of a key up to which all scenes pass, for all values of the keys that are not kept.
 
     Args:
         field: Field with a grid.
@@ -624,7 +624,7 @@ def _check(field: MapField, chosen: Chosen) -> None:
 
 
 def _usual_panels(field: MapField, chosen: Chosen, *, beside: bool) -> list[Panel]:
-    """Return the panels of one algorithm; `beside`: whether a panel with all algorithms shows its border already."""
+    """Return the panels of one algorithm, with its border unless a panel with all algorithms shows it."""
     if len(field.keys) == 1:
         return [
             _metric_panel(field, chosen, metric) for metric in _OF_WALLS if field.has(metric) and metric != _DAMPING

@@ -251,7 +251,7 @@ def cycles_in(recipe: Recipe, scene: Scene) -> int:
 
 @lru_cache(maxsize=4096)
 def is_box_permitted(recipe: Recipe, shared: Row) -> bool:
-    """Return whether all scenes that share some values are permitted, whatever the values of the other keys.
+    """Return whether all scenes that share some values are permitted, for all values of the other keys.
 
     Every limit of a scene is an upper or lower bound, so that it is enough to check the corners of the ranges.
     """
@@ -271,7 +271,7 @@ def _corners(free: list[Varied]) -> list[Row]:
 
 
 def _try_alone(recipe: Recipe, varied: Varied) -> None:
-    """Refuse a value that is wrong by itself, whatever the values of the other keys.
+    """Refuse a value that is wrong by itself, for all values of the other keys.
 
     Raises:
         SceneError: A value is wrong; with the message of the scene.

@@ -221,7 +221,7 @@ def short(value: Value) -> str:
 
 
 CONTROLLER: Final = "controller"
-"""Varied key that stands for the passivity algorithm; each point is run under every algorithm."""
+"""Varied key for the passivity algorithm; each point is run under every algorithm."""
 _MOST_SCENES: Final = 100_000_000
 Column = Array | list[Value]
 """Values of one key for consecutive scenes: numbers, or YAML texts."""
