@@ -15,10 +15,10 @@ from typing import Any, Final
 
 
 def listed(file: str) -> dict[str, str]:
-    """Return the names that the stub of a module lists, each with the module that has it.
+    """Return the names that the stub of a module lists, each with the module that defines it.
 
     Args:
-        file: File of the module; its stub imports each name as itself.
+        file: File of the module; its stub has a line `from MODULE import NAME as NAME` for each name.
     """
     stub = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
     return {name: module for module, name in re.findall(r"(?m)^from (\S+) import (\w+) as \2$", stub)}
@@ -29,7 +29,7 @@ __all__ = [name for name, module in _PUBLIC.items() if module != __name__]
 
 
 def __dir__() -> list[str]:
-    """The public names, and the two modules that hold the others."""
+    """Return the public names, modules included."""
     return sorted(_PUBLIC)
 
 

@@ -1,9 +1,9 @@
-"""Units of mass, damping, stiffness and force from the unit of a position, without pydantic: for logs and views."""
+"""Units of mass, damping, stiffness and force for a unit of position, without pydantic: for logs and views."""
 
 from typing import Literal
 
 Motion = Literal["m", "rad"]
-"""Whether an axis slides or turns, by the unit of its position."""
+"""Unit of the position of an axis: "m" for a linear axis, "rad" for a rotary one."""
 
 
 def effort_unit(motion: str) -> str:

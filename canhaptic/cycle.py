@@ -1,9 +1,9 @@
-"""The route of the signal, once per SYNC. Read this file first.
+"""The signal path of one cycle, once per SYNC. Read this file first.
 
     SYNC -> position TPDO -> displacement -> energy balance -> torque -> RPDO -> drive -> motor + user
             `drive/`         `control/`                       `drive/`        `sim/` (or real hardware)
 
-One thread walks it. On any error zero torque is sent first and the exception is raised second.
+One thread runs it. On any error zero torque is sent first and the exception is raised second.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,7 +17,7 @@ from canhaptic.control.passivity.controller import Controller
 from canhaptic.drive.clock import DurationHistogram, VirtualClock
 from canhaptic.drive.profile.link_policy import StopReason, reason_of
 from canhaptic.drive.rig import Rig
-from canhaptic.errors import CycleFailedError, EmergencyError, InputError, LogStoppedError, RigError
+from canhaptic.errors import CycleFailedError, EmergencyError, InputError, LogStoppedError, RigError, cause_of
 from canhaptic.meters import RunMeters
 from canhaptic.signals import CycleTiming, Measured, Sample, Truth
 
@@ -66,7 +66,7 @@ class Cycle:
         truths: True motion and energy of the simulated axes, read right after their SYNC; None with real drives.
         groups: Axes that render together, each group with one account.
         axis_meters: Accuracy of the sensors and the device of each axis; None where they are ideal.
-        loss_meters: Meters of the ports with a limit on the energy given out.
+        loss_meters: Meters of the ports with a limit on the energy that they may generate.
         jitters: Largest deviation of a hold of each axis from its sample time, as a fraction of it; None: not checked.
 
     Raises:
@@ -75,7 +75,7 @@ class Cycle:
     Attributes:
         ledgers: Account of each axis; for one in a group, its part of the interaction.
         meters: Figures of axes and groups in addition to their ledgers.
-        judge: Comparison with the simulated plant; None without truth.
+        judge: Comparison with the simulated plant; None with real drives.
         timing: Durations of each part of the cycle; nothing is counted at free pace.
         cycles: Cycles completed.
         uneven: Holds that were longer or shorter than `sync_jitter` declares.
@@ -133,7 +133,7 @@ class Cycle:
         self.answer(samples)
 
     def answer(self, samples: Sequence[Sample]) -> list[EnergyBalance]:
-        """Complete the cycle from the samples of a SYNC on; return the balance of each axis.
+        """Complete the cycle from the samples of a SYNC; return the balance of each axis.
 
         Raises:
             RigError: As `step`.
@@ -165,7 +165,7 @@ class Cycle:
         return balances
 
     def _withdraw(self, balances: list[EnergyBalance], jitters: Sequence[int]) -> None:
-        """Withdraw the certificates of a hold that was longer or shorter than they were proved for."""
+        """Withdraw the certificates of a hold that was longer or shorter than they permit."""
         broken = [self.rig.uneven > jitter for jitter in jitters]
         for axis in self._axes:
             if broken[axis]:
@@ -179,7 +179,7 @@ class Cycle:
         self.uneven += 1
 
     def _lost(self, meter: EnergyLossMeter, samples: Sequence[Sample]) -> str:
-        """Port that gave out too much energy, and how much; "" where that is uncertain."""
+        """Return which port generated too much energy, and how much; "" unless it is certain."""
         uncertainty = sum(self._likely_doubt(axis) + self._lost_to_friction(axis, samples) for axis in meter.axes)
         supplied = sum(g.supplied + g.balance.supplied for g in self.groups if g.name == meter.name)
         if meter.energy + supplied + uncertainty >= meter.floor:
@@ -188,7 +188,7 @@ class Cycle:
         return f"{meter.name}: sum of interaction {meter.energy + supplied:.3g} J, {limit}"
 
     def _lost_to_friction(self, axis: int, samples: Sequence[Sample]) -> float:
-        """Energy that the device certainly dissipated [J] where it has dry friction, on which certificates count."""
+        """Return the energy that the declared dry friction of a device has dissipated at least [J]."""
         known = self.meters.axes[axis]
         friction, blur = known.accuracy.device_friction, 2.0 * known.accuracy.position
         if not friction:
@@ -196,9 +196,9 @@ class Cycle:
         return known.dissipated + friction * max(0.0, abs(samples[axis].position - known.position) - blur)
 
     def _likely_doubt(self, axis: int) -> float:
-        """Largest likely error of the energy of an axis [J], without commands that may have been lost unseen.
+        """Return the largest likely error of an axis's energy [J], without commands that may have been lost unseen.
 
-        Where nothing is read back, counting those would make every loss of energy uncertain, and no rig would stop.
+        If no torque is read back, such commands would make every loss of energy uncertain, and no rig would stop.
         """
         drive = self.rig.drives[axis]
         unseen = drive.read_back_bound if drive.read_back == "none" else 0.0
@@ -215,10 +215,10 @@ class Cycle:
     def note_fault(self, error: Exception) -> None:
         """Log the cause that ended the run, with the SYNC that found it and the axis that failed."""
         kind = "emcy" if isinstance(error, EmergencyError) else "fault"
-        self._event(self.rig.sync_index, kind, getattr(error, "axis", ""), str(error))
+        self._event(self.rig.sync_index, kind, getattr(error, "axis", ""), cause_of(error))
 
     def note_holds(self) -> None:
-        """Log whether the hold of each drive's torques was checked, for the verdict that a reader of the log forms."""
+        """Log whether it was checked in which hold each drive's torques act, for the verdict from the log."""
         for drive in self.rig.drives:
             if drive.hold:
                 self._event(0, "hold", drive.axis.name, drive.hold)
@@ -232,7 +232,7 @@ class Cycle:
     def _account(
         self, samples: Sequence[Sample], balances: Sequence[EnergyBalance], truths: Sequence[Truth] | None
     ) -> None:
-        """Everything that may wait until the torque has been sent."""
+        """Book the energies and log the cycle, after the torque has been sent."""
         rig, log = self.rig, self._log
         index, deadline, timing = rig.sync_index, rig.deadline_index, rig.timing
         for axis in self._axes:
@@ -269,21 +269,21 @@ class Cycle:
 
 
 def _judge(axes: int, groups: "Sequence[AxisGroup]") -> "EnergyAudit":
-    """Return the comparison of the accounts with the simulated plant; a run with real drives loads nothing of it."""
+    """Return the comparison of the accounts with the simulated plant, imported for simulations only."""
     from canhaptic.control.energy_audit import EnergyAudit
 
     return EnergyAudit(axes, groups)
 
 
 def _grouped(controllers: Sequence[Controller], groups: "Sequence[AxisGroup]", dry_run: bool) -> "GroupedControllers":
-    """Return the stepper of groups and axes together; no other run loads it."""
+    """Return the stepper of groups and axes together, imported for groups and dry runs only."""
     from canhaptic.control.multi_axis.group_controller import GroupedControllers
 
     return GroupedControllers(controllers, groups, dry_run)
 
 
 class _FailedLog:
-    """Replaces the log after a failure and raises, so that the hot loop needs no check."""
+    """Replacement of a log that failed: it raises at the next cycle, so that the loop itself needs no check."""
 
     def __init__(self, reason: str) -> None:
         self._reason = reason
@@ -346,7 +346,7 @@ def running(cycle: Cycle) -> Iterator[None]:
             if isinstance(error, RigError):
                 error.records = error.records or tuple(rig.records)
                 raise
-            text = f"the cycle failed at SYNC {rig.sync_index}, torque is zero: {type(error).__name__}: {error}"
+            text = f"the cycle failed at SYNC {rig.sync_index}, torque is zero: {cause_of(error)}"
             raise CycleFailedError(text, rig.records) from error
         except BaseException:
             rig.stop(ramp=False)

@@ -47,8 +47,36 @@ the last thousand records.
 Every message states what happened, the value seen, the limit, and what to do.
 """
 
+import traceback
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+_LONGEST: Final = 200  # characters of a foreign error
+
+
+def escaped(text: str) -> str:
+    """Return a text on one line, with control characters written out."""
+    return "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text)
+
+
+def cause_of(error: BaseException) -> str:
+    """Return the message of an error; of one that user code raised, on one line `TYPE: MESSAGE (FILE:LINE)`.
+
+    The place is the last line that ran in the folder of the user's first file.
+    """
+    if isinstance(error, CanHapticError):
+        return str(error)
+    frames = traceback.walk_tb(error.__traceback__)
+    foreign = [of for of in frames if not str(of[0].f_globals.get("__name__", "")).startswith("canhaptic.")]
+    places = [(Path(frame.f_code.co_filename), line) for frame, line in foreign]
+    own = [f" ({path.name}:{line})" for path, line in places if path.parent == places[0][0].parent]
+    try:
+        message = str(error)
+    except Exception:  # user code may raise anything
+        message = "an error without a readable message"
+    text = escaped(f"{type(error).__name__}: {message}"[:_LONGEST])
+    return text + "".join(own[-1:])
 
 
 class CanHapticError(Exception):
@@ -67,7 +95,7 @@ class ParameterError(InputError):
     """A parameter outside its physical range; names the value and the limit.
 
     Attributes:
-        part: Source of the refusal: the type of an effect, or a key; "" where the message concerns a whole section.
+        part: Type of the effect, or key, that was refused; "" where the message concerns a whole section.
     """
 
     def __init__(self, message: str, part: str = "") -> None:
@@ -124,12 +152,12 @@ class CheckFailedError(CanHapticError):
 
 
 class EventLimitError(CanHapticError, RuntimeError):
-    """A simulated plant had more events in one sample time than `accuracy.max_events`, or took too many products.
+    """A simulated plant had too many events, or needed too many matrix products, in one sample time.
 
     Attributes:
-        most: Allowed number of events.
+        most: `accuracy.max_events`.
         state: Modes and states of the plant, as text.
-        products: Allowed number of products, where these are exhausted; 0 where events are.
+        products: Largest number of products, if that was exceeded; 0 if `most` was.
     """
 
     def __init__(self, most: int, state: str, where: str = "plant", products: int = 0) -> None:
@@ -147,7 +175,7 @@ class OwnCodeError(CanHapticError, RuntimeError):
 
     Attributes:
         program: File and class.
-        what: The program's fault.
+        what: What the code did wrong.
     """
 
     def __init__(self, program: str, what: str, where: str = "") -> None:
@@ -295,4 +323,4 @@ class TorqueNotFiniteError(ControlError):
 
 
 class CycleFailedError(ControlError):
-    """Another exception in the cycle; `__cause__` holds it."""
+    """An exception in the cycle that is none of canhaptic's; `__cause__` holds it."""

@@ -1,13 +1,12 @@
-"""Tables for user-defined parts: environments, algorithms, effects, hands, kinematics and networks.
+"""Tables in which user-defined environments, algorithms, effects, hands, kinematics and networks are registered.
 
-A part is a class with the methods of its protocol. Scenes can use it once a table names it::
+Such a part is a class with the methods of its protocol. Scenes can use it once a table names it::
 
     from canhaptic.extending import ENVIRONMENTS
 
     ENVIRONMENTS["centering_spring"] = "centering_spring:CenteringSpring"
 
-Examples: docs/extending.md. A name is imported when it is first used, so that a part loads what it needs itself;
-`extending.pyi` lists the names.
+Examples are in docs/extending.md. `extending.pyi` lists the names; each is imported when it is first used.
 """
 
 import importlib

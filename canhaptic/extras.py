@@ -1,4 +1,4 @@
-"""Optional packages: how to install them from the source of this package."""
+"""Command by which a user installs an optional dependency."""
 
 import json
 import shlex
@@ -9,9 +9,9 @@ _NAME = "canhaptic"
 
 
 def install_hint(extra: str) -> str:
-    """Return the command that installs an extra of this package from the package's own source.
+    """Return the pip command that installs an extra from where this package itself was installed.
 
-    A checkout or a repository is named by its address (PEP 610); otherwise the package is named by its name.
+    That is the address of a checkout or a repository (PEP 610), else the name of the package.
 
     Args:
         extra: One of the optional dependencies in pyproject.toml.
@@ -31,7 +31,7 @@ def _requirement(extra: str, origin: dict[str, Any]) -> str:
 
 
 def _origin() -> dict[str, Any]:
-    """Address recorded by the installer; empty without one."""
+    """Return the address that the installer recorded (PEP 610); empty if it recorded none."""
     try:
         text = metadata.distribution(_NAME).read_text("direct_url.json")
     except metadata.PackageNotFoundError:

@@ -1,6 +1,6 @@
-"""Input files of a command: regular files only, since a pipe or a device has no end, and of a bounded size.
+"""Reading of input files, and the scenes and dictionaries that come with the package.
 
-Folders of the files in the package: `configs/` and `eds/`, in the source tree or as installed.
+An input file must be regular and of bounded size, since a pipe or a device has no end.
 """
 
 import errno
@@ -25,15 +25,15 @@ _KINDS: Final = {
 
 
 def kind_of(mode: int) -> str:
-    """Kind of a file that is not regular; empty for a regular file."""
+    """Return what a file is if it is not regular; "" for a regular file."""
     return _KINDS.get(stat.S_IFMT(mode), "no file")
 
 
 def require_regular(path: str | Path) -> os.stat_result:
-    """Status of a regular file, reached directly or through a symbolic link.
+    """Return the status of a regular file; symbolic links are followed.
 
     Raises:
-        OSError: It does not exist or is not regular; `strerror` says which.
+        OSError: The file does not exist or is not regular; `strerror` says which.
     """
     try:
         found = os.stat(path)
@@ -54,7 +54,7 @@ def read_regular(path: str | Path, most: int) -> bytes:
         most: Largest accepted size [bytes].
 
     Raises:
-        OSError: It is no regular file, holds more, or cannot be read; `strerror` says which.
+        OSError: The file is not regular, is larger, or cannot be read; `strerror` says which.
     """
     require_regular(path)
     with open(path, "rb") as file:
@@ -70,7 +70,7 @@ _TREE: Final = Path(__file__).resolve().parent.parent
 
 
 def shipped(folder: str) -> Path:
-    """Folder of that name: next to the package in a source tree, else where its wheel installed it.
+    """Return a folder of the package: in the source tree, else where its wheel installed it.
 
     Args:
         folder: One of `FOLDERS`.
@@ -82,19 +82,19 @@ def shipped(folder: str) -> Path:
 
 
 def scene_names() -> list[str]:
-    """Names of the shipped scenes: their paths below `configs/`, without `.yaml`."""
+    """Return the names of the shipped scenes: their paths below `configs/`, without `.yaml`."""
     folder = shipped("configs")
     return sorted(path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.yaml"))
 
 
 def scene_file(path: Path) -> Path:
-    """File of a scene: `path` where it exists, else the shipped scene of that name.
+    """Return the file of a scene: `path` if it exists, else the shipped scene of that name.
 
     Args:
         path: A file; or a name such as `hard/stiff_wall` or, where only one scene has it, `stiff_wall`.
 
     Raises:
-        SceneError: Several shipped scenes have the name, or neither a file nor a scene has it.
+        SceneError: Several shipped scenes have this name, or no file and no scene has it.
     """
     if path.exists() or path.is_absolute():
         return path

@@ -7,7 +7,7 @@ from numbers import Real
 from pathlib import Path
 from typing import Final
 
-from canhaptic.errors import CanHapticError, OwnCodeError
+from canhaptic.errors import CanHapticError, OwnCodeError, cause_of
 
 FORCE: Final = 1e10
 """Largest force that user code of the plant may return [N or N*m]; motion and energy then stay representable."""
@@ -39,7 +39,7 @@ def _watched(method: Callable[..., object], largest: float) -> Callable[..., obj
         except CanHapticError:
             raise
         except Exception as error:  # own code may raise anything
-            raise OwnCodeError(program_of(self), f"{method.__name__} raised {type(error).__name__}: {error}") from error
+            raise OwnCodeError(program_of(self), f"{method.__name__} raised {cause_of(error)}") from error
         number = getattr(value, "torque", value)
         if not (isinstance(number, Real) and -largest <= float(number) <= largest):  # NaN as well
             shown = repr(number)[:100]

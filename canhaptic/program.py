@@ -30,7 +30,7 @@ from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.cycle import Cycle, running
 from canhaptic.drive.clock import WallClock
 from canhaptic.drive.profile.link_policy import StopReason
-from canhaptic.errors import CanHapticError, InputError, RigError
+from canhaptic.errors import CanHapticError, InputError, RigError, cause_of
 from canhaptic.registry import nearest
 from canhaptic.replay import OpenReplay, ReplayOverError, ReplayResult
 from canhaptic.scene.build import Experiment, build, experiment_account, logs_elsewhere
@@ -384,8 +384,8 @@ class OpenRig:
         cycle = self._source.cycle if self._source is not None else None
         status, self._is_ending = "stopped", True
         if isinstance(error, Exception):
-            status = f"failed: {error}"
             self._stop(StopReason.EXCEPTION)
+            status = f"failed: {cause_of(error)}"
             if cycle is not None and not isinstance(error, RigError):
                 cycle.note_fault(error)
         elif error is None and cycle is not None and cycle.cycles == self._cycles:

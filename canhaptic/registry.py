@@ -1,7 +1,4 @@
-"""Explicit tables from a name in a scene to the class that implements it, imported on demand.
-
-A scene that does not name an entry never imports its module.
-"""
+"""Lookup of a name of a scene in a table of classes; the module of the class is imported on demand."""
 
 import difflib
 import importlib
@@ -36,7 +33,7 @@ def load_algorithm(table: Mapping[str, str], name: str, kind: str, parameters: o
         table: As for `load`; every class has a `parameters_type`.
         name: Requested name.
         kind: Kind of entries in the table.
-        parameters: Parameters of its type; None for its defaults.
+        parameters: Parameters of the algorithm; None for its defaults.
 
     Raises:
         ParameterError: The name is not in the table, or the parameters are those of another algorithm.
@@ -51,12 +48,12 @@ def load_algorithm(table: Mapping[str, str], name: str, kind: str, parameters: o
 
 
 def nearest(name: str, names: Iterable[str], most: int = 1) -> str:
-    """Return `; did you mean 'stiffness'?` for the end of a message, or nothing when no name is similar."""
+    """Return `; did you mean 'stiffness'?` for the end of a message; "" if no name is similar."""
     near = difflib.get_close_matches(name, list(names), n=most)
     return f"; did you mean {' or '.join(map(repr, near))}?" if near else ""
 
 
 def unknown_key(key: str, names: Iterable[str]) -> str:
-    """Message about an unknown key: the nearest known one, or all."""
+    """Return the message about an unknown key, with the nearest known key or all known keys."""
     known = sorted(set(names))
     return f"unknown key{nearest(key, known) or '; expected one of: ' + ', '.join(known)}"

@@ -560,7 +560,7 @@ class OpenReplay:
         by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
         drives = [parts.build_servo_drive(axis, *by_name[axis.bus], dry_run=dry_run) for axis in scene.axes]
         self._follow_older_master(drives)
-        return (JoinedRig if self._joins else Rig)(links, drives, scene.bus, parts.group_places(scene))
+        return (JoinedRig if self._joins else Rig)(links, drives, scene.bus, scene.group_places)
 
     def _follow_older_master(self, drives: list[ServoDrive]) -> None:
         """Leave out what no recorded drive answers: older masters wrote no 0x1006, no offsets, and put nothing back."""

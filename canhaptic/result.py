@@ -56,7 +56,7 @@ class RunResult(Verdicts):
     method: str
     plants: NotRequired[dict[str, dict[str, int]]]
     bus_effects: NotRequired[Mapping[str, object]]
-    own_code: NotRequired[Mapping[str, int]]  # holds without an answer of its process, and the most in a row
+    own_code: NotRequired[Mapping[str, int | str]]  # place; of a process: holds without an answer, most in a row
     logs: NotRequired[dict[str, int]]
     energy_log: NotRequired[str]  # why it ends before the run, and where
     unrestored: NotRequired[dict[str, list[str]]]  # axis -> objects that the start wrote and the stop did not put back

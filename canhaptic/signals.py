@@ -1,4 +1,4 @@
-"""The few types that cross the port between master and plant. SI throughout; times in integer nanoseconds."""
+"""Types exchanged between master and plant once per cycle. SI throughout; times in integer nanoseconds."""
 
 from typing import NamedTuple, Protocol
 
@@ -6,15 +6,15 @@ from typing import NamedTuple, Protocol
 class Sample(NamedTuple):
     """Report of one axis for one SYNC.
 
-    The torque is the one HELD DURING THE HOLD THAT ENDED at this SYNC, read back from the drive where possible, so
-    that -torque_applied * (position - previous position) is the interaction energy of that hold (eq. 2).
+    The torque is the one held during the hold that ENDED at this SYNC, read back from the drive where possible, so that
+    -torque_applied * (position - previous position) is the interaction energy of that hold (eq. 2).
     """
 
     sync_index: int  # index k of the SYNC, counted from 0 at the first SYNC with the drive enabled
     position: float  # [rad or m] at SYNC k
     torque_applied: float  # [N*m or N] held from SYNC k-1 to SYNC k
     statusword: int  # 0x6041 as sent with the position
-    fresh: bool  # False when no TPDO arrived for this SYNC and the values are those of the last one
+    fresh: bool  # False if no TPDO arrived for this SYNC, so that the values are old
 
 
 class PlantEnergy(NamedTuple):
@@ -34,7 +34,7 @@ class Truth(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Figures of a port in addition to the balances of its holds; all except the effort are sums since SYNC 0."""
+    """Figures of a port that the energy balances of its holds lack; all except the effort are since SYNC 0."""
 
     energy_resolution: float  # largest |booked - true| sum of interaction [J]
     device_dissipated: float  # by the declared properties of the device, at least [J]

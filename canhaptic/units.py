@@ -1,4 +1,4 @@
-"""Frozen parameter models with units: the one way a number with a dimension enters the package.
+"""Frozen parameter models with units, through which every number with a dimension enters the package.
 
 A field is declared once, with its unit for linear axes, its unit for rotary axes where that differs, and its range:
 
@@ -54,7 +54,7 @@ _BASE_UNITS: Final = {name: (factor, dimension) for dimension, of in _UNITS.item
 _PREFIXES: Final = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6, "G": 1e9}
 _NUMBER_AND_UNIT: Final = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?")
 _AS_PRINTED: Final = str.maketrans({"µ": "u", "μ": "u", "·": "*", "²": "^2", "³": "^3"})
-"""Letters of data sheets -> as units are read."""
+"""Letters as printed in data sheets -> letters as typed in units."""
 _FACTOR: Final = re.compile(r"([*/]?)\s*([A-Za-z]+|1|%)(?:\^(-?\d))?\s*")
 
 
@@ -62,23 +62,23 @@ _NUMBER_FAULTS: Final = {
     *("greater_than", "greater_than_equal", "less_than", "less_than_equal", "finite_number", "float_type"),
     *("float_parsing", "int_type", "int_parsing", "int_parsing_size", "int_from_float"),
 }
-"""Types of pydantic's errors for which the range of a quantity says more than pydantic."""
+"""Types of pydantic's errors for which a message shows the range of the quantity instead of pydantic's text."""
 _SHOULD: Final = re.compile(r"^\w+( is not| should (be|have))(?= )")
 _MORE: Final = re.compile(r", unable to .*| for <class .*")
 _SYMBOLS: Final = {"gt": "<", "ge": "<=", "lt": "<", "le": "<="}
 _LEAST, _MOST = 1e-30, 1e30
-"""Magnitudes beyond which no quantity in SI means anything, and products and quotients leave the numbers."""
+"""Smallest and largest magnitude of a quantity in SI; beyond them products and quotients overflow."""
 
 
 @dataclass(slots=True)
 class UnitContext:
-    """Context of a pydantic validation: linear or rotary axis whose parameters are being read; None: unknown."""
+    """Context of a pydantic validation: whether the parameters are of a linear ("m") or a rotary ("rad") axis."""
 
     motion: Motion | None = None
 
     @contextmanager
     def moving(self, motion: Motion | None) -> Iterator[None]:
-        """Within the block, parameters belong to an axis that moves in metres or in radians; None: inherited."""
+        """Within the block, parameters belong to a linear or a rotary axis; None: as before."""
         before = self.motion
         self.motion = motion or before
         try:
@@ -122,7 +122,7 @@ def parse_unit(text: str) -> tuple[float, _Dimension]:
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """The unit of a field on a linear axis and on a rotary one (equal where motion does not matter)."""
+    """Unit of a field on a linear axis and on a rotary axis, which may be the same."""
 
     linear: str
     rotary: str
@@ -139,7 +139,7 @@ class Unit:
         return "" if accepted in {("1",), ("count",)} else f"[{' or '.join(accepted)}]"
 
     def read(self, value: object, motion: Motion | None = None) -> object:
-        """Return a number in SI from a number or a string with a unit; other types pass to the next validator.
+        """Return a number in SI from a number or a string with a unit; values of other types are unchanged.
 
         Raises:
             ValueError: The string is no number, or its unit has another dimension.
@@ -167,7 +167,7 @@ class Unit:
 
 
 class Quantity:
-    """Annotation of a number: reads units before pydantic, sets pydantic's own limits, and extends the JSON schema."""
+    """Annotation of a number: reads its unit, sets pydantic's limits, and extends the JSON schema."""
 
     def __init__(self, unit: Unit, limits: Mapping[str, float]) -> None:
         self.unit = unit
@@ -223,7 +223,7 @@ Numbers = tuple[Annotated[float, quantity("1")], ...]
 
 
 class _ParametersMeta(_ModelMetaclass):
-    """Raises ParameterError for pydantic's error when a model is built directly; nested models keep pydantic's."""
+    """Metaclass that turns pydantic's error into `ParameterError` when a model is built directly."""
 
     def __call__(self, *args: Any, **values: Any) -> Any:
         try:
@@ -233,7 +233,7 @@ class _ParametersMeta(_ModelMetaclass):
 
 
 def _describe(model: type[BaseModel], error: ValidationError) -> str:
-    """One line per fault of a pydantic error: place, value seen, expected value."""
+    """Return one line per fault of a pydantic error: field, value seen, value expected."""
     return "\n".join(
         f"{model.__name__}.{'.'.join(map(str, fault['loc'])) or 'value'}: {_described(model, fault)}"
         for fault in error.errors()
@@ -260,7 +260,7 @@ def parts_of(annotation: object) -> Iterator[object]:
 
 
 def fault_text(fault: ErrorDetails, seen: object, expected: str = "") -> str:
-    """Return one fault of pydantic in words: the value seen and the expected one.
+    """Return one fault of pydantic in words: the value seen and the value expected.
 
     Args:
         fault: Error of pydantic.
@@ -280,7 +280,7 @@ def fault_text(fault: ErrorDetails, seen: object, expected: str = "") -> str:
 
 
 def example(field: FieldInfo, motion: Motion | None) -> str:
-    """Example value of a field, quoted for a shell: `'1 N'`; `...` where it is not a number."""
+    """Return an example value of a field, quoted for a shell: `'1 N'`; `...` if it is not a number."""
     if get_origin(field.annotation) is tuple:
         return "[...]"
     for part in parts_of((field.annotation, *field.metadata)):
@@ -333,7 +333,7 @@ PrintablePath = Annotated[Path, AfterValidator(_check_printable)]
 
 
 class Parameters(BaseModel, metaclass=_ParametersMeta):
-    """Base of every parameter model: frozen, finite numbers only, unknown keys refused, defaults validated."""
+    """Base of every parameter model: frozen, with finite numbers only, no unknown keys, and validated defaults."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False, defer_build=True)
 
@@ -351,7 +351,7 @@ class Parameters(BaseModel, metaclass=_ParametersMeta):
 
     @classmethod
     def of_section(cls, section: Mapping[str, Any], context: object) -> Self:
-        """Return the parameters of a section of a scene, in the units of its axis or of the model's own motion."""
+        """Return the parameters of a section of a scene, in the units of its axis or of the model."""
         motion = getattr(section, "motion", None) or getattr(cls, "motion", None)
         with context.moving(motion) if isinstance(context, UnitContext) else nullcontext():
             return cls.model_validate(section, context=context)
@@ -376,7 +376,7 @@ class OnDemand:
         return core_schema.with_info_plain_validator_function(self.read)
 
     def read(self, value: object, info: ValidationInfo[Any]) -> object:
-        """Return the parameters of a section, in the units of its axis or of the model's own motion."""
+        """Return the parameters of a section, in the units of its axis or of the model."""
         model = self.model_of()
         if isinstance(value, model):
             return value

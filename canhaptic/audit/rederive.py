@@ -24,7 +24,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.meters import RunMeters, promise_of
 from canhaptic.result import Verdicts, overall, port_account, with_groups
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.scene.parts import build_axis_controllers, build_axis_groups, build_axis_meters, group_places
+from canhaptic.scene.parts import build_axis_controllers, build_axis_groups, build_axis_meters
 from canhaptic.scene.recorded_names import Channels
 from canhaptic.signals import Sample
 
@@ -59,7 +59,7 @@ def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[tuple[int, list[S
     axes = [ListenedAxis(_declared(axis)) for axis in scene.axes]
     on_bus = [[a for a, of in zip(axes, scene.axes, strict=True) if of.bus == bus.name] for bus in scene.buses]
     place_of = Channels(scene).place_of
-    together = {axis: group for group in group_places(scene) for axis in group}
+    together = {axis: group for group in scene.group_places for axis in group}
     cycle, sent, periods, period = -1, 0, 1, scene.bus.sample_time_ns
 
     def heard() -> tuple[int, list[Sample], list[bool]]:

@@ -15,7 +15,7 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError, LinkError
 from canhaptic.host.realtime import Realtime
 from canhaptic.scene.build import open_bus
-from canhaptic.scene.far_side import build_drive_group, suffers, with_effects
+from canhaptic.scene.far_side import build_drive_group, with_effects
 from canhaptic.scene.models import NamedBus, Scene
 from canhaptic.sim.drive.can.drive_node import DriveGroup
 
@@ -51,7 +51,7 @@ def _far_end(scene: Scene, place: int, stack: ExitStack) -> tuple[can.BusABC, Dr
     name, parameters = scene.buses[place]
     bus = open_bus(parameters, parameters.channel)
     stack.callback(bus.shutdown)
-    if suffers(scene, name):
+    if scene.effects_on(name) is not None:
         bus = faulty_bus = with_effects(bus, scene, "drive", place)
         stack.callback(faulty_bus.shutdown)
         faulty_bus.use(WallClock(spin_margin=0.0))

@@ -1,17 +1,9 @@
-"""A scene to a rig ready to run: one small function per part, and one object that holds and closes them.
+"""Construction of a rig from a scene, and the object that holds, closes and accounts for everything that runs.
 
     with build(load_scene("configs/demo.yaml")) as experiment:
         run(experiment.cycle, cycles=10_000)
 
-Nothing is sent before `run`.
-
-Opens the CAN buses of a scene through python-can, and wraps them in the effects that it names.
-
-Limits of the energy that each port of a scene may give out beyond the declared energy, before the rig stops.
-
-Log paths of a scene: those outside its own folder and the current one are reported and overwrite nothing.
-
-Account of a completed experiment: the energies of each port, and method and cost of the computation.
+Nothing is sent before `run`. Each axis and each group is a port with an energy account of its own.
 """
 
 import itertools
@@ -24,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
 import can
 
+from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.control.ledger import EnergyLossMeter
 from canhaptic.control.verdict import PortResult
 from canhaptic.cycle import Cycle, run
@@ -31,16 +24,15 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
-from canhaptic.errors import CanHapticError, InputError
+from canhaptic.errors import CanHapticError, InputError, cause_of
 from canhaptic.host.interfaces import opening_error
 from canhaptic.result import RunResult, run_result
-from canhaptic.scene.models import Scene
+from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import (
     build_axis_controllers,
     build_axis_groups,
     build_axis_meters,
     build_servo_drive,
-    group_places,
     require_torque_axis,
 )
 from canhaptic.signals import SimulatedPeer, Truth
@@ -59,6 +51,11 @@ _PRIVATE: Final = itertools.count()
 def private_channel() -> str:
     """Return a channel of the virtual interface that is unused in this process."""
     return f"canhaptic-{os.getpid()}-{next(_PRIVATE)}"
+
+
+def _with_channel(bus: BusParameters) -> BusParameters:
+    is_complete = bus.channel is not None or bus.interface != "virtual"
+    return bus if is_complete else bus.model_copy(update={"channel": private_channel()})
 
 
 def echoes(bus: BusParameters) -> bool:
@@ -88,11 +85,11 @@ def open_bus(bus: BusParameters, channel: str | int | None) -> can.BusABC:
 
 DEFAULT_LIMIT: Final = 0.01  # [J]
 _PROMISE_PASSIVITY: Final = frozenset({"guarded", "energy_bounding"})
-"""Algorithms, of axes and of groups, that give out no more than was declared; the others are studied as they are."""
+"""Algorithms that guarantee to generate no more than the declared energy; others have no limit in a simulation."""
 
 
 def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
-    """Return a meter for each port of a scene that has a limit."""
+    """Return a meter for each port that has a limit on the energy it may generate beyond the declared energy."""
     meters = []
     for name, passivity, places in scene.ports:
         axes = [scene.axes[place] for place in places]
@@ -110,7 +107,7 @@ def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
 
 
 def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
-    """Notes on logs that a scene puts outside its own folder and the current one, one line each.
+    """Return a note on each log that a scene puts outside its own folder and the current one.
 
     A scene may come from another person: its log paths must not overwrite a file elsewhere.
 
@@ -120,7 +117,7 @@ def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
         bus: Whether the scene's bus log is used.
 
     Raises:
-        InputError: The file already exists.
+        InputError: Such a log already exists.
     """
     homes = (Path.cwd().resolve(), Path(scene.source).resolve().parent)
     notes = []
@@ -137,37 +134,40 @@ def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
     return notes
 
 
-def _opened(scene: Scene, channels: "Sequence[str | int | None]", stack: ExitStack) -> list[can.BusABC]:
+def _opened(named: Sequence[BusParameters], stack: ExitStack) -> list[can.BusABC]:
     """Return one connection to each bus, closed with the stack."""
     buses = []
-    for of, channel in zip(scene.buses, channels, strict=True):
-        buses.append(open_bus(of.parameters, channel))
+    for of in named:
+        buses.append(open_bus(of, of.channel))
         stack.callback(buses[-1].shutdown)
     return buses
 
 
 def _simulated_side(
-    scene: Scene, channels: "Sequence[str | int | None]", stack: ExitStack
+    scene: Scene, named: Sequence[BusParameters], stack: ExitStack
 ) -> "tuple[list[DriveGroup], Drives | None]":
-    """Return the simulated drives of each bus and of all; none of a scene with real ones, which loads nothing of it."""
+    """Return the simulated drives of each bus, and of all buses in the order of the axes; none with real drives."""
     if not scene.simulated:
         return [], None
-    from canhaptic.scene.far_side import all_drives, build_drive_group
+    from canhaptic.scene.far_side import build_drive_group
+    from canhaptic.sim.drive.can.drive_node import AllDrives
 
-    pairs = zip(scene.buses, _opened(scene, channels, stack), strict=True)
-    groups = [build_drive_group(scene, bus, of.name) for of, bus in pairs]
-    return groups, all_drives(scene, groups)
+    pairs = zip(_opened(named, stack), scene.buses, strict=True)
+    groups = [build_drive_group(scene, bus, of.name) for bus, of in pairs]
+    if len(groups) == 1:
+        return groups, groups[0]
+    drives = {of.name: iter(group.drives) for of, group in zip(scene.buses, groups, strict=True)}
+    return groups, AllDrives(tuple(next(drives[axis.bus]) for axis in scene.axes))
 
 
 def _faulty_buses(scene: Scene, buses: "Sequence[can.BusABC]", stack: ExitStack) -> "dict[int, FaultyBus]":
-    """Return the master's connections to the buses on which the scene names effects, by place of the bus."""
-    faulty: dict[int, FaultyBus] = {}
-    if scene.simulated and scene.bus_effects is not None:
-        from canhaptic.scene.far_side import suffers, with_effects
+    """Return the master's connections to the buses with simulated faults, by index of the bus."""
+    from canhaptic.scene.far_side import with_effects
 
-        for n in [n for n, named in enumerate(scene.buses) if suffers(scene, named.name)]:
-            faulty[n] = with_effects(buses[n], scene, "master", n)
-            stack.callback(faulty[n].shutdown)
+    faulty: dict[int, FaultyBus] = {}
+    for n in [n for n, of in enumerate(scene.buses) if scene.effects_on(of.name) is not None]:
+        faulty[n] = with_effects(buses[n], scene, "master", n)
+        stack.callback(faulty[n].shutdown)
     return faulty
 
 
@@ -180,8 +180,8 @@ class Experiment:
     Attributes:
         scene: The scene it was built from.
         pace: "free" (lock-step with simulated drives, as fast as the machine allows) or "real".
-        far_side: Simulated drives inside this process; None with real ones.
-        faulty_buses: The master's connections to the buses on which the scene names effects, by name of the bus.
+        far_side: Simulated drives inside this process; None with real drives.
+        faulty_buses: The master's connections to the buses with simulated faults, by name of the bus.
         cycle: Rig, controllers and accounts, ready for `canhaptic.cycle.run`.
         energy_log: Energy log, with every cycle; None without one.
         bus_log: Bus log, with every frame; None without one.
@@ -191,48 +191,60 @@ class Experiment:
     def __init__(
         self, scene: Scene, pace: _Pace, energy_log: Path | None, bus_log: Path | None, *, no_torque: bool = False
     ) -> None:
-        self.scene = scene
-        self.pace = pace
-        self._log_failure = ""
-        controllers = build_axis_controllers(scene)
-        _require_push(scene, controllers)
+        self.scene, self.pace, self._log_failure = scene, pace, ""
+        controllers, meters = build_axis_controllers(scene), build_axis_meters(scene)
+        _require_push(scene.source, [axis for axis in scene.axes if not axis.group], controllers)
         with ExitStack() as stack:
-            named = [bus.parameters for bus in scene.buses]
-            is_private = [bus.interface == "virtual" and bus.channel is None for bus in named]
-            channels = [private_channel() if new else bus.channel for bus, new in zip(named, is_private, strict=True)]
-            groups, self.far_side = _simulated_side(scene, channels, stack)
-            buses = _opened(scene, channels, stack)
-            faulty = _faulty_buses(scene, buses, stack)
+            named = [_with_channel(bus.parameters) for bus in scene.buses]
+            groups, self.far_side = _simulated_side(scene, named, stack)
+            buses = _opened(named, stack)
+            is_faulty = scene.simulated and scene.bus_effects is not None
+            faulty = _faulty_buses(scene, buses, stack) if is_faulty else {}
             self.faulty_buses = {scene.buses[n].name: faulty_bus for n, faulty_bus in faulty.items()}
-            self.clock = _build_clock(scene, pace, groups, faulty)
-            self.energy_log: EnergyLogWriter | None = None
-            self.bus_log: BusLogWriter | None = None
-            if energy_log or bus_log:
-                self._open_logs(energy_log, bus_log, stack, dry_run=no_torque)
+            self.clock = clock = _build_clock(pace, scene.bus.spin_margin, groups, faulty)
+            self._open_logs(energy_log, bus_log, meters, stack, dry_run=no_torque)
             records = [self.bus_log.on(n) if self.bus_log else None for n in range(len(buses))]
-            links = [
-                Link(faulty.get(n, buses[n]), self.clock, records[n], echoes=echoes(of)) for n, of in enumerate(named)
-            ]
+            links = [Link(faulty.get(n, buses[n]), clock, records[n], echoes=echoes(of)) for n, of in enumerate(named)]
             self.rig = _build_rig(scene, links, dry_run=no_torque)
-            truths, groups_of_axes, meters = _truths(self.far_side), build_axis_groups(scene), build_axis_meters(scene)
-            losses = build_loss_meters(scene)
-            self.cycle = Cycle(
-                self.rig, controllers, self.energy_log, truths, groups_of_axes, meters, losses, _jitters(scene, pace)
-            )
-            self.code = _code_process(scene, pace, self.cycle, stack)
+            # A simulation in real time is as uneven as this computer; the declared jitter is that of the simulated bus.
+            is_exact = pace == "free" or not scene.simulated
+            jitters = [axis.loop.sync_jitter or 0.0 for axis in scene.axes] if is_exact else None
+            known = build_axis_groups(scene), meters, build_loss_meters(scene), jitters
+            self.cycle = Cycle(self.rig, controllers, self.energy_log, _truths(self.far_side), *known)
+            self.code = self._start_code(stack)
             if self._log_failure:  # before the cycle existed
                 self.cycle.fail_log(self._log_failure)
             self._stack = stack.pop_all()
 
-    def _open_logs(self, energy_log: Path | None, bus_log: Path | None, stack: ExitStack, *, dry_run: bool) -> None:
+    def _open_logs(
+        self, energy_log: Path | None, bus_log: Path | None, meters: Sequence[AxisMeter], stack: ExitStack, *,
+        dry_run: bool,
+    ) -> None:  # fmt: skip
+        self.energy_log: EnergyLogWriter | None = None
+        self.bus_log: BusLogWriter | None = None
+        if not (energy_log or bus_log):
+            return
         from canhaptic.scene.log_writers import open_bus_log, open_energy_log
 
+        scene, pace, lose = self.scene, self.pace, self._lose_log
         if energy_log:
-            self.energy_log = open_energy_log(self.scene, energy_log, self.pace, self._lose_log, dry_run=dry_run)
+            self.energy_log = open_energy_log(scene, meters, energy_log, pace, lose, dry_run=dry_run)
             stack.callback(self.energy_log.close, "failed")
         if bus_log:
-            self.bus_log = open_bus_log(self.scene, bus_log, self.pace, self._lose_log)
+            self.bus_log = open_bus_log(scene, bus_log, pace, lose)
             stack.callback(self.bus_log.close)
+
+    def _start_code(self, stack: ExitStack) -> "CodeProcess | None":
+        """Start the process of user code; None where the cycle runs it, or none exists."""
+        run = self.scene.run
+        if run.guard is not None or run.code_runs_in != "process" or not any(a.guard for a in self.scene.axes):
+            return None
+        from canhaptic.scene.code_process import CodeProcess
+
+        code = CodeProcess(self.scene, self.cycle, self.pace)
+        stack.callback(code.close)
+        self.cycle.turn = code.turn
+        return code
 
     def _lose_log(self, reason: str) -> None:
         """Record, from another thread, that a log failed; `close` reports it in any case."""
@@ -240,11 +252,6 @@ class Experiment:
             self._log_failure = reason
             if hasattr(self, "cycle"):
                 self.cycle.fail_log(reason)
-
-    @property
-    def faulty_bus(self) -> "FaultyBus | None":
-        """The master's connection to the first bus on which the scene names effects; None where all are ideal."""
-        return next(iter(self.faulty_buses.values()), None)
 
     @property
     def plants(self) -> "list[Plant]":
@@ -262,7 +269,7 @@ class Experiment:
         stop_requested: Callable[[], bool] = lambda: False,
         progress: Callable[[int], None] | None = None,
     ) -> tuple[RunResult, CanHapticError | None]:
-        """Run to the end, good or bad, and close; return the account and the error that ended the run.
+        """Run until completion or failure, and close; return the account and the error that ended the run.
 
         The arguments are as for `canhaptic.cycle.run`.
         """
@@ -307,7 +314,7 @@ class Experiment:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close("completed" if error is None else f"failed: {error}")
+        self.close("completed" if error is None else f"failed: {cause_of(error)}")
 
 
 def build(
@@ -319,9 +326,8 @@ def build(
     Args:
         scene: Scene from `load_scene`.
         pace: "real" or "free"; by default free where the drives are simulated in this process, else real.
-        energy_log: Energy log (HDF5) to write, replacing any earlier one; by default none: paths under `log` of a scene
-            are
-            used by the command `run` only.
+        energy_log: Energy log (HDF5) to write, replacing any earlier one; by default none. Only the command `run` uses
+            the paths under `log` of the scene.
         bus_log: Bus log (candump text) to write; by default none.
         no_torque: Whether the torque sent is always 0: a dry run.
 
@@ -353,17 +359,16 @@ def build(
     return Experiment(scene, chosen, *logs, no_torque=no_torque)
 
 
-def _require_push(scene: Scene, controllers: Sequence[object]) -> None:
-    """Return when no axis lacks the push of the hand; a log of an earlier release may, and is read all the same.
+def _require_push(source: str, axes: Sequence[AxisScene], controllers: Sequence[object]) -> None:
+    """Refuse to run an axis that needs `hand_push` and does not declare it, as logs of earlier releases may.
 
     Raises:
-        InputError: The way out of an environment changes, and no `hand_push` is declared.
+        InputError: The environment has several exits, and no `hand_push` is declared.
     """
-    axes = [axis for axis in scene.axes if not axis.group]
     for axis, controller in zip(axes, controllers, strict=True):
         if getattr(controller, "lacks_push", False) and axis.environment.name != "free_space":
             raise InputError(
-                f"{scene.source}: passivity of {axis.parameters.name}: hand_push: not declared, expected the largest "
+                f"{source}: passivity of {axis.parameters.name}: hand_push: not declared, expected the largest "
                 f"force with which the hand pushes against the effort: environment {axis.environment.name!r} has more "
                 "than one exit, and where they meet the hand pushes out of one contact into the next; declare it "
                 "(hand_push: 20 N), or hand_force: null with another certificate"
@@ -371,7 +376,7 @@ def _require_push(scene: Scene, controllers: Sequence[object]) -> None:
 
 
 def require_buildable(scene: Scene) -> None:
-    """Build everything that a run of a simulated scene needs, and discard it; nothing is sent and no log is opened.
+    """Build everything that a run of a simulated scene needs, and close it; nothing is sent and no log is opened.
 
     Raises:
         InputError: A run would refuse the scene, for example a simulated drive without a rated torque.
@@ -380,32 +385,12 @@ def require_buildable(scene: Scene) -> None:
         Experiment(scene, "free", None, None).close()
 
 
-def _code_process(scene: Scene, pace: _Pace, cycle: Cycle, stack: ExitStack) -> "CodeProcess | None":
-    """Return the process of own code, ready to be asked; None where the cycle runs it or no own code exists."""
-    if scene.run.guard is not None or scene.run.code_runs_in != "process" or not any(a.guard for a in scene.axes):
-        return None
-    from canhaptic.scene.code_process import CodeProcess
-
-    code = CodeProcess(scene, cycle, pace)
-    stack.callback(code.close)
-    cycle.turn = code.turn
-    return code
-
-
-def _jitters(scene: Scene, pace: str) -> list[float] | None:
-    """Jitter of each axis's hold, as a part of the sample time.
-
-    None in a simulation in real time: the declared jitter covers the simulated bus, and this computer adds its own.
-    """
-    if scene.simulated and pace != "free":
-        return None
-    return [axis.loop.sync_jitter or 0.0 for axis in scene.axes]
-
-
-def _build_clock(scene: Scene, pace: _Pace, groups: "Sequence[DriveGroup]", faulty: "Mapping[int, FaultyBus]") -> Clock:
-    """Return the clock, which drives the simulated drives, and the faults between them and the master if any."""
+def _build_clock(
+    pace: _Pace, spin_margin: float, groups: "Sequence[DriveGroup]", faulty: "Mapping[int, FaultyBus]"
+) -> Clock:
+    """Return the clock, which also runs the simulated drives and the faults of their buses."""
     peers: list[SimulatedPeer] = [faulty[n].around(group) if n in faulty else group for n, group in enumerate(groups)]
-    clock: Clock = VirtualClock(peers) if pace == "free" else WallClock(peers, scene.bus.spin_margin)
+    clock: Clock = VirtualClock(peers) if pace == "free" else WallClock(peers, spin_margin)
     for faulty_bus in faulty.values():
         faulty_bus.use(clock)
     return clock
@@ -417,7 +402,7 @@ def _build_rig(scene: Scene, links: Sequence[Link], *, dry_run: bool) -> Rig:
     for drive, given in zip(drives, (axis.parameters for axis in scene.axes), strict=True):
         is_asked = not scene.simulated or given.hold_checked or given.check_hold  # else it is as the simulation says
         drive.hold = "not checked" if is_asked and given.admittance is None else ""
-    return Rig(links, drives, scene.bus, group_places(scene))
+    return Rig(links, drives, scene.bus, scene.group_places)
 
 
 def _truths(far_side: "Drives | None") -> Callable[[], Sequence[Truth]] | None:
@@ -462,13 +447,16 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
     if totals:
         account["bus_effects"] = totals.get("", totals)  # the only bus may have no name
     if experiment.code is not None:
-        account["own_code"] = {"late_holds": experiment.code.late, "longest": experiment.code.longest}
+        late, longest = experiment.code.late, experiment.code.longest
+        account["own_code"] = {"runs_in": "process", "late_holds": late, "longest": longest}
+    elif scene.own_code:
+        account["own_code"] = {"runs_in": "cycle"}
     account["logs"] = {"dropped": sum(log.dropped for log in (experiment.energy_log, experiment.bus_log) if log)}
     return account
 
 
 def _add_of_axes(experiment: Experiment, ports: Mapping[str, PortResult]) -> None:
-    """Add the evidence of the sign sequence on each axis's hold, and the reason why a wall was not felt."""
+    """Add to each axis its environment, the result of its hold check, and why a wall was not felt."""
     controllers = iter(experiment.cycle.controllers)
     for axis in experiment.scene.axes:
         port, controller = ports[axis.parameters.name], None if axis.group else next(controllers)
@@ -486,7 +474,7 @@ def _add_of_axes(experiment: Experiment, ports: Mapping[str, PortResult]) -> Non
 
 
 def _method(experiment: Experiment) -> str:
-    """Return how the far side was computed, with its price; empty with real drives, which load nothing of it."""
+    """Return method, cost and error of the simulated plants in one line; empty with real drives."""
     scene, plants, cycles = experiment.scene, experiment.plants, experiment.cycle.cycles
     if not scene.simulated:
         return ""

@@ -1,9 +1,9 @@
 """User code of a scene in a separate process: it answers one hold later, and cannot stall the cycle.
 
-Python code stalls the cycle through the lock of its interpreter, which a second process does not share. The sample of
-each SYNC is sent and the torques for the hold after the next come back, each in one slot of shared memory under a
-sequence lock: no pickling, no waiting. To the cycle they are torques requested by a program, so that its own
-guard and account continue, however late the answers are, or if none comes any more.
+In the same process, the lock of the interpreter would let slow code stall the cycle. Here the sample of each SYNC goes
+out, and the torques for the hold after the next come back, each through one slot of shared memory with a sequence
+number, without pickling and without waiting. The cycle treats them as torques requested by a program: its guard and its
+account continue if answers are late or stop.
 """
 
 import json
@@ -22,7 +22,7 @@ from typing import Any, Final
 from canhaptic.cycle import Cycle
 from canhaptic.drive.clock import WallClock
 from canhaptic.drive.profile.link_policy import StopReason
-from canhaptic.errors import InputError, OwnCodeError
+from canhaptic.errors import InputError, OwnCodeError, cause_of
 from canhaptic.logs.ring import allocate
 from canhaptic.logs.writer_process import isolated_program
 from canhaptic.registry import load
@@ -42,10 +42,10 @@ _TRIES: Final = 3  # of reading a slot that is being written
 
 
 def apart(scene: Scene) -> Scene:
-    """Scene whose user-defined code runs in a separate process; unchanged where it runs in the cycle.
+    """Return the scene with its user code in a separate process; unchanged if the code runs in the cycle.
 
-    The cycle requests the torques that it answers, under the certificates of `guarded` if that is their algorithm. It
-    runs them itself in a simulation, unless `code_runs_in` says otherwise.
+    The torques of that process are limited by the certificates of `guarded`, if that is the algorithm. In a simulation
+    the code runs in the cycle unless `code_runs_in` says otherwise.
     """
     where = scene.run.code_runs_in or ("cycle" if scene.simulated else "process")
     guards = ("certificates" if axis.passivity.name == "guarded" else "none" for axis in scene.axes)
@@ -58,10 +58,10 @@ def apart(scene: Scene) -> Scene:
 
 
 def require_law(scene: Scene) -> None:
-    """Return if own code that is to run in a separate process can do so.
+    """Refuse `code_runs_in: process` for a scene whose user code is hands and effects only.
 
     Raises:
-        InputError: It is hands and effects alone.
+        InputError: No axis has a user-defined environment or algorithm.
     """
     if scene.run.code_runs_in == "process" and scene.simulated and not any(axis.is_own for axis in scene.axes):
         raise InputError(
@@ -72,7 +72,7 @@ def require_law(scene: Scene) -> None:
 
 
 class LaterLaw:
-    """User-defined environments and algorithms of a scene, whose torques act a hold later than in the cycle.
+    """User-defined environments and algorithms of a scene; their torques act one hold later than in the cycle.
 
     Attributes:
         places: Indices of their axes in the scene.
@@ -92,8 +92,8 @@ class LaterLaw:
 
         Args:
             periods: Sample times since the previous SYNC.
-            missed: SYNCs since the last step whose samples were not seen.
-            reports: Position, torque applied and whether both are fresh, of each axis in turn.
+            missed: Number of SYNCs since the last step whose samples did not arrive.
+            reports: Position, applied torque and freshness (1 or 0) of each axis in turn.
         """
         for number, controller in enumerate(self._controllers):
             for _ in range(missed):
@@ -131,12 +131,12 @@ def reports_of(samples: Sequence[Sample], places: Sequence[int]) -> list[float]:
 
 
 class _Slot:
-    """One record in shared memory under a sequence lock: odd while it is written. No reader or writer ever waits.
+    """One record in shared memory under a sequence number, which is odd during a write, so that neither side waits.
 
     Args:
         memory: Shared memory.
-        start: Index of the slot in it [bytes].
-        values: Numbers of a record behind its index and its periods.
+        start: Offset of the slot in the memory [bytes].
+        values: Count of the numbers that follow index and periods in a record.
     """
 
     def __init__(self, memory: mmap.mmap, start: int, values: int) -> None:
@@ -152,7 +152,7 @@ class _Slot:
         self._cell[0] = self._sequence
 
     def read(self) -> tuple[Any, ...] | None:
-        """Return (index, periods, values ..., index); None where it was never written, or is being written."""
+        """Return (index, periods, values ..., index); None before the first write and during a write."""
         for _ in range(_TRIES):
             before = self._cell[0]
             record = self._record.unpack_from(self._memory, self._start)
@@ -171,9 +171,9 @@ class _Slot:
 
 
 class CodeProcess:
-    """User code of a scene in a separate process: the sample of a SYNC goes out, its torques come back a hold later.
+    """User code of a scene in a separate process: each sample goes out, and its torques come back one hold later.
 
-    Where no answer has arrived the requested torque is zero, and the hold is counted.
+    A hold without an answer gets zero torque and is counted.
 
     Args:
         scene: Scene from `apart`.
@@ -213,10 +213,10 @@ class CodeProcess:
                 raise InputError(f"{self._names}: in a process of its own: {reason}; correct the program")
 
     def turn(self, samples: Sequence[Sample]) -> None:
-        """Request the torques that answer the previous sample, and hand over this one.
+        """Request the torques that answer the previous sample, and send this sample.
 
         Raises:
-            OwnCodeError: The code raised, or returned what is no number.
+            OwnCodeError: The code raised, or did not return a number.
             OwnCodeLateError: Too many holds in a row without an answer.
         """
         if self._waits and self._asked >= 0:
@@ -249,12 +249,12 @@ class CodeProcess:
             raise self._rig.end(StopReason.OWN_CODE_LATE, f"{self._names}: {self._in_a_row} holds in a row{how}")
 
     def _text(self) -> str:
-        """Why the code failed; empty while it has not."""
+        """Return why the code failed; empty while it runs."""
         size = int.from_bytes(self._memory[2 * _SLOT : 2 * _SLOT + 8], "little")
         return self._memory[2 * _SLOT + 8 : 2 * _SLOT + 8 + size].decode("utf-8", "replace")
 
     def _await_answer(self, seconds: float) -> bool:
-        """Return whether an answer has come, waiting for it."""
+        """Wait for an answer; return whether one came in time."""
         if not select.select([self._answered], [], [], seconds)[0]:
             return False
         if os.read(self._answered, 1):
@@ -278,7 +278,7 @@ class CodeProcess:
 
 
 def _spawned(scene: Scene, shared: int, wake: int, answers: int, pace: str) -> "subprocess.Popen[str]":
-    """Return the process, started; it ends with this one."""
+    """Start the process and return it; it ends with this one."""
     job = {
         "text": scene.text, "source": scene.source, "overrides": scene.overrides, "path": sys.path,
         "own_code": dict(scene.own_code), "pace": pace,
@@ -294,13 +294,13 @@ def _spawned(scene: Scene, shared: int, wake: int, answers: int, pace: str) -> "
 
 
 class _Printed:
-    """Standard output of the code, as far as it is read; the rest is left out."""
+    """Standard output of user code, limited in length."""
 
     def __init__(self, stream: Any) -> None:
         self._stream, self._left = stream, _PRINTED
 
     def write(self, text: str) -> int:
-        """Print a text, or the beginning of it."""
+        """Print a text up to the limit."""
         if self._left > 0:
             self._stream.write(text[: self._left])
             self._left -= len(text)
@@ -332,9 +332,8 @@ def main() -> None:
         os.write(answers, b"\0")
         _answer(law, memory, wake, answers, job)
     except BaseException as error:  # own code may raise anything
-        who = error.program if isinstance(error, OwnCodeError) else type(error).__name__
-        what = error.what if isinstance(error, OwnCodeError) else error  # its remedy the cycle adds
-        text = f"{who}: {what}".encode()[:1000]
+        what = f"{error.program}: {error.what}" if isinstance(error, OwnCodeError) else cause_of(error)
+        text = what.encode()[:1000]  # the cycle adds the remedy
         memory[2 * _SLOT + 8 : 2 * _SLOT + 8 + len(text)] = text
         memory[2 * _SLOT : 2 * _SLOT + 8] = len(text).to_bytes(8, "little")
         os._exit(1)
@@ -347,7 +346,7 @@ def _end_with_the_cycle() -> None:
 
 
 def _answer(law: LaterLaw, memory: mmap.mmap, wake: int, answers: int, job: Mapping[str, Any]) -> None:
-    """Answer each sample, until the cycle has gone."""
+    """Answer each sample until the process of the cycle has ended."""
     count = len(law.places)
     samples, answered = _Slot(memory, 0, 3 * count), _Slot(memory, _SLOT, count)
     clock, seen, due, index = WallClock(spin_margin=0.0), 0, 0, -1
@@ -361,7 +360,7 @@ def _answer(law: LaterLaw, memory: mmap.mmap, wake: int, answers: int, job: Mapp
                     return
             elif now < due - margin:
                 clock.wait_until(due - margin)
-            elif now > due + 2 * margin:  # the sample is late, or the run pauses: look now and then
+            elif now > due + 2 * margin:  # the sample is late, or the run pauses: look less often
                 clock.wait_until(now + period // _LOOKS)
         record = samples.read()
         if record is None or record[0] == index:
@@ -375,6 +374,6 @@ def _answer(law: LaterLaw, memory: mmap.mmap, wake: int, answers: int, job: Mapp
 
 
 def _margin(spin: float, period: int) -> int:
-    """Time before a sample from which to spin [ns]: none where no other processor is free for the cycle."""
+    """Return how long before a sample to begin to spin [ns]: 0 if no processor would be left for the cycle."""
     many = hasattr(os, "sched_getaffinity") and len(os.sched_getaffinity(0)) > 1
     return min(round(spin * 1e9), period // 4) if many else 0

@@ -1,4 +1,4 @@
-"""Fields of the scene whose model is chosen by name from a table, or imported only where the scene has the key."""
+"""Annotations for fields of a scene whose parameter model is chosen by a name in the file, or defined by the user."""
 
 import warnings
 from collections.abc import Mapping
@@ -18,14 +18,14 @@ from canhaptic.scene.document import MarkedMapping
 from canhaptic.units import OnDemand, Parameters, UnitContext, example, shown
 
 READY: Final = "ready"
-"""Type of an error of pydantic whose text needs no preceding value."""
+"""Type of a pydantic error whose text is complete, without the value seen in front of it."""
 
 
 CodeUse = Literal["refused", "run", "left"]
-"""Treatment of own code that a scene names: refused with one error, run, or left unread."""
+"""Treatment of user code that a scene names: refused with an error, run, or left unread."""
 _OWN_CODE: Final = {"own code": "canhaptic.scene.own_code:OwnCode"}
 OWN_MODULE: Final = "_canhaptic_own_"
-"""Begins the name of the private module of a file of own code."""
+"""Prefix of the name of the private module made from a file of user code."""
 
 
 @dataclass(slots=True)
@@ -47,7 +47,7 @@ class SceneContext(UnitContext):
 
     @property
     def code(self) -> Any:
-        """User code that may be read, an `OwnCode`, which is loaded where a scene refers to any."""
+        """The `OwnCode` of the scene, made when the scene first refers to user code."""
         if self._code is None:
             self._code = load(_OWN_CODE, "own code", "reader")(self.folder, self.use)
         return self._code
@@ -62,14 +62,14 @@ class ComponentSpec(NamedTuple):
 
     @property
     def is_read(self) -> bool:
-        """Whether it is known: False where user code was left unread."""
+        """Whether its parameters are known: False if it is user code that was left unread."""
         return not isinstance(self.parameters, UnreadParameters)
 
     def as_plain(self, selector: str) -> dict[str, object]:
-        """Return the section of a scene, defaults included, as plain values."""
-        if isinstance(self.parameters, UnreadParameters):
-            return {selector: self.name, **self.parameters.written}
-        return {selector: self.name, **self.parameters.model_dump(mode="json")}
+        """Return the section as plain values, defaults included."""
+        given = self.parameters
+        plain = given.written if isinstance(given, UnreadParameters) else given.model_dump(mode="json")
+        return {selector: self.name, **plain}
 
 
 class UnreadParameters(Parameters):
@@ -80,14 +80,13 @@ class UnreadParameters(Parameters):
 
 
 class ComponentOf:
-    """Annotation of a `ComponentSpec`: its section of the scene names an entry of a table, which is then imported.
+    """Annotation of a `ComponentSpec`: its section names an entry of a table, which is then imported.
 
     Args:
         table: Name -> "module:Class", of parameter models or of classes with a `parameters_type`.
         kind: Kind of entries in the table, for messages.
         selector: Key of the section that contains the name.
-        apart: Further keys of the section, read by another field; a model with a field of the same name reads it
-            too.
+        apart: Keys of the section that another field of the scene reads; a model with such a field reads it too.
     """
 
     def __init__(
@@ -97,11 +96,11 @@ class ComponentOf:
 
     @property
     def expected(self) -> str:
-        """Expected contents of the section, in words."""
+        """Expected contents of the section, for messages."""
         return f"{self.selector} (one of {', '.join(sorted(self.table))}) and more"
 
     def model_of(self, section: object) -> type[Parameters] | None:
-        """Return the model in the table that a section names; None when it names none, or user code."""
+        """Return the model that a section names; None if it names none of the table, such as user code."""
         name = section.get(self.selector) if isinstance(section, MarkedMapping) else None
         return self._model(name) if isinstance(name, str) and name in self.table else None
 
@@ -149,7 +148,7 @@ class ComponentOf:
     def _switched(
         self, name: str, model: type[Parameters], section: MarkedMapping, reading: SceneContext
     ) -> MarkedMapping:
-        """Section without the keys of a type that an override replaced; sections of real drives are kept whole."""
+        """Return the section without keys of the type that an override replaced; real drives refuse such keys."""
         was, fields = section.was, model.model_fields
         if was in (None, name) or was not in self.table:
             return section
@@ -187,10 +186,10 @@ class ComponentOf:
 
 
 class OwnModel(OnDemand):
-    """Annotation of a field whose section, if it has `type`, is read by a user-defined subclass.
+    """Annotation of a field whose section is read by the user-defined subclass that its key `type` names.
 
     Args:
-        path: "module:Class" of the model of any other section.
+        path: "module:Class" of the model for a section without `type`.
         kind: Kind of model, for messages and plug-ins.
     """
 
@@ -222,7 +221,7 @@ class OwnModel(OnDemand):
 
 
 def _with_type(value: Parameters | None) -> dict[str, object] | None:
-    """Values of a model, headed by the name of a user's own class."""
+    """Return the values of a model, with `type` first if it is a user's own class."""
     if value is None:
         return None
     own = type(value).__module__.startswith(OWN_MODULE)
@@ -242,7 +241,7 @@ class ComponentByDisplay(ComponentOf):
         self._admittance = admittance
 
     def table_for(self, section: object) -> ComponentOf:
-        """Return the table whose model has more of the section's keys: errors refer to that model."""
+        """Return the table whose model has more of the section's keys, for error messages."""
         keys = section.keys() if isinstance(section, MarkedMapping) else set()
 
         def known(table: ComponentOf) -> int:
@@ -252,7 +251,7 @@ class ComponentByDisplay(ComponentOf):
         return self._admittance if known(self._admittance) > known(self) else self
 
     def read(self, value: object, info: ValidationInfo[SceneContext]) -> ComponentSpec:
-        """Return the component that a section names, from the table for the axis's kind of display."""
+        """Return the component that a section names, from the table for this kind of display."""
         of_group = info.data.get("axes")
         is_display = info.context.displays >= set(of_group) if of_group else info.context.is_display
         return self._admittance.read(value, info) if is_display else super().read(value, info)

@@ -1,16 +1,18 @@
-"""Checks that need more than one section of a scene."""
+"""Checks of a scene that need more than one of its sections."""
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, cast
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen.eds import read_dictionary
+from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.bus_budget import require_budget, shortest_answer
 from canhaptic.drive.can.pdo_map import AxisMap, check_dictionary, choose_map
 from canhaptic.drive.profile.fitness import Verdict, limit_objection
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.host.interfaces import interface_faults
+from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, SourceLocation
 from canhaptic.scene.layout import bus_section
 from canhaptic.scene.models import AxisScene, Scene
@@ -23,32 +25,31 @@ if TYPE_CHECKING:
 
 
 def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, beyond_bus: bool = False) -> None:
-    """Note errors between sections of a scene that are each valid on their own.
+    """Note contradictions between sections of a scene that are each valid on their own.
 
     Args:
-        scene: Scene as read.
-        sections: Sections from which it was read.
+        scene: Validated scene.
+        sections: Sections of the file, which locate the faults.
         faults: Receives the faults.
-        beyond_bus: Whether a rate that its bus cannot carry is accepted.
+        beyond_bus: Whether a rate that the bus cannot carry is accepted.
     """
-    _check_unique(scene, sections["axes"], faults)
+    _check_unique(scene.axes, sections["axes"], scene.bus.master_id, faults)
     if len(faults):  # what follows takes its time for each axis, and a name or node ID may be that of thousands
         return
     _check_buses(scene, sections, faults)
     maps: dict[str, list[AxisMap | None]] = {bus.name: [] for bus in scene.buses}
+    of_groups = dict(zip((group.name for group in scene.groups), sections.get("groups") or (), strict=True))
     for axis, entry in zip(scene.axes, sections["axes"], strict=True):
-        passivity = _passivity_section(axis, entry, sections, scene)
-        for key, text in _faults_of_axis(scene, axis):
-            faults.add(entry.value_at(key) if key else entry.mark, text)
-        _check_parts(axis, passivity, sections, scene, faults)
-        maps[axis.bus].append(axis_map := _check_dictionary(axis, entry, scene, faults))
-        for key, text in _faults_of_loop(scene, axis, axis_map):
-            faults.add(passivity.value_at(key), text)
-    for group, section in zip(scene.groups, sections.get("groups") or (), strict=True):
+        given = (owner.get("passivity") for owner in (entry, of_groups.get(axis.group, sections)))
+        loop = next(section for section in given if isinstance(section, MarkedMapping))
+        first = next(other for other in scene.axes if other.group == axis.group)
+        known = scene.bus_of(axis), scene.passivity_of(axis), not scene.simulated, bool(scene.mechanisms)
+        maps[axis.bus].append(_check_axis(_Checked(axis, first, entry, loop, *known), sections, faults))
+    for group in scene.groups:
         try:
             build_group(scene, group)
         except ParameterError as error:
-            faults.add(section.mark, str(error))
+            faults.add(of_groups[group.name].mark, str(error))
     _check_mechanisms(scene, sections, faults)
     for index, (name, bus) in enumerate(scene.buses):
         if None not in maps[name] and not beyond_bus:
@@ -58,51 +59,77 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
                 faults.add(bus_section(sections, index).value_at("rate"), str(error))
 
 
-def _check_unique(scene: Scene, entries: list[MarkedMapping], faults: Diagnostics) -> None:
+class _Checked(NamedTuple):
+    """One axis, with the parts of the scene that it is checked against."""
+
+    axis: AxisScene
+    first: AxisScene  # of its group
+    entry: MarkedMapping  # its section as written
+    loop: MarkedMapping  # section `passivity` with its loop: its own, the group's or the shared one
+    bus: BusParameters
+    passivity: ComponentSpec  # algorithm that renders on it
+    is_real: bool
+    is_coupled: bool  # whether the scene has simulated mechanisms
+
+
+def _check_axis(of: _Checked, sections: MarkedMapping, faults: Diagnostics) -> AxisMap | None:
+    """Note the faults of an axis; return the PDO map of its drive, if its dictionary is fit."""
+    for key, text in _faults_of_axis(of):
+        faults.add(of.entry.value_at(key) if key else of.entry.mark, text)
+    _check_parts(of, sections, faults)
+    axis_map = _check_dictionary(of, faults)
+    for key, text in _faults_of_loop(of, axis_map):
+        faults.add(of.loop.value_at(key), text)
+    return axis_map
+
+
+def _check_unique(
+    axes: Sequence[AxisScene], entries: Sequence[MarkedMapping], master_id: int | None, faults: Diagnostics
+) -> None:
     """Note names used twice in the rig, and node IDs used twice on one bus."""
     for key in ("name", "node_id"):
         first: dict[tuple[object, str], SourceLocation] = {}
-        for axis, entry in zip(scene.axes, entries, strict=True):
+        for axis, entry in zip(axes, entries, strict=True):
             value, at = getattr(axis.parameters, key), entry.value_at(key)
             seen = value, axis.bus if key == "node_id" else ""
             if seen in first:
                 faults.add(at, f"got {value!r}, which is the {key} of another axis already ({first[seen].where})")
             first.setdefault(seen, at)
-            if key == "node_id" and value == scene.bus.master_id:
+            if key == "node_id" and value == master_id:
                 faults.add(at, f"got {value}, which is the node ID of the master (bus.master_id)")
 
 
-def _faults_of_axis(scene: Scene, axis: AxisScene) -> Iterator[tuple[str, str]]:
-    """Yield the keys of an axis that do not fit its bus, each with the text of the fault."""
-    given, rpdo = axis.parameters, scene.bus_of(axis).rpdo
-    if given.energy_loss_limit == "none" and not scene.simulated:
+def _faults_of_axis(of: _Checked) -> Iterator[tuple[str, str]]:
+    """Yield the keys of an axis that do not fit its bus or its algorithm, each with the text of the fault."""
+    axis, given, rpdo = of.axis, of.axis.parameters, of.bus.rpdo
+    if given.energy_loss_limit == "none" and of.is_real:
         text = "got 'none', but the drives may be real; expected a limit, or no entry for 10 mJ"
         yield "energy_loss_limit", f"{text}: a run that keeps giving out energy must end"
     if given.demand_reported == "after" and rpdo == "event":  # where the RPDO follows the SYNC
         text = "got 'after', but with bus.rpdo: event no torque changes at SYNC: the TPDO has the torque of the hold"
         yield "demand_reported", f"{text} that ended; leave it out, or set rpdo: synchronous"
-    losses = getattr(scene.passivity_of(axis).parameters, "max_consecutive_losses", 0)
+    losses = getattr(of.passivity.parameters, "max_consecutive_losses", 0)
     if given.demand_reported == "after" and losses:
         text = f"got 'after' with max_consecutive_losses {losses}: a lost TPDO would have shown the torque of the next"
         text = f"{text} hold, and where an RPDO is lost as well nothing shows it"
         yield "demand_reported", f"{text}; set max_consecutive_losses: 0"
-    yield from _faults_of_hold(scene, axis)
+    yield from _faults_of_hold(of)
     if given.admittance is not None or getattr(axis.simulation, "admittance", None) is not None:
         from canhaptic.scene.displays import display_faults
 
-        yield from display_faults(scene, axis)
+        yield from display_faults(axis, of.bus, is_real=of.is_real)
 
 
-def _faults_of_hold(scene: Scene, axis: AxisScene) -> Iterator[tuple[str, str]]:
-    """Yield the keys that say that the torque acts in a hold other than the bus says, or that ask to check it."""
-    quirks, rpdo = quirks_of(axis.parameters.quirks), scene.bus_of(axis).rpdo
+def _faults_of_hold(of: _Checked) -> Iterator[tuple[str, str]]:
+    """Yield the keys that contradict the bus on the hold in which the torque acts, or the algorithm on its check."""
+    axis, quirks, rpdo = of.axis, quirks_of(of.axis.parameters.quirks), of.bus.rpdo
     if quirks.acts_at_once and rpdo != "event":
         text = f"got 'acts_at_once' with bus.rpdo: {rpdo}: every hold would be booked with the torque of its neighbour"
         yield "quirks", f"{text}; set rpdo: event"
     if quirks.syncs_late and rpdo == "event":
         text = "got 'acts_a_sync_late' with bus.rpdo: event, where no torque waits for a SYNC"
         yield "quirks", f"{text}; set rpdo: synchronous, or leave it out"
-    if axis.parameters.check_hold is not None and (why := _why_unchecked(scene, axis)):
+    if axis.parameters.check_hold is not None and (why := _why_unchecked(of)):
         yield "check_hold", f"got a check at each start {why}"
     if (dither := axis.parameters.hold_dither) is not None:
         if axis.group or axis.guard or axis.parameters.admittance or axis.passivity.name != "guarded":
@@ -111,25 +138,25 @@ def _faults_of_hold(scene: Scene, axis: AxisScene) -> Iterator[tuple[str, str]]:
         elif 2.0 * dither < axis.loop.torque_quantum:
             text = f"got {dither:.3g}, expected at least half a step of the torque, {axis.loop.torque_quantum:.3g}"
             yield "hold_dither", text
-    first = next(other for other in scene.axes if other.group == axis.group)
-    if axis.group and quirks.syncs_late != quirks_of(first.parameters.quirks).syncs_late:
+    if axis.group and quirks.syncs_late != quirks_of(of.first.parameters.quirks).syncs_late:
         text = f"the axes of group {axis.group!r} act in different holds"
         yield "quirks", f"{text}; expected acts_a_sync_late on all of them, or on none"
 
 
-def _why_unchecked(scene: Scene, axis: AxisScene) -> str:
-    """Return why no test at a start can find the hold of an axis, with the remedy; empty where one can."""
+def _why_unchecked(of: _Checked) -> str:
+    """Return why no test at a start can find the hold of an axis, with the remedy; empty if one can."""
+    axis = of.axis
     if axis.parameters.admittance is not None:
         return "of a drive that holds a velocity; leave it out"
     if axis.loop.moving_mass is None:
         return "without moving_mass, which keeps its motion small; declare it (canhaptic commission measures it)"
-    if axis.parameters.torque_verified == "no" and not scene.simulated:
+    if axis.parameters.torque_verified == "no" and of.is_real:
         return "of a torque whose scale is not verified; run canhaptic commission first"
-    return "of axes that a simulated mechanism couples; leave it out" if scene.mechanisms else ""
+    return "of axes that a simulated mechanism couples; leave it out" if of.is_coupled else ""
 
 
 def _check_buses(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
-    """Note buses of one channel, that no axis is on, or that reach no drive; virtual ones among others; and effects."""
+    """Note buses that share a channel, have no axis or reach no drive, mixed kinds of bus, and faults of no bus."""
     names = [bus.name for bus in scene.buses]
     places = [(bus.parameters.interface, str(bus.parameters.channel)) for bus in scene.buses]
     is_virtual = [interface == "virtual" for interface, _ in places]
@@ -160,15 +187,15 @@ def _check_buses(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> 
         faults.add(at, f"got {', '.join(map(repr, unknown))}, which names no bus of the scene; expected: {known}")
 
 
-def _faults_of_loop(scene: Scene, axis: AxisScene, axis_map: AxisMap | None) -> Iterator[tuple[str, str]]:
+def _faults_of_loop(of: _Checked, axis_map: AxisMap | None) -> Iterator[tuple[str, str]]:
     """Yield the declarations about the loop of an axis that contradict each other or its bus."""
-    loop, bus, late = axis.loop, scene.bus_of(axis), quirks_of(axis.parameters.quirks).syncs_late
-    if loop.delay < scene.bus.delay + late:
+    axis, bus, loop, late = of.axis, of.bus, of.axis.loop, quirks_of(of.axis.parameters.quirks).syncs_late
+    if loop.delay < bus.delay + late:
         with_quirk = f", and its quirks by {late} more" if late else ""
-        text = f"got {loop.delay}, but bus.rpdo: {scene.bus.rpdo} delays the torque by {scene.bus.delay} hold"
+        text = f"got {loop.delay}, but bus.rpdo: {bus.rpdo} delays the torque by {bus.delay} hold"
         yield "delay", f"{text}{with_quirk}; leave it out, or set rpdo: event"
     friction, bound = loop.device_friction or 0.0, loop.device_friction_bound
-    if bound is not None and friction > bound and rests_on_hand_force(scene, axis):
+    if bound is not None and friction > bound and rests_on_hand_force(of.passivity):
         unit = effort_unit(axis.parameters.unit)
         text = f"got {friction:g} {unit} at least, but device_friction_bound says {bound:g} {unit} at most"
         yield "device_friction", f"{text}; measure both (canhaptic commission)"
@@ -177,36 +204,35 @@ def _faults_of_loop(scene: Scene, axis: AxisScene, axis_map: AxisMap | None) -> 
         text = "friction brakes only where device_friction_bound, device_cogging_bound within it and"
         key = "presliding_stiffness" if cogging is None else "device_cogging_bound"
         yield key, f"{text} presliding_stiffness are all declared; declare them, or leave the last two out"
-    if abs(loop.sample_time - scene.bus.sample_time) > 1e-9:
-        text = f"got {loop.sample_time:g} s, but bus.rate of {scene.bus.rate:g} Hz makes it {scene.bus.sample_time:g} s"
+    if abs(loop.sample_time - bus.sample_time) > 1e-9:
+        text = f"got {loop.sample_time:g} s, but bus.rate of {bus.rate:g} Hz makes it {bus.sample_time:g} s"
         yield "sample_time", f"{text}; leave it out"
-    if axis_map is None or scene.simulated or bus.rpdo != "event" or loop.torque_window is None:
+    if axis_map is None or not of.is_real or bus.rpdo != "event" or loop.torque_window is None:
         return
     if loop.torque_window < (least := shortest_answer(bus.bitrate, axis_map)):  # as carried over from a simulation
         text = f"got {loop.torque_window:g} s, but SYNC, TPDO and RPDO take {least:.3g} s at least at {bus.bitrate:g}"
         yield "torque_window", f"{text} bit/s; measure it (canhaptic commission), or set rpdo: synchronous"
 
 
-def _check_parts(
-    axis: AxisScene, passivity: MarkedMapping, sections: MarkedMapping, scene: Scene, faults: Diagnostics
-) -> None:
-    """Build controller and plant once so that each reports its objections."""
+def _check_parts(of: _Checked, sections: MarkedMapping, faults: Diagnostics) -> None:
+    """Build controller and plant once, so that each reports what it refuses."""
+    axis = of.axis
     try:
         if not axis.group and axis.is_read:
             build_axis_controller(axis)
     except ParameterError as error:
-        faults.add(passivity.mark, str(error))
+        faults.add(of.loop.mark, str(error))
     if axis.simulation is not None and axis.is_read:
         from canhaptic.scene.far_side import build_plant
 
         try:
-            build_plant(axis.simulation, scene.bus.sample_time_ns)
+            build_plant(axis.simulation, of.bus.sample_time_ns)
         except ParameterError as error:
             faults.add(_place_in_simulation(axis, sections["simulation"], error.part), str(error))
 
 
 def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) -> SourceLocation:
-    """Place in the scene of the part that a plant refuses: an effect of this type, or the plant."""
+    """Return the location of the part that a plant refuses: an effect of this type, else the plant."""
     axes = simulation.get("axes")
     own = axes.get(axis.parameters.name) if isinstance(axes, MarkedMapping) else None
     for owner in (own, simulation):
@@ -218,24 +244,25 @@ def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) 
     return simulation.value_at("plant")
 
 
-def _check_dictionary(axis: AxisScene, entry: MarkedMapping, scene: Scene, faults: Diagnostics) -> AxisMap | None:
-    """Note every reason why the drive's dictionary does not serve; return the PDO map when it does."""
+def _check_dictionary(of: _Checked, faults: Diagnostics) -> AxisMap | None:
+    """Note every reason why the drive's dictionary is unfit; return the PDO map if it is fit."""
+    given, at = of.axis.parameters, of.entry.value_at("eds")
     try:
-        dictionary = read_dictionary(axis.parameters.eds, axis.parameters.node_id)
+        dictionary = read_dictionary(given.eds, given.node_id)
     except DictionaryError as error:
-        faults.add(entry.value_at("eds"), str(error))
+        faults.add(at, str(error))
         return None
-    findings = check_dictionary(dictionary, axis.parameters, scene.bus_of(axis))
+    findings = check_dictionary(dictionary, given, of.bus)
     refusals = [finding for finding in findings if finding.verdict is Verdict.REFUSED]
     for finding in refusals:
-        faults.add(entry.value_at("eds"), f"{axis.parameters.eds}: {finding.item}: {finding.text}")
-    if not scene.simulated and (text := limit_objection(dictionary, axis.parameters)):
-        faults.add(entry.value_at("admittance"), f"{axis.parameters.eds}: 0x6072 max torque: {text}")
-    return None if refusals else choose_map(dictionary, axis.parameters)
+        faults.add(at, f"{given.eds}: {finding.item}: {finding.text}")
+    if of.is_real and (text := limit_objection(dictionary, given)):
+        faults.add(of.entry.value_at("admittance"), f"{given.eds}: 0x6072 max torque: {text}")
+    return None if refusals else choose_map(dictionary, given)
 
 
 def _check_mechanisms(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
-    """Note axes that cannot move a mechanism, and its own objections, such as a singular initial pose."""
+    """Note axes that cannot move a mechanism, and what the mechanism refuses, such as a singular initial pose."""
     if not scene.mechanisms:
         return
     from canhaptic.scene.far_side import build_mechanism
@@ -254,11 +281,3 @@ def _check_mechanisms(scene: Scene, sections: MarkedMapping, faults: Diagnostics
                 build_mechanism(of, scene.bus.sample_time_ns)
         except ParameterError as error:
             faults.add(section.mark, str(error))
-
-
-def _passivity_section(axis: AxisScene, entry: MarkedMapping, sections: MarkedMapping, scene: Scene) -> MarkedMapping:
-    """Return where a scene speaks of the loop of an axis: the axis's own section, the shared one, or the group's."""
-    groups = [group.name for group in scene.groups]
-    shared = sections["groups"][groups.index(axis.group)] if axis.group else sections
-    found = (owner.get("passivity") for owner in (entry, shared))
-    return next(section for section in found if isinstance(section, MarkedMapping))

@@ -1,6 +1,6 @@
-"""Admittance displays of a scene: their declared properties, and checks that need more than one section.
+"""Admittance displays of a scene: their declared properties, groups, and checks that need more than one section.
 
-A scene without one loads nothing of it.
+Only a scene with an admittance display loads this module.
 """
 
 from collections.abc import Iterator
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 from canhaptic.control.admittance import build_display_group
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.mass_felt import MassAsked, MassFelt
+from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.models import AxisScene, GroupScene, Scene
 
@@ -18,10 +19,10 @@ if TYPE_CHECKING:
 
 
 def display_properties(axis: AxisScene) -> AdmittanceProperties:
-    """Declared properties of an admittance display.
+    """Return the declared properties of an admittance display.
 
     Raises:
-        ParameterError: A limit without which nothing may move is missing, or the axis is no admittance display.
+        ParameterError: A limit that every admittance display needs is missing, or the axis is none.
     """
     given, display = axis.parameters, axis.parameters.admittance
     if display is None:
@@ -44,7 +45,11 @@ def display_properties(axis: AxisScene) -> AdmittanceProperties:
 
 
 def build_group_of_displays(scene: Scene, group: GroupScene) -> "GroupController":
-    """Return the controller of a group of admittance displays; raise ParameterError where an axis is none."""
+    """Return the controller of a group of admittance displays.
+
+    Raises:
+        ParameterError: An axis of the group is no admittance display.
+    """
     axes = [scene.axis(name) for name in group.axes]
     others = [axis.parameters.name for axis in axes if axis.parameters.admittance is None]
     if others:
@@ -56,9 +61,8 @@ def build_group_of_displays(scene: Scene, group: GroupScene) -> "GroupController
     )
 
 
-def mass_felt(scene: Scene, axis: AxisScene) -> MassFelt | None:
-    """Fit of the mass felt on an axis; None where its environment, or that of its group along it, is no mass."""
-    group = next((of for of in scene.groups if of.name == axis.group), None)
+def mass_felt(axis: AxisScene, group: GroupScene | None) -> MassFelt | None:
+    """Return the estimator of the mass felt on an axis; None if neither axis nor group renders a mass along it."""
     part = axis.environment if group is None else group.network
     if part.name != "virtual_mass" or (group is not None and group.kinematics.name != "identity"):
         return None
@@ -71,8 +75,8 @@ def mass_felt(scene: Scene, axis: AxisScene) -> MassFelt | None:
     return MassFelt(MassAsked(environment.mass, environment.stiffness, low=low, high=high, **times))
 
 
-def display_faults(scene: Scene, axis: AxisScene) -> Iterator[tuple[str, str]]:
-    """Yield key and text of the faults of an admittance display, or of an impedance display simulated as one."""
+def display_faults(axis: AxisScene, bus: BusParameters, *, is_real: bool) -> Iterator[tuple[str, str]]:
+    """Yield key and text of each fault of an admittance display, or of an axis that is only simulated as one."""
     given, display, simulation = axis.parameters, axis.parameters.admittance, axis.simulation
     if display is None:
         yield "", "simulation.admittance: got one, but the axis has no `admittance`; add it there"
@@ -80,7 +84,7 @@ def display_faults(scene: Scene, axis: AxisScene) -> Iterator[tuple[str, str]]:
     got = "got an admittance display"
     if axis.simulated_drive is not None:
         yield "admittance", f"{got}, but this axis moves a simulated mechanism; expected a plant of its own"
-    if scene.bus.rpdo == "event":
+    if bus.rpdo == "event":
         yield "admittance", f"{got} with rpdo: event, whose commands act at an unknown time; use synchronous"
     if simulation is not None and simulation.admittance is None:
         yield "admittance", f"{got}, but simulation.admittance is missing; add loop, grip and sensor"
@@ -92,15 +96,15 @@ def display_faults(scene: Scene, axis: AxisScene) -> Iterator[tuple[str, str]]:
         "speed_limit": given.speed_limit if "speed_limit" in given.model_fields_set else None,
         "watchdog: true": given.watchdog or None,
     }
-    for key in (key for key, value in needed.items() if value is None and not scene.simulated):
+    for key in (key for key, value in needed.items() if value is None and is_real):
         yield "admittance", f"{key}: missing; an admittance display on a real interface does not move without, add it"
 
 
 def refuse_displays(scene: Scene, command: str) -> None:
-    """Refuse a scene with admittance displays for a command that serves impedance displays only.
+    """Refuse a scene with admittance displays in a command for impedance displays only.
 
     Raises:
-        InputError: It has one.
+        InputError: An axis is an admittance display.
     """
     names = ", ".join(axis.parameters.name for axis in scene.axes if axis.parameters.admittance is not None)
     if names:

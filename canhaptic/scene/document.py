@@ -1,9 +1,7 @@
-"""YAML text to plain values that remember where they came from.
+"""YAML text as plain values with their source locations, and the list of faults found in a scene.
 
-Scalars follow YAML 1.2, not PyYAML's 1.1: `1e-3` is a number; `017`, `1:30`, `on` and dates are not something else.
-Keys are kept as the text that was written, so that `0x6076` stays the name of an object.
-
-Diagnostics of a scene: where each one is, and the list that is raised at once.
+Scalars follow YAML 1.2, not PyYAML's 1.1: `1e-3` is a number, `017` is 17, and `1:30`, `on` and dates are plain text.
+Keys stay text as written, so that `0x6076` remains the name of an object.
 """
 
 import re
@@ -15,7 +13,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 import yaml
 
 from canhaptic.axis_units import Motion
-from canhaptic.errors import SceneError
+from canhaptic.errors import SceneError, escaped
 from canhaptic.registry import unknown_key
 from canhaptic.units import shown
 
@@ -23,7 +21,7 @@ _Kind = TypeVar("_Kind", "MarkedMapping", "MarkedList")
 
 
 class SourceLocation(NamedTuple):
-    """The origin of a key or value: a line of a file, or an override on the command line."""
+    """Source of a key or value: a line of a file, or an override on the command line."""
 
     source: str  # file name as given, or the override as typed
     line: int  # counted from 1; 0 when the source has no lines
@@ -37,16 +35,16 @@ class SourceLocation(NamedTuple):
 
     @property
     def folder(self) -> Path:
-        """Base of a relative path given here: the folder of the file, or the current one."""
+        """Folder from which a relative path at this location starts: that of the file, or the current one."""
         return Path(self.source).parent if self.line else Path()
 
     def below(self, *parts: str) -> "SourceLocation":
-        """Return the same location for an entry below it that the source does not contain."""
+        """Return the location for an entry that the source does not contain: the same line, a longer path."""
         return self._replace(path=(*self.path, *parts))
 
 
 class Diagnostics:
-    """Collects every fault of a scene, so that all of them are shown at once and each only once."""
+    """List of the faults of a scene, which are shown together and each only once."""
 
     def __init__(self) -> None:
         self._lines: dict[str, tuple[int, int]] = {}
@@ -57,22 +55,18 @@ class Diagnostics:
     def add(self, mark: SourceLocation, message: str) -> None:
         """Note a fault as `file:line:column: path: message`."""
         path = f"{'.'.join(mark.path)}: " if mark.path else ""
-        line = "".join(
-            letter if letter.isprintable() else letter.encode("unicode_escape").decode()
-            for letter in f"{mark.where}: {path}{message}"
-        )
-        self._lines.setdefault(line, (mark.line, mark.column))
+        self._lines.setdefault(escaped(f"{mark.where}: {path}{message}"), (mark.line, mark.column))
 
     def mapping(self, value: object, at: SourceLocation, what: str) -> "MarkedMapping | None":
-        """Return a value that must be a mapping; None, with a fault, when it is something else."""
+        """Return a value that must be a mapping; note a fault and return None if it is not."""
         return self._of_kind(MarkedMapping, value, at, f"a mapping of {what}")
 
     def section(self, owner: "MarkedMapping", key: str, what: str) -> "MarkedMapping | None":
-        """Return an entry that must be a mapping; None where there is none, and with a fault for something else."""
+        """Return an entry that must be a mapping, None if it is missing; note a fault if it is something else."""
         return None if owner.get(key) is None else self.mapping(owner[key], owner.value_at(key), what)
 
     def list(self, value: object, at: SourceLocation, what: str) -> "MarkedList | None":
-        """Return a value that must be a list; None, with a fault, when it is something else."""
+        """Return a value that must be a list; note a fault and return None if it is not."""
         return self._of_kind(MarkedList, value, at, f"a list of {what}")
 
     def _of_kind(self, kind: type[_Kind], value: object, at: SourceLocation, what: str) -> _Kind | None:
@@ -89,7 +83,7 @@ class Diagnostics:
                 self.add(section.keys_at[key], unknown_key(key, names))
 
     def error(self, kind: type[SceneError] = SceneError) -> SceneError:
-        """Return the error with the first faults noted so far, in the order of the file; overrides come first."""
+        """Return an error with the faults noted so far, overrides first, then in the order of the file."""
         lines = sorted(self._lines, key=lambda line: self._lines[line])
         more = len(lines) - _MOST_SHOWN
         return kind([*lines[:_MOST_SHOWN], *([f"and {more} more faults"] if more > 0 else [])])
@@ -117,15 +111,15 @@ _SCALARS: Final = (
 
 
 class MarkedMapping(dict[str, Any]):
-    """A mapping of the scene.
+    """A mapping of the scene with its source locations.
 
     Attributes:
         mark: Source location of the mapping.
         keys_at: Source locations of its keys.
         values_at: Source locations of its values.
-        elsewhere: Keys that it may have and that were removed, because another part reads them.
-        motion: Linear or rotary axis whose units apply; None: inherited.
-        was: Type before an override named another one, "" for none; None: no override named one.
+        elsewhere: Valid keys that are removed here because another part reads them.
+        motion: Unit of position ("m" or "rad") that decides the units of its values; None: inherited.
+        was: Its type before an override changed it, "" if it had none; None if no override did.
     """
 
     def __init__(self, mark: SourceLocation, motion: Motion | None = None) -> None:
@@ -144,12 +138,12 @@ class MarkedMapping(dict[str, Any]):
         self.values_at[key] = value_at
 
     def set(self, key: str, value: Any) -> None:
-        """Set an entry that the document does not have; errors name the location of the value, or of the mapping."""
+        """Set an entry that the document does not contain; it has the location of the value, else of the mapping."""
         at = value.mark if isinstance(value, MarkedMapping | MarkedList) else self.mark
         self.put(key, value, at, at)
 
     def value_at(self, key: str) -> SourceLocation:
-        """Return the location of an entry, or where it would be when it is missing."""
+        """Return the location of an entry; for a missing one that of the mapping, with the key in its path."""
         return self.values_at.get(key) or self.mark.below(key)
 
     def copy(self) -> "MarkedMapping":
@@ -162,7 +156,7 @@ class MarkedMapping(dict[str, Any]):
         return twin
 
     def without(self, *names: str) -> "MarkedMapping":
-        """Return a copy without the entries that another part reads."""
+        """Return a copy without some entries, which another part reads."""
         twin = self.copy()
         twin.elsewhere += names
         for name in names:
@@ -177,7 +171,7 @@ class MarkedMapping(dict[str, Any]):
         return twin
 
     def over(self, lower: "MarkedMapping") -> "MarkedMapping":
-        """Return the entries of both; where both have a key, this mapping's entry and location win."""
+        """Return the entries of both mappings; this one's entry and location win."""
         twin = self.copy()
         for key, value in lower.items():
             if key not in self:
@@ -221,7 +215,7 @@ def parse_yaml(text: str, source: str, faults: Diagnostics, path: tuple[str, ...
         source: Name of the document in every fault.
         faults: Receives syntax errors, duplicate keys and anything else that is not plain data.
         path: Path of the value in the scene.
-        lined: False for text without lines of its own, such as an override.
+        lined: Whether locations have line numbers; False for an override.
     """
     top = SourceLocation(source, int(lined), int(lined), path)
     try:
@@ -243,7 +237,7 @@ def parse_yaml(text: str, source: str, faults: Diagnostics, path: tuple[str, ...
 
 @lru_cache(maxsize=32)  # a sweep reads one file for each of its scenes: reading it is most of what loading costs
 def compose(text: str) -> yaml.Node | None:
-    """Return the nodes of a document with their line and column, without building values.
+    """Return the YAML nodes of a document, with their lines and columns.
 
     Raises:
         yaml.YAMLError: It is not valid.
@@ -254,7 +248,7 @@ def compose(text: str) -> yaml.Node | None:
 
 
 class _Builder:
-    """Turns composed nodes into marked values; every fault is noted and reading continues."""
+    """Conversion of YAML nodes to marked values; faults are noted, and reading continues."""
 
     def __init__(self, source: str, lined: bool, faults: Diagnostics) -> None:
         self._source = source
@@ -270,7 +264,7 @@ class _Builder:
         return SourceLocation(self._source, place.line + 1, place.column + 1, path)
 
     def value(self, node: yaml.Node, path: tuple[str, ...]) -> Any:
-        """Return the value of a node; None, with a fault, when it is not plain data."""
+        """Return the value of a node; note a fault and return None if it is not plain data."""
         self._nodes += 1
         mark = self._mark(node, path)
         if any(node is outer for outer in self._open):
@@ -348,7 +342,7 @@ def _read_scalar(kind: str, text: str) -> Any:
 
 
 def mark_plain(value: Any, source: str, path: tuple[str, ...] = ()) -> Any:
-    """Return plain Python mappings and sequences as marked ones, for scenes made without a file."""
+    """Return Python mappings and sequences as marked ones, for a scene without a file."""
     mark = SourceLocation(source, 0, 0, path)
     if isinstance(value, Mapping):
         result = MarkedMapping(mark)

@@ -1,4 +1,4 @@
-"""The text of a scene with some values replaced; comments, order and everything else are unchanged."""
+"""Replacement of values in the text of a scene, which keeps comments, order and everything else."""
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,25 +16,25 @@ _COMMENT: Final = re.compile(r"[ \t]*(#.*)?$", re.MULTILINE)
 
 
 class Change(NamedTuple):
-    """One value of a scene."""
+    """New value or comment for one entry of a scene."""
 
-    path: tuple[str, ...]  # keys, and indices or names of entries of lists
-    value: str | None  # as YAML; None: kept where it is written, and nothing is added where it is not
-    comment: str | None = None  # in place of the one behind it, with its mark; None: kept
+    path: tuple[str, ...]  # keys, and indices or names of list entries
+    value: str | None  # as YAML; None: an entry that is written keeps its value, and a missing one is not added
+    comment: str | None = None  # replaces the comment of the line; None: kept
 
 
 def edited_scene(scene: Scene, changes: Sequence[Change], place: str, *, allow_code: bool = False) -> str:
-    """Return the text of a scene with its overrides and some changes written into it.
+    """Return the text of a scene with its overrides and further changes written into it.
 
     Args:
         scene: Scene as loaded.
-        changes: Changes, applied in their order.
+        changes: Changes, applied in order.
         place: File that the text is for; relative paths start from it.
         allow_code: As for `load_scene`.
 
     Raises:
-        InputError: The text cannot be edited so that it means the scene with the changes.
-        SceneError: The scene with the changes is none.
+        InputError: The edited text would not mean the changed scene.
+        SceneError: The changed scene is wrong.
     """
     overrides = [Change(*split_override(text)) for text in scene.overrides]
     text = edited_text(scene.text, [*overrides, *changes, *_kept_apart(scene.text, changes)])
@@ -47,7 +47,7 @@ def edited_scene(scene: Scene, changes: Sequence[Change], place: str, *, allow_c
 
 
 def _kept_apart(text: str, changes: Sequence[Change]) -> Iterator[Change]:
-    """Yield the old value of each key that an axis would take over by an anchor from one whose key changes."""
+    """Yield the old value of each key that an axis merges (`<<`) from an axis whose value changes."""
     axes = _child(compose(text), "axes")
     changed = [change.path[1:] for change in changes if change.path[:1] == ("axes",) and change.value is not None]
     given = [path for path in changed if _child(_child(axes, path[0]), "<<") is None]  # in a mapping that others merge
@@ -62,10 +62,10 @@ def _kept_apart(text: str, changes: Sequence[Change]) -> Iterator[Change]:
 
 
 def edited_text(text: str, changes: Iterable[Change]) -> str:
-    """Return YAML text with changes made in it, one after the other.
+    """Return YAML text with changes applied in order.
 
     Raises:
-        InputError: A change is not of a single value, or lies below one.
+        InputError: A path leads to a whole section, or below a single value.
     """
     for change in changes:
         node: yaml.Node | None = compose(text)
@@ -93,7 +93,7 @@ def _quoted(path: Iterable[str]) -> list[str]:
 
 
 def _child(node: yaml.Node | None, part: str) -> yaml.Node | None:
-    """Entry of a mapping by its key, or of a list by its index or its `name`; None without one."""
+    """Return the entry of a mapping by key, or of a list by index or `name`; None if there is none."""
     if isinstance(node, yaml.MappingNode):
         return next((value for key, value in node.value if key.value == part), None)
     if isinstance(node, yaml.SequenceNode):
@@ -104,7 +104,7 @@ def _child(node: yaml.Node | None, part: str) -> yaml.Node | None:
 
 
 def _replaced(text: str, node: yaml.Node | None, change: Change) -> str:
-    """The text with another value, and with another comment behind it where it ends its line."""
+    """Return the text with another value, and another comment if the value ends its line."""
     if not isinstance(node, yaml.ScalarNode):
         raise InputError(f"{'.'.join(change.path)}: is a whole section; put it into the scene's file first")
     begin, end = node.start_mark.index, node.end_mark.index
@@ -121,14 +121,14 @@ def _replaced(text: str, node: yaml.Node | None, change: Change) -> str:
 
 
 def _after_comment(text: str, end: int, column: int) -> int:
-    """Return the end of the lines that continue a line's comment: pure comments, right of a column."""
+    """Return the end of a comment that continues on further lines: pure comments, right of a column."""
     while following := re.compile(rf"\n {{{column + 1},}}#.*").match(text, end):
         end = following.end()
     return end
 
 
 def _inserted(text: str, node: yaml.Node | None, path: Sequence[str], change: Change) -> str:
-    """Return the text with an entry that a mapping did not have, behind its last one."""
+    """Return the text with a new entry behind the last one of a mapping."""
     if not isinstance(node, yaml.MappingNode) or not node.value:
         raise InputError(f"{'.'.join(change.path)}: cannot be written there; give {path[0]} in the scene's file first")
     key, *below = path
@@ -148,7 +148,7 @@ def _inserted(text: str, node: yaml.Node | None, path: Sequence[str], change: Ch
 
 
 def _end(node: yaml.Node) -> int:
-    """Return where the last value of a node ends; a block ends behind the comments that follow it, for YAML."""
+    """Return where the last value of a node ends; YAML's own end of a block includes the comments behind it."""
     if not isinstance(node, yaml.CollectionNode) or node.flow_style or not node.value:
         return int(node.end_mark.index)
     last = node.value[-1]

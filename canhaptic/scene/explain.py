@@ -1,4 +1,4 @@
-"""Errors of pydantic as diagnostics of a scene, with line, value seen, unit and range; loaded with the first."""
+"""Conversion of pydantic's errors to faults of a scene, with line, value seen, unit and range."""
 
 import dataclasses
 import typing
@@ -24,11 +24,11 @@ _SHAPES: Final = {
 
 
 def note_errors(model: type, section: MarkedMapping, error: ValidationError, faults: Diagnostics) -> None:
-    """Note every error of a validation at the location of its value; a value that several types refuse is noted once.
+    """Note every error of a validation at the location of its value, and one error for a value of several types.
 
     Args:
         model: Validated class: a parameter model, or a dataclass of parameter models.
-        section: Section that it was validated from.
+        section: Section that was validated.
         error: Error of pydantic.
         faults: Receives one line per error.
     """
@@ -47,13 +47,13 @@ def note_errors(model: type, section: MarkedMapping, error: ValidationError, fau
 
 
 def _either(texts: Iterable[str]) -> str:
-    """Error text of a value, and the expectation of each of its types."""
+    """Return the error text of a value, with what each of its types expects."""
     first, *others = dict.fromkeys(texts)
     return " or ".join([first, *(text.partition("expected ")[2] or text for text in others)])
 
 
 class _KeyLocation(NamedTuple):
-    """Place in the scene of a location of pydantic."""
+    """Key of a scene to which a location of pydantic refers."""
 
     name: str  # of the key, as written
     value: object  # as written
@@ -62,11 +62,11 @@ class _KeyLocation(NamedTuple):
     annotation: object  # of the field; None where no model has it
     names: tuple[str, ...]  # of all keys that its mapping may have
     motion: Motion | None
-    depth: int  # parts of the location of pydantic that lead to it; those behind are its own, as a branch of a union
+    depth: int  # parts of pydantic's location that lead to the key; later ones are internal, such as a union's branch
 
 
 def _find(model: type, section: MarkedMapping, fault: ErrorDetails) -> _KeyLocation:
-    """Walk models and values to a fault; a missing value takes its owner's place, and its value from pydantic."""
+    """Return the key of a fault, found along models and values; a missing value has its owner's location."""
     is_key = fault["type"] in {"missing", READY}
     owner: type | None = model
     container: object = section
@@ -111,7 +111,7 @@ def _entry(container: object, name: str, part: int | str) -> object:
 
 
 def _key_of(container: MarkedMapping, part: int | str) -> str:
-    """Return the key as it was written; pydantic names a numbered one by its number."""
+    """Return the key as written; pydantic names a numeric key by its number."""
     if str(part) in container:
         return str(part)
     return next((key for key in container if isinstance(part, int) and _is_number(key, part)), str(part))
@@ -125,7 +125,7 @@ def _is_number(key: str, number: int) -> bool:
 
 
 def _fields(owner: type | None) -> dict[str, object]:
-    """Annotation of each field of a model or dataclass, with its metadata."""
+    """Return the annotation of each field of a model or dataclass, with its metadata."""
     if owner is None:
         return {}
     if issubclass(owner, BaseModel):
@@ -137,13 +137,13 @@ def _fields(owner: type | None) -> dict[str, object]:
 
 
 def _named(annotation: object, kind: int | str) -> type[BaseModel] | None:
-    """Return the model of a union whose `type` this is."""
+    """Return the model of a union that has this `type`."""
     models = (part for part in parts_of(annotation) if isinstance(part, type) and issubclass(part, BaseModel))
     return next((m for m in models if "type" in m.model_fields and m.model_fields["type"].default == kind), None)
 
 
 def _model_in(annotation: object, section: MarkedMapping, owner: type | None) -> tuple[type | None, tuple[str, ...]]:
-    """Return the model of a section in a field of this annotation, `owner` where it has none; and further keys."""
+    """Return the model of a section, `owner` if its annotation has none, and keys that belong to other models."""
     for part in parts_of(annotation):
         if isinstance(part, ComponentOf):
             table = part.table_for(section)
@@ -156,7 +156,7 @@ def _model_in(annotation: object, section: MarkedMapping, owner: type | None) ->
 
 
 def _in_words(found: _KeyLocation, fault: ErrorDetails) -> tuple[SourceLocation, str]:
-    """Place of an error, and its text."""
+    """Return location and text of an error."""
     kind, value = fault["type"], found.value
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         return found.key_at, unknown_key(found.name, found.names)
@@ -177,14 +177,14 @@ def _in_words(found: _KeyLocation, fault: ErrorDetails) -> tuple[SourceLocation,
 
 
 def _tag_fault(annotation: object, seen: object) -> str:
-    """Error text of the `type` that chooses a model of a union."""
+    """Return the error text for a `type` that no model of a union has."""
     fields = (_fields(part).get("type") for part in parts_of(annotation) if isinstance(part, type))
     known = [str(name) for field in fields for name in parts_of(field) if isinstance(name, str)]
     return f"{'missing' if seen is None else 'got ' + shown(seen)}, expected one of: {', '.join(known)}"
 
 
 def _expected(found: _KeyLocation) -> str:
-    """Return `0 < stiffness <= 1e8 [N/m]` for a number with a unit, the required form for a component, else ``."""
+    """Return `0 < stiffness <= 1e8 [N/m]` for a number with a unit, the required keys for a component, else ""."""
     for item in parts_of(found.annotation):
         if isinstance(item, ComponentOf):
             return item.expected

@@ -1,25 +1,29 @@
-"""The simulated side of a scene: plants, mechanisms and drives, the effects of a bus, bounds of simulated devices.
+"""The simulated side of a scene: its sections in the file, plants, mechanisms, drives, and faults of the bus.
 
-A scene without a simulation loads nothing of it.
+`put_far_side` completes the simulation of an axis. A simulated drive inherits the quirks of its axis, so that a scene
+for a real drive shows how that drive will behave; any key of `simulation.drive` wins.
+
+Only a scene with a simulation loads this module.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
 import can
 
+from canhaptic.drive.profile.quirks import TWINS
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.registry import load
 from canhaptic.scene.components import ComponentSpec
-from canhaptic.scene.models import AxisScene, AxisSimulation, MechanismScene, Scene
+from canhaptic.scene.document import Diagnostics, MarkedMapping
+from canhaptic.scene.models import SCALING_KEYS, SIMULATION_PARTS, AxisScene, AxisSimulation, MechanismScene, Scene
+from canhaptic.units import Unit
 
 if TYPE_CHECKING:
     from canhaptic.sim.bus.faulty_bus import FaultyBus
-    from canhaptic.sim.drive.can.drive_node import DriveGroup, Drives, SimulatedDrive
-    from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-    from canhaptic.sim.drive.profile.servo import Motor
+    from canhaptic.sim.drive.can.drive_node import DriveGroup
     from canhaptic.sim.plant.effects import Effect
     from canhaptic.sim.plant.mechanism import Mechanism, MechanismParameters
     from canhaptic.sim.plant.mechanism.shared_mechanism import MechanismMotor
@@ -28,9 +32,11 @@ if TYPE_CHECKING:
 _SEEDS_APART: Final = 1_000_003  # from one bus to the next
 _BOUNDS: Final = ("device_damping_bound", "device_friction_bound")
 _NO_LAG: Final = 1.0
-"""Lag of a torque without a declared bound [s]: the largest accepted, with which nothing is certified."""
+"""Lag of a torque that has no bound [s]: the largest accepted value, with which nothing is certified."""
+_MILLI: Final = 1e-3
+_LARGEST_RATIO: Final = 1e9  # anything larger is a fault of the axis, noted there
 _CHOICES: Final = {"auto": "canhaptic.lab.studies.accuracy.accuracy_choice:with_chosen_accuracy"}
-"""Automatic accuracy -> "module:function" that chooses it; the laboratory, loaded only for a scene that asks for it."""
+"""Automatic accuracy -> "module:function" that chooses it, imported only for a scene with `accuracy: {auto: ...}`."""
 
 
 def build_plant(simulation: AxisSimulation, sample_time_ns: int) -> "Plant":
@@ -52,7 +58,7 @@ def build_plant(simulation: AxisSimulation, sample_time_ns: int) -> "Plant":
 
 
 def effect_of(effect: ComponentSpec) -> "Effect":
-    """Object of an effect's parameters."""
+    """Return the effect itself: its parameters are the object that the plant calls."""
     return cast("Effect", effect.parameters)  # every class of EFFECTS is one
 
 
@@ -66,28 +72,19 @@ def build_mechanism(of: MechanismScene, sample_time_ns: int) -> "Mechanism":
     return parameters.build(of.hand, sample_time_ns, of.substeps)
 
 
-def build_simulated_drive(
-    axis: AxisScene, parameters: "SimulatedDriveParameters", motor: "Motor", bus: can.BusABC, sample_time_ns: int
-) -> "SimulatedDrive":
-    """Return the drive of one axis with its motor; it reads its dictionary itself."""
-    from canhaptic.sim.drive.can.drive_node import SimulatedDrive
-
-    return SimulatedDrive(bus, axis.parameters.node_id, axis.parameters.eds, motor, parameters, sample_time_ns)
-
-
-def shared_motors(scene: Scene) -> "dict[str, MechanismMotor]":
-    """Return the motors of all simulated mechanisms, by the name of their axis."""
+def _shared_motors(mechanisms: Sequence[MechanismScene], sample_time_ns: int) -> "dict[str, MechanismMotor]":
+    """Return the motors of simulated mechanisms, by the name of their axis."""
     from canhaptic.sim.plant.mechanism.shared_mechanism import SharedMechanism
 
     motors: dict[str, MechanismMotor] = {}
-    for of in scene.mechanisms:
-        shared = SharedMechanism(build_mechanism(of, scene.bus.sample_time_ns), len(of.axes))
+    for of in mechanisms:
+        shared = SharedMechanism(build_mechanism(of, sample_time_ns), len(of.axes))
         motors.update(zip(of.axes, shared.motors, strict=True))
     return motors
 
 
 def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"], index: int = 0) -> "FaultyBus":
-    """Return a connection with the effects that a scene names on its buses.
+    """Return a connection with the simulated faults of one bus.
 
     Args:
         bus: Opened connection.
@@ -103,12 +100,6 @@ def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"]
     return FaultyBus(bus, scene.bus_effects, bitrate=bitrate, seed=seed, side=side)
 
 
-def suffers(scene: Scene, name: str) -> bool:
-    """Whether a scene names effects on the bus of this name."""
-    effects = scene.bus_effects
-    return effects is not None and (effects.buses is None or name in effects.buses)
-
-
 def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) -> "DriveGroup":
     """Return the simulated drives of a scene on one connection to the bus.
 
@@ -120,20 +111,21 @@ def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) ->
     Raises:
         InputError: The scene has no `simulation`.
     """
-    from canhaptic.sim.drive.can.drive_node import DriveGroup
+    from canhaptic.sim.drive.can.drive_node import DriveGroup, SimulatedDrive
 
-    scene = with_accuracy(scene)
+    if scene.accuracy_tolerance is not None:
+        scene = with_accuracy(scene)
     period, drives = scene.bus.sample_time_ns, []
-    axes = [axis for axis in scene.axes if name in (None, axis.bus)]
-    motors = shared_motors(scene) if any(axis.simulated_drive is not None for axis in axes) else {}
-    for axis in axes:
+    motors = _shared_motors(scene.mechanisms, period) if scene.mechanisms else {}
+    for axis in (axis for axis in scene.axes if name in (None, axis.bus)):
+        node, eds = axis.parameters.node_id, axis.parameters.eds
         try:
             if axis.simulation is not None:
                 plant = build_plant(axis.simulation, period)
-                drives.append(build_simulated_drive(axis, axis.simulation.drive, plant, bus, period))
+                drives.append(SimulatedDrive(bus, node, eds, plant, axis.simulation.drive, period))
             elif axis.simulated_drive is not None:
                 motor = motors[axis.parameters.name]
-                drives.append(build_simulated_drive(axis, axis.simulated_drive, motor, bus, period))
+                drives.append(SimulatedDrive(bus, node, eds, motor, axis.simulated_drive, period))
                 motor.connect(partial(getattr, drives[-1].servo, "torque"))
         except ParameterError as error:
             raise ParameterError(f"{scene.source}: simulation.drive of {axis.parameters.name}: {error}") from error
@@ -143,39 +135,27 @@ def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) ->
 
 
 def with_accuracy(scene: Scene) -> Scene:
-    """Scene with its automatic accuracy chosen; without one, nothing is imported."""
-    if scene.accuracy_tolerance is None:
-        return scene
+    """Return a scene with `accuracy: {auto: ...}` with its accuracy chosen."""
     chosen: Scene = load(_CHOICES, "auto", "choice of accuracy")(scene)
     return chosen
 
 
-def all_drives(scene: Scene, groups: "list[DriveGroup]") -> "Drives | None":
-    """Return all simulated drives in the order of the axes; None with real ones."""
-    if len(groups) < 2:
-        return groups[0] if groups else None
-    from canhaptic.sim.drive.can.drive_node import AllDrives
-
-    drives = {bus.name: iter(group.drives) for bus, group in zip(scene.buses, groups, strict=True)}
-    return AllDrives(tuple(next(drives[axis.bus]) for axis in scene.axes))
-
-
-def device_bounds(scene: Scene, axis: AxisScene) -> dict[str, float]:
-    """Upper bounds of an axis's simulated device; none for a real one, or one in another process."""
+def device_bounds(axis: AxisScene, mechanisms: Sequence[MechanismScene]) -> dict[str, float]:
+    """Return upper bounds of damping and friction of an axis's simulated device; empty where it is not simulated."""
     if axis.simulation is not None:
         effects = [effect.parameters for effect in axis.simulation.effects]
         damping = axis.simulation.plant.damping + sum(map(_damping, effects))
         return dict(zip(_BOUNDS, (damping, sum(map(_friction, effects))), strict=True))
-    for of in scene.mechanisms:
+    for of in mechanisms:
         if axis.parameters.name in of.axes:
             return _bounds_of_mechanism(of, of.axes.index(axis.parameters.name))
     return {}
 
 
 def _damping(effect: Any) -> float:
-    """Return the largest damping of an effect on the body at the encoder; a stop's and a shaft's are not the device's.
+    """Return the largest damping of an effect on the body at the encoder.
 
-    The bristles of LuGre friction damp as well until they slide.
+    The bristles of LuGre friction damp too until they slide. A stop and a shaft do not damp the device.
     """
     kind = getattr(effect, "type", "")  # own code has none
     if kind == "viscous_friction":
@@ -191,7 +171,7 @@ def _friction(effect: Any) -> float:
 
 
 def _bounds_of_mechanism(of: MechanismScene, place: int) -> dict[str, float]:
-    """The same for one motor of a mechanism: its bearing, or its guide."""
+    """Return the bounds for one motor of a mechanism, from its bearing or its guide."""
     given: Any = of.mechanism.parameters
     guide = f"_{'xy'[place]}" if of.mechanism.name == "xy_stage" else ""
     friction = getattr(given, f"friction{guide}", None)
@@ -200,10 +180,113 @@ def _bounds_of_mechanism(of: MechanismScene, place: int) -> dict[str, float]:
 
 
 def lag_of(axis: AxisScene) -> float:
-    """Largest time constant from the commanded torque to the motor's [s]; `_NO_LAG` where it may not follow at all."""
+    """Return the largest time constant from commanded to motor torque [s]; `_NO_LAG` if the motor may not follow."""
     effects = {of.name: of.parameters for of in axis.simulation.effects} if axis.simulation is not None else {}
     lag = float(getattr(effects.get("current_loop"), "time_constant", 0.0))
     slowest: Callable[..., float] | None = getattr(effects.get("voltage_limit"), "slowest_lag", None)
     if slowest is None:
         return lag
     return min(slowest(lag, axis.parameters.torque_limit or inf, axis.parameters.largest_speed), _NO_LAG)
+
+
+def _twin_of(axis: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys of the simulated drive that follow from its axis; wrong values of the axis are skipped.
+
+    Args:
+        axis: Keys of the axis as written, completed from its profile.
+    """
+    twin: dict[str, Any] = {}
+    names = axis.get("quirks")
+    for name in names if isinstance(names, list | tuple) else ():
+        for key, value in TWINS.get(str(name), {}).items():
+            twin[key] = _joined(twin.get(key), value)
+    if axis.get("demand_reported") == "after":
+        twin["torque_read_back"] = "after_update"
+    if isinstance(axis.get("brake"), Mapping):
+        twin["brake"] = axis["brake"]
+    ratio = _ratio(axis.get("transmission"))
+    if ratio is not None:  # 0x6076 counts the motor's torque
+        twin["rated_torque_resolution"] = ratio * twin.get("rated_torque_resolution", _MILLI)
+    return twin
+
+
+def _ratio(written: object) -> float | None:
+    """Return a transmission ratio; None without one, or with a wrong one, which is noted as a fault of the axis."""
+    try:
+        ratio = Unit("1/m", "1").read(written)
+    except ValueError:
+        return None
+    return ratio if isinstance(ratio, int | float) and 0.0 < ratio < _LARGEST_RATIO else None
+
+
+def _joined(before: Any, value: Any) -> Any:
+    if isinstance(before, list):
+        return [*before, *value]
+    return {**before, **value} if isinstance(before, dict) else value
+
+
+def put_far_side(
+    axis: MarkedMapping, name: str, simulation: MarkedMapping, moves_mechanism: bool, faults: Diagnostics
+) -> None:
+    """Set the simulation of an axis: drive, plant, user and effects, or the drive alone if it moves a mechanism."""
+    parts, own = simulation.only(SIMULATION_PARTS), _own_parts(name, simulation, faults)
+    for key, value in own.items():
+        below = parts.get(key)
+        if isinstance(value, MarkedMapping) and isinstance(below, MarkedMapping):
+            value = value.over(below)
+        parts.put(key, value, own.keys_at[key], own.values_at[key])
+    drive = _drive(parts, axis["parameters"], faults)
+    if moves_mechanism:
+        axis.set("simulated_drive", drive)
+        for key in own.keys() & {"plant", "user", "effects"}:
+            text = f"{name!r} moves a mechanism, which has masses and hand of its own; leave it out"
+            faults.add(own.keys_at[key], text)
+        return
+    for key in ("user", "effects", "admittance"):
+        if parts.get(key) is None:
+            parts = parts.without(key)
+    if parts.get("plant") is None:
+        parts.set("plant", MarkedMapping(parts.value_at("plant")))
+    parts.set("drive", drive)
+    axis.set("simulation", parts.only(SIMULATION_PARTS))
+
+
+def _own_parts(name: str, simulation: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
+    """Return the entry of an axis in `simulation.axes`; an empty mapping without one."""
+    axes, own = simulation.get("axes"), None
+    if isinstance(axes, MarkedMapping):
+        own = faults.section(axes, name, ", ".join(SIMULATION_PARTS))
+    return MarkedMapping(simulation.mark) if own is None else own
+
+
+def _drive(parts: MarkedMapping, axis: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
+    """Return the simulated drive's parameters; its scaling is the axis's unless it has its own."""
+    written = faults.section(parts, "drive", "its parameters")
+    drive = MarkedMapping(parts.value_at("drive")) if written is None else written.copy()
+    for key in SCALING_KEYS:
+        if key not in drive and axis.get(key) is not None:
+            drive.put(key, axis[key], axis.keys_at[key], axis.values_at[key])
+    for key, value in _twin_of(axis).items():
+        if key not in drive:
+            drive.put(key, value, axis.value_at("quirks"), axis.value_at("quirks"))
+    _mirror_display(drive, axis)
+    return drive
+
+
+def _mirror_display(drive: MarkedMapping, axis: MarkedMapping) -> None:
+    """Give the simulated drive of an admittance display the scales of its axis, unless it has its own."""
+    display = axis.get("admittance")
+    own = drive.get("display", MarkedMapping(drive.mark))
+    if not isinstance(display, MarkedMapping) or not isinstance(own, MarkedMapping):
+        return
+    force = display.get("force")
+    if not isinstance(force, MarkedMapping) or "per_count" not in force:
+        return
+    at = axis.value_at("admittance")
+    scales, named = own.copy(), {f"force_{key}": force.get(key) for key in ("object", "node", "per_count")}
+    named["force_offset_counts"] = force.get("offset_counts", 0.0)
+    named["velocity_counts"] = display.get("velocity_counts")
+    for key, value in named.items():
+        if value is not None and key not in scales:
+            scales.put(key, value, at, at)
+    drive.put("display", scales, at, at)

@@ -1,8 +1,7 @@
-"""Check of whether a wall is rendered: the scene's own algorithm against a handle that approaches at constant speed.
+"""Check of whether a wall is felt: the scene's own algorithm, with a handle that enters the wall at constant speed.
 
-A hand that moves the handle at constant speed brings in the most energy that a contact can, so that the algorithm is as
-free as it ever is at that speed. Positions are encoder readings, and torques act in the declared hold; no plant and no
-bus take part.
+A handle at constant speed brings in the most energy possible at that speed, so that the algorithm limits the torque
+least. Positions are encoder readings, and torques act in the declared hold; plant and bus are not simulated.
 """
 
 from collections.abc import Iterator, Mapping
@@ -19,40 +18,40 @@ from canhaptic.scene.models import AxisScene
 from canhaptic.scene.parts import build_axis_controller
 
 FELT: Final = 0.5
-"""Part of the wall that is rendered in a contact that is felt."""
+"""Fraction of a wall's effort from which the wall counts as felt."""
 _OUTSIDE: Final = 30
-"""Holds before the contact."""
+"""Number of holds before the contact."""
 _MOST: Final = 600
-"""Holds of one contact."""
+"""Largest number of holds of one contact."""
 _PRESS: Final = 1.0
-"""Time for which a wall is pressed while frames are lost [s]."""
+"""Duration of a press on the wall with lost frames [s]."""
 _LOST: Final = (0.001, 0.003, 0.01, 0.03, 0.1)
-"""Shares of lost frames that are tried."""
+"""Fractions of lost frames that are tried."""
 _PHASE: Final = 0.37
-"""Place of the positions between two counts."""
+"""Position between two encoder counts, as a fraction of a count."""
 _SPEEDS: Final = tuple(3.0**-power for power in range(9))
-"""Speeds that are tried, as parts of the largest of the axis."""
+"""Speeds that are tried, as fractions of the largest speed of the axis."""
 _PARTS: Final = (1.0, 0.5, 0.25, 0.125)
 """Fractions of a handle's largest speed at which the rendered share of a wall is judged."""
 _STEPS: Final = 6
-"""Bisections of a speed or of a value."""
+"""Number of bisections of a speed or a value."""
 _TO_BLAME: Final = ("current_lag", "torque_window", "hand_force", "device_friction_bound", "device_damping_bound")
-"""Declarations that may keep the wall from being rendered; less of each is better."""
+"""Declarations that may keep a wall from being rendered; smaller values render more."""
 ALLOWANCES: Final = tuple(10.0**power for power in range(-9, -2))
-"""Energies that are tried as an allowance [J]."""
+"""Values of `energy_allowance` that are tried [J]."""
 
 
 class Remedy(NamedTuple):
-    """A declaration that keeps the wall from being rendered."""
+    """A declaration that keeps a wall from being rendered, and a value that does not."""
 
     key: str
     value: float  # as declared
-    enough: float  # with which the wall is felt, all else as it is
+    enough: float  # value with which the wall is felt, all else unchanged
     unit: str
 
     @property
     def text(self) -> str:
-        """Return the declaration and the remedy in words."""
+        """Declaration and remedy in words."""
         return f"{self.key} {self.value:.3g} {self.unit} prevents it, {self.enough:.2g} {self.unit} would not"
 
 
@@ -64,7 +63,7 @@ def can_be_tried(axis: AxisScene) -> bool:
 
 
 def slowest_felt(axis: AxisScene) -> float | None:
-    """Return the approach speed from which the wall is felt [m/s or rad/s]; infinite where there is no wall.
+    """Return the slowest approach at which the wall is felt [m/s or rad/s]; infinite if it is felt at none.
 
     None for an axis whose contact cannot be computed.
     """
@@ -107,9 +106,10 @@ def rendered_share(axis: AxisScene, speed: float) -> float:
 
 
 def halves_rendered(axis: AxisScene, speed: float) -> tuple[float, float] | None:
-    """Return the rendered fractions of the effort against the motion and along it, 0 to 1; None where none is along it.
+    """Return the rendered fractions of the effort against the motion and along it, 0 to 1.
 
-    Beyond a crest the effort pulls the handle onward: that half of a detent is felt as its snap.
+    None if no effort acts along the motion. Beyond the crest of a detent the effort pulls the handle onward, which is
+    felt as its snap.
 
     Args:
         axis: Axis for which `can_be_tried` is true.
@@ -125,7 +125,7 @@ def halves_rendered(axis: AxisScene, speed: float) -> tuple[float, float] | None
 
 
 def with_declared(axis: AxisScene, declared: Mapping[str, float]) -> AxisScene:
-    """Return the axis with other values in its section `passivity`, in SI."""
+    """Return the axis with other values of keys in its section `passivity`, in SI."""
     of_loop = {key: value for key, value in declared.items() if key in type(axis.loop).model_fields}
     others = {key: value for key, value in declared.items() if key not in of_loop}
     parameters: Any = axis.passivity.parameters
@@ -134,7 +134,7 @@ def with_declared(axis: AxisScene, declared: Mapping[str, float]) -> AxisScene:
 
 
 def remedies(axis: AxisScene, speed: float) -> list[Remedy]:
-    """Declarations whose reduction lets the wall be felt at a speed [m/s or rad/s], the nearest first."""
+    """Return the declarations that hide a wall at a speed [m/s or rad/s], the smallest reduction first."""
     units = {"current_lag": "s", "torque_window": "s", "device_damping_bound": f"N*s/{axis.parameters.unit}"}
     found = []
     for key in _TO_BLAME:
@@ -150,7 +150,7 @@ def remedies(axis: AxisScene, speed: float) -> list[Remedy]:
 
 
 def enough_allowance(axis: AxisScene, speed: float) -> float | None:
-    """Least energy of `ALLOWANCES` with which the wall is felt at a speed [J]; None if none suffices."""
+    """Return the least of `ALLOWANCES` with which the wall is felt at a speed [J]; None if none suffices."""
     if not hasattr(axis.passivity.parameters, "energy_allowance"):
         return None
     tried = ((each, with_declared(axis, {"energy_allowance": each})) for each in ALLOWANCES)
@@ -158,7 +158,7 @@ def enough_allowance(axis: AxisScene, speed: float) -> float | None:
 
 
 def advice(axis: AxisScene) -> str:
-    """Declaration that keeps a wall from being felt, and a value that helps."""
+    """Return which declaration keeps a wall from being felt, and values that help."""
     slowest, unit = slowest_felt(axis) or inf, f"{axis.parameters.unit}/s"
     begins = "no approach" if slowest == inf else f"an approach slower than {slowest:.3g} {unit}"
     aim = 0.01 * axis.parameters.largest_speed if slowest == inf else slowest / 3.0
@@ -175,9 +175,9 @@ def advice(axis: AxisScene) -> str:
 
 
 def share_of_wall(axis: AxisScene, fastest: float, declared: Mapping[str, float]) -> float:
-    """Share of the wall that is rendered during approach, the mean over several speeds.
+    """Return the fraction of a wall that is rendered during approach, averaged over several speeds.
 
-    1 where the axis has no wall: a group or a display, or another environment.
+    1 for an axis without a wall: in a group, an admittance display, or another environment.
 
     Args:
         axis: Axis with its environment and algorithm.
@@ -201,11 +201,11 @@ def _inward(environment: Environment) -> tuple[float, float] | None:
 
 
 def kept_through_losses(axis: AxisScene, speed: float) -> list[tuple[float, float]]:
-    """Return which part of a wall is felt in a second of pressing, for each of some shares of lost frames.
+    """Return (fraction of lost frames, fraction of the wall that is felt in one second of pressing) for several losses.
 
-    A frame takes what the torques under way might have given out unseen (`certified_torque`), which late torques,
-    friction and a fast hand make large; pressing on brings it in again. The declared mass is pushed, with a damping
-    that allows the speed, and either frame of a cycle is lost at random.
+    Each lost frame costs the energy that queued torques might have generated unseen (`certified_torque`); late torques,
+    friction and a fast hand increase it, and pressing on brings it back. A hand pushes the declared mass, whose damping
+    permits the speed; RPDO and TPDO of each cycle are lost at random.
 
     Args:
         axis: Axis for which `can_be_tried` is true.

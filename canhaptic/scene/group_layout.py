@@ -1,4 +1,4 @@
-"""Groups of axes and simulated mechanisms of a scene file, converted to `GroupScene` and `MechanismScene`.
+"""Conversion of the groups of axes and the simulated mechanisms of a scene file to the fields of `Scene`.
 
     groups:
       - name: stylus
@@ -10,7 +10,7 @@
       mechanisms:
         - {type: five_bar, axes: [left, right], base: 0.1 m, hand: {stiffness: 300 N/m, rest: [0 m, 0.25 m]}}
 
-Keys of `passivity` that concern the loop of all axes are in `passivity` of the group; an axis may have its own.
+`passivity` of the group also has the loop keys of all its axes; an axis may replace them in its own `passivity`.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ class Members(NamedTuple):
     axes: tuple[str, ...]
 
     def as_group(self, units: dict[str, Motion]) -> MarkedMapping:
-        """Return a group in the units of its axes, and its rendering in the units of its task space."""
+        """Return a group whose `passivity` is in the units of its axes, and whose network is in those of task space."""
         motions = {units[name] for name in self.axes if name in units}
         motor = next(iter(motions)) if len(motions) == 1 else None
         section = self.section.copy()
@@ -50,7 +50,7 @@ class Members(NamedTuple):
         return section
 
     def as_mechanism(self) -> MarkedMapping:
-        """Return a simulated mechanism; its hand moves in metres, for linear and rotary motors."""
+        """Return a simulated mechanism, whose hand moves in metres even if its motors are rotary."""
         section = MarkedMapping(self.section.mark)
         section.put("axes", self.axes or NOTED, section.mark, self.section.value_at("axes"))
         section.set("mechanism", self.section.without("axes", "hand"))
@@ -60,7 +60,7 @@ class Members(NamedTuple):
 
 
 def members_of(owner: MarkedMapping | None, key: str, what: str, faults: Diagnostics) -> list[Members]:
-    """Return the groups or the mechanisms of a scene with their axes; faults in them are noted."""
+    """Return the groups or mechanisms of a scene with their axes, and note their faults."""
     if owner is None or owner.get(key) is None:
         return []
     entries = faults.list(owner[key], owner.value_at(key), what)
@@ -80,7 +80,7 @@ def _names_of_axes(section: MarkedMapping, faults: Diagnostics) -> tuple[str, ..
 def check_group_axes(
     groups: Sequence[Members], mechanisms: Sequence[Members], names: Sequence[str], faults: Diagnostics
 ) -> None:
-    """Note unknown or already used names of axes, and names of groups that are already used.
+    """Note unknown axes, axes in two groups or two mechanisms, and duplicate names of groups.
 
     Args:
         groups: Groups from `members_of`.
@@ -110,7 +110,7 @@ def check_group_axes(
 
 
 def _moving(value: object, motion: Motion | None) -> object:
-    """Section whose values are in the units of a motion; unchanged if it is not a mapping."""
+    """Return a section with values in the units of a motion; what is no mapping is unchanged."""
     if not isinstance(value, MarkedMapping):
         return value
     section = value.copy()

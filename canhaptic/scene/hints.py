@@ -1,6 +1,7 @@
-"""Stability hints: limits from the rate, the delay and the device, compared with the scene.
+"""Stability hints: limits of stiffness and damping from rate, delay and device, compared with the requested values.
 
-Figures of an admittance display worth knowing before the first touch; see `canhaptic.control.admittance`.
+For an admittance display they are the lightest mass felt and the energy of its faults; see
+`canhaptic.control.admittance`.
 """
 
 import math
@@ -20,27 +21,27 @@ from canhaptic.scene.displays import display_properties
 from canhaptic.scene.models import AxisScene, Scene
 
 _BY_DAMPING: Final = ("guarded", "energy_bounding")
-"""Algorithms that certain damping of the device certifies."""
+"""Algorithms with a certificate from the damping of the device."""
 LEAN: Final = 0.25
-"""Force of a hand that leans on a wall, as a part of the torque limit."""
+"""Force of a hand that leans on a wall, as a fraction of the torque limit."""
 DRAG: Final = 0.1
 """Drag that is hardly felt [N or N*m]."""
 
 
 ENCODER: Final = "with this encoder, f_c / count"
-"""End of the name of the stiffness that dry friction sustains."""
+"""End of the name of the stiffness that dry friction keeps."""
 LARGEST_ADVISED: Final = 1e-3
 """Largest energy allowance that is proposed [J]: 0.25 kg at 9 cm/s."""
 _ANY_TORQUE: Final = 1e9  # [N or N*m]
 
 
 def advised_allowance(loop: LoopProperties, hand_force: float, losses: int = 0) -> float:
-    """Return the energy allowance [J] that lets a wall of half the certified stiffness engage at any approach speed.
+    """Return the energy allowance [J] with which a wall of half the certified stiffness engages at any approach speed.
 
     It is h F_h^2 / 4 with h = T^2 / m, three times that with a delay of one sample, at most `LARGEST_ADVISED`.
 
     Args:
-        loop: Properties of the loop and of the device; the result is 0 where they certify nothing by a hand force.
+        loop: Properties of the loop and the device; the result is 0 without the declarations for a hand force.
         hand_force: Declared force of the hand [N or N*m].
         losses: Consecutive lost cycles that the certificates survive.
     """
@@ -54,7 +55,7 @@ def advised_allowance(loop: LoopProperties, hand_force: float, losses: int = 0) 
 
 
 def allowance_words(energy: float, loop: LoopProperties, unit: str) -> str:
-    """Return the effect of an energy allowance [J], in words, for an axis in m or rad."""
+    """Return in words what an energy allowance [J] permits, for an axis in m or rad."""
     mass = loop.moving_mass or 1.0
     moving = f"{mass:.2g} {mass_unit(unit)} at {sqrt(2.0 * energy / mass):.2g} {unit}/s"
     return f"never more than this beyond what came in since the start: {moving}"
@@ -68,13 +69,13 @@ class Hint(NamedTuple):
     limit: float | None  # None when it is not known
     asked: float | None  # by the scene; None where there is nothing to compare
     unit: str
-    text: str  # where the limit comes from, or what to give so that it is known
-    concerns: bool = True  # False: a limit of a plain wall, which the chosen algorithm does not rest on
-    certificate: str = ""  # whose largest stiffness this is: "device damping", "hand force", "hand speed" or "largest"
+    text: str  # source of the limit, or the declaration that is missing
+    concerns: bool = True  # False: a limit of a plain wall, on which the chosen algorithm does not depend
+    certificate: str = ""  # that limits this stiffness: "device damping", "hand force", "hand speed" or "largest"
 
     @property
     def exceeded(self) -> bool:
-        """Whether the scene asks for more than the limit."""
+        """Whether the scene requests more than the limit."""
         return self.limit is not None and self.asked is not None and self.asked > self.limit
 
 
@@ -85,7 +86,7 @@ def hints_of(scene: Scene) -> list[Hint]:
 
 
 def stability_hints(axis: AxisScene) -> list[Hint]:
-    """Return the limits of one axis; none of them is enforced here: the passivity algorithm protects."""
+    """Return the limits of one axis; they are information only, the passivity algorithm enforces passivity."""
     if axis.group or axis.parameters.admittance is not None:
         return []  # see `group_hints`, `display_hints`
     if not axis.is_read:
@@ -95,7 +96,7 @@ def stability_hints(axis: AxisScene) -> list[Hint]:
 
 
 def later_hints(scene: Scene) -> list[Hint]:
-    """Return the cost of the additional hold of delay of user code that runs in a process of its own."""
+    """Return the limits of axes whose user code runs in a separate process, with its additional hold of delay."""
     if (scene.run.code_runs_in or ("cycle" if scene.simulated else "process")) == "cycle":
         return []
     hints = []
@@ -111,9 +112,9 @@ def later_hints(scene: Scene) -> list[Hint]:
 
 
 def group_hints(scene: Scene) -> list[Hint]:
-    """Return the limits that each group's certificates permit on each single axis, in motor coordinates.
+    """Return the limits of each axis in a group by the group's certificates, in motor coordinates.
 
-    The network's stiffness is in task space; both agree where the kinematics are `identity`.
+    The stiffness of the network is in task space, which is that of the motors only with `identity` kinematics.
     """
     hints = []
     for group in scene.groups:
@@ -135,10 +136,10 @@ def _losses(axis: AxisScene) -> int:
 
 
 def _apart_hint(axis: AxisScene, axes: int) -> list[Hint]:
-    """Cost of certifying each axis separately while several move together.
+    """Return the cost of certifying each axis separately while several move together.
 
-    Of torques f and -f on axes that both move by D = v T in a hold, the one that gives f D out counts for all H holds
-    and the other not: H f D <= f^2 / 2k leaves the extension f / k >= 2 H T v.
+    For torques f and -f on two axes that both move by D = v T in a hold, the energy f D generated by one counts in all
+    H holds, and the energy absorbed by the other in none: H f D <= f^2 / 2k needs an extension f / k >= 2 H T v.
     """
     losses, unit = _losses(axis), axis.parameters.unit
     if axes == 1 or not losses:
@@ -165,7 +166,7 @@ def _hint(
 
 
 def _known(axis: AxisScene, key: str, of_plant: str) -> tuple[float | None, str]:
-    """Return a property of the device and where it comes from: declared, else the simulated plant's."""
+    """Return a property of the device, declared or of the simulated plant, and its source."""
     declared = getattr(axis.loop, key)
     if declared is not None:
         return float(declared), f"{key} declared"
@@ -224,7 +225,7 @@ def _simulated_friction(axis: AxisScene) -> float | None:
 
 
 def _damping_hints(axis: AxisScene) -> list[Hint]:
-    """Limits of damping; the first, b - k T / 2, is left by Colgate's condition b > k T / 2 + |d| at the stiffness."""
+    """Return limits of damping; the first is from Colgate's condition b > k T / 2 + |d| at the requested stiffness."""
     hints, (device, source), stiffness = [], _known(axis, "device_damping", "damping"), _asked(axis, "stiffness")
     period, delay = axis.loop.sample_time, axis.loop.delay
     if device is not None and stiffness is not None:
@@ -239,9 +240,9 @@ def _damping_hints(axis: AxisScene) -> list[Hint]:
 
 
 def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list[Hint]:
-    """Stiffness that each declared certificate of `guarded` holds at the torque limit, as part of the requested wall.
+    """Return the stiffness that each declared certificate of `guarded` permits at the torque limit.
 
-    A torque must be covered for the hold in which it acts, those of the delay, and those of the frames that may be lost
+    A certificate covers a torque for the hold in which it acts, the holds of the delay, and those of lost frames
     (`max_consecutive_losses`). In a group the hand pulls on every axis at once, with the same force.
     """
     parameters, loop = axis.passivity.parameters, axis.loop
@@ -269,7 +270,7 @@ def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list
 
 
 def _encoder_hint(axis: AxisScene) -> list[Hint]:
-    """Stiffness that `guarded` renders indefinitely with the encoder, f_c / count, and the count for the wall asked."""
+    """Return the stiffness f_c / count that `guarded` renders indefinitely with this encoder."""
     count, friction, asked = axis.loop.encoder_count, axis.loop.device_friction or 0.0, _asked(axis, "stiffness")
     if not count or axis.group or axis.passivity.name != "guarded":
         return []
@@ -288,10 +289,10 @@ def _encoder_hint(axis: AxisScene) -> list[Hint]:
 
 
 def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
-    """Return the declaration that limits the certified stiffness, and the stiffness that the device's damping permits.
+    """Return in words on which declaration the certified stiffness of an axis rests.
 
     Args:
-        axis: One axis.
+        axis: Axis of the scene.
         hints: Hints of the scene.
     """
     own = [hint for hint in hints if hint.axis == axis.parameters.name and hint.certificate not in ("", "largest")]
@@ -308,7 +309,7 @@ def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
 
 
 def _felt_hints(axis: AxisScene, response: bounds.DisplacementResponse, lag: int, text: str) -> list[Hint]:
-    """Part of a wall felt by a hand that leans on it, or approaches slowly, by the hand-force certificate."""
+    """Return how much of a wall a hand feels that leans on it or approaches slowly, by the hand-force certificate."""
     push, stiffness = LEAN * axis.parameters.torque_limit, _asked(axis, "stiffness")
     limit = bounds.renderable_by_hand_force(response, lag, push)
     what = f"stiffness felt at a push of {push:.3g} {effort_unit(axis.parameters.unit)}"
@@ -324,7 +325,7 @@ def _felt_hints(axis: AxisScene, response: bounds.DisplacementResponse, lag: int
 
 
 def _energy_hint(axis: AxisScene, response: bounds.DisplacementResponse, lag: int, stiffness: float) -> list[Hint]:
-    """Energy needed to feel a contact at any speed; no hint where none is needed."""
+    """Return the energy needed to feel a contact at any speed; no hint if none is needed."""
     energy, unit = bounds.start_energy(response, lag, stiffness), axis.parameters.unit
     parameters = axis.passivity.parameters
     if energy in {0.0, math.inf}:
@@ -341,7 +342,7 @@ def _energy_hint(axis: AxisScene, response: bounds.DisplacementResponse, lag: in
 
 
 def _on_all(axis: AxisScene, group: Sequence[AxisScene]) -> float:
-    """Ratio of this axis's motion under a hand on all axes to that under a hand on it alone: sqrt(sum(1 / m_j) m_i)."""
+    """Return the motion of an axis by a hand on all axes over that by a hand on it alone: sqrt(sum(1 / m_j) m_i)."""
     masses = [each.loop.moving_mass for each in group]
     if axis.loop.moving_mass is None or None in masses or len(masses) < 2:
         return 1.0
@@ -349,7 +350,7 @@ def _on_all(axis: AxisScene, group: Sequence[AxisScene]) -> float:
 
 
 def _held_stiffness(axis: AxisScene, held: dict[str, tuple[float, str]]) -> list[Hint]:
-    """One hint per certificate, and the part left by the largest of them, which is the one that counts."""
+    """Return one hint per certificate, and one for the largest of several, which is the effective limit."""
     stiffness = _asked(axis, "stiffness")
     hints = [
         _hint(axis, f"stiffness, certified by {name}", limit, f"{text}{_share(limit, stiffness)}", name)
@@ -370,7 +371,7 @@ def _share(limit: float, asked: float | None) -> str:
 
 
 def display_hints(scene: Scene) -> list[Hint]:
-    """Figures of every admittance display of a scene; none of them is enforced here."""
+    """Return the figures of every admittance display of a scene; they are information only."""
     return [hint for axis in scene.axes if axis.parameters.admittance is not None for hint in _of_axis(axis, scene)]
 
 
@@ -379,7 +380,7 @@ def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
     doubt = _uncertainty(properties)
     text = "acts on the account like dry friction of this size; slew T / 4 for point samples, and the error of a value"
     hints = [Hint(given.name, "force uncertainty of the account", doubt, None, effort_unit(given.unit), text)]
-    group = next((group for group in scene.groups if group.name == axis.group), None)
+    group = scene.group_of(axis)
     chosen = (axis.passivity, axis.environment) if group is None else (group.passivity, group.network)
     known, rendered = (part.parameters for part in chosen)
     if isinstance(known, GuardedAdmittanceParameters):
@@ -437,7 +438,7 @@ def _of_guard(
 def _of_faults(
     axis: AxisScene, known: GuardedAdmittanceParameters, properties: AdmittanceProperties, scene: Scene
 ) -> list[Hint]:
-    """Energy given out by an offset of the sensor, a stalled master and a frozen sensor, until each is detected."""
+    """Return the energy generated by a sensor offset, a stalled master and a frozen sensor until each is detected."""
     given, speed, display = axis.parameters, properties.speed_limit, axis.parameters.admittance
     if display is None:
         return []

@@ -1,8 +1,7 @@
-"""The JSON Schema of a scene file: the schema of `Scene`, with its fields in the layout of a scene file.
+"""The JSON Schema of a scene file: the schema of `Scene`, rearranged to the layout of the file.
 
-Values that refer to each other (units of an axis, unique names) are beyond a schema; `load_scene` checks them.
-
-Descriptions of a parameter model and of each of its fields, from the source.
+Descriptions come from the source of the parameter models. A schema cannot express units that depend on the axis, or
+unique names; `load_scene` checks these.
 """
 
 import ast
@@ -20,7 +19,7 @@ from canhaptic.units import Parameters
 
 
 def words_of(model: type[Parameters]) -> dict[str, str]:
-    """Description of each field: the string below it, or its entry under `Attributes:`."""
+    """Return the description of each field: the string below it, or its entry under `Attributes:`."""
     found: dict[str, str] = {}
     for owner in reversed(model.__mro__):
         if not issubclass(owner, Parameters) or owner is Parameters:
@@ -53,7 +52,7 @@ _TEXTS: Final[dict[str, dict[str, str]]] = tomllib.loads(
 
 
 class _WithWords(GenerateJsonSchema):
-    """Adds to every field the description in its model."""
+    """JSON Schema generator that adds the descriptions of fields."""
 
     def model_schema(self, schema: Any) -> Schema:
         found = super().model_schema(schema)
@@ -119,13 +118,13 @@ def _or_null(schema: Schema) -> Schema:
 
 
 def _optional(schema: Schema, *keys: str) -> Schema:
-    """Return a schema with some keys no longer required; with any of them where none is named."""
+    """Return a schema in which some keys are not required, or none is if no key is given."""
     left = [key for key in schema.get("required", ()) if keys and key not in keys]
     return {**schema, "required": left}
 
 
 def _laid_under(choices: Schema, properties: Schema, *required: str) -> Schema:
-    """Schema of a component that has further keys."""
+    """Return the schema of a component with further keys."""
     [(kind, each)] = [(key, choices[key]) for key in ("oneOf", "anyOf") if key in choices]
     return {
         kind: [
@@ -136,14 +135,14 @@ def _laid_under(choices: Schema, properties: Schema, *required: str) -> Schema:
 
 
 def _with_loop(choices: Schema, defined: Schema) -> Schema:
-    """Schema of algorithms, each with the keys of the loop."""
+    """Return the schema of algorithms, each with the keys of the loop."""
     loop, taken = defined["LoopProperties"]["properties"], _TEXTS["taken"]
     known = {key: loop[key] | ({"taken": taken[key]} if key in taken else {}) for key in LOOP_KEYS}
     return _laid_under(choices, known)
 
 
 def _bus(scene: Schema, defined: Schema) -> Schema:
-    """Return the schema of one bus, or of a list whose first entry has the common values."""
+    """Return the schema of one bus, or of a list of buses whose first entry has the common values."""
     one = {**defined["BusParameters"], "title": "the only one, or the first"}
     further = {**defined["FurtherBus"], "title": "the second and those behind it"}
     name = further["properties"]["name"]

@@ -1,4 +1,4 @@
-"""Conversion of a scene file to the fields of `Scene`: shared sections, sections of an axis, and profiles.
+"""Conversion of a scene file to the fields of `Scene`: shared sections, sections of an axis, profiles, dictionaries.
 
     written                                   `Scene`
     bus: {...}, or a list                     bus, bus_name, further_buses
@@ -8,10 +8,7 @@
     simulation: {seed, bus, mechanisms, ...}  simulation, bus_effects, mechanisms
     accuracy, log, duration, guard            accuracy or auto_accuracy, log, run
 
-Every value keeps its place in the file; errors of the layout itself are noted here, the values are validated by
-`Scene`.
-
-Path of an axis's object dictionary: next to the scene, or in the package.
+Every value keeps its location in the file. Faults of the layout are noted here; `Scene` validates the values.
 """
 
 import os
@@ -37,10 +34,10 @@ _SHIPPED: Final = shipped("eds")
 
 
 def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
-    """Return the section of an axis with the path of its EDS or DCF; note a fault when there is no such file.
+    """Return the section of an axis with the path of its EDS or DCF; note a fault if there is no such file.
 
-    A relative path is looked for next to the scene file (one given in an override: in the current folder), then in
-    the `eds/` that comes with the package.
+    A relative path starts from the folder of the scene file (in an override: from the current folder), else from the
+    folder `eds/` of the package.
     """
     text = section.get("eds")
     if not isinstance(text, str):
@@ -62,7 +59,7 @@ def path_for_scene(dictionary: Path, scene: Path | None) -> str:
 
     Args:
         dictionary: Path of the dictionary, relative to the current folder.
-        scene: File of the scene, to which the result is relative; None where it is unknown: an absolute path.
+        scene: Scene file, from whose folder the result starts; None: the result is absolute.
     """
     if scene is None:
         return str(dictionary.absolute())
@@ -74,11 +71,11 @@ SECTIONS: Final = (
     *RunParameters.model_fields,
 )
 OWN_SECTIONS: Final = ("environment", "passivity")
-"""Shared sections that an axis may have for itself."""
+"""Shared sections that an axis can replace."""
 
 
 def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence[str], faults: Diagnostics) -> Any:
-    """Return a scene as written in the form of `Scene`, every value with its location; layout faults are noted."""
+    """Return a scene file in the form of `Scene`, every value with its location, and note faults of the layout."""
     faults.unknown_keys(written, SECTIONS)
     scene = MarkedMapping(written.mark)
     scene.update(source=source, text=text, overrides=tuple(overrides), simulation=None)
@@ -105,7 +102,7 @@ def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence
 
 
 def _members(written: MarkedMapping, simulation: MarkedMapping | None, faults: Diagnostics) -> "_Joined":
-    """Return groups and simulated mechanisms; a scene without them loads nothing of their layout."""
+    """Return groups and simulated mechanisms; their layout is imported only if the scene has one."""
     if written.get("groups") is None and (simulation is None or simulation.get("mechanisms") is None):
         return [], []
     from canhaptic.scene.group_layout import check_group_axes, members_of
@@ -117,7 +114,7 @@ def _members(written: MarkedMapping, simulation: MarkedMapping | None, faults: D
 
 
 def _axis_names(written: MarkedMapping) -> list[str]:
-    """Return the names of all axes as written, right or wrong otherwise."""
+    """Return the names of all axes as written, valid or not."""
     return [str(entry.get("name")) for entry in _entries(written.get("axes"))]
 
 
@@ -130,7 +127,7 @@ def _or_noted(section: MarkedMapping | None) -> Any:
 
 
 def _put_accuracy(scene: MarkedMapping, written: MarkedMapping, faults: Diagnostics) -> None:
-    """Distinguish given accuracy from accuracy that the build chooses."""
+    """Set the accuracy given, or the tolerance from which the build chooses it."""
     if (accuracy := written.get("accuracy")) is None:
         return
     at = written.values_at["accuracy"]
@@ -147,7 +144,7 @@ def _put_accuracy(scene: MarkedMapping, written: MarkedMapping, faults: Diagnost
 
 
 def _bus_names(written: MarkedMapping) -> tuple[str, ...]:
-    """Return the names of the buses as written; an empty one for the only bus, none where one has no name."""
+    """Return the names of the buses: "" for a single bus, and no names if one of several has none."""
     value = written.get("bus")
     if not isinstance(value, MarkedList):
         return ("",)
@@ -193,7 +190,7 @@ def _further_bus(entry: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
 
 
 def _bus_of_axis(section: MarkedMapping, names: tuple[str, ...], faults: Diagnostics) -> str:
-    """Return the name of the bus that an axis is on; a fault is noted when it names none of them."""
+    """Return the name of the bus of an axis; note a fault and return "" if there is no such bus."""
     named = section.get("bus")
     if named is None and len(names) == 1:
         return names[0]
@@ -215,7 +212,7 @@ def _bus_of_axis(section: MarkedMapping, names: tuple[str, ...], faults: Diagnos
 def _axes(
     written: MarkedMapping, simulation: MarkedMapping | None, members: "_Joined", faults: Diagnostics, *, is_known: bool
 ) -> list[Any]:
-    """The axes; `is_known` is whether groups and mechanisms are right, so that their members are known."""
+    """Return the axes; `is_known` tells whether groups and mechanisms are valid, so that their members are known."""
     (groups, mechanisms), at, buses = members, written.value_at("axes"), _bus_names(written)
     entries = faults.list(written.get("axes"), at, "axes, each with name, node_id, eds, ...")
     if entries is not None and not entries:
@@ -232,7 +229,7 @@ def _axes(
         if buses:
             axis["bus"] = _bus_of_axis(section, buses, faults)
         if simulation is not None:
-            from canhaptic.scene.simulated_defaults import put_far_side
+            from canhaptic.scene.far_side import put_far_side
 
             put_far_side(axis, name, simulation, any(name in moved.axes for moved in mechanisms), faults)
         axes.append(axis)
@@ -270,9 +267,9 @@ def _axis(
 def _own_over_shared(
     shared: MarkedMapping, own: MarkedMapping, name: str, selector: str, faults: Diagnostics, *, is_needed: bool
 ) -> MarkedMapping | None:
-    """Return a section of an axis: its own keys over the shared ones, unless it names another type in the file.
+    """Return a section of an axis: its own keys over the shared ones, or its own alone if it names another type.
 
-    None when there is no such section, with a fault where it is needed.
+    None if there is no such section, with a fault if it is needed.
     """
     before, result = len(faults), None
     for owner in (shared, own):
@@ -291,7 +288,7 @@ def _own_over_shared(
 
 
 def _loop_in_group(section: MarkedMapping, group: "Members", faults: Diagnostics) -> MarkedMapping | None:
-    """Loop of an axis in a group: its own `passivity` on top of the group's."""
+    """Return the loop keys of an axis in a group: its own `passivity` over the group's."""
     renders = f"group {group.section.get('name')!r} renders on this axis;"
     if section.get("environment") is not None:
         faults.add(section.keys_at["environment"], f"{renders} leave it out")
@@ -307,7 +304,7 @@ def _loop_in_group(section: MarkedMapping, group: "Members", faults: Diagnostics
 def _check_names(
     written: MarkedMapping, simulation: MarkedMapping | None, groups: "Sequence[Members]", faults: Diagnostics
 ) -> None:
-    """Note names of axes that are none, and shared sections that no axis reads because groups render on all."""
+    """Note names of unknown axes, and shared sections that are unused because every axis is in a group."""
     names = _axis_names(written)
     if groups and names and all(any(name in group.axes for group in groups) for name in names):
         for key in OWN_SECTIONS:

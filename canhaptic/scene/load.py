@@ -1,6 +1,6 @@
-"""A scene file to a `Scene`: read, overridden, converted, validated, cross-checked.
+"""Reading of a scene file into a `Scene`: parse, override, convert, validate, cross-check.
 
-Every fault found on the way is noted with its line; all of them are raised together, before anything is built.
+Every fault is noted with its line; all of them are raised together, before anything is built.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,8 +18,8 @@ from canhaptic.scene.components import CodeUse, ComponentSpec, SceneContext
 from canhaptic.scene.cross_checks import cross_check
 from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation, mark_plain, parse_yaml
 from canhaptic.scene.layout import SECTIONS, laid_out
-from canhaptic.scene.models import AxisScene, AxisSimulation, Scene, scene_adapter
-from canhaptic.scene.timing import with_device_bounds, with_timing
+from canhaptic.scene.models import AxisScene, Scene, scene_adapter
+from canhaptic.scene.timing import with_loops
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters, substeps_for
 
 MAX_BYTES: Final = 1_000_000
@@ -28,7 +28,7 @@ _OF_GUARDS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
     "certificates": ("guarded", {"hand_force": None}),
     "none": ("unprotected", {}),
 }
-"""Guard of a program -> algorithm in its place, and its settings where the scene has another one."""
+"""Guard of a program -> algorithm that implements it, and its settings if the scene names another algorithm."""
 
 
 def load_scene(
@@ -45,35 +45,31 @@ def load_scene(
         path: The scene file, or the name of a shipped scene (`demo`, `hard/stiff_wall`).
         overrides: Replace values of the file, each `path.to.key=VALUE` with a YAML value (`axes.0.node_id=5`).
         allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.
-        leave_code: Whether such files, and plug-ins, stay unread, to inspect the rest of a scene from
-            which nothing is built.
-        beyond_bus: Whether a rate that its bus cannot carry is accepted: for studies only, no run could keep it.
+        leave_code: Whether such files, and plug-ins, stay unread; the scene can then be inspected, but not built.
+        beyond_bus: Whether a rate that the bus cannot carry is accepted, for studies without a bus.
 
     Raises:
         SceneError: The file cannot be read, several scenes have the name, or anything in it is wrong; lists every fault
             with its line.
     """
     place = scene_file(Path(path))
-    return _read(_text(place), str(place), overrides, "left" if leave_code else _use(allow_code), beyond_bus)
+    use: CodeUse = "left" if leave_code else "run" if allow_code else "refused"
+    return _read(_text(place), str(place), overrides, use, beyond_bus)
 
 
 def scene_from_text(text: str, source: str, overrides: Sequence[str] = (), *, allow_code: bool = False) -> Scene:
-    """Validated scene of YAML text, such as the copy in an energy log.
+    """Return the validated scene of YAML text, such as the copy in an energy log.
 
     Args:
         text: The scene.
-        source: File of the text: named in faults, and the base of relative paths.
+        source: File of the text, named in faults; relative paths start from its folder.
         overrides: As for `load_scene`.
         allow_code: As for `load_scene`.
 
     Raises:
         SceneError: Anything in it is wrong; lists every fault with its line.
     """
-    return _read(text, source, overrides, _use(allow_code))
-
-
-def _use(allow_code: bool) -> CodeUse:
-    return "run" if allow_code else "refused"
+    return _read(text, source, overrides, "run" if allow_code else "refused")
 
 
 def scene_from_mapping(
@@ -84,7 +80,7 @@ def scene_from_mapping(
     Raises:
         SceneError: Anything in it is wrong; lists every fault.
     """
-    return _read(values, source, overrides, _use(allow_code))
+    return _read(values, source, overrides, "run" if allow_code else "refused")
 
 
 def _text(path: Path) -> str:
@@ -130,12 +126,17 @@ def _read(
 def _validated(
     sections: MarkedMapping, laid: MarkedMapping, faults: Diagnostics, context: SceneContext
 ) -> Scene | None:
-    """Return the scene; None when it has faults, which are all noted."""
+    """Return the scene; None if it has faults, which are noted."""
     try:
         scene = scene_adapter().validate_python(laid, context=context)
         if context.has_code:
             scene = replace(scene, own_code=context.code.hashes, unread=tuple(context.code.left))
-        scene = with_device_bounds(with_timing(_completed(scene)))
+        if (whole := scene.simulation) is not None:
+            given, time = scene.accuracy, scene.bus.sample_time
+            axes = tuple(_completed(axis, given, whole.seed + n, time) for n, axis in enumerate(scene.axes))
+            mechanisms = tuple(replace(of, substeps=given.substeps) for of in scene.mechanisms)
+            scene = replace(scene, axes=axes, mechanisms=mechanisms)
+        scene = with_loops(scene)
         return scene if scene.run.guard is None else for_program(scene, scene.run.guard)
     except ValidationError as error:
         from canhaptic.scene.explain import note_errors
@@ -146,49 +147,37 @@ def _validated(
     return None
 
 
-def _accuracy_of(axis: AxisScene, simulation: AxisSimulation, scene: Scene) -> AccuracyParameters:
-    """Return the accuracy that the scene gives; substeps that it does not give follow from its effects."""
-    if "substeps" in scene.accuracy.model_fields_set:
-        return scene.accuracy
-    torque = axis.parameters.torque_limit or axis.parameters.rated_torque or 0.0
-    named = [getattr(effect.parameters, "fastest", None) for effect in simulation.effects]
-    rates = [fastest(simulation.plant.mass, torque) for fastest in named if fastest is not None]
-    return scene.accuracy.model_copy(update={"substeps": substeps_for(rates, scene.bus.sample_time)})
+def _completed(axis: AxisScene, given: AccuracyParameters, seed: int, sample_time: float) -> AxisScene:
+    """Return an axis whose simulated plant has a seed and the given accuracy.
 
-
-def _completed(scene: Scene) -> Scene:
-    """Scene whose simulated plants have the common seed and accuracy."""
-    whole = scene.simulation
-    if whole is None:
-        return scene
-    axes = (
-        axis if axis.simulation is None else replace(axis, simulation=replace(
-            axis.simulation, seed=whole.seed + index, accuracy=_accuracy_of(axis, axis.simulation, scene)
-        ))
-        for index, axis in enumerate(scene.axes)
-    )  # fmt: skip
-    mechanisms = (replace(of, substeps=scene.accuracy.substeps) for of in scene.mechanisms)
-    return replace(scene, axes=tuple(axes), mechanisms=tuple(mechanisms))
+    Substeps that are not given follow from its effects.
+    """
+    if (simulation := axis.simulation) is None:
+        return axis
+    if "substeps" not in given.model_fields_set:
+        torque = axis.parameters.torque_limit or axis.parameters.rated_torque or 0.0
+        named = [getattr(effect.parameters, "fastest", None) for effect in simulation.effects]
+        rates = [fastest(simulation.plant.mass, torque) for fastest in named if fastest is not None]
+        given = given.model_copy(update={"substeps": substeps_for(rates, sample_time)})
+    return replace(axis, simulation=replace(simulation, seed=seed, accuracy=given))
 
 
 def for_program(scene: Scene, guard: str) -> Scene:
-    """Scene whose axes apply the torques requested by a program.
+    """Return the scene with axes that apply the torques requested by a program.
 
-    If the algorithm is `guarded` its declarations are kept; for any other only the loop's.
+    The declarations of an algorithm `guarded` are kept; of any other algorithm only those of the loop.
 
     Args:
         scene: Scene as loaded.
         guard: "certificates" or "none".
 
     Raises:
-        InputError: Axes render together, or an axis takes force and gives velocity.
+        InputError: An axis is in a group, or is an admittance display.
     """
     for axis in scene.axes:
         what = "renders in a group" if axis.group else "is an admittance display" if axis.parameters.admittance else ""
         if what:
-            text = (
-                f"{scene.source}: {axis.parameters.name}: {what}; a program requests torques of axes that stand alone"
-            )
+            text = f"{scene.source}: {axis.parameters.name}: {what}; a program requests torques of single axes"
             raise InputError(f"{text}: take the axis out of the group, or render an environment with `canhaptic run`")
     axes = tuple(_for_program(axis, guard) for axis in scene.axes)
     if scene.run.guard is not None:

@@ -1,29 +1,40 @@
-"""The logs of a scene, with attributes of the run for later readers."""
+"""The logs of a scene, with the attributes of the run that readers of the log need."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
+from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.logs.columns import ACTIVE_LIMITS, DRY_RUN, FRICTION_DECLARED, GROUP_AXES, Attribute, PortDescription
 from canhaptic.logs.writer_process import BusLogWriter
 from canhaptic.meters import active_limits, promise_of
-from canhaptic.scene.models import AxisScene, Scene, task_unit
-from canhaptic.scene.parts import build_axis_meters, friction_declared
+from canhaptic.scene.models import AxisScene, Port, Scene, task_unit
+from canhaptic.scene.parts import friction_declared
 
 if TYPE_CHECKING:
     from canhaptic.logs.writer_process import EnergyLogWriter
 
 _PRIVATE_NAME: Final = "vcan0"  # of a private virtual channel: the same in every run, so that logs can be compared
+_Pace = Literal["real", "free"]
+_OnFailure = Callable[[str], None]
 
 
 def open_energy_log(
-    scene: Scene, path: Path, pace: Literal["real", "free"], on_failure: Callable[[str], None], *, dry_run: bool = False
+    scene: Scene, meters: Sequence[AxisMeter], path: Path, pace: _Pace, on_failure: _OnFailure, *, dry_run: bool = False
 ) -> "EnergyLogWriter":
-    """Energy log, created and ready; `on_failure` is called, from another thread, when it fails.
+    """Return an energy log that is ready to be written.
+
+    Args:
+        scene: Scene of the run.
+        meters: Meter of each axis.
+        path: File to make.
+        pace: Pace of the run.
+        on_failure: Called, from another thread, with the reason if the log can no longer be written.
+        dry_run: Whether the torque sent is always 0.
 
     Raises:
         LogWriteError: The file cannot be made.
@@ -36,17 +47,17 @@ def open_energy_log(
         motor = scene.axis(group.axes[0]).parameters
         state_unit = task_unit(group.kinematics.name, motor.unit)
         ports.append(PortDescription(group.name, motor.unit, state_unit, motor.admittance is not None))
-    attributes = _run_attributes(scene, pace) | ({DRY_RUN: 1} if dry_run else {})
+    names = [axis.parameters.name for axis in scene.axes]
+    attributes = _run_attributes(scene, pace) | _active_attributes(scene.ports, names, meters)
+    attributes |= {DRY_RUN: 1} if dry_run else {}
     period, with_truth = scene.bus.sample_time_ns, scene.simulated
     return EnergyLogWriter(
         path, ports, attributes, sample_time_ns=period, with_truth=with_truth, pace=pace, on_failure=on_failure
     )
 
 
-def open_bus_log(
-    scene: Scene, path: Path, pace: Literal["real", "free"], on_failure: Callable[[str], None]
-) -> BusLogWriter:
-    """Bus log, created and ready; `on_failure` is called, from another thread, when it fails.
+def open_bus_log(scene: Scene, path: Path, pace: _Pace, on_failure: _OnFailure) -> BusLogWriter:
+    """Return a bus log that is ready to be written; the arguments are as for `open_energy_log`.
 
     Raises:
         LogWriteError: The file cannot be made.
@@ -58,8 +69,8 @@ def open_bus_log(
     return BusLogWriter(path, channels, pace=pace, on_failure=on_failure, **size)
 
 
-def _run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, Attribute]:
-    """Return the attributes of the whole run: configuration, versions, clock, and where the walls are."""
+def _run_attributes(scene: Scene, pace: _Pace) -> dict[str, Attribute]:
+    """Return the attributes of the whole run: configuration, versions, clock, and positions of the walls."""
     attributes: dict[str, Attribute] = {
         "canhaptic_version": version("canhaptic"),
         "config": scene.text,
@@ -87,14 +98,21 @@ def _run_attributes(scene: Scene, pace: Literal["real", "free"]) -> dict[str, At
             **_promise_attributes(group.name, group.passivity.parameters),
             **({f"{group.name}.is_damped": 1} if all(scene.axis(axis).loop.brakes for axis in group.axes) else {}),
         }
-    return attributes | _active_attributes(scene)
+    return attributes
 
 
-def _active_attributes(scene: Scene) -> dict[str, Attribute]:
-    """Attributes from which the column `active` of each port with its own account is computed."""
-    meters, names = build_axis_meters(scene), [axis.parameters.name for axis in scene.axes]
+def _active_attributes(
+    ports: Sequence[Port], names: Sequence[str], meters: Sequence[AxisMeter]
+) -> dict[str, Attribute]:
+    """Return the limits from which a reader computes the column `active` of each port, and the masses requested.
+
+    Args:
+        ports: Ports with an account of their own.
+        names: Name of each axis.
+        meters: Meter of each axis.
+    """
     found: dict[str, Attribute] = {}
-    for name, passivity, places in scene.ports:
+    for name, passivity, places in ports:
         allowance = promise_of(passivity.parameters).energy_allowance
         limits = active_limits([meters[place].accuracy for place in places], allowance)
         finite = {key: value for key, value in limits._asdict().items() if isfinite(value)}
@@ -130,5 +148,5 @@ def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
 
 
 def _promise_attributes(name: str, parameters: object) -> dict[str, Attribute]:
-    """Assumptions behind the certificates in addition to hand and device."""
+    """Return the assumptions of the certificates that do not concern hand and device."""
     return {f"{name}.{key}": value for key, value in promise_of(parameters)._asdict().items()}

@@ -1,11 +1,9 @@
-"""One line on the method and accuracy of a simulated run.
+"""Cost and error of the simulated plants, estimated after a run for the line `method` that it prints.
 
-Cost and error of the simulated plant of a run, estimated after it for the line that it prints.
-
-The scene's own controller drives a fresh plant without a bus, over the first periods of the run. The plant is timed
-there, and run again with halved steps (sample time and substeps alike) and with coarser event bits; the declared order,
-and for events the bracket that halves with every bit, turn the differences into an error. Where the steps do not
-converge, the line says so. An estimate, without a reference: `canhaptic accuracy` has one.
+The scene's own controller drives a new plant without a bus, over the first periods of the run. That plant is timed, and
+run again with halved steps (sample time and substeps) and with coarser event bits. The error follows from the
+differences, by the declared order of the effects and the bracket of events, which halves with every bit. The line says
+if the steps do not converge. `canhaptic accuracy` compares with a reference instead.
 """
 
 from collections.abc import Sequence
@@ -26,19 +24,19 @@ from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.plant.user import RecordedMotion
 
 _PRODUCTS: Final = 6_000
-"""Products of the plant that is timed: about 25 ms; the halved steps cost six times that."""
+"""Matrix products for which the plant is timed: about 25 ms; the halved steps cost six times that."""
 _FEWEST, _MOST = 50, 1000  # periods
 _LOOKED_AT: Final = 300  # periods, for figures of many loops
 _BITS_COARSER: Final = 6
 _NS_PER_US: Final = 1e3
 _FLOOR: Final = 1e-9
-"""Part of the travel below which differences show no order."""
+"""Fraction of the travel below which differences show no order."""
 _COARSE: Final = 0.03
-"""Part of the travel: at larger differences of halved steps no order can be relied on."""
+"""Fraction of the travel: at larger differences of halved steps the order is not reliable."""
 _DETENTS: Final = 6.0
-"""Detents in a substep from which halves and thirds of it may both be whole numbers of them."""
+"""Detents passed in one substep from which half and a third of it may both be whole numbers of detents."""
 _SUSPECT: Final = 1e3
-"""Times the bracket of events: a difference of halved steps above it does not come from brackets."""
+"""Multiple of the event bracket: a larger difference of halved steps has another cause."""
 
 
 _FINE: Final = AccuracyParameters(substeps=16)
@@ -63,12 +61,12 @@ def torque_history(axis: AxisScene, scene: Scene, holds: int, accuracy: Accuracy
 
 
 def declared_order(simulation: AxisSimulation) -> int | None:
-    """Return the least order in the substep that an effect or an own hand declares; None where all are exact."""
+    """Return the least order in the substep that an effect or a user-defined hand declares; None if all are exact."""
     return min(_orders(simulation).values(), default=None)
 
 
 def _orders(simulation: AxisSimulation) -> dict[str, int]:
-    """Order of each effect, and of an own hand, that is not exact."""
+    """Return the order of each effect, and of a user-defined hand, that is not exact."""
     parts = {effect.name: effect.parameters for effect in simulation.effects}
     named = [*parts.items(), (f"hand {type(simulation.user).__name__}", simulation.user)]
     return {name: order for name, part in named if (order := getattr(part, "order", None)) is not None}
@@ -78,7 +76,7 @@ def simulation_of(axis: AxisScene) -> AxisSimulation:
     """Return the simulation of an axis.
 
     Raises:
-        InputError: It has none.
+        InputError: The axis is not simulated.
     """
     if axis.simulation is None:
         raise InputError(f"{axis.parameters.name}: is not simulated, expected a plant and a user; add `simulation`")
@@ -86,16 +84,16 @@ def simulation_of(axis: AxisScene) -> AxisSimulation:
 
 
 LONG_SWING: Final = 1_200.0
-"""Phase of a swing in one sample time from which a run is announced as dear [rad]: some 5000 products, 20 ms."""
+"""Phase of an oscillation in one sample time from which a run is announced as slow [rad]: some 5000 products, 20 ms."""
 _PER_RADIAN: Final = 4.0  # products
 _PER_PRODUCT: Final = 5e-6  # [s], interpreted
 
 
 def dear_holds(scene: Scene) -> list[str]:
-    """Return one warning for each simulated plant that may be slow to simulate, and where a recorded hand ends.
+    """Return a warning for each plant that may be slow to simulate, and a note where a recorded hand ends.
 
-    Events in a hold are searched at every oscillation of a fast mode, so the cost is known beforehand: the hint is the
-    time that the plant may take per sample time while that mode oscillates. A mode at rest costs nothing.
+    Events are searched in every oscillation of a fast mode, so that the cost per sample time is known beforehand. A
+    mode at rest costs nothing.
     """
     lines = []
     for axis in scene.axes:
@@ -115,24 +113,24 @@ def dear_holds(scene: Scene) -> list[str]:
 
 
 class ErrorEstimate(NamedTuple):
-    """Largest error of the position at any SYNC, over the periods for which it was estimated."""
+    """Estimated largest error of the position at any SYNC."""
 
     size: float  # [m or rad]
-    travel: float  # of the position over those periods [m or rad]
-    doubt: str = ""  # why it cannot be trusted; empty where it can
+    travel: float  # of the position over the same periods [m or rad]
+    doubt: str = ""  # why the estimate is not reliable; empty if it is
 
 
 class PlantPrice(NamedTuple):
-    """Price of the plant of one axis."""
+    """Cost and error of the plant of one axis."""
 
     unit: str
     microseconds: float  # per period, of the plant alone
     error: "ErrorEstimate | None"  # None: exact, to rounding
-    periods: int  # that it was found over
+    periods: int  # from which both were estimated
 
 
 def plant_prices(scene: Scene, plants: Sequence[Plant], periods: int) -> list[PlantPrice]:
-    """Return price and estimated error of each simulated plant; none where nothing ran.
+    """Return cost and estimated error of each simulated plant; no entries if nothing ran.
 
     Args:
         scene: The scene that ran.
@@ -204,7 +202,7 @@ def _moved(step: float, travel: float) -> str:
 def plant_errors(scene: Scene) -> list[str]:
     """Return one line for each plant that is not exact: its estimated error, or ERROR NOT KNOWN and why.
 
-    For commands that show figures of many loops of a scene: the error applies to the unmodified scene.
+    Studies that vary a scene show it; the error is that of the unmodified scene.
     """
     lines = []
     for axis in scene.axes:
@@ -231,14 +229,14 @@ def _error_of(axis: AxisScene, simulation: AxisSimulation, scene: Scene) -> str:
 
 
 class _Runs:
-    """Positions at the SYNCs of one torque history, at several accuracies and lengths of step."""
+    """Positions at the SYNCs for one torque history, with several accuracies and step lengths."""
 
     def __init__(self, simulation: AxisSimulation, torques: Sequence[float], sample_time_ns: int) -> None:
         self._simulation, self._torques, self._period = simulation, torques, sample_time_ns
         self._found: dict[tuple[AccuracyParameters, int], Array] = {}
 
     def of(self, accuracy: AccuracyParameters, finer: int = 1) -> Array:
-        """Return the positions with a plant whose sample time, and so its substeps, are `finer` times shorter."""
+        """Return the positions of a plant whose sample time and substeps are `finer` times shorter."""
         key = (accuracy, finer)
         if key not in self._found:
             changed = replace(self._simulation, accuracy=accuracy)
@@ -247,12 +245,12 @@ class _Runs:
         return self._found[key]
 
     def between(self, accuracy: AccuracyParameters, one: int, other: int) -> float:
-        """Return the largest difference of two lengths of step [m or rad]."""
+        """Return the largest difference between two step lengths [m or rad]."""
         return float(np.abs(self.of(accuracy, one) - self.of(accuracy, other)).max())
 
 
 def _bracket_error(runs: _Runs, accuracy: AccuracyParameters) -> float:
-    """Position error due to the bracket of events, which halves with every bit [m or rad]."""
+    """Return the position error due to the bracket of events, which halves with every bit [m or rad]."""
     less = max(1, accuracy.event_bits - _BITS_COARSER)
     more = accuracy.event_bits + _BITS_COARSER if accuracy.event_bits == less else less
     factor = 2.0 ** abs(accuracy.event_bits - more)

@@ -1,13 +1,9 @@
-"""The scene, once: classes that pydantic validates in one pass, made by `load_scene` and built by `build`.
+"""The model of a scene: dataclasses that pydantic validates in one pass, made by `load_scene` and built by `build`.
 
-JSON schema, resolved form and the page of the configuration follow from these fields and from the models that they
-name. How a scene file maps to them (shared sections, profiles, sections of an axis) is in `layout`.
+The JSON schema, the resolved configuration and the configuration page follow from these fields and from the parameter
+models that they name. `layout` maps a scene file (shared sections, profiles, sections of an axis) to them.
 
-Several buses of a rig: the keys that each may have of its own, and the parameters in effect on each.
-
-Paths of the logs of a run, and its reaction when they cannot be written.
-
-Values of a scene that are marked as guesses; no real drive runs on them.
+`values_to_set` finds the values that real drives still need: missing ones, and those marked as guesses.
 """
 
 import hashlib
@@ -43,7 +39,7 @@ BusName = Annotated[Name, Field(pattern=r"^\S+$")]
 
 
 class FurtherBus(Parameters):
-    """Keys that each of several buses may have; rate, link policy and the rest come from the first bus."""
+    """Keys of the second and later buses; rate, link policy and the rest come from the first bus."""
 
     name: BusName
     """Name used in an axis's `bus`."""
@@ -57,7 +53,7 @@ class FurtherBus(Parameters):
     """Further keyword arguments of `can.Bus`; None: as the first bus."""
 
     def over(self, first: BusParameters) -> BusParameters:
-        """Return all parameters of this bus."""
+        """Return all parameters of this bus, given the first bus."""
         own = {key: value for key, value in self.model_dump(exclude={"name"}).items() if value is not None}
         return first.model_copy(update={"channel": None, **own})
 
@@ -78,7 +74,7 @@ class Port(NamedTuple):
 
 
 class LogParameters(Parameters):
-    """Paths of the logs, relative to the current folder; options of `run` take precedence."""
+    """Paths of the logs, relative to the current folder, and what happens when a log cannot be written."""
 
     energy: PrintablePath | None = None
     """Energy log (HDF5)."""
@@ -116,16 +112,16 @@ LOOP_KEYS: Final = (
     *("device_cogging_bound", "presliding_stiffness"),
     *("sync_jitter", "torque_window", "current_lag", "delay", "sample_time"),
 )
-"""Keys of `passivity` that describe the loop and not the algorithm; the last two follow from the bus."""
+"""Keys of `passivity` that describe the loop, not the algorithm; `delay` and `sample_time` follow from the bus."""
 DISPLAY_LOOP_KEYS: Final = ("sync_jitter",)
-"""Those of an admittance display: the rest of its loop is in `admittance`."""
+"""Loop keys in `passivity` of an admittance display; its other loop properties are in `admittance`."""
 _MOVES_IN_METRES: Final = ("planar_2r", "five_bar")
 """Kinematics whose task space is in metres, for linear and rotary motors."""
 
 _REQUIRED: Final = ("torque_verified", "position_reference")
-"""Keys of an axis that real drives need and no default can replace."""
+"""Keys of an axis that have no default and that real drives need."""
 _UNVERIFIED: Final = 0.01
-"""Part of `torque_limit` that is sent while the scale of the torque is not verified."""
+"""Fraction of `torque_limit` that is sent while the torque scale is not verified."""
 UnitT = TypeVar("UnitT", bound=str | None)
 _Drive = Annotated[SimulatedDriveParameters, OnDemand("canhaptic.sim.drive.drive_parameters:SimulatedDriveParameters")]
 _Hand = Annotated[TaskHand, OnDemand("canhaptic.sim.plant.mechanism.task_hand:TaskHand")]
@@ -150,11 +146,11 @@ _NETWORK = ComponentByDisplay(
 SCALING_KEYS: Final = ("counts_per_unit", "rated_torque", "direction")
 """Keys of an axis that its simulated drive takes over unless `simulation.drive` has its own."""
 SIMULATION_PARTS: Final = ("drive", "plant", "user", "effects", "admittance")
-"""Parts of `simulation` that `simulation.axes.NAME` may have its own of."""
+"""Parts of `simulation` that `simulation.axes.NAME` can replace for one axis."""
 
 
 def task_unit(kinematics: str, motor_unit: UnitT) -> UnitT | Literal["m"]:
-    """Unit of task space, by the name of the kinematics and the unit of the motor axes."""
+    """Return the unit of task space, from the name of the kinematics and the unit of the motor axes."""
     return "m" if kinematics in _MOVES_IN_METRES else motor_unit
 
 
@@ -180,18 +176,18 @@ class RunParameters(Parameters):
     confirmed: dict[CheckItem, PrintableText] = Field(default_factory=dict)
     """Items of the check list of a real rig that a person confirmed, and when (`canhaptic commission`)."""
     guard: Literal["certificates", "none"] | None = None
-    """The scene is for a program (`canhaptic.open_rig`), which asks for the torques in place of environment and
-    algorithm, and this is their guard. `none` lets a real rig give them as they are only where the call says so too.
-    None: the environment is rendered."""
+    """Set for a program (`canhaptic.open_rig`), which requests the torques in place of environment and algorithm.
+    `certificates`: each torque is reduced to what is certified as passive. `none`: torques are sent as requested; a
+    real rig requires `guard="none"` in the call too. None: the environment is rendered."""
     code_runs_in: Literal["process", "cycle"] | None = None
-    """Whether own environments and algorithms run in a separate process, one hold later, or in the cycle, which
-    they may stall. None: the process where the drives are real, the cycle in a simulation."""
+    """Where user-defined environments and algorithms run: in a separate process, one hold later, or in the cycle,
+    which they may stall. None: in the process with real drives, in the cycle in a simulation."""
     late_holds: Annotated[int, quantity("count", ge=1, le=100_000)] = 20
-    """Holds in a row without an answer of that process after which the run ends."""
+    """Consecutive holds without an answer from that process after which the run ends."""
 
 
 class AutoAccuracy(Parameters):
-    """`accuracy` of a scene that leaves the choice to the build."""
+    """`accuracy: {auto: ...}`: `build` chooses an accuracy that keeps the plant within a tolerance."""
 
     auto: Annotated[float, quantity("m", "rad", gt=0.0, le=1.0)]
     """Largest error of the position that the simulated plant may make."""
@@ -205,13 +201,13 @@ class SimulationParameters(Parameters):
 
 
 class GroupMembership(Parameters):
-    """Replaces environment and algorithm of an axis on which a group renders."""
+    """Placeholder for the environment and the algorithm of an axis in a group."""
 
     group: str
 
 
 def _axis(value: object, read: Callable[[object], object], info: Info[SceneContext]) -> object:
-    """Read an axis in its unit, with the kind of display it asks for, right or wrong."""
+    """Read an axis in its unit; the context notes whether it is an admittance display."""
     written = value.get("parameters") if isinstance(value, MarkedMapping) else None
     info.context.is_display = False
     if isinstance(written, MarkedMapping) and written.get("admittance") is not None:
@@ -241,7 +237,7 @@ class AxisSimulation:
 
 
 def _loop_of(section: object, info: Info[SceneContext]) -> object:
-    """Loop of an axis as declared, completed from bus and drive; the rest stays unknown."""
+    """Return the loop properties declared for an axis, with those that follow from bus and drive."""
     if not isinstance(section, MarkedMapping):
         return section
     axis: AxisParameters | None = info.data.get("parameters")
@@ -275,13 +271,13 @@ class AxisScene:
 
     @property
     def is_read(self) -> bool:
-        """Whether environment, algorithm and effects are known: False where user code was left unread."""
+        """Whether environment, algorithm and effects are known: False if one is user code that was left unread."""
         parts = (self.environment, self.passivity, *(self.simulation.effects if self.simulation else ()))
         return all(part.is_read for part in parts)
 
     @property
     def is_own(self) -> bool:
-        """Whether its environment or its algorithm is user code that was read."""
+        """Whether its environment or its algorithm is user code that was loaded."""
         return self.environment.own is not None or self.passivity.own is not None
 
     def dictionary_hash(self) -> str:
@@ -331,9 +327,9 @@ LATER_LOOP_KEYS: Final = (
     *("device_cogging_bound", "presliding_stiffness"),
     *("torque_rate_limit", "power_limit"),
 )
-"""Keys of the loop that logs of the first release do not have."""
+"""Loop keys that logs of the first release do not have."""
 _OF_DISPLAYS: Final = ("admittance", "simulation.admittance", "simulation.drive.display")
-"""Keys of an axis without which the configuration fits a release before admittance displays."""
+"""Keys of an axis that are left out where None, as releases before admittance displays did not have them."""
 _LATER: Final[Mapping[str, tuple[object, ...]]] = {
     "start_timeout": (5.0,),
     "drive_objects": ({},),
@@ -352,12 +348,12 @@ _LATER: Final[Mapping[str, tuple[object, ...]]] = {
     "passivity.earned_energy": (None,),
     "passivity.drag": (0.0,),
 }
-"""Key of an axis, or of a group, that came after the first release -> values with which it changes nothing."""
+"""Key of an axis or a group added after the first release -> values that leave the configuration hash unchanged."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A whole scene: validated, cross-checked, ready to build."""
+    """A whole scene, validated and ready to build."""
 
     source: str  # the file as given, for messages
     text: str  # the file as read, for the log
@@ -396,11 +392,17 @@ class Scene:
         return (NamedBus(self.bus_name, self.bus), *further)
 
     @property
+    def group_places(self) -> list[tuple[int, ...]]:
+        """Indices of the axes of each group in the scene."""
+        places = {axis.parameters.name: place for place, axis in enumerate(self.axes)}
+        return [tuple(places[name] for name in group.axes) for group in self.groups]
+
+    @property
     def ports(self) -> list[Port]:
         """Every axis outside groups, then every group."""
-        places = {axis.parameters.name: place for place, axis in enumerate(self.axes)}
         alone = [Port(of.parameters.name, of.passivity, (n,)) for n, of in enumerate(self.axes) if not of.group]
-        return alone + [Port(of.name, of.passivity, tuple(places[name] for name in of.axes)) for of in self.groups]
+        groups = zip(self.groups, self.group_places, strict=True)
+        return alone + [Port(of.name, of.passivity, places) for of, places in groups]
 
     def axis(self, name: str) -> AxisScene:
         """Return the axis of that name."""
@@ -416,7 +418,17 @@ class Scene:
 
     def passivity_of(self, axis: AxisScene) -> ComponentSpec:
         """Return the algorithm that renders on an axis: its own, or its group's."""
-        return next((group.passivity for group in self.groups if group.name == axis.group), axis.passivity)
+        group = self.group_of(axis)
+        return axis.passivity if group is None else group.passivity
+
+    def group_of(self, axis: AxisScene) -> GroupScene | None:
+        """Return the group that renders on an axis; None outside groups."""
+        return next((group for group in self.groups if group.name == axis.group), None)
+
+    def effects_on(self, bus: str) -> BusEffects | None:
+        """Return the simulated faults of a bus, by its name; None where it is ideal."""
+        effects = self.bus_effects
+        return effects if effects is None or effects.buses is None or bus in effects.buses else None
 
     @property
     def simulated(self) -> bool:
@@ -450,13 +462,12 @@ class Scene:
         """Return the SHA-256 of the configuration in effect, dictionaries by content.
 
         Args:
-            release: Earlier release whose logs are compared, with its names and removed keys; None for this one.
-            logged: Effective configuration in such a log, whose values of removed keys count; None: their
-                defaults.
+            release: Earlier release, in whose form the configuration is hashed; None for this one.
+            logged: Configuration in effect in the log of that release, for the values of keys removed since; None:
+                their defaults.
 
-        Comments, the order of keys, log paths and the folder of the dictionaries do not change it, nor does it matter
-        whether an automatic accuracy was already chosen: it follows from the rest. Keys of an axis introduced after
-        the first release do not change it either, where they are absent.
+        It does not depend on comments, the order of keys, log paths, the folder of the dictionaries, or on whether an
+        automatic accuracy was already chosen. Absent keys that are newer than the first release do not change it.
         """
         resolved = self.resolved()
         del resolved["log"], resolved["run"]["confirmed"]
@@ -486,7 +497,7 @@ class Scene:
 
 
 def _drop(plain: dict[str, Any], path: str, values: tuple[object, ...]) -> None:
-    """Drop a key, by its path in a section, where it has one of some values."""
+    """Remove a key, by its path in a section, if it has one of these values."""
     *owners, key = path.split(".")
     section: Any = plain
     for name in owners:
@@ -496,7 +507,7 @@ def _drop(plain: dict[str, Any], path: str, values: tuple[object, ...]) -> None:
 
 
 def _resolved_axis(axis: dict[str, Any]) -> dict[str, Any]:
-    """Return an axis as it is in the configuration in effect."""
+    """Return an axis in the form of the configuration in effect."""
     parameters, bus, drive = axis.pop("parameters"), axis.pop("bus"), axis.pop("simulated_drive")
     del axis["group"], axis["guard"]
     simulation = axis["simulation"] if drive is None else {"drive": drive}
@@ -537,7 +548,7 @@ def guesses_left(scene: Scene) -> list[Guess]:
 
 
 def values_to_set(scene: Scene) -> list[Guess]:
-    """Return what real drives still need from a scene: marked values, and undeclared ones."""
+    """Return the values that real drives still need: those marked as guesses, and undeclared ones."""
     is_virtual = any(bus.parameters.interface == "virtual" for bus in scene.buses)
     missing, marked = ["bus.interface", "bus.channel"] if is_virtual else [], guesses_left(scene)
     verifies = "torque_verified" not in {guess.key for guess in marked}
@@ -554,7 +565,7 @@ def values_to_set(scene: Scene) -> list[Guess]:
 
 
 def refused_values(scene: Scene) -> list[Guess]:
-    """Return the values without which a run of the scene is refused; none where no drive can be real."""
+    """Return the values without which a run on real drives is refused; none where no drive can be real."""
     if scene.simulated:
         return []
     is_udp = all(bus.parameters.interface == "udp_multicast" for bus in scene.buses)  # which carries no real CAN bus
@@ -574,10 +585,10 @@ def status_text(scene: Scene) -> str:
 
 
 def require_no_guesses(scene: Scene) -> None:
-    """Return when a scene for real drives declares all required values, none of them marked as a guess.
+    """Refuse a scene for real drives in which a required value is missing, or marked as a guess.
 
     Raises:
-        InputError: Something is marked or missing; names it.
+        InputError: Values are missing or marked; names them.
     """
     if not (guesses := refused_values(scene)):
         return

@@ -1,4 +1,4 @@
-"""Forms of earlier configurations: a log is compared with its scene in the form hashed by the release that wrote it.
+"""Configurations in the form of earlier releases, so that their logs can be compared with a scene by hash.
 
 `tools/convert_scene.py` converts a scene of an earlier release to the names and keys of this one.
 """
@@ -8,27 +8,27 @@ from copy import deepcopy
 from typing import Any, Final, Literal, get_args
 
 OLD_KEYS: Final = {"lead": "prediction_holds", "credit": "energy_allowance", "lost_frames": "max_consecutive_losses"}
-"""Key of `passivity` in the first release -> its name in the second."""
+"""Key of `passivity` in release 0.1 -> its name in release 0.2."""
 OLD_ALGORITHMS: Final = {"direct": "unprotected", "original": "a_priori_dissipation"}
-"""Algorithm of one axis in the first release -> its name now."""
+"""Algorithm of an axis in release 0.1 -> its name now."""
 GONE_KEYS: Final = ("compiled", "prediction_holds", "may_cut")
-"""Keys of `passivity`, and of `simulation`, that no scene has any more."""
+"""Keys of `passivity` and `simulation` that were removed."""
 _Plain = dict[str, Any]
-"""A resolved section, as JSON holds it."""
+"""A section of the configuration in effect, as JSON values."""
 Release = Literal["0.1", "0.2"]
 RELEASES: Final[tuple[Release, ...]] = get_args(Release)
-"""Earlier releases whose logs are still compared with their scenes."""
+"""Earlier releases whose logs can be compared with their scenes."""
 _GONE: Final[dict[str, dict[str, _Plain]]] = {
     "axes": {"guarded": {"prediction_holds": 0.75}},
     "groups": {"": {"compiled": False}, "guarded": {"prediction_holds": 0.5, "may_cut": False}},
 }
-"""Key of `passivity` that is gone -> its default in 0.2, by owner and algorithm; "" for every algorithm."""
+"""Owner -> algorithm ("" for all) -> removed key of `passivity` -> its default in release 0.2."""
 _SECTION: Final = "passivity"
 _SELECTOR: Final = "algorithm"
 
 
 def overrides_now(overrides: Iterable[str]) -> list[str]:
-    """Return overrides of an earlier release under today's names, without removed keys."""
+    """Return overrides of an earlier release with today's names and without removed keys."""
     found = []
     for text in overrides:
         path, equals, value = text.partition("=")
@@ -44,14 +44,13 @@ def overrides_now(overrides: Iterable[str]) -> list[str]:
 def in_form_of(
     release: Release, resolved: Mapping[str, Any], later: Collection[str], logged: Mapping[str, Any]
 ) -> _Plain:
-    """Return an effective configuration in the form hashed by the logs of an earlier release.
+    """Return a configuration in the form that an earlier release hashed for its logs.
 
     Args:
         release: Release that wrote the log.
-        resolved: Configuration in effect today.
-        later: Keys of the loop introduced after the first release.
-        logged: Effective configuration in the log, whose values of removed keys count; empty: their
-            defaults.
+        resolved: Configuration in effect, in today's form.
+        later: Loop keys added after release 0.1.
+        logged: Configuration in the log, for the values of removed keys; empty: their defaults.
     """
     old = deepcopy(dict(resolved))
     if old["simulation"] is not None:
@@ -66,13 +65,13 @@ def in_form_of(
 
 
 def _put_gone(section: _Plain, gone: Mapping[str, Mapping[str, Any]], then: Mapping[str, Any]) -> None:
-    """Give a section `passivity` the keys that its algorithm had then, in place."""
+    """Add the keys to a section `passivity` that its algorithm had then, in place."""
     for algorithm in ("", section[_SELECTOR]):
         section |= {key: then.get(key, default) for key, default in gone.get(algorithm, {}).items()}
 
 
 def _in_old_names(old: _Plain, later: Collection[str]) -> _Plain:
-    """Give a configuration in effect the names and the keys of the first release, in place."""
+    """Change a configuration to the names and keys of release 0.1, in place."""
     keys, algorithms = ({new: name for name, new in table.items()} for table in (OLD_KEYS, OLD_ALGORITHMS))
     for owner in (*old["axes"].values(), *old.get("groups", {}).values()):
         section = {keys.get(key, key): value for key, value in owner[_SECTION].items()}

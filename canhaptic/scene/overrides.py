@@ -1,4 +1,4 @@
-"""Overrides from the command line: `axes.0.node_id=5` replaces a value of the scene before it is checked.
+"""Overrides from the command line: `axes.0.node_id=5` replaces a value of the scene before validation.
 
 The path is keys and list indices joined by dots (a key that contains a dot is quoted); the value is YAML.
 """
@@ -13,7 +13,7 @@ from canhaptic.units import shown
 
 _PATH: Final = re.compile(r'(?:"[^"]*"|[^".=]+)(?:\.(?:"[^"]*"|[^".=]+))*')
 _SELECTORS: Final = ("type", "algorithm")
-"""Keys that determine the other keys of their section."""
+"""Keys that select the parameter model, and so the other keys, of their section."""
 _LONGEST: Final = 120  # characters of an override that a message shows
 _PART: Final = re.compile(r'"([^"]*)"|([^".=]+)')
 
@@ -41,27 +41,22 @@ def split_override(text: str) -> tuple[tuple[str, ...], str]:
 
 
 def _put(container: Any, path: tuple[str, ...], value: Any, mark: SourceLocation, faults: Diagnostics) -> None:
-    """Walk to the entry and set it; a mapping that does not exist on the way is made."""
+    """Set the entry at a path; missing mappings on the path are made."""
     for depth, part in enumerate(path):
         here = mark._replace(path=path[: depth + 1])
-        last = depth == len(path) - 1
+        is_last = depth == len(path) - 1
         if isinstance(container, MarkedMapping):
-            if last:
-                if part in _SELECTORS and container.was is None:
-                    container.was = str(container.get(part, ""))
-                container.put(part, value, here, here)
-                return
-            if container.get(part) is None:
-                container.put(part, MarkedMapping(here), here, here)
+            if is_last and part in _SELECTORS and container.was is None:
+                container.was = str(container.get(part, ""))
+            if is_last or container.get(part) is None:
+                container.put(part, value if is_last else MarkedMapping(here), here, here)
             container = container[part]
         elif isinstance(container, MarkedList):
             index = _index(container, part, here, faults)
             if index is None:
                 return
-            if last:
-                container[index] = value
-                container.values_at[index] = here
-                return
+            if is_last:
+                container[index], container.values_at[index] = value, here
             container = container[index]
         else:
             faults.add(here._replace(path=path[:depth]), f"got {container!r}, which has no entry {part!r}")

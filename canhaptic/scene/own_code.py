@@ -1,16 +1,14 @@
-"""User-defined environment, algorithm, effect or hand: `file.py:Class` of the scene's folder, or of a plug-in.
+"""User-defined environments, algorithms, effects and hands: `file.py:Class` in the scene's folder, or a plug-in.
 
-A file runs only where the user allowed it. It must be a regular file in the folder of the scene itself, after symbolic
-links are resolved. It is run under a private module name; its folder is never added to the import path. A plug-in
-is a package that the user installed and that names its classes as entry points (`canhaptic.environments`, ...); a scene
-can choose among them and nothing else. The hash of each file that ran belongs to the configuration, so a log says with
-which code it was made.
+A file runs only if the user allows it. It must be a regular file in the folder of the scene itself, after symbolic
+links are resolved. It runs under a private module name; its folder is never added to the import path. A plug-in is an
+installed package that names its classes as entry points (`canhaptic.environments`, ...); a scene can use no other class
+of it. The hash of each file that ran is part of the configuration, so that a log identifies the code.
 
 Commands that run nothing leave user code unread: they neither import it nor check its parameters.
 """
 
 import hashlib
-import stat
 import sys
 import traceback
 from collections.abc import Mapping
@@ -29,7 +27,7 @@ _RETURN_NUMBERS: Final[Mapping[str, tuple[str, ...]]] = {
     "environment": ("potential", "effort", "true_state", "admissible", "stored_energy", "state_of_energy", "relaxed"),
     "passivity algorithm": ("step", "hold"),
 }
-"""Kind -> methods watched from the start; methods of hands and effects are added where the plant is put together."""
+"""Kind -> methods whose results are checked; the plant adds the methods of hands and effects."""
 _MARK: Final = ".py:"  # of `file.py:Class`
 _LARGEST: Final = 1_000_000  # [bytes]
 ENTRY_POINT_GROUPS: Final[Mapping[str, str]] = {
@@ -38,11 +36,11 @@ ENTRY_POINT_GROUPS: Final[Mapping[str, str]] = {
     "effect": "canhaptic.effects",
     "hand": "canhaptic.hands",
 }
-"""Kind of user-defined part -> group of the entry points of plug-ins."""
+"""Kind of user-defined part -> entry point group of its plug-ins."""
 
 
 def installed(kind: str) -> dict[str, EntryPoint]:
-    """Return the classes that installed plug-ins offer as a kind of component, by name; none is imported."""
+    """Return the entry points of installed plug-ins for a kind of component, by name, without importing them."""
     group = ENTRY_POINT_GROUPS.get(kind)
     return {} if group is None else {found.name: found for found in entry_points(group=group)}
 
@@ -67,14 +65,14 @@ class OwnCode:
         self.left: list[str] = []
 
     def is_left(self, reference: str, kind: str) -> bool:
-        """Whether a name refers to user code that this scene leaves unread; it is then noted in `left`."""
+        """Whether a name refers to user code that is left unread; if so, add it to `left`."""
         if self._use != "left" or not (_MARK in reference or reference in installed(kind)):
             return False
         self.left.append(reference)
         return True
 
     def find(self, reference: str, kind: str) -> Any:
-        """Return the user-defined class that a name refers to; None where it refers to none.
+        """Return the user-defined class that a name refers to; None for any other name.
 
         Raises:
             ParameterError: Not allowed, not a file of the scene's folder, or the code fails.
@@ -111,11 +109,7 @@ class OwnCode:
         if self._use != "run":
             text = f"names the program file {name!r}, which was not run; read it, and if you trust it repeat the"
             raise ParameterError(f"{text} command with --allow-code (from Python: allow_code=True)")
-        path = self._checked(name)
-        try:
-            content = read_regular(path, _LARGEST)
-        except OSError as error:
-            raise ParameterError(f"{name}: cannot be read ({error.strerror}); name a file of Python") from error
+        path, content = self._read(name)
         digest = hashlib.sha256(content).hexdigest()
         module = _module(path, digest, content)
         chosen = getattr(module, attribute, None)
@@ -126,32 +120,30 @@ class OwnCode:
         watch(chosen, _RETURN_NUMBERS.get(kind, ()))
         return chosen
 
-    def _checked(self, name: str) -> Path:
-        """Path of a regular file that lies in the scene's folder itself."""
+    def _read(self, name: str) -> tuple[Path, bytes]:
+        """Return path and content of a regular file in the scene's folder itself."""
         folder = self._folder.resolve()
         try:
             path = (folder / name).resolve(strict=True)
-            regular = stat.S_ISREG(path.stat().st_mode)
+            content = read_regular(path, _LARGEST) if path.parent == folder else b""
         except (OSError, ValueError) as error:
-            text = f"{name}: cannot be read ({error}); put the file into the folder of the scene"
+            text = f"{name}: cannot be read ({error}); put the file into the folder of the scene, {folder}"
             raise ParameterError(text) from error
-        if path.parent != folder:
-            raise ParameterError(f"{name}: lies in {path.parent}, expected a file in the scene's folder {folder}")
-        if not regular or path.suffix != ".py":
-            raise ParameterError(f"{name}: is not a regular Python file; expected FILE.py:Class")
-        return path
+        if path.parent != folder or path.suffix != ".py":
+            raise ParameterError(f"{name}: lies in {path.parent}, expected a .py file in the scene's folder {folder}")
+        return path, content
 
 
 def require_same_code(ran: Mapping[str, str], recorded: Mapping[str, str], where: str) -> None:
-    """Refuse code that differs from the recorded code.
+    """Refuse user code that differs from the recorded code.
 
     Args:
         ran: `OwnCode.hashes` of the code that would run now.
         recorded: Hashes of the recorded run.
-        where: The record they come from, for the message.
+        where: Name of the record, for the message.
 
     Raises:
-        InputError: A file or a plug-in is another, or is missing.
+        InputError: A file or a plug-in differs or is missing.
     """
     for name in {**recorded, **ran}:
         now, then = ran.get(name, "nothing"), recorded.get(name, "nothing")
@@ -162,7 +154,7 @@ def require_same_code(ran: Mapping[str, str], recorded: Mapping[str, str], where
 
 @cache
 def _module(path: Path, digest: str, content: bytes) -> ModuleType:
-    """Return the module made of a file; the same content of the same file is run once."""
+    """Run a file as a module, once for the same content, and return the module."""
     name = f"{OWN_MODULE}{digest[:16]}"
     module = ModuleType(name)
     module.__file__ = str(path)

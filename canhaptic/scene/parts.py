@@ -1,11 +1,10 @@
-"""Factories of the parts of one axis: plant, controller, simulated drive, servo drive.
+"""Construction of the control side of a scene: controllers of axes and groups, meters of the accounts, servo drives.
 
-Errors of reported position and torque of a simulated axis, from its effects.
-
-An encoder may be noisy or coarser than its counts, and a motor may give another torque than its demand.
+Certificates and account of a simulated axis allow for the errors that its effects cause: an encoder may be noisy or
+coarser than its counts, and a motor may give another torque than its demand.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import inf
 from typing import TYPE_CHECKING, Final, cast
 
@@ -21,6 +20,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.registry import load
+from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, GroupScene, Scene
 from canhaptic.units import Parameters
 
@@ -36,16 +36,15 @@ _PROGRAMS: Final = {
     "certificates": "canhaptic.control.passivity.asked_torque:GuardedProgram",
     "none": "canhaptic.control.passivity.asked_torque:UnguardedProgram",
 }
-"""Guard -> "module:Class" of the controller of an axis whose torque a program requests."""
+"""Guard -> "module:Class" of the controller of an axis whose torques a program requests."""
 _SIGMAS: Final = 6.0
-"""Standard deviations of a noise beyond which no sample is expected: 2e-9 of them."""
+"""Standard deviations of a noise that no sample is expected to exceed: 2e-9 of the samples do."""
 
 
 def loop_as_known(axis: AxisScene) -> LoopProperties:
-    """Loop of an axis with an encoder count as wide as its encoder errors, and torques that its motor can reach.
+    """Return the loop of an axis with the encoder errors and the torque limit of its simulated motor.
 
-    Certificates and account then assume no better encoder than this one; a torque beyond the motor's reach is reduced
-    before it is certified.
+    The encoder count is widened by the errors; a torque that the motor cannot reach is reduced before it is certified.
     """
     effects, loop = _effects(axis), axis.loop
     error = 0.5 * _value(effects, "encoder_quantisation", "count", 0.0)
@@ -58,12 +57,18 @@ def loop_as_known(axis: AxisScene) -> LoopProperties:
     return loop.model_copy(update=changes) if changes else loop
 
 
-def accuracy_of(scene: Scene, axis: AxisScene) -> Accuracy:
-    """Accuracy of the sensors and the device of an axis."""
+def _accuracy_of(axis: AxisScene, passivity: ComponentSpec, together: Sequence[AxisScene]) -> Accuracy:
+    """Return the accuracy of sensors and device of an axis.
+
+    Args:
+        axis: One axis.
+        passivity: Algorithm that renders on it.
+        together: Axes on which that algorithm renders.
+    """
     effects, loop = _effects(axis), loop_as_known(axis)
     late = (loop.torque_window or 0.0) + (loop.current_lag or 0.0)  # beyond a hold too, where nothing is certified
-    certifies, unasked = scene.passivity_of(axis).name == "guarded", _unasked(effects, axis)
-    bounds_motion = certifies and _bounds_motion(scene, axis)
+    certifies, unasked = passivity.name == "guarded", _unasked(effects, axis)
+    bounds_motion = certifies and _bounds_motion(passivity.parameters, together)
     return Accuracy(
         sample_time=loop.sample_time * (1.0 + (loop.sync_jitter or 0.0)),
         position=0.5 * loop.encoder_count,
@@ -80,15 +85,14 @@ def accuracy_of(scene: Scene, axis: AxisScene) -> Accuracy:
     )
 
 
-def _bounds_motion(scene: Scene, axis: AxisScene) -> bool:
-    """Whether certificates bound the motion inside a hold: damping and friction of the device do not."""
-    force, speed = (getattr(scene.passivity_of(axis).parameters, key, None) for key in ("hand_force", "hand_speed"))
-    together = [of for of in scene.axes if of.group == axis.group] if axis.group else [axis]
+def _bounds_motion(passivity: Parameters, together: Sequence[AxisScene]) -> bool:
+    """Whether the declared hand bounds the motion inside a hold; damping and friction of the device do not."""
+    force, speed = (getattr(passivity, key, None) for key in ("hand_force", "hand_speed"))
     return bool(speed or (force is not None and all(of.loop.moving_mass is not None for of in together)))
 
 
 def friction_declared(axis: AxisScene) -> "FrictionDeclared | None":
-    """Declared friction and hand for the check of an axis; None where one is undeclared."""
+    """Return the declarations against which the motion of an axis is checked; None if one is missing."""
     loop, parameters = loop_as_known(axis), axis.passivity.parameters
     force, push = (getattr(parameters, key, None) for key in ("hand_force", "hand_push"))
     if axis.group or not loop.device_friction or loop.moving_mass is None or force is None:
@@ -118,7 +122,7 @@ def _value(effects: Mapping[str, Parameters], name: str, key: str, otherwise: fl
 
 
 def _unasked(effects: Mapping[str, Parameters], axis: AxisScene) -> float:
-    """Largest unrequested torque of a motor with a back-EMF that can reach its supply; 0 where it cannot."""
+    """Return the largest unrequested torque of a motor whose back-EMF can reach its supply; 0 if it cannot."""
     if "voltage_limit" not in effects:
         return 0.0
     supply, constant, resistance = (_value(effects, "voltage_limit", of, 0.0) for of in _OF_A_WINDING)
@@ -170,35 +174,34 @@ def build_axis_groups(scene: Scene) -> "list[AxisGroup]":
 
     return [
         AxisGroup(group.name, places, build_group(scene, group))
-        for group, places in zip(scene.groups, group_places(scene), strict=True)
+        for group, places in zip(scene.groups, scene.group_places, strict=True)
     ]
-
-
-def group_places(scene: Scene) -> list[tuple[int, ...]]:
-    """Return the indices of the axes of each group in the scene."""
-    return [places for name, _, places in scene.ports if name in {group.name for group in scene.groups}]
 
 
 def build_axis_meters(scene: Scene) -> list[AxisMeter]:
     """Return the meter of each axis."""
-    return [_axis_meter(scene, axis) for axis in scene.axes]
+    groups = [scene.group_of(axis) for axis in scene.axes]
+    members = [[of] if group is None else [scene.axis(name) for name in group.axes]
+               for of, group in zip(scene.axes, groups, strict=True)]  # fmt: skip
+    return [_axis_meter(*of) for of in zip(scene.axes, groups, members, strict=True)]
 
 
-def _axis_meter(scene: Scene, axis: AxisScene) -> AxisMeter:
+def _axis_meter(axis: AxisScene, group: GroupScene | None, together: Sequence[AxisScene]) -> AxisMeter:
     if axis.parameters.admittance is not None:
         from canhaptic.scene.displays import mass_felt
 
-        return SilentMeter(mass_felt(scene, axis))
+        return SilentMeter(mass_felt(axis, group))
+    accuracy = _accuracy_of(axis, axis.passivity if group is None else group.passivity, together)
     environment = None if axis.group or axis.guard else plain(cast(Environment, axis.environment.parameters))
     if (declared := friction_declared(axis)) is None:
-        return AxisMeter(accuracy_of(scene, axis), environment)
+        return AxisMeter(accuracy, environment)
     from canhaptic.control.friction_watch import FrictionWatch
 
-    return AxisMeter(accuracy_of(scene, axis), environment, FrictionWatch(declared))
+    return AxisMeter(accuracy, environment, FrictionWatch(declared))
 
 
 def build_group(scene: Scene, group: GroupScene) -> "GroupController":
-    """Return the controller of one group.
+    """Return the controller of a group.
 
     Raises:
         ParameterError: Network, kinematics and axes do not fit together, or a value is missing.
@@ -215,10 +218,10 @@ def build_group(scene: Scene, group: GroupScene) -> "GroupController":
 
 
 def check_group(group: GroupScene) -> None:
-    """Refuse a group whose parts do not fit its axes.
+    """Refuse a group whose kinematics have another number of axes.
 
     Raises:
-        ParameterError: They do not.
+        ParameterError: The numbers differ.
     """
     kinematics = cast("Kinematics", group.kinematics.parameters)
     if kinematics.axes != len(group.axes):
@@ -244,7 +247,7 @@ def build_servo_drive(axis: AxisScene, link: Link, bus: BusParameters, *, dry_ru
 
 
 def require_torque_axis(axis: AxisScene) -> None:
-    """Refuse a dry run of an axis that takes no torque from the master.
+    """Refuse a dry run of an axis that is an admittance display, which takes no torque from the master.
 
     Raises:
         InputError: It is an admittance display.

@@ -1,8 +1,8 @@
-"""Drive profiles: defaults for a make of drive, for an axis that names it by `drive: NAME`.
+"""Drive profiles: defaults for a drive model, which an axis selects by `drive: NAME`.
 
 A profile is a YAML file with keys of an axis, in `configs/drives/` or, given as a path that ends in .yaml, next to the
 scene. The axis's own keys win, key by key. What belongs to the rig and not to the make (name, node ID, dictionary,
-scale, limits) cannot be in a profile. Where a drive is simulated, it has the same deviations (`simulated_defaults`).
+scale, limits) cannot be in a profile. A simulated drive has the same deviations (`far_side`).
 """
 
 from os.path import isfile
@@ -31,7 +31,7 @@ def _profile_names() -> list[str]:
 
 
 def with_profile(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
-    """Section of an axis completed from its profile, and without the key that names the profile."""
+    """Return the section of an axis completed from its profile, without the key `drive`."""
     name, at, own = section.get("drive"), section.value_at("drive"), section.without("drive")
     path = _path(name, at) if isinstance(name, str) else None
     if path is None:
@@ -57,7 +57,7 @@ def profile_values(name: str) -> dict[str, Any]:
 
 
 def profile_of_vendor(vendor_id: int | None) -> str | None:
-    """Return the profile with this vendor ID (0x1018:01); None when there is none."""
+    """Return the name of the profile with this vendor ID (0x1018:01); None if there is none."""
     if not vendor_id:
         return None
     return next((name for name in _profile_names() if profile_values(name).get("vendor_id") == vendor_id), None)
@@ -71,7 +71,7 @@ def _path(name: str, at: SourceLocation) -> Path | None:
 
 
 def _read(path: Path, faults: Diagnostics) -> MarkedMapping:
-    """Keys of a profile; a wrong one is noted, and left out."""
+    """Return the keys of a profile; unknown ones are noted as faults and left out."""
     try:
         text = read_regular(path, _LARGEST).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -1,8 +1,6 @@
-"""Names for recorded frames: the bus of a scene to which a frame belongs, and the nodes that send it.
+"""Buses and nodes of a scene to which recorded frames belong.
 
-Mapping of recorded frames to the buses of a scene: by the second word of a line, or a binary log's bus number.
-
-Names of the nodes on the bus of a scene, to label recorded frames.
+A frame names its bus by the second word of its line, or by the bus number in a binary log.
 """
 
 from canhaptic.canopen.eds import read_dictionary
@@ -14,10 +12,10 @@ from canhaptic.scene.models import Scene
 
 
 class Channels:
-    """Buses of a scene by their names in a bus log.
+    """Index of the buses of a scene by their names in a bus log.
 
-    A frame belongs to the bus whose name or channel (`can0`) its line has, or to the bus with that number, counted from
-    0. Where the scene has one bus every frame belongs to it.
+    The log has the name, the channel (`can0`) or the number of the bus, counted from 0. If the scene has one bus, every
+    frame belongs to it.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -32,7 +30,7 @@ class Channels:
         """Return the index of the frame's bus in the scene.
 
         Raises:
-            LogFormatError: The log names a bus that the scene has not.
+            LogFormatError: The scene has no such bus.
         """
         if self._is_one:
             return 0
@@ -44,7 +42,7 @@ class Channels:
 
 
 def describe_nodes(scene: Scene) -> list[NodeDescription]:
-    """Name, dictionary, units and bus of every axis."""
+    """Return the name, dictionary, units and bus of the node of every axis."""
     places = {bus.name: place for place, bus in enumerate(scene.buses)}
     nodes = []
     for axis, bus in ((axis.parameters, axis.bus) for axis in scene.axes):

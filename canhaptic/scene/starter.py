@@ -1,10 +1,9 @@
-"""Text of a starter configuration, made from the dictionary of a drive and the texts of `starter.toml`.
+"""Text of a first scene for a drive, from its dictionary and the texts of `starter.toml`.
 
-It is a whole scene: every key that a dictionary can supply is given, every other has a cautious value and says so.
+The scene is complete: values that the dictionary states are used, all others are cautious guesses marked as such.
 
-A simulated drive needs values that real drives have and dictionaries omit. Some dictionaries state the settings of
-another rig, such as a communication cycle of 1 us; on a real drive the vendor's tool has set them. A simulated drive
-gets those of this scene.
+For a simulated drive, `simulation.drive.objects` has the values that dictionaries omit, and replaces settings that
+belong to another rig, such as a communication cycle of 1 us, which a vendor's tool sets on a real drive.
 
 All values of an admittance display scale with the torque limit, so that they fit together: a mass that the torque
 accelerates at 200 rad/s^2, a velocity loop of 50 Hz, and a virtual mass that is passive without a guard.
@@ -62,7 +61,7 @@ def _key(place: _Place) -> str:
 
 
 def _absent(found: Survey) -> dict[_Place, int]:
-    """Return values for objects that have none."""
+    """Return values for objects that have no value in the dictionary."""
     needed: dict[_Place, int] = {(od.DEVICE_TYPE, 0): _DEVICE_TYPE}
     if found.vendor_id is not None:
         needed[od.IDENTITY, 1] = found.vendor_id
@@ -75,7 +74,7 @@ def _absent(found: Survey) -> dict[_Place, int]:
 
 
 def _cob_ids(dictionary: ObjectDictionary) -> dict[_Place, int]:
-    """Return the COB-ID of every PDO as delivered: from the predefined connection set, or disabled."""
+    """Return the default COB-ID of every PDO: from the predefined connection set, or disabled."""
     found: dict[_Place, int] = {}
     for first, bases in ((od.RPDO_COMMUNICATION, od.RPDO_BASE), (od.TPDO_COMMUNICATION, od.TPDO_BASE)):
         for index in _indices(dictionary, first):
@@ -89,7 +88,7 @@ def _indices(dictionary: ObjectDictionary, first: int) -> Iterator[int]:
 
 
 def _misleading(dictionary: ObjectDictionary, sample_time: float) -> dict[_Place, int]:
-    """Replacements for stated values that belong to another rig."""
+    """Return replacements for stated values that belong to another rig."""
     period = round(sample_time * 1e6)
     wanted: dict[_Place, int] = {(od.SYNC_COB_ID, 0): od.SYNC_FRAME_COB_ID, (od.COMMUNICATION_CYCLE_PERIOD, 0): period}
     wanted |= {(index, _EVENT_TIMER): 0 for index in _indices(dictionary, od.RPDO_COMMUNICATION)}
@@ -103,7 +102,7 @@ _START_SPEED: Final = 0.05  # from which a hand moves it [rad/s]
 _HELD: Final = 2.0  # times M + c tau: passive without a guard
 _ACCELERATION: Final = 50.0  # commanded at most [rad/s^2]
 _SENSOR: Final = {"range": 2.0, "per_count": 2.0 / 16384, "error": 4e-4, "slew": 25.0}
-"""Force sensor of an admittance display, as parts of the torque limit."""
+"""Force sensor of an admittance display, as multiples of the torque limit."""
 
 _SCALED: Final = {
     "stiffness": 5.0,
@@ -113,9 +112,9 @@ _SCALED: Final = {
     "most_friction": 0.05,
     "push": 1.0,
 }
-"""Environment and mass, as parts of the torque limit: it is met a little beyond 0.1 rad of penetration."""
+"""Wall and device, as multiples of the torque limit, which the wall reaches a little beyond 0.1 rad."""
 _LATE: Final = {"sync_jitter": 0.05, "torque_window": 1e-4, "current_lag": 5e-4}
-"""As under `timing` in the texts."""
+"""Timing of real drives, as in the text `timing` of `starter.toml`."""
 
 _CAUTIOUS: Final = 0.05  # part of the rated torque that the first configuration allows
 _GUESSED_RATED_TORQUE: Final = 1.0  # [N*m]
@@ -134,7 +133,7 @@ def _texts() -> dict[str, str]:
 
 
 def _text(name: str, **values: object) -> str:
-    """Return a text of `starter.toml`, filled in; three digits of a number are enough for a guess."""
+    """Return a text of `starter.toml` with its values filled in, numbers to three digits."""
     shown = {key: f"{value:.3g}" if isinstance(value, float) else str(value) for key, value in values.items()}
     return Template(_texts()[name]).substitute(to_set=TO_SET, **shown)
 
@@ -144,12 +143,12 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
 
     Args:
         found: Survey of the dictionary.
-        simulate: Whether a simulated drive, motor and hand on a virtual bus are added, so that it runs at once.
+        simulate: Whether drive, motor and hand are simulated on a virtual bus, so that the scene runs at once.
         drive: Name of the drive profile to use; None for none.
-        out: Path of the file for the text; None where it is unknown, so that the dictionary needs its whole path.
+        out: Path of the scene file, from which the path of the dictionary starts; None: that path is absolute.
 
     Raises:
-        DictionaryError: The drive cannot serve; lists every reason.
+        DictionaryError: The drive is unfit; lists every reason.
     """
     if found.suitability is Suitability.UNFIT:
         reasons = "; ".join(f"{row.item}: {row.text}" for row in found.reasons)
@@ -241,7 +240,7 @@ def _gain(limit: float) -> float:
 
 
 def _plain(text: str) -> str:
-    """Return a text for a comment: one line, printable."""
+    """Return a text as part of a comment: on one line, printable."""
     return "".join(letter if letter.isprintable() else " " for letter in text)
 
 
@@ -272,7 +271,7 @@ def _counts(dictionary: ObjectDictionary) -> float:
 
 
 def _stated_counts(dictionary: ObjectDictionary) -> int | None:
-    """Return the increments of 0x608F; None where absent, or the 1 of an object that was never set."""
+    """Return the increments of 0x608F; None if absent, or so few that the object was never set."""
     increments = stated_value(dictionary, od.ENCODER_RESOLUTION, 1)
     return increments if increments is not None and increments >= _FEWEST_COUNTS else None
 
@@ -291,7 +290,7 @@ def _rated_lines(dictionary: ObjectDictionary, stated: float | None) -> str:
 
 
 def _torque_limit(dictionary: ObjectDictionary, rated: float) -> float:
-    """Return a cautious torque limit [N*m] that a 0x6072 with its own limits accepts."""
+    """Return a cautious torque limit [N*m] within the range that the dictionary gives for 0x6072."""
     variable = dictionary.get_variable(od.MAX_TORQUE, 0)
     limit = _CAUTIOUS * rated
     if variable is not None and variable.writable:
@@ -307,7 +306,7 @@ def _read_back(found: Survey) -> str:
 
 
 def _simulation(found: Survey, rated: float, limit: float, resolution: float) -> str:
-    """Return the section; `rated` [N*m] is the motor's, in 0x6076 where the drive has it, so that a gear may follow."""
+    """Return the section `simulation`; `rated` [N*m] is the motor's rated torque, in 0x6076 if the drive has it."""
     objects, drive = missing_values(found, 1.0 / _rate(found)), _text("rated_torque", torque=f"{rated:g}")
     if od.RATED_TORQUE in found.dictionary:
         drive = ""

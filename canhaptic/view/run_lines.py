@@ -180,7 +180,7 @@ def ordered(ports: Mapping[str, PortResult]) -> list[str]:
 
 
 def heading(result: Result) -> Text:
-    """Return the status of the run, its number of cycles and its configuration."""
+    """Return the status of the run, its number of cycles, its configuration, and where user code ran."""
     status = str(result.get("status", "unknown"))
     text = Text(" ")
     text.append(status, style="bold green" if status in {"ok", "complete", "completed"} else "bold yellow")
@@ -190,6 +190,9 @@ def heading(result: Result) -> Text:
         text.append(f"   energy log {result['energy_log']}", style="bold red")
     if result.get("config_hash"):
         text.append(f"   configuration {str(result['config_hash'])[:12]}", style="dim")
+    if code := result.get("own_code"):
+        text.append(f"\n own code: {code['runs_in']}")
+        text.append(f", {counted(code['late_holds'], 'answer')} late" if "late_holds" in code else "")
     return text
 
 

@@ -1,6 +1,6 @@
 """Every named quirk against its twin: a whole start through the bus, and what happens to a master that knows nothing.
 
-The twin is the simulated drive as `scene.simulated_defaults` makes it; what reaches the motor is judged by the motor.
+The twin is the simulated drive as `scene.far_side` makes it; what reaches the motor is judged by the motor.
 """
 
 from typing import Any
@@ -11,7 +11,7 @@ from canhaptic.drive.can.pdo_map import check_dictionary, choose_map
 from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.drive.profile.quirks import _QUIRKS, TWINS
 from canhaptic.errors import CommandLostError, DictionaryError, StartError
-from canhaptic.scene.simulated_defaults import _twin_of
+from canhaptic.scene.far_side import _twin_of
 from tests.drive.drive_bench import OUR_EDS, RATED_TORQUE, REPOSITORY, Bench, MakeBench, axis, dictionary
 
 ALONE: dict[str, str] = {

@@ -114,8 +114,10 @@ def test_an_angle_is_refused_on_a_linear_axis_and_the_file_is_found_next_to_the_
     )
     (tmp_path / "scene.yaml").write_text(text)
     (tmp_path / "hand.csv").unlink()
-    with pytest.raises(SceneError, match=r"hand\.csv: cannot be read \(no such file\)"):
+    with pytest.raises(SceneError, match=r"hand\.csv: cannot be read \(no such file\)") as caught:
         load_scene(tmp_path / "scene.yaml")
+    tried = f"tried {tmp_path}/hand.csv; put the table into the folder of the scene, {tmp_path}"
+    assert str(caught.value).endswith(tried)
     _table(tmp_path, "time,position\n0,0\n1.5,0.1\n")
     [note] = dear_holds(load_scene(tmp_path / "scene.yaml"))
     assert note == "handle: hand.csv ends after 1.5 s; the hand then stays at 0.1 m"

@@ -15,7 +15,7 @@ CODE_OF_A_REAL_AXIS: Final = 10_900
 KINDS: Final[dict[str, tuple[str, ...]]] = {
     "simulation": (
         *("sim.drive", "sim.bus", "sim.plant.plant", "sim.plant.user", "control.energy_audit"),
-        *("scene.simulated_defaults", "scene.method", "scene.far_side"),
+        *("scene.method", "scene.far_side"),
     ),
     "effect": ("sim.plant.effects.",),
     "approximate effect": ("sim.plant.splitting",),

@@ -3,7 +3,7 @@ import inspect
 import pytest
 
 from canhaptic import errors
-from canhaptic.errors import CanHapticError, LinkError, ParameterError, RigError, SceneError, StartError
+from canhaptic.errors import CanHapticError, LinkError, ParameterError, RigError, SceneError, StartError, cause_of
 from canhaptic.registry import load
 
 
@@ -25,6 +25,27 @@ def test_every_error_of_the_package_is_in_the_tree_and_has_an_exit_status() -> N
             assert issubclass(error, CanHapticError)
             assert name in errors.__doc__
             assert error.exit_status in {1, 2, 3}
+
+
+def raised(program: str, name: str = "__main__", file: str = "/rig/mine.py") -> Exception:
+    """The exception of a program that is executed as a file of a module."""
+    try:
+        exec(compile(program, file, "exec"), {"__name__": name})
+    except Exception as error:
+        above = error.__traceback__  # the frame of this test
+        return error.with_traceback(above and above.tb_next)
+    raise AssertionError(program)
+
+
+def test_the_cause_of_a_foreign_error_is_one_bounded_line_with_its_place() -> None:
+    assert cause_of(raised("\nraise ValueError('my bug')")) == "ValueError: my bug (mine.py:2)"
+    assert cause_of(raised("import json\njson.loads('{')")).endswith("(mine.py:2)")  # not a line of the library
+    assert cause_of(raised("raise ValueError('a\\nb\\x1b[2J')")) == r"ValueError: a\nb\x1b[2J (mine.py:1)"
+    assert len(cause_of(raised("raise ValueError(5000 * 'x')"))) < 250
+    assert cause_of(raised("raise ValueError('inside')", "canhaptic.cycle")) == "ValueError: inside"
+    assert cause_of(ParameterError("ours, as it is")) == "ours, as it is"
+    mute = "class Mute(Exception):\n    def __str__(self):\n        return 1 / 0\nraise Mute"
+    assert cause_of(raised(mute)) == "Mute: an error without a readable message (mine.py:4)"
 
 
 def test_rig_errors_carry_the_last_records() -> None:

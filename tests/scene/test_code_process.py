@@ -21,7 +21,7 @@ from canhaptic.errors import InputError, OwnCodeError, OwnCodeLateError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.ring import allocate
 from canhaptic.scene import code_process
-from canhaptic.scene.build import build
+from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.code_process import CodeProcess, LaterLaw, apart, require_law
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
@@ -126,6 +126,8 @@ def test_the_law_is_bit_for_bit_the_one_in_the_cycle_a_hold_later(
         run(experiment.cycle, 1500)
         assert experiment.code is not None
         assert (experiment.code.late, experiment.cycle.ledgers[0].summary().energy_in > 1e-3) == (0, True)
+        known = experiment_account(experiment, "completed", 1.0)["own_code"]
+        assert known == {"runs_in": "process", "late_holds": 0, "longest": 0}
     with EnergyLog.open(tmp_path / "e.h5") as log:
         assert recompute_all(log, allow_code=True)[0]["mismatch"] is None
         law, port = LaterLaw(scene_of(log, allow_code=True)), log.ports["handle"]
@@ -144,7 +146,11 @@ def test_the_law_is_bit_for_bit_the_one_in_the_cycle_a_hold_later(
 @pytest.mark.parametrize(
     ("deed", "error", "message"),
     [
-        ("raise ValueError('no such law')", OwnCodeError, r"wall.py:Wall.*effort raised ValueError: no such law"),
+        (
+            "raise ValueError('no such law')",
+            OwnCodeError,
+            r"wall.py:Wall.*effort raised ValueError: no such law \(wall.py:16\)",
+        ),
         ("return math.nan", OwnCodeError, "effort returned nan"),
         ("os._exit(5)", OwnCodeLateError, r"its process has ended.*did not answer at SYNC .*OWN_CODE_LATE"),
         ("os.kill(os.getpid(), 9)", OwnCodeLateError, "ended by signal 9"),

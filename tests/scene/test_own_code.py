@@ -65,7 +65,9 @@ def refusal(folder: Path, environment: str, *, allow_code: bool = True) -> str:
 def test_an_own_wall_renders_from_the_command_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["run", str(folder / "scene.yaml"), "--set", ENVIRONMENT, "--duration", "1", "--pace", "free", "--json"]
     assert main([*words, "--allow-code"]) == 0
-    port = json.loads(capsys.readouterr().out)["ports"]["handle"]
+    result = json.loads(capsys.readouterr().out)
+    assert result["own_code"] == {"runs_in": "cycle"}
+    port = result["ports"]["handle"]
     assert port["in"] > 1e-4
     assert port["least_interaction"] >= -1e-9
 
@@ -107,9 +109,10 @@ def test_a_file_outside_the_folder_is_refused_however_it_is_named(folder: Path) 
 def test_what_is_no_regular_file_is_refused(folder: Path) -> None:
     os.mkfifo(folder / "pipe.py")
     (folder / "folder.py").mkdir()
-    for name in ("pipe.py", "folder.py"):
-        assert "not a regular Python file" in refusal(folder, f"environment={{type: '{name}:Wall'}}")
-    assert "cannot be read" in refusal(folder, "environment={type: 'absent.py:Wall'}")
+    for name in ("pipe", "folder"):
+        assert f"cannot be read ([Errno 22] is a {name}" in refusal(folder, f"environment={{type: '{name}.py:Wall'}}")
+    absent = refusal(folder, "environment={type: 'absent.py:Wall'}")
+    assert f"absent.py'); put the file into the folder of the scene, {folder.resolve()}" in absent
     assert "expected one of" in refusal(folder, "environment={type: 'os.path:join'}")  # no import by dotted name
 
 

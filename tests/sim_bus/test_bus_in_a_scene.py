@@ -121,7 +121,7 @@ def test_an_ideal_bus_imports_nothing_of_this_and_runs_no_line_of_it() -> None:
 
 def test_an_ideal_scene_is_built_with_a_bare_connection() -> None:
     with build(load_scene(DEMO)) as experiment:
-        assert experiment.faulty_bus is None
+        assert not experiment.faulty_buses
         assert type(experiment.rig.links[0]._bus) is LeanVirtualBus
 
 

@@ -83,7 +83,6 @@ def disturbed(*overrides: str, cycles: int = 1500) -> Outcome:
         heard = []
         while (message := listener.recv(0)) is not None:
             heard.append(message)
-        assert experiment.faulty_bus is not None
         assert experiment.far_side is not None
         [drive] = experiment.far_side.drives
         experiment.clock.wait_until(experiment.clock.now() + 300_000_000)
@@ -94,7 +93,7 @@ def disturbed(*overrides: str, cycles: int = 1500) -> Outcome:
         return Outcome(
             cycle.cycles,
             experiment.rig.link_statistics(),
-            Counter(experiment.faulty_bus.counts),
+            Counter(experiment.faulty_buses[""].counts),
             accounted.most,
             0.5 * COUNT * (watched.variation + abs(watched.last)) + 1e-12,
             judge.least[0],

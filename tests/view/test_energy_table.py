@@ -251,3 +251,23 @@ def test_a_run_prints_a_line_a_port_and_what_is_amiss(capsys: pytest.CaptureFixt
     content |= {"link": {"missing": 0}, "method": "cogging of order 2, estimated error 1 um"}
     make_console().print(brief_report(content))
     assert capsys.readouterr().out.splitlines()[3].strip().startswith("method   cogging of order 2")
+
+
+@pytest.mark.parametrize(
+    ("own_code", "row"),
+    [
+        ({"runs_in": "cycle"}, "own code: cycle"),
+        ({"runs_in": "process", "late_holds": 3, "longest": 2}, "own code: process, 3 answers late"),
+        ({"runs_in": "process", "late_holds": 1, "longest": 1}, "own code: process, 1 answer late"),
+    ],
+)
+def test_a_run_with_own_code_says_where_it_ran_and_how_often_it_was_late(
+    own_code: Any, row: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = result(["handle"])
+    add_verdicts(content["ports"]["handle"])
+    make_console().print(brief_report(content))
+    assert "own code" not in capsys.readouterr().out
+    make_console().print(brief_report(content | {"own_code": own_code}))
+    assert f" {row}" in capsys.readouterr().out.splitlines()
+    assert f" {row}" in map(str.rstrip, printed(content | {"own_code": own_code}).splitlines())

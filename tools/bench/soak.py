@@ -72,8 +72,7 @@ def descriptors(process: int) -> int:
 
 def lost_answers(experiment: Experiment) -> int:
     """Returns how many SYNCs cannot have been answered in time: by the counts of the faulty bus and of the link."""
-    assert experiment.faulty_bus is not None
-    counts = experiment.faulty_bus.counts
+    counts = experiment.faulty_buses[""].counts
     lost = counts["drop", "to_drive", SYNC] + counts["drop", "to_master", TPDO]
     return lost + int(experiment.rig.link_statistics()["late"])
 

@@ -1,6 +1,6 @@
 """Named deviations of real drives from CiA 301 and 402, chosen by `quirks: [...]` in an axis or by its drive profile.
 
-The simulated drive can show each of them (`canhaptic.scene.simulated_defaults`), which tests a whole start with it.
+The simulated drive can show each of them (`canhaptic.scene.far_side`), which tests a whole start with it.
 """
 
 import tomllib

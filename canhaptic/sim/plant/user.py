@@ -76,13 +76,13 @@ class RecordedMotion(Parameters):
 
     @model_validator(mode="after")
     def _read(self, info: ValidationInfo) -> Self:
-        path = Path(getattr(info.context, "folder", "")) / self.file
+        folder = Path(getattr(info.context, "folder", "")).absolute()
+        path = folder / self.file
         try:
             content = read_regular(path, _MOST_BYTES)
         except OSError as error:
-            raise ValueError(
-                f"file: {self.file}: cannot be read ({error.strerror}); put it into the folder of the scene"
-            ) from error
+            text = f"file: {self.file}: cannot be read ({error.strerror}): tried {path}"
+            raise ValueError(f"{text}; put the table into the folder of the scene, {folder}") from error
         try:
             self._rows = _rows_of(content.decode("utf-8-sig"), self.column, getattr(info.context, "motion", None))
         except ValueError as error:

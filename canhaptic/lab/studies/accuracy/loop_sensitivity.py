@@ -29,7 +29,7 @@ from canhaptic.lab.studies import Row
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_group
-from canhaptic.scene.timing import with_timing
+from canhaptic.scene.timing import with_loops
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.propagator import Array
 
@@ -207,7 +207,7 @@ def _delays(base: Scene, whole: Scene) -> Iterator[Variant]:
     other = "event" if base.bus.rpdo == "synchronous" else "synchronous"
     bus = base.bus.model_copy(update={"rpdo": other})
     own = {a.parameters.name: _changed(a, {"delay": bus.delay, "torque_window": None}, {}) for a in base.axes}
-    timed = with_timing(replace(whole, bus=bus, axes=tuple(own.get(a.parameters.name, a) for a in whole.axes)))
+    timed = with_loops(replace(whole, bus=bus, axes=tuple(own.get(a.parameters.name, a) for a in whole.axes)))
     axes = tuple(axis for axis in timed.axes if axis.parameters.name in own)
     if all((axis.loop.torque_window or 0.0) < bus.sample_time for axis in axes):  # it comes before the next SYNC
         yield Variant("RPDO", other, replace(base, bus=bus, axes=axes))
