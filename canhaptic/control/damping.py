@@ -135,7 +135,7 @@ def search(window: VelocityWindow, ring: Buffer, tolerance: float, furthest: int
 def _with_unit(value: Any) -> Any:
     try:
         bare = float(value) != 0.0
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):  # what follows refuses them
         return value
     if bare:
         raise ValueError("damping per joule has no natural unit: write it, as in '200 s/m^2' or '5 s/rad^2'")
