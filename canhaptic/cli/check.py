@@ -30,6 +30,7 @@ from canhaptic.scene.hints import guarantee
 from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import AxisScene, Guess, Scene, refused_values, status_text, values_to_set
 from canhaptic.view.run_lines import make_console
+from canhaptic.view.si import counted
 from canhaptic.view.table import Styled, Table
 
 
@@ -185,13 +186,13 @@ class _CheckFindings(NamedTuple):
 
     def verdict(self) -> str:
         """One line: whether the scene can run, its wall, the fitness of the drives, bus load and exceeded limits."""
-        load = max(budget.periodic_load for budget in self.budgets.values())
+        load, fitness = max(budget.periodic_load for budget in self.budgets.values()), Counter(self.fitness).items()
         parts = [
             "" if inf in self.felt.values() else self.wall(),
-            *(f"{count} drive{'s' if count > 1 else ''} {word}" for word, count in Counter(self.fitness).items()),
+            *(f"{counted(count, 'drive')} {'is' if count == 1 else 'are'} {word}" for word, count in fitness),
             f"bus load {100.0 * load:.0f} %",
             f"{', '.join(self.scene.unread)} not run, so its parameters are not checked" if self.scene.unread else "",
-            f"{len(self.exceeded)} limit{'s' if len(self.exceeded) != 1 else ''} exceeded" if self.exceeded else "",
+            f"{counted(len(self.exceeded), 'limit')} exceeded" if self.exceeded else "",
         ]
         return f"{status_text(self.scene)}; {', '.join(part for part in parts if part)}"
 
@@ -275,14 +276,14 @@ def _print_findings(console: Console, found: _CheckFindings, *, full: bool) -> N
             console.print(f"  worst cycle: {budget.arithmetic()}", markup=False, soft_wrap=True)
             console.print(f"  periodic load of the bus: {100.0 * budget.periodic_load:.1f} %\n")
         else:
-            console.print(f"{bus}: {used:.0f} us of {most:.0f} us in the worst cycle", markup=False)
+            console.print(f"{bus}: frames take at most {used:.0f} us of a cycle of {most:.0f} us", markup=False)
     for axis in found.scene.axes:
         name = axis.parameters.name
         if rows := [row for row in found.findings[name] if full or row.verdict is not Verdict.FIT]:
             console.print(_fitness_table(f"{name}: {axis.parameters.eds}", rows))
         if found.objects:
             console.print(_fitness_table(f"{name}: kept in the drive", found.objects[name]))
-    console.print(_hint_table([h for h in found.hints if full or h.concerns or h.exceeded], texts=full))
+    console.print(_hint_table([h for h in found.hints if full or h.concerns], texts=full))
     settings = [setting for setting in host_settings() if full or setting.advice]
     if full:
         console.print(Table("host", ("setting", "value", "advice"), settings))
@@ -297,8 +298,9 @@ def _guesses(unset: list[Guess], *, full: bool) -> Table | Text:
     if full:
         rows = [(guess.line or "", guess.key, guess.value, guess.note) for guess in unset]
         return Table("to set", ("line", "key", "guess", "what belongs there"), rows)
-    lines = ((f"line {guess.line} " if guess.line else "", guess) for guess in unset)
-    return Text(", ".join(f"{line}{guess.key}: {guess.value}" for line, guess in lines))
+    given = (f"{guess.key}: {guess.value} (line {guess.line})" for guess in unset if guess.line)
+    values = [*given, *(f"{guess.key} (missing)" for guess in unset if not guess.line)]
+    return Text("  " + ", ".join(values))
 
 
 def _realtime(scene: Scene) -> dict[str, str]:

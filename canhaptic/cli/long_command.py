@@ -97,7 +97,7 @@ def _walls(experiment: "Experiment") -> Iterator[str]:
         if axis.parameters.position_reference != "at_start":
             continue
         at, unit = drive.scaling.position(drive.position_counts), axis.parameters.unit
-        ways = [f"{key} at {place:.4g} {unit}, {place - at:+.4g} {unit} from here" for key, place in _places(axis)]
+        ways = [f"{key}: {place:.4g} {unit} ({place - at:+.4g} {unit} from here)" for key, place in _places(axis)]
         where = f"the handle is {at:.4g} {unit} from its position at power-on"
         yield f"{axis.parameters.name}: {'; '.join([where, *ways])}"
 

@@ -23,6 +23,11 @@ _WHOLE: Final = 0.995
 """Rendered share above which the stiffness counts as rendered in full: a damper's force distorts the share a little."""
 _RENDERED: Final = {"detents": "notch force", "coulomb_surface": "friction"}
 """What the rendered share refers to, for an environment without a stiffness."""
+_LABELS: Final = {
+    "success_rate": "TPDOs received", "skipped_syncs": "SYNCs skipped", "missed_tpdos": "TPDOs missed",
+    "missing": "TPDOs missed", "received": "frames received", "sent": "frames sent",
+}  # fmt: skip
+"""Words for figures of the link."""
 _LOSSES: Final = ("skipped_syncs", "missed_tpdos", "missing")
 """Link counters that indicate a problem if they are not zero."""
 STYLES: Final[dict[Headline, str]] = {
@@ -216,7 +221,7 @@ def line(name: str, content: Mapping[str, object] | str) -> Padding:
 
 
 def _words(name: str, value: object) -> str:
-    return f"{name.replace('_', ' ')} {_value(name, value)}"
+    return f"{_LABELS.get(name, name.replace('_', ' '))} {_value(name, value)}"
 
 
 def _value(name: str, value: object) -> str:

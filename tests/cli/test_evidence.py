@@ -89,7 +89,7 @@ def test_walls_are_shown_before_any_torque_where_the_counts_begin_at_power_on(
         asked = walls_first(experiment, sent_so_far)
         run(experiment.cycle, 3, asked)
     said = capsys.readouterr().err
-    assert said.count("the handle is 0.02 m from its position at power-on; position at -0.05 m, -0.07 m from here") == 1
+    assert said.count("the handle is 0.02 m from its position at power-on; position: -0.05 m (-0.07 m from here)") == 1
     assert seen[0] == 0.0
     with build(load_scene(DEMO)) as experiment:
         assert walls_first(experiment, bool) is bool

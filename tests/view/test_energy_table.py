@@ -91,7 +91,7 @@ def test_every_part_of_the_result_is_in_the_report() -> None:
         "hand force",
         "cycles with the energy balance solved",
         "net energy, from the plant",
-        "success rate 99.987 %, missing 1",
+        "TPDOs received 99.987 %, TPDOs missed 1",
         "cycles per second 9123.4, deadlines missed 0",
         "p50   7.00 us",
         "exact between SYNCs",
@@ -246,7 +246,7 @@ def test_a_run_prints_a_line_a_port_and_what_is_amiss(capsys: pytest.CaptureFixt
     lines = capsys.readouterr().out.splitlines()[1:]
     assert lines[0].startswith(" handle: passive: NO")
     assert lines[1].startswith(" ok   8000 cycles")
-    assert lines[2].split() == ["link", "missing", "1"]
+    assert lines[2].split() == ["link", "TPDOs", "missed", "1"]
     assert "--full" in lines[3]
     content |= {"link": {"missing": 0}, "method": "cogging of order 2, estimated error 1 um"}
     make_console().print(brief_report(content))

@@ -40,14 +40,17 @@ def design_report(result: Row) -> RenderableType:
 
 def _price(result: Row) -> list[Text]:
     share, damped = result["stiffness_rendered"], result["damping_rendered"]
-    lines = [f" rendered: stiffness {100.0 * share:.1f} %" + (f", damping {100.0 * damped:.1f} %" if damped else "")]
-    lines.append(f" guarantee rests on: {rests_on(str(result['certificate']))}")
-    unit = stiffness_unit(result["unit"])
-    lines += [f" certified {name}: up to {si(limit, unit, 3)}" for name, limit in result["certified"].items()]
-    lines += [f" {text}" for text in result.get("guarantee", ()) if text]
+    rendered = f"stiffness {100.0 * share:.1f} %" + (f", damping {100.0 * damped:.1f} %" if damped else "")
+    lines, unit = [f" rendered, of requested: {rendered}"], stiffness_unit(result["unit"])
+    lines += [
+        f" largest stiffness certified by {name}: {si(limit, unit, 3)}" for name, limit in result["certified"].items()
+    ]
+    guarantee = [f" {text}" for text in result.get("guarantee", ()) if text]
+    lines += guarantee or [f" guarantee rests on: {rests_on(str(result['certificate']))}"]
     rest = si(max(0.0, -result["least_judged"]), "J", 3)
     covered = f" at the motor, {rest} at the handle" if "device_damping" in result["loop"] else ""
-    lines.append(f" given out beyond energy received: {si(max(0.0, -result['least_interaction']), 'J', 3)}{covered}")
+    given = si(max(0.0, -result["least_interaction"]), "J", 3)
+    lines.append(f" energy given out beyond the energy received: {given}{covered}")
     if result["remark"]:
         lines.append(f" {result['remark']}; for a real rig declare a lower bound")
     texts = [Text(line) for line in lines]

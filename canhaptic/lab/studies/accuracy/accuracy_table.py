@@ -49,7 +49,7 @@ def accuracy_report(result: Row, *, tables: bool = False) -> RenderableType:
     if is_of_display(result):
         return Group(*(Text(f" {line}") for line in display_heading(result)), display_accuracy_table(result))
     said = [*advice_lines(result), "", *price_lines(result), ""]
-    said += heading(result) if tables else [*heading(result)[:2], *result["remarks"], "every row: --tables"]
+    said += heading(result) if tables else [*heading(result)[:2], *result["remarks"], "all tables: --tables"]
     shown = [Text(f" {part}") for line in said for part in wrapped(line)]
     return Group(*shown, *(accuracy_tables(result) if tables else ()))
 
@@ -73,10 +73,10 @@ def wrapped(line: str) -> list[str]:
 def price_lines(result: Row) -> list[str]:
     """Return one line with time and error for each relevant setting, that of the scene first."""
     plant = {**_plant_prices(result), "other methods": _method_prices(result), "left out": _effect_prices(result)}
-    measured, loop = "time" if result["workload"] else "evaluations", _loop_prices(result)
-    said = [f"plant: {measured} a period, and largest error of the position", *_price_lines(plant)]
+    measured, loop = "computing time" if result["workload"] else "evaluations", _loop_prices(result)
+    said = [f"plant: {measured} per period, and largest position error", *_price_lines(plant)]
     if loop:
-        said.append("loop: time of the control thread in a cycle, and distance from the continuous axis")
+        said.append("loop: time of the control thread per cycle, and largest distance from the continuous axis")
     return [*said, *_price_lines(loop)]
 
 
@@ -118,7 +118,7 @@ def _effect_prices(result: Row) -> list[str]:
         if row.get("position_error") is not None:
             saved, spent = row["us_saved_per_period"], row["evaluations_saved_per_period"]
             price = f"{spent:.3g} evaluations" if saved is None else _time(max(saved, 0.0))
-            entries.append(f"{row['effect']}: errs by {length(row['position_error'], result['unit'])}, saves {price}")
+            entries.append(f"{row['effect']}: error {length(row['position_error'], result['unit'])}, saves {price}")
     return entries
 
 
@@ -219,8 +219,8 @@ def advice_lines(result: Row) -> list[str]:
         lines = [f"{within}: no advice: {advice['doubt'] or 'no setting of the plant keeps it'}{reached}"]
     else:
         lines = [
-            f"{within}: {chosen['setting']} ({chosen['evaluations_per_period']:.3g} evaluations a period, error "
-            f"{length(chosen['position_error'], unit)}, {si(chosen['energy_error'], 'J', 2)}); paste into the scene:",
+            f"{within}: {chosen['setting']} (evaluations per period {chosen['evaluations_per_period']:.3g}, errors "
+            f"{length(chosen['position_error'], unit)} and {si(chosen['energy_error'], 'J', 2)}); for the scene:",
             f"    {advice['line']}",
         ]
     lines.append(_loop_advice(result))
@@ -259,11 +259,11 @@ def _loop_advice(result: Row) -> str:
         load = f"bus {100.0 * row['bus_load']:.0f} %"
         nearer.append(f"{row['group']} {row['setting']} ({length(row['position_error'], unit)}, {load}{out})")
     if not nearer:
-        none = "no single change that fits the bus brings it clearly nearer to the continuous axis"
+        none = "no single change that fits the bus brings it clearly closer to the continuous axis"
         return f"loop: {judged or none}"
     said = f"{judged}: " if judged else ""
     distance = length(base["position_error"], unit)
-    return f"loop: {said}{distance} from the continuous axis; nearer: {'; '.join(nearer[:_SHOWN])}"
+    return f"loop: {said}{distance} from the continuous axis; closer with: {'; '.join(nearer[:_SHOWN])}"
 
 
 def _error(row: Row) -> float:

@@ -56,15 +56,15 @@ def display_heading(result: Row) -> list[str]:
     lines = [
         f"{result['scene']}, {result['axis']}: {result['holds']} sample times at {result['rate']:g} Hz, "
         f"{result['status']}",
-        f"against the ideal display: travel {si(reference['travel'], unit)}, energy {si(reference['energy'], 'J')}; "
-        f"with twice its sample time it is {si(reference['apart'], unit, 2)} off",
+        f"errors against an ideal display: travel {si(reference['travel'], unit)}, "
+        f"energy {si(reference['energy'], 'J')}; certain to about {si(reference['apart'], unit, 2)}",
     ]
     for row in result["plant"]:
         text = row["status"]
         if row["status"] == "ok":
             energy = f", energy {si(row['energy_error'], 'J', 2)}" if "energy_error" in row else ""
-            text = f"position {si(row['position_error'], unit, 2)}{energy} off DOP853"
-        lines.append(f"plant of {row['axis']}: {text}")
+            text = f"errors against DOP853: position {si(row['position_error'], unit, 2)}{energy}"
+        lines.append(f"simulated plant of {row['axis']}: {text}")
     return lines
 
 

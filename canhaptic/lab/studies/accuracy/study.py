@@ -235,7 +235,7 @@ class StudiedPart:
             rung.spend()
             spent = (clock.now() - begin) / holds / _NS_PER_US
             apart = length(float(np.abs(rung.observe()[0].position - best).max()), axis.parameters.unit)
-            yield f"{rung.setting}: {spent:.3g} us a period, {apart} from the finest setting"
+            yield f"{rung.setting}: {spent:.3g} us per period, {apart} from the finest setting"
 
     def now(self) -> Row:
         """Return the scene's own values of the settings that variants change, by kind of change, and its accuracy."""

@@ -216,20 +216,20 @@ def display_snippet(found: Row) -> str:
 
 def display_design_report(result: Row) -> RenderableType:
     """Return the text of a design for a terminal; `result` as `design_displays` returns it."""
-    said = f"   within {100.0 * result['tolerance']:g} %, margin {100.0 * result['margin']:g} %"
+    said = f"   target: within {100.0 * result['tolerance']:g} %, {100.0 * result['margin']:g} % reserve"
     parts = [Text.assemble(" ", (str(result["scene"]), "bold"), said)]
     for name, found in result["displays"].items():
         low, high = found["mass_felt.share"]
         given = si(max(0.0, -found["least_interaction"]), "J", 3)
         lines = (
             "",
-            f" {name}: the lightest mass, of {found['hands']} hands",
+            f" {name}: lightest mass, tried with {found['hands']} hands",
             display_snippet(found),
-            f" passes from {found['passes'][0]:.3g} to {found['passes'][1]:.3g} {found['unit']}",
-            f" felt: {100.0 * low:.1f} to {100.0 * high:.1f} % of that",
-            f" given out at most: {given} ({si(found['energy_allowance'], 'J', 3)} declared)",
-            f" the guard acts in {100.0 * found['guard_acts']:.2g} % of the holds with a command, at most",
-            f" passive without it from M + c tau = {found['never_acts']:.3g} {found['unit']} on",
+            f" masses that pass: {found['passes'][0]:.3g} to {found['passes'][1]:.3g} {found['unit']}",
+            f" mass felt: {100.0 * low:.1f} to {100.0 * high:.1f} % of requested",
+            f" energy given out: at most {given} (allowance {si(found['energy_allowance'], 'J', 3)})",
+            f" commands limited by the guard: at most {100.0 * found['guard_acts']:.2g} %",
+            f" passive without a guard from M + c tau = {found['never_acts']:.3g} {found['unit']} up",
         )
         parts += map(Text, lines)
         if found["uncertified"]:
