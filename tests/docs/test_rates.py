@@ -26,7 +26,7 @@ def load(axes: int, rate: float) -> None:
 
 @pytest.mark.parametrize(("axes", "rate"), [(1, 1400.0), (2, 1000.0), (3, 770.0)])
 def test_the_guide_names_the_rates_that_fit(axes: int, rate: float) -> None:
-    said = {1: "one axis fits 1.4 kHz", 2: "two fit 1 kHz", 3: "three take 770 Hz"}
+    said = {1: "one axis runs at 1.4 kHz", 2: "two at 1 kHz", 3: "three at 770 Hz"}
     assert said[axes] in " ".join(GUIDE.split())
     load(axes, rate)
     with pytest.raises(SceneConflictError, match="the cycle does not fit the bus"):
