@@ -10,7 +10,7 @@ import sysconfig
 from pathlib import Path
 from typing import Final
 
-from canhaptic.errors import SceneError
+from canhaptic.errors import LogFormatError, SceneError
 from canhaptic.registry import nearest
 
 _KINDS: Final = {
@@ -62,6 +62,26 @@ def read_regular(path: str | Path, most: int) -> bytes:
     if len(content) > most:
         raise OSError(errno.EFBIG, f"larger than {most} bytes", str(path))
     return content
+
+
+CONVERTIBLE: Final = frozenset({".blf", ".trc", ".asc"})
+"""Suffixes of bus logs that python-can reads and writes."""
+
+
+def log_file(path: str | Path) -> Path:
+    """Return the path of an existing, non-empty log.
+
+    Raises:
+        LogFormatError: The file does not exist, is not regular, or is empty.
+    """
+    path = Path(path)
+    try:
+        found = require_regular(path)
+    except OSError as error:
+        raise LogFormatError(f"{path}: {error.strerror}, expected a log of a run") from error
+    if found.st_size == 0:
+        raise LogFormatError(f"{path}: the file is empty, expected a log of a run")
+    return path
 
 
 FOLDERS: Final = ("configs", "eds")

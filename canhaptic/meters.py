@@ -22,16 +22,17 @@ _measured: Final = tuple.__new__  # makes a record at half the cost of calling i
 
 
 class Promise(NamedTuple):
-    """Losses and energy allowance that a controller's certificates include."""
+    """Losses, energy allowance and hand force that a controller's certificates include."""
 
     max_consecutive_losses: int = 0  # sample times without a new torque that the certificates cover
     energy_allowance: float = 0.0  # the net energy into the handle stays above minus this [J]
+    hand_force: float | None = None  # largest pull of the hand, as declared [N or N*m]
 
 
 def promise_of(controller: object) -> Promise:
     """Return the promise of a controller; for one that declares nothing, no losses and no allowance."""
     losses = int(getattr(controller, "max_consecutive_losses", 0))
-    return Promise(losses, float(getattr(controller, "energy_allowance", 0.0)))
+    return Promise(losses, float(getattr(controller, "energy_allowance", 0.0)), getattr(controller, "hand_force", None))
 
 
 class HeldTorques(Protocol):
@@ -139,16 +140,18 @@ class PortFigures:
         silent: Number of holds in contact followed by zero torque.
         damping: Sum of the damping rendered in contact [N*s/m].
         felt: Fit of the mass felt; None if no mass is requested.
+        is_requested: Whether a program, or user code in its own process, requests the torques: its storage is unknown.
         asked: Sum of the efforts requested by the environment of an axis [N].
         reach: Lowest and highest position of an axis before its first contact [m or rad].
-        rendered: Sum of the efforts rendered in those holds [N].
+        rendered: Sum of the efforts rendered in those holds, each limited to the drive's limit [N].
         sizes_asked: Sum of the magnitudes of the requested efforts, each limited to the drive's limit [N].
         sizes_sent: Sum of the magnitudes of the torques sent in those holds [N].
     """
 
     __slots__ = (
         "_lowest", "activity", "asked", "beyond_limit", "books_least", "contacts", "damping", "damping_asked", "felt",
-        "least_at_handle", "least_certain", "least_certain_at_handle", "reach", "rendered", "silent", "sizes_asked",
+        "is_requested", "least_at_handle",
+        "least_certain", "least_certain_at_handle", "reach", "rendered", "silent", "sizes_asked",
         "sizes_sent",
     )  # fmt: skip
 
@@ -162,6 +165,7 @@ class PortFigures:
         self.contacts = self.silent = self.beyond_limit = 0
         self.reach = inf, -inf
         self.felt: MassFelt | None = None
+        self.is_requested = False
 
     def measured(self) -> Measured:
         """Return the present figures that the log holds."""
@@ -216,6 +220,7 @@ class AxisPort(PortFigures):
         self._meter, self._drive, self.felt = meter, drive, meter.felt
         self._controller: Any = controller if hasattr(controller, "energy_resolution") else None
         self._asks: Any = controller if hasattr(controller, "asked") else None
+        self.is_requested = self._asks is not None
         self._floor = -inf if controller is None else limits.floor  # of a group only the sum counts
 
     def take(self, sample: Sample, balance: EnergyBalance, ledger: Ledger, sent: float) -> Measured:
@@ -242,11 +247,11 @@ class AxisPort(PortFigures):
                 meter.leave_open(drive.open_torque, drive.open_time, abs(exact - balance.h_i))
             if (asked := meter.asked) != 0.0:
                 self.asked += asked
-                self.rendered -= (torque := balance.torque)
                 size, most = abs(asked), meter.accuracy.largest_torque
                 if size > most:  # a hand that is stronger than the drive feels it
                     self.beyond_limit += 1
                     size = most
+                self.rendered -= (torque := max(-most, min(most, balance.torque)))  # the limiter cuts the rest
                 self.sizes_asked += size
                 self.sizes_sent += abs(torque)
         if touches:

@@ -1,21 +1,10 @@
-"""Replays the drives' side of a recorded bus against the real master and controllers.
+"""Replay of a recorded bus: the real master and controllers of a scene, against the recorded frames of the drives.
 
-Sender of each frame of a bus, from a scene: a recording need not contain it, and a sniffer cannot know it.
-
-A recorded bus, prepared for a replay: sender of each frame, start of the cycle, the operator's stop.
-
-The drives' side of a recording: returns the recorded response to each frame of the master, compared first.
-
-Time of a recording: it advances only when the master waits, and then moves to the next recorded frame.
-
-The master sends each frame at its recorded time, however long it computes today and for any deadline it
-waits for. So a SYNC that was late in the recording is equally late now, and the same deadlines are skipped.
-
-A rig that joins a bus with enabled drives: for recordings that lack the start.
-
-The first difference of a replay as text: both frames decoded, and the bus traffic before them.
-
-Runs the real master and controllers of a scene against a recording, and compares every frame that they send.
+Every frame that the master sends is compared with the recording. Which recorded frames are the master's follows from
+the scene, since a recording need not tell. The clock is that of the recording: it advances only when the master waits,
+to the next recorded frame, however long the master computes today. So a SYNC that was late in the recording is equally
+late now, and the same deadlines are skipped. A recording that lacks the start of the drives is joined at the first SYNC
+that found every axis enabled.
 """
 
 import struct
@@ -56,17 +45,17 @@ Address = tuple[int, int]
 
 
 class Roles(NamedTuple):
-    """COB-IDs of a scene by their role in a replay."""
+    """COB-IDs of a scene, by their role in a replay."""
 
     master: frozenset[Address]  # sent by the master
     sdo_requests: frozenset[Address]
     heartbeat: int  # the master's
     rpdo: Address  # of the first axis
     controlword: struct.Struct  # in that RPDO
-    statuswords: dict[Address, struct.Struct]  # TPDO with the statusword -> where it is in it; one per axis
+    statuswords: dict[Address, struct.Struct]  # TPDO with the statusword -> its place in the frame; one per axis
 
     def asks_to_leave(self, data: bytes) -> bool:
-        """Whether an RPDO of the first axis revokes OPERATION ENABLED.
+        """Return whether an RPDO of the first axis revokes OPERATION ENABLED.
 
         0x0F keeps it and 0x00 revokes it; the majority of bits decides, so that one flipped bit does not move the end.
         """
@@ -117,8 +106,8 @@ _SYNC: Final[Address] = (0, od.SYNC_FRAME_COB_ID)
 class Recording:
     """The frames of one bus log, without the master's heartbeats.
 
-    The heartbeats follow the wall clock of the host. After skipped SYNCs, microseconds decide when one is due, and the
-    times of a log differ from the master's by some.
+    The heartbeats follow the wall clock of the host: after skipped SYNCs, microseconds decide when one is due, and the
+    times in a log are not that exact.
 
     Attributes:
         path: The log.
@@ -152,7 +141,7 @@ class Recording:
         self.has_boot = any(address in roles.sdo_requests for address in before)
 
     def sdo_frames(self, bus: int, node_id: int, index: int) -> list[tuple[int, bytes]]:
-        """Return COB-ID less node ID, and data, of requests and answers of a node that name subindex 0 of an object."""
+        """Return the SDO requests and answers of a node for subindex 0 of an object: COB-ID less node ID, and data."""
         named, bases = struct.pack("<HB", index, 0), (od.SDO_REQUEST_BASE, od.SDO_RESPONSE_BASE)
         pairs = zip(self.addresses, (frame.data for frame in self.frames), strict=True)
         found = [(can_id - node_id, data) for (place, can_id), data in pairs if place == bus and data[1:4] == named]
@@ -160,17 +149,17 @@ class Recording:
 
     @property
     def restoring(self) -> int:
-        """Index of the frame after the last SYNC that requests a state, before the drives' values are restored."""
+        """Index of the frame after the last SYNC with which the stop begins to restore values: it requests a state."""
         asks = bytes([_UPLOAD]) + struct.pack("<HB", od.STATUSWORD, 0)
         last = max((n for n, address in enumerate(self.addresses) if address == _SYNC), default=0)
         after = range(last, len(self.frames))
         return next((n for n in after if self.is_master[n] and self.frames[n].data[:4] == asks), len(self.frames))
 
     def operator_cycles(self, ramp_cycles: int) -> int | None:
-        """Number of cycles before the operator stopped the run; None without such a stop.
+        """Return the number of cycles before the operator stopped the run; None without such a stop.
 
-        An operator's stop shows in the frames: the last SYNC before the drives are disabled was answered by an RPDO
-        and followed by one more. After a fault it was answered by zero torque alone.
+        After an operator's stop the last SYNC before the drives are disabled was answered by an RPDO and followed by
+        one more; after a fault it was answered by zero torque alone.
 
         Args:
             ramp_cycles: Cycles in which the master ramps the torque to zero.
@@ -205,9 +194,9 @@ NEVER: Final = 1 << 62  # [ns]
 
 
 class ReplayOverError(BaseException):
-    """Ends the run: the recording is at its end, or the master departed from it.
+    """End of a replay: the recording is at its end, or the master sent another frame.
 
-    Not an `Exception`: no handler on the way out may treat it as a fault of drive or link and continue sending.
+    It is no `Exception`, so that no handler treats it as a fault of drive or link and continues sending.
     """
 
 
@@ -224,11 +213,11 @@ class RecordedSide:
         first: Index of the first frame to play.
 
     Attributes:
-        compared: Frames of the master found equal so far.
-        played: Frames of the drives sent so far.
+        compared: Number of frames of the master found equal so far.
+        played: Number of frames of the drives sent so far.
         reached: Recorded time of the master's last frame [ns], which includes its computation.
-        departure: First difference: index of the recorded frame; bus, COB-ID and data of the one sent instead. None
-            while there is none.
+        departure: First difference: index of the recorded frame; bus, COB-ID and data of the frame sent instead. None
+            if there is none yet.
     """
 
     def __init__(self, buses: Sequence[can.BusABC], recording: Recording, first: int) -> None:
@@ -238,7 +227,7 @@ class RecordedSide:
         self._frames = recording.frames
         self._is_master = recording.is_master
         self._left_out = recording.heartbeat
-        self._end = recording.restoring if first else len(recording.frames)  # one that joins restores nothing
+        self._end = recording.restoring if first else len(recording.frames)  # a joined rig restores nothing
         self._next = first
         self._is_over = False
         self.compared = self.played = self.reached = 0
@@ -248,7 +237,7 @@ class RecordedSide:
         """Compare every frame that the master has sent, and send the frames due up to `now` [ns].
 
         Raises:
-            ReplayOverError: The recording is at its end, or the master departed from it.
+            ReplayOverError: The recording is at its end, or the master sent another frame.
         """
         if self._is_over:  # the rig tries to stop its drives on the way out
             raise ReplayOverError
@@ -262,14 +251,14 @@ class RecordedSide:
             self._play()
 
     def next_due(self, *, of_master: bool = False) -> int:
-        """Return when the next frame of the drives or of the master is due [ns]; never while the other must send."""
+        """Return when the next frame of the drives, or of the master, is due [ns]; `NEVER` if the other sends next."""
         if self._next == self._end or self._is_master[self._next] != of_master:
             return NEVER
         return self._frames[self._next].timestamp_ns
 
     @property
     def unsent(self) -> int:
-        """Index of the first recorded frame of the master that it has not sent; -1 when it has sent all."""
+        """Index of the first recorded frame that the master has not sent; -1 if it has sent all."""
         return next((index for index in range(self._next, self._end) if self._is_master[index]), -1)
 
     def _play(self) -> None:
@@ -279,7 +268,7 @@ class RecordedSide:
         bus.send(frame.message())
 
     def _compare(self) -> None:
-        """Compare one frame: with the next one of its bus in the recording, or of another bus if there is none."""
+        """Compare one frame of the master, if possible of the bus of the next recorded one."""
         while self._next < self._end and not self._is_master[self._next]:
             self._play()
         if self._next == self._end:
@@ -300,12 +289,12 @@ class RecordedSide:
 
 
 class RecordedClock:
-    """A `Clock` that a recording drives.
+    """A `Clock` that follows the times of a recording.
 
     Args:
         side: Drives' side of the recording.
         start: The time at the beginning [ns].
-        pace: Clock to keep pace with; None to run as fast as the machine allows.
+        pace: Clock to keep pace with; None to run as fast as possible.
     """
 
     def __init__(self, side: RecordedSide, start: int, pace: Clock | None = None) -> None:
@@ -348,7 +337,7 @@ class RecordedClock:
 
 
 class JoinedRig(Rig):
-    """A rig whose `start` sends only SYNC 0. Never for real drives: nothing about them is confirmed."""
+    """A rig whose `start` sends only SYNC 0, for recorded drives that are enabled; real ones would be unconfirmed."""
 
     def start(self) -> None:
         """Send SYNC 0 and take its TPDOs."""
@@ -366,7 +355,7 @@ class JoinedRig(Rig):
 
 
 def _suppose_enabled(drive: ServoDrive) -> None:
-    """Set the values that a start would have found."""
+    """Set the values that a start would have read from the drive."""
     drive.reset()
     drive.answers = True
     drive.nmt_state = int(od.NmtState.OPERATIONAL)
@@ -394,9 +383,9 @@ class FrameWords(TypedDict):
 
 
 class FrameBefore(FrameWords):
-    """A frame among the last equal ones."""
+    """One of the last frames before the first difference."""
 
-    number: int  # line of a text, or frame of a binary log
+    number: int  # of its line in a text, or of the frame in a binary log
     time: float  # since the beginning of the log [s]
     direction: str
 
@@ -407,8 +396,8 @@ class FirstDifference(TypedDict):
     number: int
     time: float
     recorded: FrameWords
-    sent: FrameWords | None  # None: the master sent nothing any more
-    gap: float | None  # silence of a recording that lacks frames [s]
+    sent: FrameWords | None  # None: the master sent no further frame
+    gap: float | None  # longest silence shortly before it, if the recording seems to lack frames [s]
     before: list[FrameBefore]
 
 
@@ -422,7 +411,7 @@ def describe(recording: Recording, side: RecordedSide, scene: Scene) -> FirstDif
     decoders = [BusDecoder([node for node in nodes if node.bus == place]) for place in range(len(scene.buses))]
     before: list[FrameBefore] = []
     for number, (frame, (bus, _)) in enumerate(zip(frames[:index], recording.addresses, strict=False)):
-        words = _words(frame, decoders[bus])  # of all of them: the maps are learnt from the start
+        words = _words(frame, decoders[bus])  # of every frame: the maps are learnt from the start
         if number >= index - _SHOWN_BEFORE:
             direction, time = "T" if recording.is_master[number] else "R", (frame.timestamp_ns - start) * 1e-9
             before.append({"number": frame.number, "time": time, "direction": direction, **words})
@@ -443,10 +432,10 @@ def describe(recording: Recording, side: RecordedSide, scene: Scene) -> FirstDif
 
 
 def _gap(recording: Recording, index: int, sample_time: float) -> float | None:
-    """Return the longest silence of the recording in the two cycles before a frame [s]; None for an ordinary one.
+    """Return the longest silence of the recording in the two cycles before a frame [s]; None for a usual one.
 
-    A difference after such a silence means that frames are missing from the recording: SYNCs that the master itself
-    skipped are skipped again in the replay.
+    After a longer one frames are missing from the recording: SYNCs that the master itself skipped are skipped again in
+    the replay.
     """
     if recording.first_sync < 0:
         return None
@@ -510,7 +499,7 @@ def replay_bus_log(
 
 
 class OpenReplay:
-    """A replay, built; arguments as for `replay_bus_log`.
+    """A replay that is ready to run; arguments as for `replay_bus_log`.
 
     Attributes:
         cycle: Rig, controllers and accounts, ready to run.
@@ -563,7 +552,7 @@ class OpenReplay:
         return (JoinedRig if self._joins else Rig)(links, drives, scene.bus, scene.group_places)
 
     def _follow_older_master(self, drives: list[ServoDrive]) -> None:
-        """Leave out what no recorded drive answers: older masters wrote no 0x1006, no offsets, and put nothing back."""
+        """Leave out what the recorded master did not do: an older one wrote no 0x1006 or offset, restored nothing."""
         if self._joins:
             return
         places = {bus.name: place for place, bus in enumerate(self._scene.buses)}
@@ -576,7 +565,7 @@ class OpenReplay:
             self._left_out += [f"{drive.axis.name}: 0x{index:04X}" for index in sorted(drive.left_out)]
             periods = self._recording.sdo_frames(*where, od.PRODUCER_HEARTBEAT_TIME)
             requests = (data[0] for base, data in periods if base == od.SDO_REQUEST_BASE)
-            drive.restores = next(requests, _UPLOAD) == _UPLOAD  # who puts it back reads it before writing it
+            drive.restores = next(requests, _UPLOAD) == _UPLOAD  # a master that restores it reads it first
             self._left_out += [] if drive.restores else [f"{drive.axis.name}: values before the start"]
 
     def run(self) -> ReplayResult:
@@ -602,7 +591,7 @@ class OpenReplay:
 
         Args:
             elapsed: Duration of the run [s].
-            ended: How the run ended, if without a difference.
+            ended: End of the run, in words, if there was no difference.
 
         Raises:
             InputError: No whole cycle was compared.

@@ -157,6 +157,10 @@ def _accounts(
     return with_groups(accounts, groups, truth)
 
 
+_UNKNOWN: Final[PortResult] = {"dissipated": None, "damping_rendered": {"least": None, "most": None}}
+"""Sums of a port whose torques a program, or user code in its own process, requests."""
+
+
 def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_time: float) -> PortResult:
     """Return the account of a port without verdicts.
 
@@ -169,6 +173,7 @@ def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_t
     measured, activity = port.measured(), port.activity
     account: PortResult = {
         **sums,
+        **(_UNKNOWN if port.is_requested else {}),
         "energy_resolution": measured.energy_resolution,
         "least_certain": port.least_certain,
         "contact": {"holds": port.contacts, "without_torque": port.silent},
@@ -176,6 +181,7 @@ def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_t
         "uncommanded_cycles": measured.uncommanded,
         "max_consecutive_losses": promise.max_consecutive_losses,
         "energy_allowance": promise.energy_allowance,
+        **({} if promise.hand_force is None else {"hand_force": promise.hand_force}),
     }
     if port.least_at_handle is not None:
         account["least_at_handle"], account["device_dissipated"] = port.least_at_handle, measured.device_dissipated

@@ -57,7 +57,7 @@ class PortAccount:
         energy_in: Energy received through the port.
         energy_out: Energy delivered through the port.
         stored: Energy that the virtual environment stores at the end.
-        dissipated: Energy that the virtual environment dissipated.
+        dissipated: Energy that the virtual environment dissipated; NaN, as not known, for the torques of a program.
         deficit: Sum of the energy delivered beyond the stored energy.
         margin: Least value of the summed interaction energy minus the dissipated energy (eq. 4); below 0: not passive.
         least_interaction: Least value of the summed interaction energy (eq. 3), as accounted by the controller.
@@ -427,6 +427,7 @@ def _port_account(name: str, raw: "RunResult | Inspection") -> PortAccount:
     whole = cast("dict[str, Any]", raw["ports"][port["group"]] if "group" in port else port)
     account = {field.name: whole[field.name] for field in fields(PortAccount) if field.name in whole}
     account |= {
+        "dissipated": nan if whole["dissipated"] is None else whole["dissipated"],
         "name": name,
         "energy_in": port["in"],
         "energy_out": port["out"],

@@ -1,13 +1,7 @@
-"""Summary of a run from its energy log, as one dictionary: the names of `run --json`, with contacts and events.
+"""Summary of a run from its energy log, with the names of `run --json`, and the comparison of two logs.
 
-Comparison of two runs, quantity by quantity: the first row in which they differ, and by how much.
-
-Figures of a port in an energy log in addition to its ledger, read in pieces from a finished or a growing log.
-
-Selection of the rows of a log: a span of time, or each contact.
-
-Stored values that no run writes: signs of a damaged log or a faulty logger. They are numbers that are not finite,
-running counts that fall, and rows that do not fit their digest.
+`PortRecord` adds up the figures of a port from a log that may still grow. `impossible_values` finds signs of a damaged
+log or a faulty logger: numbers that are not finite, counts that decrease, and rows that do not match their digest.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,7 +20,7 @@ from canhaptic.control.mass_felt import MassAsked, MassFelt
 from canhaptic.control.verdict import PortResult
 from canhaptic.errors import InputError, LogFormatError
 from canhaptic.logs.columns import DIGEST, FRICTION_DECLARED
-from canhaptic.logs.energy_reader import EnergyLog, Quantities, damage_told
+from canhaptic.logs.energy_reader import EnergyLog, read_safely
 from canhaptic.logs.hdf5 import Array
 from canhaptic.meters import ActiveLimits, PortFigures, Promise, limits_of
 from canhaptic.result import TruthResult, Verdicts, overall, port_account, with_groups
@@ -39,10 +33,10 @@ if TYPE_CHECKING:
 
 
 def rows_between(log: EnergyLog, start: float | None, stop: float | None) -> slice:
-    """Return the rows after time `start` [s] and up to `stop` [s]; None: from the first row, or to the last.
+    """Return the rows from time `start` [s] on and before `stop` [s]; None: from the first row, or to the last.
 
     Raises:
-        InputError: No cycle lies between them.
+        InputError: No cycle lies between `start` and `stop`.
     """
     if start is None and stop is None:
         return slice(0, log.rows)
@@ -56,10 +50,10 @@ def rows_between(log: EnergyLog, start: float | None, stop: float | None) -> sli
 
 
 def rows_to_draw(log: EnergyLog, start: float | None, stop: float | None) -> slice:
-    """Return the rows of `rows_between`; raise an error where there are none.
+    """Return the rows of `rows_between`, of a log with at least one cycle.
 
     Raises:
-        InputError: It holds no cycle, or none between them.
+        InputError: The log holds no cycle, or none between `start` and `stop`.
     """
     if log.rows == 0:
         raise InputError(f"{log.path}: the log holds no cycle, so there is nothing to draw")
@@ -67,9 +61,9 @@ def rows_to_draw(log: EnergyLog, start: float | None, stop: float | None) -> sli
 
 
 def contacts(branch: Array) -> list[tuple[int, int]]:
-    """Return (first, last) row of every stretch in which every hold was booked by a branch other than `free`.
+    """Return (first, last) row of each contact: consecutive rows with a branch other than `free`.
 
-    A contact continues across a hold whose sample was lost.
+    A lost sample does not end a contact.
     """
     rows = np.flatnonzero(branch != Branch.HELD.value)
     edges = np.flatnonzero(np.diff(branch[rows] != Branch.FREE.value, prepend=False, append=False))
@@ -80,14 +74,12 @@ def contacts(branch: Array) -> list[tuple[int, int]]:
 _Compared = TypeVar("_Compared")
 _BLOCK: Final = 65_536  # rows held in memory at a time
 _COUNTS: Final = frozenset({"uncommanded"})
-"""Columns that count from the beginning of a run; a recomputation does not have them."""
-
-
+"""Columns that count from the beginning of a run."""
 CHANGED: Final = "not as the run wrote it"
 
 
 def impossible_values(log: EnergyLog) -> list[dict[str, str | int]]:
-    """Return each column that holds a value that no run writes: dataset, what, how many rows, and the first cycle.
+    """Return the columns with values that no run writes: dataset, fault, number of rows, and first cycle.
 
     Raises:
         LogFormatError: A column cannot be read.
@@ -120,12 +112,12 @@ def impossible_values(log: EnergyLog) -> list[dict[str, str | int]]:
 
 
 class PortRecord(PortFigures):
-    """Adds up the figures of `canhaptic.meters.RunMeters` from the columns of a log.
+    """The figures of a port by `canhaptic.meters.RunMeters`, added up from the columns of a log.
 
     Args:
-        log: View of the log.
+        log: Open energy log, which may still grow.
         name: Name of the port.
-        start: First row that counts.
+        start: First row to include.
     """
 
     def __init__(self, log: EnergyLog, name: str, start: int = 0) -> None:
@@ -138,7 +130,8 @@ class PortRecord(PortFigures):
         )
         self._name, self._is_dry, self._sample_time = name, log.dry_run, log.sample_time
         losses = int(log.number(f"{name}.max_consecutive_losses"))
-        self._promise = Promise(losses, log.number(f"{name}.energy_allowance"))
+        force = log.number(f"{name}.hand_force") if f"{name}.hand_force" in log.attributes else None
+        self._promise = Promise(losses, log.number(f"{name}.energy_allowance"), force)
         self._largest_torque = log.number(f"{name}.torque_limit", inf)
         self._is_measured, self._knows_active = "energy_resolution" in port, "active" in port
         self._dissipated = self._at(log, "device_dissipated", before) if start else 0.0
@@ -151,13 +144,13 @@ class PortRecord(PortFigures):
         self._watch = _declared(log, f"{name}.{FRICTION_DECLARED}", lambda of: FrictionWatch(FrictionDeclared(**of)))
         self.felt = _declared(log, f"{name}.mass_asked", lambda of: MassFelt(MassAsked(**of)))
         self._hold, self._environment = "", log.attributes.get(f"{name}.environment")
-        self._wall = log.attributes.get(f"{name}.wall_position")
+        self._wall, self.is_requested = log.attributes.get(f"{name}.wall_position"), _is_requested(log, name)
 
     def _at(self, log: EnergyLog, column: str, row: int) -> float:
         return float(log.ports[self._name].read(column, row, row + 1)[0]) if self._is_measured else 0.0
 
     def take(self, log: EnergyLog, start: int, stop: int) -> None:
-        """Take the next rows."""
+        """Add the rows from `start` on and before `stop`, which follow those added before."""
         port = log.ports[self._name]
         if stop <= start:
             return
@@ -199,13 +192,14 @@ class PortRecord(PortFigures):
         longest, uncommanded = (int(port.read(key, stop - 1, stop)[0]) for key in ("longest_hold", "uncommanded"))
         known = float(resolution[-1]) + self._unknown, float(dissipated[-1])
         self._measured = Measured(*known, 0.0, longest, uncommanded, 0)
-        asked = port.read("effort_asked", start, stop)
+        asked, most = port.read("effort_asked", start, stop), self._largest_torque
         booked = (asked != 0.0) & (branch != Branch.HELD)
-        self.asked += float(asked[booked].sum())
-        self.rendered -= float(torque[booked].sum())
-        self.beyond_limit += int((np.abs(asked[booked]) > self._largest_torque).sum())
-        self.sizes_asked += float(np.minimum(np.abs(asked[booked]), self._largest_torque).sum())
-        self.sizes_sent += float(np.abs(torque[booked]).sum())
+        asked, sent = asked[booked], np.clip(torque[booked], -most, most)  # beyond it the limiter cuts
+        self.asked += float(asked.sum())
+        self.rendered -= float(sent.sum())
+        self.beyond_limit += int((np.abs(asked) > most).sum())
+        self.sizes_asked += float(np.minimum(np.abs(asked), most).sum())
+        self.sizes_sent += float(np.abs(sent).sum())
         if self._knows_active:
             self._take_active(log, start, port.read("active", start, stop))
         if self._watch is not None or self.felt is not None:
@@ -242,11 +236,11 @@ class PortRecord(PortFigures):
         return None if self._watch is None else self._watch.excess
 
     def measured(self) -> Measured:
-        """Return the figures so far that the log holds."""
+        """Return, after the last row, the figures that a log has as columns."""
         return self._measured
 
     def account(self) -> PortResult:
-        """Figures so far, by the names of `run --json`, without verdicts."""
+        """Return the account after the last row, with the names of `run --json` and without verdicts."""
         certificates = [certificate.name.lower() for certificate in Certificate.of(self._certificates)]
         account: PortResult = {
             "in": self._in,
@@ -272,15 +266,19 @@ class PortRecord(PortFigures):
         return account
 
 
+def _is_requested(log: EnergyLog, name: str) -> bool:
+    return f"{name}.guard" in log.attributes or log.attributes.get(f"{name}.environment") == "program"
+
+
 def _declared(log: EnergyLog, name: str, build: Callable[[dict[str, float]], _Compared]) -> _Compared | None:
-    """What an attribute declares, such as the dry friction that the motion is compared with; None without it.
+    """Return the object built from a JSON attribute, such as the declared dry friction; None without the attribute.
 
     Raises:
         LogFormatError: The attribute is damaged.
     """
     if name not in log.attributes:
         return None
-    with damage_told(log.path, f"attribute {name} cannot be used", "; the file is damaged"):
+    with read_safely(log.path, f"attribute {name} cannot be used", "; the file is damaged"):
         return build(log.decoded(name, dict[str, float]()))
 
 
@@ -288,13 +286,13 @@ class LogComparison(TypedDict):
     """Comparison of two runs."""
 
     identical: bool
-    rows: list[int]  # of both
+    rows: list[int]  # number of rows of each
     missing: list[str]  # groups and quantities that only one of them has
     differences: list[dict[str, Any]]  # quantity, unit, first cycle, both values in it, and the largest in any cycle
 
 
 def compare(first: EnergyLog, second: EnergyLog) -> LogComparison:
-    """Compare two runs; the times of the cycles are left out, as they differ in every run.
+    """Compare two runs, except the times of the cycles, which differ in every run.
 
     Args:
         first: An open energy log.
@@ -344,11 +342,11 @@ _QUANTILES: Final = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
 
 
 class ContactStretch(TypedDict):
-    """One stretch in contact."""
+    """One contact."""
 
     start: float  # [s]
     duration: float  # [s]
-    depth: float  # [m or rad]
+    depth: float | None  # [m or rad]; None: not known, as in the wall of a program
     peak_torque: float  # [N or N*m]
     energy: float  # taken in [J]
 
@@ -375,7 +373,7 @@ class Inspection(_Inspected, Verdicts):
     comparison: NotRequired[LogComparison]
     recomputed: NotRequired[list["Recomputed"]]
     rederived: NotRequired["Rederived"]
-    others: NotRequired[list["Inspection"]]  # of further logs
+    others: NotRequired[list["Inspection"]]  # summaries of further logs
 
 
 def inspect(log: EnergyLog, start: float | None = None, stop: float | None = None) -> Inspection:
@@ -394,7 +392,7 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
     begin, end = [float(log.deadlines(row, row + 1)[0] * log.sample_time) for row in edges] or (0.0, 0.0)
     truth = {name: _truth(log, name, rows) for name in log.truth}
     ports = with_groups({name: _port(log, name, rows) for name in log.ports}, log.groups, truth)
-    stretches = {n: _contacts(log, port, rows) for n, port in log.ports.items() if n not in log.group_of}
+    stretches = {name: _contacts(log, name, rows) for name in log.ports if name not in log.group_of}
     for name, among in stretches.items():
         if (first := ports[name].get("first_active")) is not None:
             ports[name]["first_active_contact"] = sum(contact["start"] <= first for contact in among)
@@ -447,7 +445,7 @@ def _first_below(log: EnergyLog, running: Array, start: int) -> int | None:
 
 
 def _port(log: EnergyLog, port_name: str, rows: slice) -> PortResult:
-    """The account of one port; columns are read one after the other, an hour of them at once would not fit."""
+    """Return the account of one port; columns are read one at a time: those of an hour would not fit in memory."""
     port = log.ports[port_name]
 
     def column(name: str) -> Array:
@@ -468,7 +466,7 @@ def _port(log: EnergyLog, port_name: str, rows: slice) -> PortResult:
 
 
 def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> LedgerSummary:
-    """The account of rows held in arrays; `Ledger` sums the same one row at a time."""
+    """Return the sums of some rows, equal to those of a `Ledger` that takes one row at a time."""
     h_i, h_r = column("h_i"), column("h_r")
     margin, margin_row = _least(_running(h_i - h_r))
     running = _running(h_i)
@@ -506,10 +504,10 @@ def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> Led
 
 
 def _known(log: EnergyLog, name: str, values: Array, count: int) -> Array:
-    """Values of a column of codes, from 0 to `count` - 1.
+    """Return the codes of a column, each less than `count`.
 
     Raises:
-        LogFormatError: A value is none of them.
+        LogFormatError: A code is larger.
     """
     worst = int(values.max(initial=0))
     if worst >= count:
@@ -523,10 +521,10 @@ def _last(values: Array) -> float:
 
 
 def _truth(log: EnergyLog, name: str, rows: slice) -> TruthResult:
-    """True energies of the simulated axis against the accounted ones.
+    """Return the true energies of a simulated port, and the largest error of its account.
 
-    The interaction is minus the motor's work on the moving mass, for a group less the movers' work; both count from the
-    first row of the part.
+    The interaction is minus the work of the motors on the moving mass; for a group the work of movers is subtracted.
+    Energies count from the first row of the part.
     """
     interaction = _taken_in(log, name, rows)
     if not len(interaction):
@@ -546,7 +544,7 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> TruthResult:
 
 
 def _taken_in(log: EnergyLog, name: str, rows: slice) -> Array:
-    """Return the true energy that came in since the row before the first, or since the first row of the log [J]."""
+    """Return the true energy that came in up to each row, counted from the row before the part [J]."""
     motor = log.truth[name].read("motor", max(0, rows.start - 1), rows.stop)
     return (motor[:1] - motor)[1 if rows.start else 0 :]
 
@@ -563,7 +561,7 @@ def _timing(log: EnergyLog, rows: slice) -> dict[str, int | dict[str, float]]:
         result[name] = _quantiles(values)
     late += cycle_time
     if not late.any():
-        return {}  # in lock-step virtual time does not advance within a cycle: durations say nothing
+        return {}  # in lock-step virtual time does not advance within a cycle: all durations are 0
     missed = int((late > log.sample_time_ns).sum())
     return {"deadlines_missed": missed} | result | {"cycle_time": _quantiles(cycle_time)}
 
@@ -595,18 +593,19 @@ def _link(log: EnergyLog, rows: slice) -> dict[str, float]:
     }
 
 
-def _contacts(log: EnergyLog, port: Quantities, rows: slice) -> list[ContactStretch]:
-    """Every stretch in contact: start [s], duration [s], depth [m or rad], peak torque [N or N*m], energy taken [J]."""
+def _contacts(log: EnergyLog, name: str, rows: slice) -> list[ContactStretch]:
+    """Return every contact: start [s], duration [s], depth [m or rad], peak torque [N or N*m], energy taken in [J]."""
 
-    def column(name: str) -> Array:
-        return port.read(name, rows.start, rows.stop)
+    def column(quantity: str) -> Array:
+        return log.ports[name].read(quantity, rows.start, rows.stop)
 
     stretches = contacts(column("branch"))
     if not stretches:
         return []
     edges = np.add(stretches, (0, 1))
     spans = edges.ravel() if edges[-1, 1] < rows.stop - rows.start else edges.ravel()[:-1]
-    depth = np.maximum.reduceat(np.abs(column("state")), spans)[::2]
+    depths = _depths(log, name, rows)
+    depth = np.array([None] * len(stretches)) if depths is None else np.maximum.reduceat(depths, spans)[::2]
     peak = np.maximum.reduceat(np.abs(column("torque_applied")), spans)[::2]
     energy = np.add.reduceat(column("h_i"), spans)[::2]
     deadlines = log.deadlines(rows.start, rows.stop)
@@ -615,3 +614,18 @@ def _contacts(log: EnergyLog, port: Quantities, rows: slice) -> list[ContactStre
     columns = (values.tolist() for values in (start, duration, depth, peak, energy))
     named = [dict(zip(ContactStretch.__annotations__, row, strict=True)) for row in zip(*columns, strict=True)]
     return cast("list[ContactStretch]", named)
+
+
+def _depths(log: EnergyLog, name: str, rows: slice) -> Array | None:
+    """Return the depth in the contact at each row [m or rad]; None if it is not known, as in the wall of a program.
+
+    The states of user code in its own process are not in the log: its depth is measured from the position of its wall.
+    """
+    port = log.ports[name]
+    if not _is_requested(log, name):
+        return np.abs(port.read("state", rows.start, rows.stop))
+    wall, side = (log.attributes.get(f"{name}.wall_{key}") for key in ("position", "side"))
+    if not isinstance(wall, float) or f"{name}.wall_pitch" in log.attributes:
+        return None
+    beyond = port.read("position", rows.start, rows.stop) - wall
+    return np.maximum({"below": -beyond, "above": beyond}.get(str(side), np.abs(beyond)), 0.0)

@@ -1,8 +1,8 @@
-"""One axis from its frames: PDO fields -> position, torque and state, without a line of the master's code.
+"""One axis from its frames: PDO fields -> position, torque and state, without code of the master.
 
-Scaling and state decoding are written here a second time on purpose. A position is the unwrapped counter times
-(direction / counts_per_unit), a torque is the field times (direction * torque of 1000 counts / 1000), each rounded as
-IEEE 754 has it, so that the audit may ask for equal bits.
+Scaling and state decoding are implemented here a second time on purpose. A position is the unwrapped counter times
+(direction / counts_per_unit), a torque is the field times (direction * torque of 1000 counts / 1000), each rounded
+as by the master, so that the audit can require equal bits.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ _DISAGREES: Final = 0.01
 
 
 OF_A_NODE: Final = -1
-"""In place of an object: a separate node sends the force."""
+"""Object index of a force that a separate node sends."""
 
 
 class DeclaredForce(NamedTuple):
@@ -38,7 +38,7 @@ class DeclaredForce(NamedTuple):
     per_count: float  # [N or N*m; of an impulse N*s or N*m*s]
     offset_counts: float
     node: ForceNode | None = None  # that sends it in a frame of its own
-    impulse_time: float = 0.0  # T of a running impulse [s]; 0: it is none
+    impulse_time: float = 0.0  # sample time of a running impulse [s]; 0: the value is a force
     bits: int = 32
 
 
@@ -55,14 +55,14 @@ class DeclaredDrive:
     rated_torque: float | None  # of the axis [N*m or N]; None: as the drive states it
     quirks: Sequence[str]
     demand_reported: str  # "before" or "after" the RPDO of the same SYNC
-    force: DeclaredForce | None = None  # of an admittance display, in the place of the torque
+    force: DeclaredForce | None = None  # of an admittance display, which has it instead of the torque
 
 
 class ListenedAxis:
-    """One axis as seen in the frames.
+    """Decoder of the frames of one axis.
 
     Raises:
-        DictionaryError: Its dictionary cannot be read.
+        DictionaryError: The dictionary of the drive cannot be read.
     """
 
     def __init__(self, drive: DeclaredDrive) -> None:
@@ -80,7 +80,7 @@ class ListenedAxis:
         self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
 
     def take(self, frame: Frame) -> None:
-        """Take any frame of the bus."""
+        """Take a frame of the bus; frames of other nodes change nothing."""
         if frame.can_id - self._drive.node_id in (od.SDO_REQUEST_BASE, od.SDO_RESPONSE_BASE):
             is_request = frame.can_id - self._drive.node_id == od.SDO_REQUEST_BASE
             _, access = self._sdo.sdo(frame.data, is_request=is_request)
@@ -112,7 +112,7 @@ class ListenedAxis:
 
     @property
     def shows_demand(self) -> bool:
-        """Whether the torque of the last SYNC is the demand, which is exact; a force has its declared error."""
+        """Whether the torque of the last SYNC is the exact demand; True for a force too, whose error is declared."""
         return self._drive.force is not None or od.TORQUE_DEMAND in self._fields
 
     @property
@@ -126,15 +126,15 @@ class ListenedAxis:
         return self.is_complete and not self.is_enabled
 
     def forget(self) -> None:
-        """Clear the received values at the next SYNC."""
+        """Clear the received values, at the next SYNC."""
         self._fields.clear()
 
     def sample(self, sync_index: int, *, is_whole: bool = True) -> Sample:
-        """Sample of the values received since the last SYNC.
+        """Return the sample from the values received since the last SYNC.
 
         Args:
             sync_index: Index of that SYNC.
-            is_whole: False where an axis of the same group sent no sample.
+            is_whole: False if an axis of the same group sent no sample.
 
         Raises:
             InputError: Frames and scene disagree on the rated torque, or neither states it.
@@ -156,7 +156,7 @@ class ListenedAxis:
         return self._last
 
     def _force(self, force: DeclaredForce, counts: int, sync_index: int) -> float:
-        """Force of a value, for an impulse its mean since the last one [N or N*m]."""
+        """Return the force for a value of the sensor; of an impulse the mean since the previous value [N or N*m]."""
         if not force.impulse_time:
             return (counts - force.offset_counts) * force.per_count
         before, self._impulse, half = self._impulse, counts, 1 << (force.bits - 1)

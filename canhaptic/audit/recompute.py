@@ -1,4 +1,4 @@
-"""Recomputation of a log: the logged inputs go to the same controller again, every output must agree bit for bit."""
+"""Recomputation of a log: the same controller gets the logged inputs again, and every output must agree bit for bit."""
 
 import struct
 from collections.abc import Iterator, Sequence
@@ -24,9 +24,9 @@ _OUTPUTS: Final = tuple("torque_command" if name == "torque" else name for name 
 _CERTIFICATE: Final = EnergyBalance._fields.index("certificate")
 _NONE: Final = Certificate.NONE.value
 _ROUNDING: Final = 1e-12
+"""Largest difference of a sum of energies from the run's own [J]."""
 _LAST_OLD_FORMAT: Final = 2
 """Newest format of the logs of earlier releases."""
-"""Largest difference of a sum of energies from the run's own [J]."""
 _BLOCK: Final = 65_536  # rows held in memory at a time
 _ALL: Final = struct.Struct(f"{len(_OUTPUTS)}d")
 _ONE: Final = struct.Struct("d")
@@ -43,24 +43,24 @@ class Mismatch(NamedTuple):
 
 
 class Recomputed(TypedDict):
-    """Outcome for a port: its `Mismatch` as plain values; None where every output is equal."""
+    """Outcome of the recomputation of a port."""
 
     port: str
-    mismatch: dict[str, str | int | float] | None
-    rows: int  # recomputed: those before the first that is missing, or before a skipped SYNC where its time matters
-    unchecked_rows: int  # behind them
+    mismatch: dict[str, str | int | float] | None  # fields of the `Mismatch`; None: every output is equal
+    rows: int  # that were recomputed: up to the first missing one, or to a skipped SYNC whose length matters
+    unchecked_rows: int  # after these
     missing_rows: int  # that the log lost
 
 
 def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControllers) -> list[Mismatch]:
-    """First logged output of each axis and group that differs from the recomputed one.
+    """Return the first logged output of each axis and group that differs from the recomputed one.
 
-    Computation ends at a missing row: the inputs of the controllers in it are unknown.
+    The computation ends at a missing row, whose inputs are unknown.
 
     Args:
         log: An open energy log that holds the run from its first cycle.
         axes: Names of the axes, in the order of the rig.
-        controllers: Controllers made from the configuration of the run, at rest.
+        controllers: Controllers of the scene of the run, at rest.
     """
     found: dict[str, Mismatch] = {}
     names = (*axes, *(group.name for group in controllers.groups))
@@ -86,9 +86,9 @@ def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControlle
 
 
 def activity_mismatch(log: EnergyLog, name: str) -> Mismatch | None:
-    """First row whose `active` disagrees with energies and resolution so far; None if all agree.
+    """Return the first row whose `active` disagrees with the energies and the resolution up to it; None if all agree.
 
-    Rows after the first that the log lost are not compared, nor logs of a format that lacks the column.
+    Rows after a missing one are not compared, nor logs of a format without this column.
     """
     port, rows = log.ports[name], rows_before_a_gap(log)
     limits = limits_of(log, name)
@@ -109,15 +109,15 @@ def activity_mismatch(log: EnergyLog, name: str) -> Mismatch | None:
 
 
 def rows_before_a_gap(log: EnergyLog) -> int:
-    """Number of rows before the first that the log lost."""
+    """Return the number of rows before the first that the log lost."""
     lost = log.timing["dropped_before"]
     return int(np.argmax(lost > 0)) if lost.any() else log.rows
 
 
 def periods_of(log: EnergyLog) -> list[int]:
-    """Number of sample times of the hold that ended at each row, up to the first row that the log lost.
+    """Return the length of the hold that ended at each row [sample times], up to the first row that the log lost.
 
-    They follow from the deadlines of the SYNCs. A late SYNC next to a skipped one may be a sample time off.
+    It follows from the times of the SYNCs. For a late SYNC next to a skipped one it may be wrong by a sample time.
     """
     rows, period = rows_before_a_gap(log), log.sample_time_ns
     sent = log.deadlines(0, rows) * period + np.maximum(0, log.timing.read("wakeup_lateness", 0, rows))
@@ -132,7 +132,7 @@ def logged_rows(log: EnergyLog, port: str, columns: Sequence[str]) -> Iterator[t
 
 
 def efforts_asked(log: EnergyLog, axis: str) -> Iterator[float]:
-    """Yield the effort requested on an axis, row by row [N or N*m]: the inverse of the torque."""
+    """Yield the effort requested on an axis, row by row [N or N*m]: the negative torque."""
     return (effort for (effort,) in logged_rows(log, axis, ("effort_asked",)))
 
 
@@ -145,7 +145,7 @@ def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: boo
         allow_code: Whether program files that the scene names may run.
 
     Raises:
-        InputError: The scene cannot be read, is not the one of the run, or names other code than ran then.
+        InputError: The scene cannot be read, is not that of the run, or names user code that has changed since.
     """
     from canhaptic.scene.parts import build_axis_controllers, build_axis_groups
 
@@ -179,7 +179,7 @@ def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = F
         allow_code: Whether program files that the scene names may run.
 
     Raises:
-        InputError: The scene cannot be read, is not the one of the run, or names other code than ran then.
+        InputError: The scene cannot be read, is not that of the run, or names user code that has changed since.
     """
     from canhaptic.scene.load import load_scene
     from canhaptic.scene.old_forms import RELEASES, overrides_now

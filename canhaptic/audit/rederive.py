@@ -1,7 +1,7 @@
-"""The energy account of a run from its raw bus log and its scene: frames -> samples -> controllers -> ledger.
+"""The energy account of a run from its bus log and its scene: frames -> samples -> controllers -> ledger.
 
-The drives' data are decoded here with the maps and rated torques of the log's own bring-up; the master's
-codecs and its record of the run take no part, so the account can be held against the one that was logged.
+Frames are decoded with the PDO maps and rated torques of the bring-up in the log, without the codecs of the master, so
+that this account is independent of the logged one.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,7 +31,7 @@ from canhaptic.signals import Sample
 
 @dataclass(slots=True)
 class _Heard:
-    """Torques of one axis in the frames: once one is missing, the torque that acted is unknown."""
+    """Torque record of one axis from its frames; after a missing one the torque that acted is unknown."""
 
     read_back_bound: float = 0.0
     longest_hold: int = 1
@@ -41,17 +41,17 @@ class _Heard:
     open_torque: float = 0.0
 
     def take(self, sample: Sample, periods: int, shows_demand: bool) -> None:
-        """Take the next SYNC."""
+        """Take the sample of the next SYNC."""
         self.longest_gap = max(self.longest_gap, periods)
         if not sample.fresh or periods > 1 or not shows_demand:
             self.read_back_bound = inf
 
 
 def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[tuple[int, list[Sample], list[bool]]]:
-    """Yield sample times since the SYNC before, and the sample of every axis and whether its torque is the demand.
+    """Yield for each SYNC the sample times since the last, each axis's sample, and whether its torque is the demand.
 
-    From the first SYNC that all axes answered in OPERATION ENABLED to the last that they answered. The stop's ramp is
-    included: the frames do not distinguish it from the run.
+    From the first SYNC that all axes answered in OPERATION ENABLED to the last one. The ramp of the stop is included,
+    since frames do not distinguish it from the run.
 
     Raises:
         LogFormatError: The bus log cannot be read.
@@ -76,7 +76,7 @@ def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[tuple[int, list[S
             for axis in on_bus[place]:
                 axis.take(frame)
             continue
-        if place:  # the SYNC of the same index on another bus, right behind that of the first
+        if place:  # the SYNC of the same index on another bus, right after that of the first
             continue
         if any(axis.has_left for axis in axes) and cycle >= 0:
             return
@@ -86,7 +86,7 @@ def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[tuple[int, list[S
         periods, sent = (frame.timestamp_ns - sent + period // 2) // period or 1, frame.timestamp_ns
         for axis in axes:
             axis.forget()
-    if all(axis.is_enabled for axis in axes):  # behind the last SYNC none comes any more
+    if all(axis.is_enabled for axis in axes):  # no SYNC follows the last one
         cycle += 1
         yield heard()
 
@@ -105,7 +105,7 @@ def _declared(axis: AxisScene) -> DeclaredDrive:
 
 
 class Rederived(Verdicts):
-    """The account of a run from its frames, by the names of `run --json`."""
+    """The account of a run from its frames, with the names of `run --json`."""
 
     status: NotRequired[str]
     cycles: int
@@ -118,7 +118,7 @@ _COMPARED: Final = ("position", "torque_applied", "h_i", "h_pas", "h_m", "h_r", 
 
 
 def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) -> Rederived:
-    """Account of a run from its frames, and its first difference from the logged one.
+    """Return the account of a run from its frames, and the first difference of each port from the logged one.
 
     Args:
         bus_log: Bus log of the run, bring-up included.
@@ -126,7 +126,7 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
         log: Energy log of the same run; its last SYNC ends the account.
 
     Raises:
-        InputError: The log holds no answered SYNC with all axes enabled.
+        InputError: The log holds no SYNC that every axis answered in OPERATION ENABLED.
     """
     derived = _Derivation(scene, dry_run=log is not None and log.dry_run)
     logged = {} if log is None else {name: _logged(log, name) for name in derived.units}
@@ -145,12 +145,13 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
                     differences[name] = _difference(name, derived.cycles - 1, quantity, was, now)
     cycles = derived.cycles
     if not cycles:
-        raise InputError(f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}")
+        text = f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}"
+        raise InputError(f"{text}; name the scene of this log")
     ports = derived.accounts(_holds(scene, log))
     result = cast("Rederived", {"cycles": cycles, **overall(ports), "ports": ports})
     if log is not None:
         result["differences"] = list(differences.values())
-        if cycles < log.rows:  # the frames end early: of the rows behind nothing was derived
+        if cycles < log.rows:  # the frames end before the log
             result["differences"].append(_difference("", cycles, "cycles", log.rows, cycles))
     return result
 
@@ -166,7 +167,7 @@ def _logged(log: EnergyLog, port: str) -> Iterator[tuple[float, ...]]:
 
 
 def _holds(scene: Scene, log: EnergyLog | None) -> dict[str, str]:
-    """Whether the hold of each axis was checked: as the run says, or without its log as the scene declares."""
+    """Return whether the hold of each axis was checked: by the energy log, or without one by the scene."""
     if log is not None:
         return {event.port: event.text for event in log.events if event.kind == "hold"}
     given = [axis.parameters for axis in scene.axes if not scene.simulated and axis.parameters.admittance is None]
@@ -176,21 +177,22 @@ def _holds(scene: Scene, log: EnergyLog | None) -> dict[str, str]:
 def _asked(
     programs: Sequence[tuple[int, Any]], scene: Scene, log: EnergyLog | None, bus_log: str | Path
 ) -> list[tuple[Any, Iterator[float]]]:
-    """Return the controllers of a program with the efforts it asked for, which are in no frame."""
+    """Return the controllers of a program, each with the efforts that it requested, which no frame holds."""
     if not programs:
         return []
     if log is None:
-        raise InputError(f"{bus_log}: a program asked for its torques; name the energy log of the run as well")
+        text = f"{bus_log}: a program requested the torques, and no frame holds its requests"
+        raise InputError(f"{text}; name the energy log of the run as well")
     return [(each, efforts_asked(log, scene.axes[axis].parameters.name)) for axis, each in programs]
 
 
 class _Derivation:
-    """Controllers and accounts of a scene, fed with what the frames show.
+    """Controllers and accounts of a scene, driven by the samples from the frames.
 
     Attributes:
         units: Name and unit of each axis, then of each group.
         cycles: SYNCs taken.
-        programs: Axes whose torques a program asks for, and their controllers.
+        programs: Axes whose torques a program requests, and their controllers.
     """
 
     def __init__(self, scene: Scene, *, dry_run: bool) -> None:
@@ -206,11 +208,11 @@ class _Derivation:
         self.programs = self._controllers.programs
 
     def take(self, periods: int, samples: list[Sample], shown: Sequence[bool]) -> list[tuple[Sample, EnergyBalance]]:
-        """Take a SYNC; return sample and balance of each axis, then of each group.
+        """Take the samples of a SYNC; return sample and balance of each axis, then of each group.
 
         Args:
-            periods: Sample times since the SYNC before.
-            samples: One for each axis.
+            periods: Sample times since the previous SYNC.
+            samples: Sample of each axis.
             shown: Whether the torque of each axis is the demand.
         """
         self._controllers.lasted(periods)
@@ -228,10 +230,10 @@ class _Derivation:
         return list(zip(samples, balances, strict=True))
 
     def accounts(self, holds: Mapping[str, str]) -> dict[str, PortResult]:
-        """Accounts of the axes, then of the groups; of an axis in a group, only the energy through it.
+        """Return the accounts of the axes, then of the groups; for an axis in a group only the energy through it.
 
         Args:
-            holds: Whether the hold of an axis was checked, where its account asks.
+            holds: Axis -> whether its hold was checked.
         """
         scene, time = self._scene, self._scene.bus.sample_time
         rendered = [*(axis.passivity for axis in scene.axes), *(group.passivity for group in scene.groups)]

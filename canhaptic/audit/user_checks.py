@@ -24,7 +24,7 @@ _OPERATORS: Final = {
 _VERDICT: Final[Literal["passive"]] = "passive"
 _SHORT: Final = {"margin": "margin.value", "surplus": "surplus.max"}
 _PURE: Final = ("branches.", "contact.", "limits.", "max_consecutive_losses", "rendered.")
-"""How figures of a port begin that are pure numbers."""
+"""Prefixes of the figures of a port that have no unit."""
 
 
 Checked = Mapping[str, Any]
@@ -89,7 +89,7 @@ def _verdicts(result: Checked, expression: str) -> list[Outcome]:
     """Return whether each account that the expression names was passive.
 
     Raises:
-        InputError: It names none.
+        InputError: It names no account of the run.
     """
     port = expression.strip().rpartition(".")[0]
     verdicts = {name: account[_VERDICT] for name, account in result["ports"].items() if _VERDICT in account}
@@ -109,10 +109,10 @@ def _verdicts(result: Checked, expression: str) -> list[Outcome]:
 
 
 def _factor(expression: str, unit: str, found: Mapping[str, float], result: Checked) -> float:
-    """Factor from a given unit to the unit of the figures; 1 without a unit.
+    """Return the factor from a given unit to the unit of the figures; 1 without a unit.
 
     Raises:
-        InputError: The unit cannot be read, or measures another quantity than one of the figures.
+        InputError: The unit cannot be read, or is of another quantity than a figure.
     """
     if not unit:
         return 1.0
@@ -151,6 +151,7 @@ def _unit_of(path: str, result: Checked) -> str:
             "margin.cycle": "1",
             "longest_hold": "1",
             "wall": motion,
+            "hand_force": effort_unit(motion),
         }
         if figure.startswith("damping_rendered."):
             return damping_unit(motion)

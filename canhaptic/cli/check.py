@@ -339,4 +339,5 @@ def _hint_table(hints: list[limits.Hint], *, texts: bool) -> Table:
         asked = "" if hint.asked is None else f"{hint.asked:.4g}"
         style = "dim" if not hint.concerns else "yellow" if hint.exceeded else ""
         rows.append([Styled(text, style) for text in (hint.axis, hint.what, limit, asked, hint.text)[: 4 + texts]])
-    return Table("stability", ("axis", "limit", "at most", "requested", "")[: 4 + texts], rows)
+    title = "stability: computed, for every hand as declared; `design` simulates this rig"
+    return Table(title, ("axis", "limit", "at most", "requested", "")[: 4 + texts], rows)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from canhaptic.errors import InputError
 from canhaptic.host.output_file import require_writable_place
-from canhaptic.logs.log_file import CONVERTIBLE
+from canhaptic.input_file import CONVERTIBLE
 
 if TYPE_CHECKING:
     from canhaptic.scene.models import Scene

@@ -54,15 +54,17 @@ _SUSPECTS: Final[Mapping[str, tuple[str, ...]]] = {
     "declared_hand": ("hand_stiffness", "hand_mass"),
 }
 """Declarations behind each certificate, the likeliest to be wrong first."""
+NO_PULL: Final = "moving mass, hand never pulls"
+"""Declarations behind the certificate by hand force where that force is 0, in words."""
 _OF_EVERY_TORQUE: Final = ("current_lag", "torque_window", "delay")
 """Declarations behind the account itself, whichever the certificate."""
 
 
 class Extremes(TypedDict):
-    """The least and the largest observed value."""
+    """The least and the largest observed value; None: not known."""
 
-    least: float
-    most: float
+    least: float | None
+    most: float | None
 
 
 class SurplusEnergy(TypedDict):
@@ -109,7 +111,7 @@ class PortResult(_Flows, total=False):
     unit: str
     state_unit: str
     stored: float
-    dissipated: float
+    dissipated: float | None  # None: not known, where a program or user code in its own process requests the torques
     generated: float
     surplus: SurplusEnergy
     recovered: float
@@ -131,6 +133,7 @@ class PortResult(_Flows, total=False):
     uncommanded_cycles: int
     max_consecutive_losses: int
     energy_allowance: float
+    hand_force: float  # largest pull of the hand, as declared [N or N*m]
     friction_excess: float
     rendered: RenderedShares
     environment: str  # its type in the scene

@@ -12,7 +12,7 @@ from typing import BinaryIO, Final, Literal, NamedTuple
 import can
 
 from canhaptic.errors import LogFormatError
-from canhaptic.logs.log_file import CONVERTIBLE, log_file
+from canhaptic.input_file import CONVERTIBLE, log_file
 
 _ERROR_FLAG: Final = 0x2000_0000  # of an identifier in candump text (CAN_ERR_FLAG of linux/can.h)
 _LATEST: Final = 4_000_000_000_000_000_000  # [ns], in the year 2096
@@ -30,13 +30,13 @@ SkippedKind = Literal["CAN FD", "error", "remote"]
 
 
 class _Lines(TextIOWrapper):
-    """A text with lines of bounded length: a file without line ends would be read into one."""
+    """A text whose lines have a bounded length: a file without line ends would be read as one line."""
 
     def readline(self, size: int | None = -1) -> str:  # type: ignore[override]
         """Return the next line; empty at the end.
 
         Raises:
-            LogFormatError: It is longer than any of a bus log.
+            LogFormatError: The line is longer than any of a bus log.
         """
         line = super().readline(_LONGEST)
         if len(line) == _LONGEST:
@@ -61,7 +61,7 @@ class Frame(NamedTuple):
     channel: str = ""  # the bus as the log calls it
 
     def message(self, channel: int | None = None) -> can.Message:
-        """Return the frame as python-can has it, on a bus of that number."""
+        """Return the frame as a message of python-can, with the number of its bus."""
         return can.Message(
             timestamp=self.timestamp_ns * 1e-9,
             arbitration_id=self.can_id,
@@ -80,14 +80,14 @@ def read_bus_log(path: str | Path, skipped: Counter[SkippedKind] | None = None) 
         skipped: Counter of frames left out because CANopen rigs do not use them: CAN FD, error, remote.
 
     Raises:
-        LogFormatError: Missing, empty, or a line that is no frame; names file and line.
+        LogFormatError: The log is missing or empty, or a line is no frame; names file and line.
     """
     path, counts = log_file(path), Counter[SkippedKind]() if skipped is None else skipped
     return (_read_with_python_can if path.suffix.lower() in CONVERTIBLE else _read_candump)(path, counts)
 
 
 def describe_skipped(skipped: Mapping[SkippedKind, int]) -> str:
-    """Description of the frames left out, as `2 CAN FD, 1 error`; empty if none."""
+    """Return the number of frames left out, such as `2 CAN FD, 1 error`; empty if none."""
     return ", ".join(f"{count} {kind}" for kind, count in sorted(skipped.items()))
 
 
@@ -113,7 +113,7 @@ def _read_candump(path: Path, skipped: Counter[SkippedKind]) -> Iterator[Frame]:
 
 
 def _require_time(path: Path, number: int, nanoseconds: int) -> None:
-    """Refuse a time that no clock shows: the timers of a replay would never expire."""
+    """Refuse a time that no clock shows, with which the timers of a replay would never expire."""
     if nanoseconds > _LATEST:
         raise LogFormatError(
             f"{path}: frame {number} has the time {nanoseconds * 1e-9:.3g} s, expected at most {_LATEST * 1e-9:.3g} s "
@@ -122,7 +122,7 @@ def _require_time(path: Path, number: int, nanoseconds: int) -> None:
 
 
 def _skipped_kind(path: Path, number: int, line: str) -> SkippedKind:
-    """Kind of a line that is not a data frame of classic CAN; raises LogFormatError where it is not a frame."""
+    """Return the kind of a line that is no data frame of classic CAN; raise LogFormatError if it is no frame at all."""
     if found := _SKIPPED.fullmatch(line):
         return "CAN FD" if found[1] else "remote"
     raise LogFormatError(f"{path}:{number}: {line.strip()[:60]!r} is not a frame of candump -L, expected a bus log")
@@ -146,12 +146,12 @@ def _read_with_python_can(path: Path, skipped: Counter[SkippedKind]) -> Iterator
 
 
 def _channel(path: Path, number: object) -> str:
-    """Number of a bus, from 0 on; python-can numbers the buses of a TRC file from 1 on, as the file does."""
+    """Return the number of a bus, from 0 on; a TRC file, and so python-can, counts its buses from 1."""
     return str(number - 1 if path.suffix.lower() == ".trc" and isinstance(number, int) and number > 0 else number)
 
 
 def _messages(path: Path) -> Iterator[can.Message]:
-    """Yield the messages of a file of python-can; opened here, as python-can leaves an unreadable file open."""
+    """Yield the messages of a file, which is opened here since python-can leaves an unreadable one open."""
     suffix = path.suffix.lower()
     if suffix == ".blf":
         with path.open("rb") as binary:
@@ -163,7 +163,7 @@ def _messages(path: Path) -> Iterator[can.Message]:
 
 
 def _require_small_containers(file: BinaryIO) -> None:
-    """Refuse a BLF container that claims little and unpacks to much: python-can unpacks each at once.
+    """Refuse a small BLF container that unpacks to a very large one, since python-can unpacks each at once.
 
     Raises:
         ValueError: A container is larger than any that a tool writes.

@@ -4,7 +4,7 @@
 
 The second word names the bus. R is a frame received by the master, T one that it sent.
 
-The frames of the last seconds alone, written only when a run ends badly; no file grows meanwhile.
+`FaultSink` keeps the frames of the last seconds in memory instead, and writes them only when a run ends badly.
 """
 
 import os
@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Final
 
 from canhaptic.host.output_file import replacing
-from canhaptic.logs.log_file import LogSink, open_regular
-from canhaptic.logs.ring import RingShape, SharedArea
+from canhaptic.logs.ring import LogSink, RingShape, SharedArea, open_regular
 
 FRAME_RING: Final = RingShape("=qIBBBx8s", 65_536)  # timestamp [ns], identifier, length, is_rx, bus, data
 _RECORD: Final = struct.Struct(FRAME_RING.record)
@@ -121,15 +120,15 @@ class BusSink(LogSink):
 
 
 class FaultSink(LogSink):
-    """Keeps the last frames in the memory of the writer process: they survive the controller, not the writer.
+    """Keeps the last frames in the memory of the writer process, where they survive a crash of the controller.
 
-    A later bad end replaces the file of an earlier one; a good end leaves it.
+    A bad end replaces the file of an earlier bad end; a good end keeps it.
 
     Args:
         path: The file to write after a bad end.
         channels: Name of each bus in the lines of its frames.
         area: Shared memory with one ring of frames.
-        last_ns: Duration of the end of the run to keep [ns].
+        last_ns: Duration of the final part of the run that is kept [ns].
     """
 
     def __init__(self, path: Path, channels: Sequence[str], area: SharedArea, last_ns: int) -> None:
@@ -140,7 +139,7 @@ class FaultSink(LogSink):
         self._blocks: deque[bytes] = deque()
 
     def open(self, restart: bool) -> None:
-        """Check early that the file can be created; the file of an earlier fault stays."""
+        """Check that the file can be created; the file of an earlier bad end stays."""
         del restart
         self._next = self._frames.tail
         probe = self._path.with_name(f".{self._path.name}.new")

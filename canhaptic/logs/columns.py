@@ -8,8 +8,7 @@ from canhaptic.logs.ring import RingShape
 from canhaptic.signals import CycleTiming, Measured, PlantEnergy, Sample
 
 FORMAT_VERSION: Final = 4
-"""1: without `timing/deadline_index` and without what a run measures at its ports (`Measured`). 2: without `active`.
-3: without `digest`."""
+"""Format 1 lacks `timing/deadline_index` and the quantities of `Measured`, 2 lacks `active`, 3 lacks `digest`."""
 _LAST_WITHOUT_DIGEST: Final = 3
 DIGEST: Final = "digest"
 """Path of the column that the writer process adds: the CRC-32 of each row, see `row_digests`."""
@@ -18,16 +17,16 @@ FORMAT_NAME: Final = "canhaptic energy log"
 Attribute = str | int | float
 
 GROUP_AXES: Final = "group_axes"
-"""`NAME.group_axes`: of a port that is a group, the names of its axes (JSON). It has the account and no position."""
+"""`NAME.group_axes`: names of the axes of a group (JSON). Its port has the account and no position."""
 
 ACTIVE_LIMITS: Final = "active_limits"
 """`NAME.active_limits`: limits behind the column `active`, see `ActiveLimits`; infinite ones left out (JSON)."""
 
 DRY_RUN: Final = "dry_run"
-"""In the log of a run in which no torque was sent; `torque_command` is the controller's request."""
+"""Attribute of the log of a dry run, in which no torque was sent; `torque_command` is what the controller requested."""
 
 FRICTION_DECLARED: Final = "friction_declared"
-"""`NAME.friction_declared`: values with which the motion of an axis is compared, see `friction_watch` (JSON)."""
+"""`NAME.friction_declared`: declared friction and hand of an axis, see `friction_watch` (JSON)."""
 
 _INTEGERS: Final = {
     "statusword": "u2",
@@ -47,10 +46,10 @@ _MEANINGS: Final = {
     "sync_index": "index k of the SYNC",
     "deadline_index": "sample times since SYNC 0, more than sync_index after skipped SYNCs; times sample_time_ns: time",
     "energy_resolution": "largest |booked - true| sum of h_i so far",
-    "device_dissipated": "by declared damping and friction of the device so far, at least",
-    "effort_asked": "of the storage of the environment at this position; 0 out of contact",
+    "device_dissipated": "least energy dissipated so far by declared damping and friction of the device",
+    "effort_asked": "effort requested by the spring of the environment at this position; 0 out of contact",
     "uncommanded": "holds so far whose torque was never commanded",
-    "longest_hold": "the most sample times for which one torque was held so far",
+    "longest_hold": "longest time so far for which one torque was held, in sample times",
     DIGEST: "CRC-32 of the row: every other column in the order of the format, each as 8 bytes, little endian",
     "active": "1 the sum at the motor fell below the allowance for certain, 2 that at the handle, 3 both; never falls",
 }
@@ -74,7 +73,7 @@ class _LogColumn(NamedTuple):
 
     @property
     def meaning(self) -> str:
-        """Words for a quantity that is not self-evident; empty otherwise."""
+        """Explanation of a quantity that is not self-evident; empty otherwise."""
         return _MEANINGS.get(self.path.rpartition("/")[2], "")
 
 
@@ -97,7 +96,7 @@ EVENT_RING: Final = RingShape("=q" + "".join(f"{size}s" for size in EVENT_TEXT_S
 
 
 class LogSchema(NamedTuple):
-    """Columns of the log, and further data that the writer process needs to make the file."""
+    """Columns of a log, with the other data from which the writer process creates the file."""
 
     ports: tuple[PortDescription, ...]
     sample_time_ns: int
@@ -132,7 +131,7 @@ class LogSchema(NamedTuple):
 
 
 def _port_columns(port: PortDescription, version: int) -> list[_LogColumn]:
-    """Columns of a port; older versions have fewer of the quantities measured at the ports."""
+    """Return the columns of a port; older formats have fewer of the quantities in `Measured`."""
     effort = effort_unit(port.unit)
     units = {
         **dict.fromkeys(_INTEGERS, "1"),

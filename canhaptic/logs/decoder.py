@@ -1,17 +1,8 @@
 """Text for every frame of a CANopen bus: NMT, SYNC, EMCY, SDO with object names, PDO fields, heartbeats.
 
-The PDO maps are learnt from the bring-up in the log itself, so no configuration is needed. With one, objects get the
-names of the drive's dictionary and positions and torques their units. It shares no code with the master's codecs, so
-that it can check them.
-
-The power state in a statusword (0x6041), decoded bit by bit by the table of IEC 61800-7-201, 6.3.
-
-Independent of the table of the master (`canhaptic.drive.profile.power_states`): the reader of a log must not share a
-mistake with the writer of its frames.
-
-Text for SDO frames, and the objects that they carry; follows one transfer per node (CiA 301, 7.2.4).
-
-The PDO maps of a node, learnt from the SDO traffic that writes or reads them, and the text of its PDOs.
+The PDO maps are learnt from the SDO traffic of the bring-up in the log (CiA 301, 7.2.4), so no configuration is needed.
+With one, objects get the names of the drive's dictionary and positions and torques their units. Power states follow the
+table of IEC 61800-7-201, 6.3. Codecs and tables of the master are not used, so that a mistake in them is found.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -60,7 +51,7 @@ _FURTHER_SDO: Final = {True: "unknown command 0x{command:02X}", False: "block tr
 
 
 class Access(NamedTuple):
-    """An object whose value a confirmed SDO has shown."""
+    """An object with the value that a confirmed SDO transfer has shown."""
 
     object_index: int
     subindex: int
@@ -68,7 +59,7 @@ class Access(NamedTuple):
 
 
 class SdoDecoder:
-    """The SDO traffic of one node."""
+    """Decoder of the SDO traffic of one node, one transfer at a time."""
 
     def __init__(self) -> None:
         self._object = (0, 0)
@@ -83,7 +74,7 @@ class SdoDecoder:
         return f"0x{int.from_bytes(value, 'little'):0{2 * len(value)}X}"
 
     def sdo(self, data: bytes, *, is_request: bool) -> tuple[str, Access | None]:
-        """Text for a frame, and the object that it confirms, if any.
+        """Return the text for a frame, and the object whose value it confirms, if any.
 
         Args:
             data: Content of the frame.
@@ -109,7 +100,7 @@ class SdoDecoder:
         return text.format(name=name, segment=segment, raw=data.hex(" "), command=command), None
 
     def _with_value(self, data: bytes, name: str, *, is_request: bool) -> tuple[str, Access | None]:
-        """Text of a transfer that begins: with its value if it is expedited (all four bytes without a size)."""
+        """Return the text for the first frame of a transfer; with its value if expedited (4 bytes without a size)."""
         value = data[4 : 8 - (data[0] >> 2 & 0x03)] if data[0] & 0x02 else b""
         if is_request:
             self._written = value
@@ -159,7 +150,7 @@ def _is_pdo(index: int) -> bool:
 
 
 class PdoMaps:
-    """Known PDOs of one node.
+    """PDO maps of one node, as far as they are known.
 
     Args:
         node_id: Node ID, 1..127.
@@ -179,7 +170,7 @@ class PdoMaps:
                     self._set(index, subindex, value)
 
     def learn(self, access: Access) -> bool:
-        """Take a confirmed SDO; return whether it configures a PDO."""
+        """Take the object of a confirmed SDO transfer; return whether it configures a PDO."""
         self._set(access.object_index, access.subindex, int.from_bytes(access.value, "little"))
         return _is_pdo(access.object_index)
 
@@ -220,7 +211,7 @@ class PdoMaps:
 
 
 def with_sign(index: int, raw: int, bits: int) -> int:
-    """Value of an object of `length` bits: negative where its type has a sign and it is set."""
+    """Return the value of an object of some bits, in two's complement if its type is signed."""
     return raw - (1 << bits) if index in _SIGNED and raw >> (bits - 1) else raw
 
 
@@ -241,7 +232,7 @@ _TIME_COB_ID: Final = 0x100
 
 @dataclass(frozen=True, slots=True)
 class NodeDescription:
-    """Description of one node, which the log does not contain."""
+    """Facts about a node that a log does not contain."""
 
     node_id: int
     name: str = ""
@@ -351,7 +342,7 @@ class _Node(SdoDecoder):
         return f"{plain} ({words})" if words else plain
 
     def field(self, field: PdoField) -> str:
-        """One field of a PDO as text."""
+        """Return the text for a field of a PDO."""
         index, words = field.object_index, self._meaning(field)
         name = _TORQUES.get(index) or _NAMES.get(index) or self.object_name(index, field.subindex)
         if index in (od.STATUSWORD, od.CONTROLWORD):

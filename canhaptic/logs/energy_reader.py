@@ -5,7 +5,7 @@ with EnergyLog("run.h5") as log:
     power = handle["h_i"] / log.sample_time          # [W]
     print(handle.unit("h_i"), log.status, log.attributes["config_hash"])
 
-Check of the columns of an energy log: all present, of the right type, and of equal length.
+A log is opened only if all its columns are present, of the right type, and of equal length.
 """
 
 import json
@@ -19,9 +19,9 @@ from typing import Any, Final, NamedTuple, Self, TypeVar
 import numpy as np
 
 from canhaptic.errors import InputError, LogFormatError
+from canhaptic.input_file import log_file
 from canhaptic.logs import columns as log_format
 from canhaptic.logs.hdf5 import Array, Attribute, Dataset, Hdf5File, failure_of, row_digests
-from canhaptic.logs.log_file import log_file
 
 _RUNNING: Final = "running"
 """Status of a log whose writer has not closed it: a kill can come between two columns of one chunk."""
@@ -33,13 +33,13 @@ Columns = Mapping[str, Dataset]
 
 
 @contextmanager
-def damage_told(path: str | Path, what: str, more: str = "") -> Iterator[None]:
-    """Raise a LogFormatError for any exception of h5py and NumPy for damaged files.
+def read_safely(path: str | Path, what: str, more: str = "") -> Iterator[None]:
+    """Turn exceptions of h5py and NumPy for damaged files into a LogFormatError.
 
     Args:
-        path: The log, or what of it is read.
-        what: What is damaged.
-        more: Words after the library's own.
+        path: Path of the log.
+        what: Damaged part, for the message.
+        more: End of the message, after the library's words.
     """
     try:
         yield
@@ -50,10 +50,10 @@ def damage_told(path: str | Path, what: str, more: str = "") -> Iterator[None]:
 
 
 def checked_rows(path: Path, file: Hdf5File, ports: Sequence[str], status: str) -> int:
-    """Number of rows common to all columns.
+    """Return the number of rows that all columns have.
 
     Args:
-        path: The log, for messages.
+        path: Path of the log, for messages.
         file: The same file, open.
         ports: Names of its ports.
         status: Status of the log: while it is `_RUNNING`, columns may differ by a chunk.
@@ -79,12 +79,10 @@ def checked_rows(path: Path, file: Hdf5File, ports: Sequence[str], status: str) 
 
 
 def found_columns(path: Path, file: Hdf5File, ports: Sequence[str]) -> tuple[Columns, Columns]:
-    """Return the columns of the rows and of the events, by path.
-
-    The format of an older version has fewer columns.
+    """Return the columns of the rows and of the events, by path; older formats have fewer.
 
     Raises:
-        LogFormatError: One is missing or of another type.
+        LogFormatError: A column is missing or of another type.
     """
     version = int(file.attributes.get("format_version", log_format.FORMAT_VERSION))
     described = tuple(log_format.PortDescription(name, "m") for name in ports)
@@ -94,7 +92,7 @@ def found_columns(path: Path, file: Hdf5File, ports: Sequence[str]) -> tuple[Col
 
 
 def _column(path: Path, file: Hdf5File, name: str, dtype: str) -> Dataset:
-    with damage_told(path, f"{name} is missing or cannot be read", "; the file is damaged"):
+    with read_safely(path, f"{name} is missing or cannot be read", "; the file is damaged"):
         dataset = file[name]
     if len(dataset.shape) != 1 or dataset.dtype != np.dtype(dtype):
         raise LogFormatError(
@@ -105,7 +103,7 @@ def _column(path: Path, file: Hdf5File, name: str, dtype: str) -> Dataset:
 
 
 def usual_length(columns: Columns) -> int:
-    """Length that most columns have; of two equally common lengths the longer."""
+    """Return the length of most columns; of two equally common lengths the longer."""
     counts = Counter(len(dataset) for dataset in columns.values())
     return max(counts, key=lambda length: (counts[length], length))
 
@@ -143,13 +141,13 @@ class Quantities(Mapping[str, Array]):
     def read(self, name: str, start: int = 0, stop: int | None = None) -> Array:
         """Return rows `start` to `stop` of one quantity without keeping them in memory."""
         path = f"{self._group}/{name}"
-        with damage_told(path, "the data is damaged", _SAVES):
+        with read_safely(path, "the data is damaged", _SAVES):
             return self._file[path].read(start, self._rows if stop is None else min(stop, self._rows))
 
     def unit(self, name: str) -> str:
         """Return the unit of a quantity; "1" for a pure number."""
         path = f"{self._group}/{name}"
-        with damage_told(path, "the unit is damaged"):
+        with read_safely(path, "the unit is damaged"):
             return str(_plain(self._file[path].attributes.get("unit", "1")))
 
 
@@ -160,8 +158,8 @@ class EnergyLog:
         path: The file.
 
     Raises:
-        LogFormatError: Missing, empty, truncated, foreign or written by a newer version; or a column of it is missing,
-            of another type, or shorter than the others.
+        LogFormatError: The file is missing, empty, truncated, no energy log or of a newer format; or a column is
+            missing, of another type, or shorter than the others.
 
     Attributes:
         path: The file.
@@ -169,7 +167,7 @@ class EnergyLog:
         format_version: Version of the format; 1 and 2 are from earlier releases.
         ports: Name of the axis -> its quantities; `position`, `torque_command`, `torque_applied`, `h_i`, ...
         truth: True values of a simulation, in the same form; empty on a real rig.
-        groups: Ports that are groups, and the names of their axes; the group's account counts for these axes.
+        groups: Name of a group -> names of its axes, which share its account.
         timing: Times of each cycle and `sync_index`.
         rows: Number of cycles in the log.
         rows_lost: Cycles missing at the start because the file is damaged.
@@ -182,7 +180,7 @@ class EnergyLog:
         self.path = Path(path)
         self._file, description = open_file(self.path)
         try:
-            with damage_told(path, "the file is damaged"):
+            with read_safely(path, "the file is damaged"):
                 self._read(self._file, description)
         except BaseException:
             self.close()
@@ -219,7 +217,7 @@ class EnergyLog:
         """Return an attribute that is a number, or the default where the log has none.
 
         Raises:
-            LogFormatError: It is no finite number.
+            LogFormatError: The attribute is no finite number.
         """
         value = self.attributes.get(name)
         if value is None:
@@ -232,11 +230,11 @@ class EnergyLog:
         """Return an attribute that was written as JSON, or the default where the log has none.
 
         Raises:
-            LogFormatError: It is no JSON, or not of the type of the default.
+            LogFormatError: The attribute is no JSON, or not of the type of the default.
         """
         if name not in self.attributes:
             return default
-        with damage_told(self.path, f"attribute {name} cannot be read", "; the file is damaged"):
+        with read_safely(self.path, f"attribute {name} cannot be read", "; the file is damaged"):
             value = json.loads(str(self.attributes[name]))
         if not isinstance(value, type(default)):
             seen = f"holds {type(value).__name__}, expected {type(default).__name__}"
@@ -249,7 +247,8 @@ class EnergyLog:
         groups = {name: tuple(self.decoded(f"{name}{suffix}", list[str]())) for name in names}
         unknown = {*groups, *(axis for axes in groups.values() for axis in axes)} - set(self.ports)
         if unknown:
-            raise LogFormatError(f"{self.path}: {', '.join(sorted(map(str, unknown)))}: a group without its columns")
+            absent = ", ".join(sorted(map(str, unknown)))
+            raise LogFormatError(f"{self.path}: a group names {absent}, without columns; the file is damaged")
         return groups
 
     @property
@@ -263,7 +262,7 @@ class EnergyLog:
 
     @property
     def group_of(self) -> dict[str, str]:
-        """Return the group of each axis that is in one."""
+        """Name of an axis in a group -> name of the group."""
         return {axis: group for group, axes in self.groups.items() for axis in axes}
 
     @property
@@ -282,11 +281,11 @@ class EnergyLog:
         return np.asarray(self.deadlines() * self.sample_time)
 
     def deadlines(self, start: int = 0, stop: int | None = None) -> Array:
-        """Return the sample times from the first SYNC to each row's SYNC; for an older log, the index of the SYNC."""
+        """Return the sample times from the first SYNC to that of each row; in an older log the index of the SYNC."""
         return self.timing.read("deadline_index" if "deadline_index" in self.timing else "sync_index", start, stop)
 
     def time_of(self, sync_index: int) -> float:
-        """Time of a SYNC [s], even of one after the last row."""
+        """Return the time of a SYNC [s], which may be after the last row."""
         if not self.rows:
             return sync_index * self.sample_time
         index = self.timing["sync_index"]
@@ -295,11 +294,11 @@ class EnergyLog:
 
     @property
     def dropped(self) -> int:
-        """Cycles for which the ring had no room."""
+        """Number of cycles that were dropped because the ring had no room."""
         return int(self.timing["dropped_before"].sum(dtype=np.int64))
 
     def changed_rows(self) -> list[int]:
-        """Return the rows that are not as they were written, by their digests; none of a log without these.
+        """Return the rows that do not match their digest; none for a log of an older format, which has no digests.
 
         Raises:
             LogFormatError: A column cannot be read.
@@ -309,7 +308,7 @@ class EnergyLog:
         columns = list(found_columns(self.path, self._file, list(self.ports))[0].values())
         found: list[int] = []
         for start in range(0, self.rows, _BLOCK):
-            with damage_told(self.path, "the data is damaged", _SAVES):
+            with read_safely(self.path, "the data is damaged", _SAVES):
                 *values, digests = (column.read(start, min(self.rows, start + _BLOCK)) for column in columns)
             found += (start + np.flatnonzero(row_digests(values) != digests)).tolist()
         return found
@@ -317,7 +316,7 @@ class EnergyLog:
     @property
     def events(self) -> list[log_format.Event]:
         """Every event recorded during the run, in order."""
-        with damage_told(self.path, "the events are damaged"):
+        with read_safely(self.path, "the events are damaged"):
             columns = [self._file[path].read() for path in log_format.EVENT_COLUMNS]
         return [
             log_format.Event(int(index), *(bytes(text).decode("utf-8", "replace") for text in texts))
@@ -338,13 +337,13 @@ def open_file(path: str | Path) -> tuple[Hdf5File, LogDescription]:
     """Open the file of a log whose columns may be damaged.
 
     Raises:
-        LogFormatError: Missing, empty, truncated, foreign or written by a newer version.
+        LogFormatError: The file is missing, empty, truncated, no energy log or of a newer format.
     """
     path = log_file(path)
-    with damage_told(path, "not a readable HDF5 file", ", expected an energy log"):
+    with read_safely(path, "not a readable HDF5 file", ", expected an energy log"):
         file = Hdf5File(path, "live")
     try:
-        with damage_told(path, "the file is damaged"):
+        with read_safely(path, "the file is damaged"):
             return file, _description(path, file.attributes)
     except LogFormatError:
         file.close()
@@ -361,7 +360,7 @@ def _description(path: Path, attributes: Mapping[str, Attribute]) -> LogDescript
         )
     missing = [name for name in _OURS if name not in attributes]
     if missing:
-        raise LogFormatError(f"{path}: the attributes {', '.join(missing)} are missing")
+        raise LogFormatError(f"{path}: the attributes {', '.join(missing)} are missing; the file is damaged")
     ports = tuple(line.rpartition(" ")[0] for line in str(_plain(attributes["ports"])).splitlines())
     sample_time_ns = int(attributes["sample_time_ns"])
     if not ports or not 0 < sample_time_ns <= _LONGEST_NS:

@@ -1,9 +1,8 @@
 """Rows of the shared ring -> HDF5 file, whole chunks at a time, readable while it grows (SWMR).
 
-Only whole chunks are appended while the run lasts: flushing an incomplete compressed chunk again and again leaks its
-old copies (9.6 MB of data became 86 to 307 MB). On a clean close the file is packed anew with large chunks.
-
-Trimming and packing of an energy log: a kill or a full disk can leave its columns at different lengths.
+Only whole chunks are appended during a run: flushing an incomplete compressed chunk again and again leaks its old
+copies (9.6 MB of data became 86 to 307 MB). On a clean close the file is packed into large chunks. A kill or a full
+disk can leave columns of different lengths, which `trim` and `repack` cut to whole rows.
 """
 
 import os
@@ -14,9 +13,8 @@ from typing import Final
 import numpy as np
 
 from canhaptic.logs.columns import EVENT_COLUMNS, FORMAT_NAME, FORMAT_VERSION, LogSchema
-from canhaptic.logs.hdf5 import Attribute, Hdf5File, mark_failed, row_digests
-from canhaptic.logs.log_file import NO_SPACE, LogSink, cause_of, open_regular
-from canhaptic.logs.ring import SharedArea
+from canhaptic.logs.hdf5 import ENDS_AT, Attribute, Hdf5File, mark_failed, row_digests
+from canhaptic.logs.ring import NO_SPACE, LogSink, SharedArea, cause_of, open_regular
 
 _PACKED_CHUNK: Final = 16_384  # rows
 _BLOCK: Final = 16 * _PACKED_CHUNK  # rows copied at a time
@@ -24,7 +22,7 @@ _EVENTS: Final = "events/"
 
 
 def _whole_lengths(file: Hdf5File) -> tuple[int, int]:
-    """Return (rows, events): how many of each every column of a file has."""
+    """Return (rows, events): the number of each that all columns of a file have."""
     found: tuple[list[int], list[int]] = ([], [])
     for path, dataset in file.datasets():
         found[path.startswith(_EVENTS)].append(len(dataset))
@@ -40,7 +38,7 @@ def trim(file: Hdf5File) -> tuple[int, int]:
 
 
 def unfinished(path: Path) -> Path:
-    """Return the temporary name of a log, in the folder of its final one; a leftover of a killed run is deleted."""
+    """Return the temporary name of a log, in its folder; such a file of a killed run is deleted."""
     temporary = path.with_name(f".{path.name}.new")
     temporary.unlink(missing_ok=True)
     return temporary
@@ -86,9 +84,10 @@ class EnergySink(LogSink):
         kinds = ("<f8" if column.dtype == "f8" else "<i8" for column in self._columns)
         self._record = np.dtype([(f"f{number}", kind) for number, kind in enumerate(kinds)])
         self._next_row = self._next_event = self._lost = 0
+        self._is_whole = False
 
     def open(self, restart: bool) -> None:
-        """Make the file; after a restart, continue the one left by a killed writer, from its first missing row."""
+        """Create the file; after a restart, continue the file of the killed writer from its first missing row."""
         temporary = unfinished(self._path)
         if not (restart and self._recover(temporary)):
             self._next_row = self._lost = self._rows.tail
@@ -175,9 +174,12 @@ class EnergySink(LogSink):
         self.check()
         self._file.close()
         os.close(self._descriptor)
+        self._is_whole = True
         repack(self._path, self._path, {"status": status})
 
     def fail(self, cause: str) -> None:
         """Leave the rows up to the last flush, with the cause as the status of the run."""
         unfinished(self._path)
-        mark_failed(self._path, f"{cause}; the log ends at cycle {self._next_row - self._lost}")
+        rows = self._next_row - self._lost
+        unpacked = f" while it was packed; all {rows} rows are in it, unpacked"
+        mark_failed(self._path, f"{cause}{unpacked if self._is_whole else f'; {ENDS_AT} {rows}'}")

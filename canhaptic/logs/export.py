@@ -22,7 +22,7 @@ def export(log: EnergyLog, path: str | Path) -> None:
     Floats in CSV are the shortest text that reads back to the same bits.
 
     Raises:
-        InputError: Another suffix, a library that is not installed, or a file that cannot be written.
+        InputError: The suffix is another one, the library is not installed, or the file cannot be written.
     """
     path = Path(path)
     writers = {".csv": _write_csv, ".parquet": _write_parquet, ".mat": _write_mat, ".mcap": _write_mcap}
@@ -40,7 +40,7 @@ def require_library(path: Path) -> None:
     """Import the library that writes tables with this suffix.
 
     Raises:
-        InputError: It is not installed.
+        InputError: The library is not installed.
     """
     library = {".parquet": "pyarrow", ".mat": "scipy", ".mcap": "mcap"}.get(path.suffix)
     try:

@@ -21,6 +21,7 @@ _TEXTS_AND_CHUNKS: Final = 1 << 26  # [B], the most that those of one item may t
 _USER_BLOCK: Final = 512  # [B] before the file's own content, the least that the format allows
 _SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 _FAILED: Final = b"failed: "
+ENDS_AT: Final = "the log ends at cycle"
 _BOUND: Final = RLock()
 
 
@@ -28,7 +29,7 @@ class Dataset:
     """One column of a file.
 
     Raises:
-        OSError: Its values are in another file, which may be a pipe.
+        OSError: The values are in another file, which may be a pipe.
     """
 
     def __init__(self, dataset: h5py.Dataset) -> None:
@@ -157,10 +158,10 @@ class Hdf5File:
         return Dataset(found)
 
     def _require_own(self, path: str) -> None:
-        """Require that a path leads to something in this file.
+        """Require that a path stays inside this file.
 
         Raises:
-            OSError: It goes through a link, which may lead to another file or to a pipe.
+            OSError: The path goes through a link, which may lead to another file or to a pipe.
         """
         names = path.strip("/").split("/")
         with _bounded_memory():
@@ -216,13 +217,13 @@ class Hdf5File:
         self._file.swmr_mode = True
 
     def flush(self) -> None:
-        """Hand everything to the operating system."""
+        """Pass everything to the operating system."""
         self._file.flush()
 
 
 @contextmanager
 def _bounded_memory(needed: int = 0) -> Iterator[None]:
-    """Bound the library's allocations, on Linux: it trusts damaged lengths, and would allocate gigabytes.
+    """Bound the memory that HDF5 may allocate, on Linux: it trusts damaged lengths, and would allocate gigabytes.
 
     Args:
         needed: Size of an undamaged item [B], besides texts and chunks.
@@ -233,7 +234,7 @@ def _bounded_memory(needed: int = 0) -> Iterator[None]:
         return
     import resource
 
-    with _BOUND:  # the limit is one of the process: it must be restored before another thread takes it for its own
+    with _BOUND:  # the limit is of the whole process: restored before another thread reads it
         before = resource.getrlimit(resource.RLIMIT_AS)
         bound = int(pages.read_text().split()[0]) * resource.getpagesize() + _TEXTS_AND_CHUNKS + needed
         if before[0] != resource.RLIM_INFINITY:
@@ -248,10 +249,10 @@ def _bounded_memory(needed: int = 0) -> Iterator[None]:
 
 
 def mark_failed(path: Path, cause: str) -> None:
-    """Write why a file ends early into the space reserved for it: a full disk takes nothing new.
+    """Write why a log is incomplete into space reserved at the start of its file, which works on a full disk too.
 
     Raises:
-        OSError: The disk takes that neither.
+        OSError: The file cannot be written.
     """
     with path.open("r+b") as file:
         file.seek(_USER_BLOCK)
@@ -261,16 +262,16 @@ def mark_failed(path: Path, cause: str) -> None:
 
 
 def failure_of(path: Path) -> str:
-    """Return what `mark_failed` wrote, "failed: CAUSE"; empty of a file that was closed, or is still written."""
+    """Return the text of `mark_failed`, "failed: CAUSE"; empty if it wrote none."""
     with path.open("rb") as file:
         text = file.read(_USER_BLOCK)
     return text.rstrip(b"\0").decode("utf-8", "replace") if text.startswith(_FAILED) else ""
 
 
 def note_length(path: Path, cycles: int) -> str:
-    """Append the length of a run to the cause that `mark_failed` wrote; return the new text, empty if it wrote none."""
+    """Return the text of `mark_failed`, with the length of the run where the log ends early; empty if it wrote none."""
     cause = failure_of(path) if path.is_file() else ""
-    if cause:
+    if ENDS_AT in cause:
         mark_failed(path, f"{cause.removeprefix('failed: ')} of {cycles}")
     return cause and failure_of(path)
 

@@ -19,14 +19,14 @@ from typing import Final, TypeVar
 
 from canhaptic.errors import InputError, LogFormatError
 from canhaptic.host.output_file import require_writable_place
-from canhaptic.logs.energy_reader import DAMAGE, Columns, EnergyLog, damage_told, found_columns, open_file, usual_length
+from canhaptic.input_file import log_file
+from canhaptic.logs.energy_reader import DAMAGE, Columns, EnergyLog, found_columns, open_file, read_safely, usual_length
 from canhaptic.logs.energy_sink import repack, unfinished
 from canhaptic.logs.hdf5 import Hdf5File
-from canhaptic.logs.log_file import log_file
 
 _Result = TypeVar("_Result")
 _SECONDS: Final = 2
-"""CPU time that a copy may take, and for each so many bytes of the file one more [s]."""
+"""CPU time of the copy of the process [s]; one second more for each `_BYTES_A_SECOND` of the file."""
 _BYTES_A_SECOND: Final = 1_000_000
 _PR_SET_PDEATHSIG: Final = 1  # of Linux's prctl
 
@@ -75,7 +75,7 @@ def in_own_process(path: Path, work: Callable[[], _Result]) -> _Result:
 
 
 def _answer(writer: int, work: Callable[[], object], seconds: int, parent: int) -> None:
-    """Send the result or the error of `work` and ends the copy; nothing of the first process is flushed or closed."""
+    """Send the result or the error of `work`, and end the copy without flushing files of the first process."""
     import resource
 
     try:
@@ -115,8 +115,8 @@ def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
         (rows saved, rows that could not be read).
 
     Raises:
-        LogFormatError: Nothing can be read: the file is no log, a column of it is missing or of another type, or HDF5
-            crashes on it.
+        LogFormatError: Nothing can be read: the file is no log, a column is missing or of another type, or HDF5
+            crashes.
         InputError: Source and target are the same file, or the copy cannot be written.
     """
     source, target = Path(source), Path(target)
@@ -130,10 +130,10 @@ def repair(source: str | Path, target: str | Path) -> tuple[int, int]:
 
 
 def require_readable(source: Path) -> None:
-    """Require that HDF5 can read everything in a file without a crash; reported damage is left to the reader.
+    """Require that HDF5 reads everything in a file without a crash; damage that it reports is no error here.
 
     Raises:
-        LogFormatError: It crashes, or does not come to an end; or there is no file.
+        LogFormatError: HDF5 crashes or does not finish; or there is no file.
     """
     in_own_process(source, partial(_read_all, source))
 
@@ -141,7 +141,7 @@ def require_readable(source: Path) -> None:
 def _read_all(source: Path) -> None:
     with suppress(*DAMAGE), Hdf5File(source, "live") as file:
         file.read_tables()
-    with suppress(*DAMAGE), EnergyLog.open(source) as log:  # by the same ways as who reads it later
+    with suppress(*DAMAGE), EnergyLog.open(source) as log:  # by the same calls as a later reader
         for quantities in log.tables.values():
             for name, start in product(quantities, range(0, log.rows, _BLOCK)):
                 with suppress(*DAMAGE):
@@ -152,12 +152,12 @@ def _read_all(source: Path) -> None:
 def _repair(source: Path, target: Path) -> tuple[int, int]:
     lost = "too damaged to be saved"
     file, description = open_file(source)
-    with damage_told(source, lost), file:
+    with read_safely(source, lost), file:
         rows, events = found_columns(source, file, description.ports)
         expected = usual_length(rows)
         readable, notes = _readable(rows), _readable(events)
     note = "" if description.status == "complete" else f" (was: {description.status})"
-    with damage_told(source, lost):
+    with read_safely(source, lost):
         try:
             repack(source, target, {"status": f"repaired{note}"}, (readable, notes))
         except OSError as error:
@@ -168,7 +168,7 @@ def _repair(source: Path, target: Path) -> tuple[int, int]:
 
 
 def _readable(columns: Columns) -> int:
-    """Return how many rows at the start every column has and can be read."""
+    """Return the number of rows from the start that can be read in every column."""
     rows = min(len(dataset) for dataset in columns.values())  # a damaged column may claim any length
     for dataset in columns.values():
         for start in range(0, rows, _STEP):

@@ -3,15 +3,21 @@
 The memory is an unlinked file on a memory file system, handed to the writer as a file descriptor. It lives as long as
 either process does and leaves nothing behind when both are gone, however they ended. A record counts as written when
 the ring's head has moved past it, so a producer that is killed in the middle of a record leaves no half record.
+`LogSink` is the base of the files into which the consumer writes the records.
 """
 
+import errno
 import mmap
 import os
+import re
+import stat
 import struct
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
+
+from canhaptic.errors import LogWriteError
 
 _HEADER: Final = 4096  # [bytes] before the first ring
 _STATE_CELL: Final = 0
@@ -19,6 +25,9 @@ _MARK_CELL: Final = 1
 _FIRST_RING_CELL: Final = 8  # two cells of 8 bytes per ring: head, tail
 _TEXT_OFFSETS: Final = {"failure": 1024, "status": 2048}
 _TEXT_SIZE: Final = 1000  # [bytes]
+NO_SPACE: Final = "no space"
+_FULL: Final = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
+_REMEDY: Final = "the rows from then on are lost; keep other programs away from a log while it is written"
 
 Record = Sequence[float | bytes | bytearray]
 """Values of one record, in the order of its struct format."""
@@ -62,7 +71,7 @@ class SharedArea:
 
     @property
     def mark(self) -> int:
-        """Number that a writer leaves for its successor, in case it is killed."""
+        """Number that a writer leaves for its successor, should it be killed."""
         return self._cells[_MARK_CELL]
 
     @mark.setter
@@ -114,7 +123,7 @@ class Ring:
         return True
 
     def recorder(self, bus: int, when_full: Callable[[Record], object]) -> Recorder:
-        """Function that writes one frame of a bus: `push` inlined, as this runs for every frame of every cycle.
+        """Return a function that writes one frame of a bus: `push` inlined, since it runs for every frame.
 
         Args:
             bus: Index of the bus among the channels.
@@ -131,7 +140,7 @@ class Ring:
                 self._next = cells[head] = number + 1
                 return
             frame = (timestamp_ns, can_id, len(data), is_rx, bus, data)
-            if not self.push(frame):  # which looks at the tail anew
+            if not self.push(frame):  # which reads the tail again
                 when_full(frame)
 
         return record
@@ -196,3 +205,70 @@ def allocate(size: int) -> int:
             continue
         return descriptor
     raise OSError(f"no folder with {size} bytes free for the ring of the log")
+
+
+class LogSink:
+    """Destination of the records of a shared area.
+
+    Args:
+        path: The file.
+    """
+
+    _descriptor = -1  # of the file, where it grows
+    _size = 0  # bytes written to it
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def open(self, restart: bool) -> None:
+        """Prepare the file; after a restart, continue the one that a killed writer left."""
+
+    def drain(self, heads: list[int], final: bool) -> None:
+        """Write the records up to `heads`; unless `final`, an incomplete block may be kept for later."""
+
+    def check(self) -> None:
+        """Require that a growing file is still the opened one, and has its written length.
+
+        Raises:
+            LogWriteError: The file was deleted, replaced or truncated.
+        """
+        if self._descriptor < 0:
+            return
+        path, opened = self._path, os.fstat(self._descriptor)
+        try:
+            is_same = os.path.samestat(opened, os.stat(path, follow_symlinks=False))
+        except FileNotFoundError:
+            is_same = False
+        if not is_same:
+            raise LogWriteError(f"{path}: was deleted or replaced while it was written; {_REMEDY}")
+        if opened.st_size < self._size:
+            raise LogWriteError(
+                f"{path}: was truncated to {opened.st_size} of {self._size} bytes while it was written; {_REMEDY}"
+            )
+
+    def finish(self, status: str) -> None:
+        """Complete and close the file."""
+
+    def fail(self, cause: str) -> None:
+        """Write into the file, if it has room, why it is incomplete."""
+
+
+def open_regular(path: Path, flags: int) -> int:
+    """Return a descriptor of a regular file.
+
+    Raises:
+        LogWriteError: It is no regular file.
+        OSError: It cannot be opened, or is a symbolic link.
+    """
+    descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise LogWriteError(f"{path}: is not a regular file; name another file")
+    return descriptor
+
+
+def cause_of(error: Exception) -> str:
+    """Return briefly why a file could not be written; HDF5 gives the system's error number only in its text."""
+    found = re.search(r"\[Errno (\d+)\]|errno = (\d+)", str(error))
+    number = int(found[1] or found[2]) if found else 0
+    return NO_SPACE if number in _FULL else os.strerror(number) if number else str(error)

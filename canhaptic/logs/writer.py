@@ -1,9 +1,8 @@
 """The writer process (`writer_process` starts it): a descriptor as argument, its job as JSON on standard input.
 
-It takes records out of the shared ring and puts them into a file, in ordinary priority, away from the control thread.
-It ends when the producer requests it, or when the producer has ended: then everything still in the ring is written.
-
-One run writes a log: a lock file next to it, held by the writer process and released when that ends in any way.
+It moves records from the shared ring into a file, at ordinary priority. When the producer requests it, or has ended,
+it writes everything left in the ring and ends. A lock file next to the log, held while this process lives, keeps a
+second run from writing the same log.
 """
 
 import json
@@ -17,8 +16,7 @@ from typing import Any, Final
 
 from canhaptic.errors import CanHapticError, LogWriteError
 from canhaptic.host.output_file import why_not_written
-from canhaptic.logs.log_file import LogSink, cause_of
-from canhaptic.logs.ring import RingShape, SharedArea
+from canhaptic.logs.ring import LogSink, RingShape, SharedArea, cause_of
 
 
 @contextmanager
@@ -65,7 +63,7 @@ _INTERRUPTED: Final = "interrupted: the controlling process ended without closin
 
 
 def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, LogSink]:
-    """Shared area and sink of a job; imports only what it needs."""
+    """Return shared area and sink of a job; only their modules are imported."""
     area = SharedArea(descriptor, [RingShape(*shape) for shape in job["shapes"]])
     path = Path(job["path"])
     if job["kind"] == "energy":
@@ -83,10 +81,10 @@ def make_sink(job: dict[str, Any], descriptor: int) -> tuple[SharedArea, LogSink
 
 
 def _serve(area: SharedArea, sink: LogSink, parent: int) -> None:
-    """Write until the producer closes or is gone.
+    """Write until the producer closes or has ended.
 
-    A head is acted on one poll after it was first seen: by then the record behind it has reached this processor too, on
-    machines that reorder stores as on those that do not.
+    Records are read one poll after their head was seen: by then they have reached this processor, even on machines that
+    reorder stores.
     """
     pause = threading.Event()
     seen = [ring.tail for ring in area.rings]
@@ -108,7 +106,7 @@ def _become_ordinary(patient: bool) -> None:
     """Give up real-time priority and processor pinning inherited from the controlling process.
 
     Args:
-        patient: Whether to yield to ordinary processes too, as for a cycle at wall-clock pace.
+        patient: Whether to have less priority than ordinary processes, as for a cycle at wall-clock pace.
     """
     if hasattr(os, "sched_setscheduler"):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
@@ -122,7 +120,7 @@ def _opened(job: dict[str, Any], sink: LogSink) -> Iterator[None]:
     """Lock and open the log.
 
     Raises:
-        LogWriteError: Another run writes it, it is no regular file, or it cannot be created.
+        LogWriteError: Another run writes the log, the file is not regular, or it cannot be created.
     """
     path = Path(job["path"])
     for place in (path, Path(job.get("convert_to") or path)):

@@ -1,4 +1,4 @@
-"""The control side of the logs: one record per frame or SYNC into a ring, and the process that writes it to a file.
+"""The control side of the logs: records go into a ring in shared memory, and a process writes them to a file.
 
 The writer process is started, awaited, and replaced when it is killed.
 """
@@ -18,9 +18,9 @@ from typing import IO, Any, Final, Literal, cast
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.errors import LogStoppedError, LogWriteError, ParameterError
+from canhaptic.input_file import CONVERTIBLE
 from canhaptic.logs.bus_sink import FRAME_RING
 from canhaptic.logs.columns import EVENT_RING, EVENT_TEXT_SIZES, Attribute, LogSchema, PortDescription
-from canhaptic.logs.log_file import CONVERTIBLE
 from canhaptic.logs.ring import Record, Recorder, Ring, RingShape, SharedArea, allocate, size_of
 from canhaptic.logs.writer import FAILED
 from canhaptic.signals import CycleTiming, Measured, Sample, Truth
@@ -49,11 +49,11 @@ def isolated_program(
 ) -> "subprocess.Popen[str]":
     """Start `main` of a module in an interpreter that knows neither the working folder nor PYTHONPATH.
 
-    It takes canhaptic from where this process has it, and has a pipe as its standard input.
+    It imports canhaptic from the same place as this process. Its standard input is a pipe.
 
     Args:
         module: Name of the module.
-        arguments: Words of its `sys.argv` from the second on.
+        arguments: `sys.argv` from the second word on.
         descriptors: Open files that it inherits.
         options: Further arguments of `Popen`.
     """
@@ -69,10 +69,10 @@ def isolated_program(
 
 
 class WriterProcess:
-    """A log that is written: a running writer and the memory shared with it.
+    """A log that is being written: the writer process and the memory shared with it.
 
-    The constructor returns when the file is open, so that nothing slow is left for the cycle. A thread sleeps in
-    `waitpid` and starts another writer if this one is killed; the control thread spends nothing on it.
+    The constructor returns when the file is open, so that the cycle need not wait. A thread waits for the end of the
+    process and starts another one if it was killed, at no cost for the control thread.
 
     Args:
         job: Job of the writer (`canhaptic.logs.writer.make_sink`).
@@ -138,7 +138,7 @@ class WriterProcess:
         return False
 
     def close(self, status: str = "complete") -> None:
-        """Let the writer finish everything that is in the rings, and wait for it. A second call does nothing.
+        """Have the writer write everything in the rings, and wait for it. A second call does nothing.
 
         Args:
             status: Status of the run, which an energy log keeps; anything but complete, completed or stopped is a bad
@@ -167,14 +167,14 @@ class WriterProcess:
             [self._descriptor],
             [self._descriptor],
             stdout=subprocess.DEVNULL if restart else subprocess.PIPE,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # it multiplies nothing, and a thread a core takes long
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # no matrix is multiplied, and its threads start slowly
         )
-        with suppress(BrokenPipeError), cast("IO[str]", process.stdin) as pipe:  # else its status says why it has ended
+        with suppress(BrokenPipeError), cast("IO[str]", process.stdin) as pipe:  # its status says why it has ended
             pipe.write(json.dumps({**self._job, "restart": restart}))
         return process
 
     def _awaited(self) -> str:
-        """Wait until the writer is ready; return why it did not become so, empty where it did."""
+        """Wait until the writer is ready; return the reason if it failed, else an empty text."""
         with cast("IO[str]", self._process.stdout) as output:
             if not select.select([output], [], [], _PATIENCE)[0]:
                 self._process.kill()
@@ -211,7 +211,7 @@ class WriterProcess:
 
 
 def _trusted_folders() -> list[str]:
-    """Return where this process imports from, without the working folder, in which others may write."""
+    """Return the folders from which this process imports, without the working folder, where others may write."""
     working = Path.cwd().resolve()
     return [folder for folder in sys.path if os.path.isabs(folder) and Path(folder).resolve() != working]
 
@@ -287,7 +287,7 @@ class BusLogWriter(WriterProcess):
         self._record(timestamp_ns, can_id, data, is_rx)
 
     def on(self, bus: int) -> Recorder:
-        """Recorder of one bus, by its index among the channels; the log itself records the first bus.
+        """Return the recorder of one bus, by its index among the channels; the log itself records the first bus.
 
         Raises:
             ParameterError: There is no such bus.
@@ -300,8 +300,8 @@ class BusLogWriter(WriterProcess):
 class EnergyLogWriter(WriterProcess):
     """Writes one energy log (HDF5).
 
-    At real pace `append` never waits: when the ring is full the cycle is counted as dropped and the next row says so.
-    At free pace (lock-step) it waits for the writer, and nothing is lost.
+    At real pace `append` never waits: a cycle for which the ring has no room is dropped, and the next row counts it. At
+    free pace (lock-step) it waits for the writer, and no row is lost.
 
     Args:
         path: The file; an existing one is replaced.

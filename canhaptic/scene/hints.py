@@ -17,6 +17,8 @@ from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParamete
 from canhaptic.control.certificates import scalar_bounds as bounds
 from canhaptic.control.damping import largest_stable_damping, least_oscillating_damping
 from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.verdict import NO_PULL
+from canhaptic.meters import promise_of
 from canhaptic.scene.displays import display_properties
 from canhaptic.scene.models import AxisScene, Scene
 
@@ -299,8 +301,10 @@ def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
     held = [(hint.limit, hint.certificate) for hint in own if hint.limit is not None]
     if not held:
         return ""
-    unit, most = stiffness_unit(axis.parameters.unit), max(held)
-    text = f"{axis.parameters.name}: guarantee rests on: {most[1]}; {most[0]:.3g} {unit} at the torque limit"
+    unit, (most, declared) = stiffness_unit(axis.parameters.unit), max(held)
+    if declared == "hand force" and promise_of(axis.passivity.parameters).hand_force == 0.0:
+        declared = NO_PULL
+    text = f"{axis.parameters.name}: guarantee rests on: {declared}; {most:.3g} {unit} at the torque limit"
     bound = axis.loop.device_damping_bound
     if bound and axis.loop.device_damping is None:
         limit = bounds.renderable_by_device_damping(bound, axis.loop.sample_time, axis.loop.delay + _losses(axis))

@@ -130,6 +130,7 @@ def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
         f"{name}.environment": axis.environment.name,
         f"{name}.algorithm": axis.passivity.name,
         f"{name}.torque_limit": axis.parameters.torque_limit,
+        **({f"{name}.guard": axis.guard} if axis.guard else {}),
         **_promise_attributes(name, axis.passivity.parameters),
         **({f"{name}.is_damped": 1} if axis.loop.brakes else {}),
     }
@@ -148,5 +149,5 @@ def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
 
 
 def _promise_attributes(name: str, parameters: object) -> dict[str, Attribute]:
-    """Return the assumptions of the certificates that do not concern hand and device."""
-    return {f"{name}.{key}": value for key, value in promise_of(parameters)._asdict().items()}
+    """Return the assumptions of the certificates that do not concern the device."""
+    return {f"{name}.{key}": value for key, value in promise_of(parameters)._asdict().items() if value is not None}

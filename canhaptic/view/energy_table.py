@@ -1,6 +1,7 @@
 """Tables of a run for a terminal, from the dictionary that `run --json` prints: `run --full` and `inspect`."""
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Final
 
 from rich.console import Group, RenderableType
@@ -14,6 +15,7 @@ from canhaptic.view.table import Cell, Styled, Table, in_lines
 
 _HEAD_WIDTH: Final = 18  # of the name of a port above its figures; longer ones go on in the next line
 _NOTHING: Final = "-   "
+_NOT_KNOWN: Final = "not known   "
 
 _VERDICTS: Final[dict[Verdict, Styled]] = {
     "yes": Styled("yes   ", "bold green"),
@@ -25,24 +27,34 @@ _ROUNDING: Final = 1e-9
 _Shown = str | Callable[[Result], str | Styled]
 _CONTACTS_SHOWN: Final = 8
 _EVENTS_SHOWN: Final = 20
-_NAME_WIDTH: Final = 24  # of a quantity; longer ones go on in the next line
+_NAME_WIDTH: Final = 24  # of a text where two logs are shown; a longer one goes on in the next line
 
 
-def energy_report(result: Result) -> RenderableType:
-    """Return the first line of each port, then status, energy table, timing, link and method of a run."""
-    parts = [*headlines(result), heading(result)]
-    if result.get("ports"):
-        parts.append(energy_table(result))
-    for name in ("timing", "link", "method"):
-        if result.get(name):
-            parts.append(line(name, result[name]))
+def energy_report(*results: Result) -> RenderableType:
+    """Return the first line of each port, energy table, timing line, link line and method line of a run.
+
+    Args:
+        results: Accounts of one run or of several, which share the table.
+    """
+    parts: list[RenderableType] = []
+    for result in results:
+        parts += [*([_header(result)] if "file" in result else []), *headlines(result), heading(result)]
+    if any(result.get("ports") for result in results):
+        parts.append(energy_table(*results))
+    for result in results:
+        parts += [Text(f" {result['file']}")] if len(results) > 1 else []
+        parts += [line(name, result[name]) for name in ("timing", "link", "method") if result.get(name)]
     return Group(*parts)
 
 
-def energy_table(result: Result) -> Table:
-    """Return the account of every port, one column each, as `run --json` prints it."""
-    names = ordered(result["ports"])
-    ports = [result["ports"][name] for name in names]
+def energy_table(*results: Result) -> Table:
+    """Return the account of every port of one run or of several, one column each, as `run --json` prints it."""
+    places = [(result, name) for result in results for name in ordered(result["ports"])]
+    ports = [result["ports"][name] for result, name in places]
+    heads = [in_lines(name, _HEAD_WIDTH) for _, name in places]
+    if len(results) > 1:
+        files = (in_lines(Path(result["file"]).name, _HEAD_WIDTH) for result, _ in places)
+        heads = [f"{file}\n{head}" for file, head in zip(files, heads, strict=True)]
     rows: list[list[Cell]] = [[label, *(_cell(cell, port) for port in ports)] for label, cell in _PORT_ROWS]
     rows = [row for row in rows if any(cell != _NOTHING for cell in row[1:])]
     rows += _count_rows(ports, "branches", lambda name: _BRANCHES.get(name, f"cycles {name}"))
@@ -50,14 +62,13 @@ def energy_table(result: Result) -> Table:
         if any(port.get(key) for port in ports):
             rows.append([label, *(_cell(key, port) for port in ports)])
     rows += _count_rows(ports, "limits", "cycles limited by: {}".format)
-    truth = result.get("truth") or {}
-    if any(name in truth for name in names):
+    truths = [(result.get("truth") or {}).get(name, {}) for result, name in places]
+    if any(truths):
         rows.append([])
-        rows += [
-            [label, *(_cell(key, truth[name]) if name in truth else "-" for name in names)]
-            for label, key in _TRUTH_ROWS.items()
-        ]
-    return Table("", ["energy account", *(in_lines(name, _HEAD_WIDTH) for name in names)], rows, keys=1)
+        rows += [[label, *(_cell(key, truth) for truth in truths)] for label, key in _TRUTH_ROWS.items()]
+    if len(results) > 1:
+        rows = [[in_lines(cell, _NAME_WIDTH) if isinstance(cell, str) else cell for cell in row] for row in rows]
+    return Table("", ["energy account", *heads], rows, keys=1)
 
 
 def _cell(cell: _Shown, port: Result) -> str | Styled:
@@ -65,7 +76,8 @@ def _cell(cell: _Shown, port: Result) -> str | Styled:
         if not isinstance(cell, str):
             return cell(port)
         first, _, rest = cell.partition(".")
-        return energy(port[first][rest] if rest else port[first])
+        value = port[first][rest] if rest else port[first]
+        return _NOT_KNOWN if value is None else energy(value)
     except (KeyError, TypeError):  # an axis in a group, another version, or a quantity that this run did not have
         return _NOTHING
 
@@ -107,12 +119,14 @@ def _resolution(port: Result) -> str:
 
 def _certificates(port: Result) -> str:
     names = port.get("certificates", [port["certificate"]])
-    return f"{rests_on(*names)}   " if names else "no torque   "
+    return f"{rests_on(*names, hand_force=port.get('hand_force'))}   " if names else "no torque   "
 
 
 def _damping(port: Result) -> str:
     rendered = port["damping_rendered"]
     unit = damping_unit(port["unit"])
+    if rendered["most"] is None:
+        return _NOT_KNOWN
     least, most = f"{rendered['least']:.3g}", f"{rendered['most']:.3g}"
     if abs(rendered["least"]) < _ROUNDING * rendered["most"]:
         least = "0"
@@ -172,16 +186,13 @@ _TRUTH_ROWS: Final = {
 
 
 def inspection_report(result: Result) -> RenderableType:
-    """Return all findings of `inspect`, for a terminal."""
-    parts: list[RenderableType] = [_header(result)] if "file" in result else []
-    parts.append(energy_report(result))
+    """Return everything that `inspect` found, for a terminal."""
+    parts: list[RenderableType] = [energy_report(result, *result.get("others", ()))]
     parts += [_finding_line(finding) for finding in result.get("findings", ())]
     parts += inspection_tables(result)
     parts += [_recomputed_line(port) for port in result.get("recomputed", ())]
     if "rederived" in result:
         parts.append(_rederived_line(result["rederived"]))
-    for other in result.get("others", ()):
-        parts += [Text(), _header(other), energy_report(other)]
     if "comparison" in result:
         parts.append(_comparison(result["comparison"]))
     return Group(*parts)
@@ -206,7 +217,8 @@ def _contacts_table(name: str, contacts: Sequence[Result], unit: str, depth_unit
     shown = f", the {_CONTACTS_SHOWN} hardest" if len(contacts) > _CONTACTS_SHOWN else ""
     rows: list[list[Cell]] = [
         [
-            f"{contact['start']:.4f} s", si(contact["duration"], "s"), si(contact["depth"], depth_unit),
+            f"{contact['start']:.4f} s", si(contact["duration"], "s"),
+            "not known" if contact["depth"] is None else si(contact["depth"], depth_unit),
             si(contact["peak_torque"], effort_unit(unit)), energy(contact["energy"]),
         ]
         for contact in sorted(hardest, key=lambda contact: contact["start"])

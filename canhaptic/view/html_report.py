@@ -2,7 +2,6 @@
 
 import html
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import cycle
 from pathlib import Path
@@ -76,9 +75,7 @@ def write_html(
         parts.append(picture(partial(_draw_further, panels), "damping, timing, losses", folded=True))
     if idle:
         parts.append(words(f"zero throughout, not drawn: {', '.join(idle)}"))
-    tables = [energy_table(result), *inspection_tables(result)]
-    for other in result.get("others", ()):
-        tables.append(replace(energy_table(other), title=Path(other["file"]).name))
+    tables = [energy_table(result, *result.get("others", ())), *inspection_tables(result)]
     write_page(path, log.path.name, [*parts, *tables])
 
 

@@ -11,7 +11,7 @@ from rich.table import Table as TerminalTable
 from rich.text import Text
 
 from canhaptic.axis_units import mass_unit
-from canhaptic.control.verdict import Headline, PortResult
+from canhaptic.control.verdict import NO_PULL, Headline, PortResult
 from canhaptic.view.si import counted, si
 from canhaptic.view.terminal import visible
 
@@ -102,7 +102,7 @@ def _first_figures(port: PortResult) -> list[str]:
         found.append(f"mass felt {mass_text(port)}")
     certificate = port.get("certificate", "none")
     if port["verdict"] == "yes" and certificate not in ("none", "exact"):
-        found.append(f"guarantee rests on: {rests_on(certificate)}")
+        found.append(f"guarantee rests on: {rests_on(certificate, hand_force=port.get('hand_force'))}")
     if "hold" in port and (port["verdict"] == "yes" or port["hold"].startswith("acts ")):
         found.append(f"hold: {port['hold']}")
     return found
@@ -143,12 +143,19 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
     return found
 
 
-def rests_on(*certificates: str) -> str:
-    """Return in words the declarations on which the guarantee of the given certificates rests."""
+def rests_on(*certificates: str, hand_force: float | None = None) -> str:
+    """Return in words the declarations on which the guarantee of some certificates rests.
+
+    Args:
+        certificates: Their names.
+        hand_force: Largest pull of the hand, as declared [N or N*m]; None: not known.
+    """
     if "none" in certificates:
         return "nothing"
-    declared = [name.replace("_", " ").removeprefix("declared ") for name in certificates if name != "exact"]
-    return ", ".join(declared) or "no declaration"
+    words = {"hand_force": NO_PULL} if hand_force == 0.0 else {}
+    declared = [name for name in certificates if name != "exact"]
+    named = (words.get(name, name.replace("_", " ").removeprefix("declared ")) for name in declared)
+    return ", ".join(named) or "no declaration"
 
 
 def brief_report(result: Result) -> RenderableType:

@@ -86,6 +86,27 @@ def test_every_view_gives_the_account_of_the_run(run_and_log: tuple[dict[str, An
     assert verdicts == verdict_bar({name: live[name] for name in live if "group" not in ran["ports"][name]})
 
 
+def test_a_wall_that_the_torque_limit_cuts_is_rendered_up_to_the_limit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, most = tmp_path / "run.h5", 1.5
+    wall = ["environment.stiffness=200 N/m", "environment.damping=0", "passivity={algorithm: unprotected}"]
+    words = [word for value in (*wall, f"axes.0.torque_limit={most}") for word in ("--set", value)]
+    main(["run", str(CONFIGS / "demo.yaml"), "--duration", "1.4", "--log", str(path), "--json", *words])
+    ran = json.loads(capsys.readouterr().out)["ports"]["handle"]
+    with EnergyLog.open(path) as log:
+        inspected, port = inspect(log)["ports"]["handle"], log.ports["handle"]
+        assert abs(port["torque_applied"]).max() <= most * (1.0 + 1e-9) < abs(port["torque_command"]).max()
+        asked = port["effort_asked"] != 0.0
+        sent = port["torque_command"][asked].clip(-most, most)
+        share = -sent.sum() / port["effort_asked"][asked].sum()
+    assert 0.1 < share < 0.9
+    assert ran["contact"]["beyond_limit"] > 10
+    for account in (ran, inspected):
+        assert account["rendered"]["stiffness"] == pytest.approx(share, rel=1e-9)
+        assert account["contact"]["sent"] == pytest.approx(abs(sent).sum(), rel=1e-9)
+
+
 def test_time_goes_on_while_syncs_are_skipped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "run.h5"
     stall = "simulation.bus={stall: [{begin: 0.3, duration: 5 ms, every: 0.21}]}"

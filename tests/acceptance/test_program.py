@@ -51,6 +51,17 @@ def test_logs_of_a_program_recompute_rederive_and_check(tmp_path: Path, capsys: 
     with EnergyLog.open(tmp_path / "e.h5") as log:
         assert abs(log.ports["handle"]["effort_asked"]).max() > 1.0
         assert log.attributes["handle.environment"] == "program"
+    assert {contact["depth"] for contact in found["contacts"]["handle"]} == {None}  # a program tells of no wall
+    ran, inspected = rig.account.raw["ports"]["handle"], found["ports"]["handle"]
+    for account in (ran, inspected, found["rederived"]["ports"]["handle"]):
+        assert (account["dissipated"], account["damping_rendered"]) == (None, {"least": None, "most": None})
+    assert math.isnan(rig.account["handle"].dissipated)
+    assert main(words[:2]) == 0
+    shown = capsys.readouterr().out
+    assert re.search(r"^ *dissipated +not known", shown, re.MULTILINE)
+    assert re.search(r"^ *damping rendered +not known", shown, re.MULTILINE)
+    assert re.search(r"s +not known ", shown)
+    assert "moving mass, hand never pulls" in shown  # the demo declares hand_force 0
 
 
 def test_a_replay_sends_what_the_same_program_sent_and_finds_another_one(tmp_path: Path) -> None:

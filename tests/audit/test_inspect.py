@@ -72,7 +72,7 @@ def test_the_hold_in_which_the_hand_leaves_does_not_count_as_damping_that_was_no
         account = inspect(opened)["ports"]["handle"]
     assert account["branches"]["exit"] == 1
     assert account["damping_rendered"] == before
-    assert before["least"] > 0.0
+    assert (before["least"] or 0.0) > 0.0
 
 
 def test_a_hold_held_on_neither_begins_nor_ends_a_contact() -> None:
@@ -93,6 +93,29 @@ def test_contacts_are_found_with_depth_peak_and_energy(log: Path) -> None:
         assert found[0]["energy"] == pytest.approx(math.fsum(port["h_i"][rows]), rel=1e-9)
         assert found[0]["peak_torque"] == np.abs(port["torque_applied"][rows]).max()
         assert found[0]["depth"] == np.abs(port["state"][rows]).max()
+
+
+def test_in_the_wall_of_user_code_in_its_own_process_the_depth_is_measured_and_of_a_program_not_known(
+    log: Path, tmp_path: Path
+) -> None:
+    with EnergyLog.open(log) as opened:
+        states = [contact["depth"] for contact in inspect(opened)["contacts"]["handle"]]
+    path = tmp_path / "requested.h5"
+    path.write_bytes(log.read_bytes())
+    with h5py.File(path, "r+") as file:
+        file.attrs["handle.guard"] = "certificates"
+        file["ports/handle/state"][:] = 0.0
+    with EnergyLog.open(path) as opened:
+        found = inspect(opened)
+        deepest = -0.02 - opened.ports["handle"]["position"].min()
+    depths = [contact["depth"] for contact in found["contacts"]["handle"]]
+    assert depths == pytest.approx(states, abs=1e-12)
+    assert max(depth or 0.0 for depth in depths) == deepest
+    assert (found["ports"]["handle"]["dissipated"], check(found, "in > 0 J")[0]["holds"]) == (None, True)
+    with h5py.File(path, "r+") as file:
+        del file.attrs["handle.wall_position"]
+    with EnergyLog.open(path) as opened:
+        assert {contact["depth"] for contact in inspect(opened)["contacts"]["handle"]} == {None}
 
 
 def test_syncs_that_were_skipped_in_a_contact_are_part_of_its_time(log: Path, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from canhaptic.control.balance import EnergyBalance
 from canhaptic.errors import LogStoppedError, LogWriteError
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.hdf5 import note_length
 from canhaptic.logs.repair import require_readable
 from canhaptic.logs.writer_process import EnergyLogWriter
 from tests.logs.log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing, truth
@@ -154,6 +155,24 @@ def test_a_full_disk_stops_the_log_with_one_message_and_never_the_cycle(
         assert log.rows > 1000
         assert np.array_equal(log.timing["sync_index"], np.arange(log.rows) + np.cumsum(log.timing["dropped_before"]))
         assert log.changed_rows() == []
+
+
+def test_a_log_that_fails_while_it_is_packed_keeps_every_row_and_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    writer = EnergyLogWriter(
+        path, PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True, pace="free", ring_rows=512
+    )
+    for k in range(1024):  # whole chunks
+        append(writer, k)
+    wait_for(lambda: writer.rings[0].tail == 1024)
+    resource.prlimit(writer.pid, resource.RLIMIT_FSIZE, (20_000, 20_000))
+    with pytest.raises(LogStoppedError, match=r"run\.h5: no space"):
+        writer.close("completed")
+    said = "failed: no space while it was packed; all 1024 rows are in it, unpacked"
+    assert note_length(path, 1024) == said
+    assert [file.name for file in tmp_path.iterdir()] == ["run.h5"]
+    assert status_of(path) == said
+    assert_rows_are_right(path, at_least=1024)
 
 
 RUN = """

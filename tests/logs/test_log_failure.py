@@ -8,7 +8,7 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.logs.log_file import cause_of
+from canhaptic.logs.ring import cause_of
 
 DEMO = str(Path(__file__).parents[2] / "configs" / "demo.yaml")
 

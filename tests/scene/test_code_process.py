@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from canhaptic.audit.inspection import inspect
 from canhaptic.audit.recompute import recompute_all, scene_of
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
@@ -135,6 +136,8 @@ def test_the_law_is_bit_for_bit_the_one_in_the_cycle_a_hold_later(
         torques = [law.step(1, 0, (float(q), float(f), float(fresh)))[0] for q, f, fresh in rows]
         assert [-effort for effort in port["effort_asked"].tolist()][1:] == torques[:-1]
         assert max(map(abs, torques)) > 1.0
+        deepest = -0.02 - port["position"].min()
+        assert max(contact["depth"] or 0.0 for contact in inspect(log)["contacts"]["handle"]) == deepest
     words = ["inspect", str(tmp_path / "e.h5"), "--recompute", "--bus-log", str(tmp_path / "b.log"), "--allow-code"]
     assert main([*words, "--check", "passive"]) == 0
     logs = [str(tmp_path / "b.log"), "--energy-log", str(tmp_path / "e.h5")]

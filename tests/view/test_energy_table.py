@@ -1,5 +1,6 @@
 import copy
 import io
+import re
 from typing import Any
 
 import pytest
@@ -152,6 +153,13 @@ def test_a_port_is_passive_in_doubt_or_not(least: float, uncertainty: float, ver
         ("guarantee rests on", {"certificates": ["exact", "hand_force"]}, "hand force"),
         ("guarantee rests on", {"certificates": ["exact"]}, "no declaration"),
         ("guarantee rests on", {"certificates": ["none"]}, "nothing"),
+        (
+            "guarantee rests on",
+            {"certificates": ["hand_force", "hand_speed"], "hand_force": 0.0},
+            "moving mass, hand never pulls, hand speed",
+        ),
+        ("dissipated", {"dissipated": None}, "not known"),
+        ("damping rendered", {"damping_rendered": {"least": None, "most": None}}, "not known"),
         ("passive at the handle", {"energy_resolution": 0.0, "least_at_handle": -1e-3}, "in doubt"),
         ("passive at the handle", {"energy_resolution": 0.0, "least_at_handle": 0.0}, "yes"),
         ("input from moving surfaces", {"supplied": 0.25}, "250.0 mJ"),
@@ -221,6 +229,21 @@ def test_a_range_of_damping_is_written_whole_and_once_where_it_is_one_number(lea
         | {"ports": {"axis1": port() | {"unit": unit, "damping_rendered": {"least": least, "most": most}}}, "truth": {}}
     )
     assert shown in text
+
+
+def test_two_logs_share_one_table_with_a_column_for_each_account() -> None:
+    runs = [result(["handle"]) | {"file": f"{name}.h5", "rate": 1e3, "from": 0.0, "to": 1.0} for name in "ab"]
+    runs[1]["ports"]["handle"] |= {"in": 0.5, "energy_resolution": 1e-6}
+    del runs[1]["truth"]
+    stream = io.StringIO()
+    Console(file=stream, width=80, highlight=False).print(energy_report(*runs))
+    text = stream.getvalue()
+    assert max(map(len, text.splitlines())) <= 80
+    assert re.search(r"^ *a\.h5 +b\.h5 *\n *energy account +handle +handle *$", text, re.MULTILINE)
+    assert re.search(r"^ *in +0 J +500\.0 mJ", text, re.MULTILINE)
+    assert re.search(r"^ *uncertainty of the +- +\+-1\.000 uJ", text, re.MULTILINE)
+    assert re.search(r"^ *net energy, from the +10\.20 mJ +-", text, re.MULTILINE)
+    assert text.index(" a.h5   1.00 kHz") < text.index(" b.h5   1.00 kHz") < text.index("energy account")
 
 
 def test_a_quantity_that_no_port_has_is_no_row():

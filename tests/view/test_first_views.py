@@ -2,6 +2,7 @@
 
 import io
 import math
+import re
 import sys
 from contextlib import closing
 from io import StringIO
@@ -67,8 +68,9 @@ def test_two_logs_show_two_accounts(
 ) -> None:
     assert main(["inspect", str(logs[0]), *words, str(logs[1])]) == 0
     out = capsys.readouterr().out
-    assert out.count("energy account") == 2
     assert out.index("bare.h5") < out.index("passive: NO") < out.index("guarded.h5") < out.index("passive: yes")
+    assert re.search(r"^ *bare\.h5 +guarded\.h5 *\n *energy account +handle +handle *$", out, re.MULTILINE)
+    assert re.search(r"^ *passive at the motor +\S.* yes *$", out, re.MULTILINE)
 
 
 def test_the_page_of_a_run_that_became_active_has_a_button_to_that_moment(logs: tuple[Path, Path]) -> None:
@@ -78,7 +80,7 @@ def test_the_page_of_a_run_that_became_active_has_a_button_to_that_moment(logs: 
     assert "getElementById('moment0')" in text
     assert ">handle: first below zero at 0.507 s (contact 1)</button>" in text
     assert '<details id="moment0"><summary>handle: first below zero at 0.507 s (contact 1)</summary>' in text
-    assert "guarded.h5</caption>" in text
+    assert '<th class="">bare.h5 handle</th><th class="">guarded.h5 handle</th>' in text
 
 
 def test_a_run_that_stayed_passive_has_no_button(tmp_path: Path) -> None:

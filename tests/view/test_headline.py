@@ -18,6 +18,9 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
     ("port", "words"),
     [
         ({"passive": "yes", **CERTIFIED}, "passive: yes · guarantee rests on: hand force"),
+        ({"passive": "yes", **CERTIFIED, "hand_force": 0.0},
+         "passive: yes · guarantee rests on: moving mass, hand never pulls"),
+        ({"passive": "yes", **CERTIFIED, "hand_force": 5.0}, "passive: yes · guarantee rests on: hand force"),
         ({"passive": "yes", "why": "by certificate", "energy_allowance": 1e-4, **CERTIFIED},
          "passive: yes, by certificate, within an allowance of 100 uJ · guarantee rests on: hand force"),
         ({"passive": "no", "passive_at_handle": "yes", "why": "measured"}, "passive: yes, measured, at the handle"),

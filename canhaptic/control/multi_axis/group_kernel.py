@@ -610,6 +610,7 @@ class SteppedGroup:
         self.axes = kinematics.axes
         self.max_consecutive_losses: int = getattr(parameters, "max_consecutive_losses", 0)
         self.energy_allowance: float = getattr(parameters, "energy_allowance", 0.0)
+        self.hand_force: float | None = getattr(parameters, "hand_force", None)
         world = world_of(environment, kinematics, loops)
         self._fixed = world, self.kernel.settings(world, parameters, loops)
         self.reset()

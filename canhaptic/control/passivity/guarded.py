@@ -825,6 +825,7 @@ class Guarded(stepped.SteppedController):
         super().__init__(environment, parameters, loop)
         self.max_consecutive_losses = parameters.max_consecutive_losses
         self.energy_allowance = parameters.energy_allowance
+        self.hand_force = parameters.hand_force
 
     @property
     def lacks_push(self) -> bool:

@@ -1,6 +1,7 @@
 """`canhaptic map FOLDER`: the largest wall stiffness, its rendered share, and the borders that theory predicts."""
 
 import argparse
+from typing import Final
 
 from canhaptic.cli.output import write_json, write_line, write_note
 from canhaptic.lab.commands.results import check_files, write_files
@@ -8,6 +9,11 @@ from canhaptic.lab.render.map_picture import draw_map, write_map
 from canhaptic.lab.studies.map import Chosen, Lines, Panel, fields_of, panels_of, passing_share, usual_judgement
 from canhaptic.lab.studies.sweep.chunk import UNRENDERED, UNTOUCHED
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
+
+_WALLS: Final = (
+    " walls: those tried, with the scene's hand and without reserve; `design` searches further and keeps a reserve;\n"
+    " `check` computes what is certified for every hand as declared"
+)
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -59,7 +65,7 @@ def _share(name: str, share: float, by: str, untouched: float, unrendered: float
 
 
 def _print(columns: list[list[Panel | None]], shares: list[str]) -> None:
-    write_line("\n".join(shares))
+    write_line("\n".join([*shares, _WALLS]))
     for column in columns:
         for panel in column:
             if isinstance(panel, Lines):

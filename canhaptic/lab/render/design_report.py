@@ -35,7 +35,8 @@ def design_report(result: Row) -> RenderableType:
     heads = f"stiffness [{stiffness}]", f"largest damping [{damping}]"
     rows = [[f"{wall['stiffness']:g}", f"{wall['damping']:g}"] for wall in result["trade"]]
     trade = Table("less stiffness permits more damping", heads, rows, keys=0)
-    return Group(heading, Text(), Text(snippet(result)), *_price(result), trade, *_felt(result))
+    simulated = " simulated on this rig, with a reserve; `check` computes what is certified for every hand as declared"
+    return Group(heading, Text(simulated), Text(), Text(snippet(result)), *_price(result), trade, *_felt(result))
 
 
 def _price(result: Row) -> list[Text]:
