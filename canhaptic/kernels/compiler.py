@@ -28,6 +28,7 @@ import stat
 import sys
 import tempfile
 import warnings
+from collections import namedtuple
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -518,3 +519,17 @@ def _overload(name: str) -> None:
 
 for _name in METHODS:
     _overload(_name)
+
+
+def tuple_type(twin: object) -> Any:
+    """Return a NamedTuple type with the numbers and methods of a plain object; a field that is None counts as one."""
+    kind: Any = type(twin)
+    values = {name: value for base in reversed(kind.__mro__) for name, value in vars(base).items()} | vars(twin)
+    numbers = [name for name, value in values.items() if value is None or isinstance(value, int | float)]
+    return _tuple_type(kind, tuple(name for name in numbers if not name.startswith("_")))
+
+
+@cache
+def _tuple_type(kind: Any, fields: tuple[str, ...]) -> type:
+    methods = {name: value for name, value in vars(kind).items() if isinstance(value, FunctionType)}
+    return type(kind.__name__, (namedtuple(kind.__name__, fields),), {**methods, "__slots__": ()})

@@ -7,11 +7,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.control.environments.environment import Environment, plain, tuple_type
+from canhaptic.control.environments.environment import Environment, plain
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from canhaptic.kernels import Buffer, Run
-from canhaptic.kernels.compiler import compiled, fixed_tuple
+from canhaptic.kernels.compiler import compiled, fixed_tuple, tuple_type
 from canhaptic.kernels.records import records_of
 from tools.attack.plant import (
     BEFORE,

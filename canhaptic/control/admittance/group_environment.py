@@ -219,10 +219,9 @@ class TaskEnvironment:
         walls, found = self._environment, []
         for k, speed in enumerate(request):
             ahead = place[k] + self._ahead * before[k]
-            high = (walls.upper[k] - ahead) / (time + self._ahead) if walls.upper else speed
-            low = (walls.lower[k] - ahead) / (time + self._ahead) if walls.lower else speed
-            limited = min(speed, max(high, 0.0)) if walls.upper else speed
-            found.append(max(limited, min(low, 0.0)) if walls.lower else limited)
+            high = max((walls.upper[k] - ahead) / (time + self._ahead), 0.0) if walls.upper else inf
+            low = min((walls.lower[k] - ahead) / (time + self._ahead), 0.0) if walls.lower else -inf
+            found.append(max(min(speed, high), low))
         return found
 
     def stored(self, speeds: _Vector) -> float:

@@ -100,7 +100,9 @@ class Port:
     """Energy account of one axis of an admittance display, kept from SYNC to SYNC."""
 
     settings: AdmittanceProperties
-    positions: list[float] = field(init=False)  # of the SYNCs whose forces have not come, (latency + 1,) [m or rad]
+    positions: list[float] = field(
+        default_factory=list
+    )  # of the SYNCs whose forces have not come, (latency + 1,) [m or rad]
     started: bool = False
     position: float = 0.0  # of the last SYNC that came [m or rad]
     missed: int = 0  # samples lost since
@@ -112,13 +114,10 @@ class Port:
     mean: float = 0.0  # force with which the hold before was booked [N or N*m]
     doubt: float = 0.0  # sum of the uncertain energies [J]
 
-    def __post_init__(self) -> None:
-        self.positions = [0.0] * (self.settings.latency + 1)
-
     def begin(self, position: float, force: float) -> None:
         """Start the account at the first position [m or rad] and force [N or N*m]."""
         self.started, self.position, self.origin, self.force = True, position, position, force
-        self.positions = [position] * len(self.positions)
+        self.positions = [position] * (self.settings.latency + 1)
 
     def reopen(self) -> None:
         """Keep the encoder's error at the last booked SYNC charged: another proof replaces the booked energy there."""

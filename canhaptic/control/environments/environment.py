@@ -12,7 +12,6 @@ long to read. The plain object has the functions of the model's class. Its prope
 environment never changes.
 """
 
-from collections import namedtuple
 from collections.abc import Callable, Mapping
 from functools import cache
 from math import copysign, sqrt
@@ -139,31 +138,6 @@ def plain_with(kind: Any, fields: Mapping[str, Any]) -> Any:
     for name, derive in form.derived.items():
         setattr(twin, name, derive(twin))
     return twin
-
-
-def _numbers_of(twin: Any) -> dict[str, float]:
-    """Return every number of a plain object by name, including its class attributes; NaN for None."""
-    values = {
-        **{name: value for base in type(twin).__mro__[-2::-1] for name, value in vars(base).items()},
-        **vars(twin),
-    }
-    return {
-        name: float("nan") if value is None else float(value)
-        for name, value in values.items()
-        if (value is None or isinstance(value, int | float)) and not name.startswith("_")
-    }
-
-
-def tuple_type(twin: Any) -> Any:
-    """Return a NamedTuple type with the numbers and methods of a plain object, for numba to compile."""
-    kind: Any = type(twin)
-    return _tuple_type(kind, tuple(_numbers_of(twin)))
-
-
-@cache
-def _tuple_type(kind: Any, fields: tuple[str, ...]) -> Any:
-    methods = {name: value for name, value in vars(kind).items() if isinstance(value, FunctionType)}
-    return type(kind.__name__, (namedtuple(kind.__name__, fields),), {**methods, "__slots__": ()})
 
 
 @cache

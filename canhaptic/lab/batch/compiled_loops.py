@@ -16,11 +16,11 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.control.environments.environment import Environment, tuple_type
+from canhaptic.control.environments.environment import Environment
 from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, GroupModel, GroupMotion, why_not_world
 from canhaptic.errors import EventLimitError, InputError, ParameterError
 from canhaptic.kernels import Buffer, Kernel, Matrix, Run
-from canhaptic.kernels.compiler import compiled, fixed_tuple
+from canhaptic.kernels.compiler import compiled, fixed_tuple, tuple_type
 from canhaptic.kernels.records import Records, arrays_of, record_of, records_of
 from canhaptic.lab.batch import cases, closed_loop
 from canhaptic.lab.batch.cases import NotBatchableError
