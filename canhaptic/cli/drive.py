@@ -51,8 +51,8 @@ def _far_end(scene: Scene, place: int, stack: ExitStack) -> tuple[can.BusABC, Dr
     name, parameters = scene.buses[place]
     bus = open_bus(parameters, parameters.channel)
     stack.callback(bus.shutdown)
-    if scene.effects_on(name) is not None:
-        bus = faulty_bus = with_effects(bus, scene, "drive", place)
+    if (faulty_bus := with_effects(bus, scene, "drive", place)) is not None:
+        bus = faulty_bus
         stack.callback(faulty_bus.shutdown)
         faulty_bus.use(WallClock(spin_margin=0.0))
     return bus, build_drive_group(scene, bus, name)

@@ -164,10 +164,9 @@ def _faulty_buses(scene: Scene, buses: "Sequence[can.BusABC]", stack: ExitStack)
     """Return the master's connections to the buses with simulated faults, by index of the bus."""
     from canhaptic.scene.far_side import with_effects
 
-    faulty: dict[int, FaultyBus] = {}
-    for n in [n for n, of in enumerate(scene.buses) if scene.effects_on(of.name) is not None]:
-        faulty[n] = with_effects(buses[n], scene, "master", n)
-        stack.callback(faulty[n].shutdown)
+    faulty = {n: of for n, bus in enumerate(buses) if (of := with_effects(bus, scene, "master", n)) is not None}
+    for bus in faulty.values():
+        stack.callback(bus.shutdown)
     return faulty
 
 

@@ -83,21 +83,22 @@ def _shared_motors(mechanisms: Sequence[MechanismScene], sample_time_ns: int) ->
     return motors
 
 
-def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"], index: int = 0) -> "FaultyBus":
-    """Return a connection with the simulated faults of one bus.
+def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"], index: int = 0) -> "FaultyBus | None":
+    """Return a connection with the simulated faults of its bus; None for an ideal bus.
 
     Args:
         bus: Opened connection.
-        scene: Scene with `bus_effects`.
+        scene: Scene of the bus.
         side: Side that owns the connection.
         index: Index of the bus in the scene.
     """
+    name, parameters = scene.buses[index]
+    if (effects := scene.effects_on(name)) is None or scene.simulation is None:
+        return None
     from canhaptic.sim.bus.faulty_bus import FaultyBus
 
-    if scene.bus_effects is None or scene.simulation is None:
-        raise InputError(f"{scene.source}: names no effect on its bus (simulation.bus)")
-    bitrate, seed = scene.buses[index].parameters.bitrate, scene.simulation.seed + _SEEDS_APART * index
-    return FaultyBus(bus, scene.bus_effects, bitrate=bitrate, seed=seed, side=side)
+    seed = scene.simulation.seed + _SEEDS_APART * index
+    return FaultyBus(bus, effects, bitrate=parameters.bitrate, seed=seed, side=side)
 
 
 def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) -> "DriveGroup":

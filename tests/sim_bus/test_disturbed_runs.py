@@ -281,6 +281,7 @@ def test_a_drive_on_its_own_hears_and_answers_through_its_faulty_bus() -> None:
     stop = drive_command.StopSignal()  # type: ignore[attr-defined]
     with virtual_bus("drive-alone") as bare:
         faulty = with_effects(bare, far, "drive")
+        assert faulty is not None
         faulty.use(drive_command.WallClock(spin_margin=0.0))  # type: ignore[attr-defined]
         group = build_drive_group(far, faulty)
         thread = threading.Thread(target=drive_command._live, args=([(faulty, group)], 20.0, stop))
