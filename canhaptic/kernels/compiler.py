@@ -521,15 +521,17 @@ for _name in METHODS:
     _overload(_name)
 
 
+_TUPLE_TYPES: Final[dict[tuple[type, tuple[str, ...]], type]] = {}
+
+
 def tuple_type(twin: object) -> Any:
     """Return a NamedTuple type with the numbers and methods of a plain object; a field that is None counts as one."""
-    kind: Any = type(twin)
+    kind = type(twin)
     values = {name: value for base in reversed(kind.__mro__) for name, value in vars(base).items()} | vars(twin)
     numbers = [name for name, value in values.items() if value is None or isinstance(value, int | float)]
-    return _tuple_type(kind, tuple(name for name in numbers if not name.startswith("_")))
-
-
-@cache
-def _tuple_type(kind: Any, fields: tuple[str, ...]) -> type:
-    methods = {name: value for name, value in vars(kind).items() if isinstance(value, FunctionType)}
-    return type(kind.__name__, (namedtuple(kind.__name__, fields),), {**methods, "__slots__": ()})
+    fields = tuple(name for name in numbers if not name.startswith("_"))
+    if (kind, fields) not in _TUPLE_TYPES:
+        methods = {name: value for name, value in vars(kind).items() if isinstance(value, FunctionType)}
+        bases = (namedtuple(kind.__name__, fields),)
+        _TUPLE_TYPES[kind, fields] = type(kind.__name__, bases, {**methods, "__slots__": ()})
+    return _TUPLE_TYPES[kind, fields]
