@@ -347,6 +347,7 @@ _LATER: Final[Mapping[str, tuple[object, ...]]] = {
     "passivity.hand_push": (None,),
     "passivity.earned_energy": (None,),
     "passivity.drag": (0.0,),
+    "network.rest": ([],),
 }
 """Key of an axis or a group added after the first release -> values that leave the configuration hash unchanged."""
 
@@ -484,6 +485,8 @@ class Scene:
             if self.auto_accuracy is not None and axis.simulation is not None:
                 del plain["simulation"]["accuracy"]
         for owner in (*resolved["axes"].values(), *resolved.get("groups", {}).values()):
+            if "rest" in owner.get("network", {}):  # the mass of a group of displays, whose spring came later
+                _drop(owner, "network.stiffness", (0.0,))
             for path, unchanged in _LATER.items():
                 _drop(owner, path, unchanged)
         if self.auto_accuracy is not None:

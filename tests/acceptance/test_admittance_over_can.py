@@ -451,7 +451,7 @@ def test_no_real_display_runs_with_an_unknown_jitter() -> None:
         ("groups.0.passivity.largest_hand_force=20 N", "largest_hand_force"),
         ("groups.0.network.points=[[0, 0, 0], [1, 0, 0]]", "coordinates"),
         ("axes.1.admittance.force.latency=1", "latency"),
-        ("groups.0.network.type=sphere", "expected one of: guided_path, virtual_mass"),
+        ("groups.0.network.type=sphere", "expected one of: cup_and_ball, guided_path, virtual_mass"),
     ],
 )
 def test_what_several_displays_cannot_do_together_is_refused(override: str, words: str) -> None:

@@ -11,6 +11,7 @@ from tools.displays.group import (
     on_a_five_bar,
     on_an_arm,
     random_group,
+    with_spring_or_balls,
     with_true_group_bounds,
 )
 from tools.displays.judge import false_claims
@@ -106,3 +107,17 @@ def test_a_command_that_acts_much_later_than_declared_is_found() -> None:
         if denied + noticed == 2:
             return
     raise AssertionError(f"got {denied} false claims and {noticed} errors, expected 2")
+
+
+@pytest.mark.parametrize("batch", [0, *(pytest.param(batch, marks=pytest.mark.slow) for batch in range(1, 12))])
+def test_no_account_of_a_spring_or_of_balls_on_several_displays_claims_what_their_plants_deny(batch: int) -> None:
+    moved, kinds = 0, set[str]()
+    for seed in range(1200 + 4 * batch, 1204 + 4 * batch):
+        group = with_spring_or_balls(on_an_arm(random_group(seed)) if seed % 2 else random_group(seed))
+        found = with_true_group_bounds(group, 200)
+        if found is not None:
+            assert not false_group_claims(*found), seed
+            moved += max(axis.travel for axis in found[1].axes) > 0.003
+            kinds.add(type(group.environment).__name__)
+    assert moved >= 2
+    assert batch or len(kinds) > 1

@@ -6,7 +6,7 @@ from random import Random
 from typing import Any
 
 from canhaptic.control.admittance import build_display_group
-from canhaptic.control.admittance.group_environment import GroupMass, PathMass
+from canhaptic.control.admittance.group_environment import GroupCupAndBall, GroupEnvironment, GroupMass, PathMass
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.balance import Certificate
 from canhaptic.control.mechanisms.five_bar import FiveBar
@@ -26,7 +26,7 @@ class AdmittanceGroup:
     """The axes, each with a rig and a hand of its own, and what they render together."""
 
     axes: tuple[Display, ...]
-    environment: GroupMass
+    environment: GroupEnvironment
     parameters: GuardedAdmittanceParameters
     kinematics: Kinematics | None = None  # None: the axes are the coordinates of what is rendered
 
@@ -69,9 +69,23 @@ def random_group(seed: int, size: int = 2) -> AdmittanceGroup:
 
 
 def group_of_any_kind(seed: int) -> AdmittanceGroup:
-    """Returns two axes, three, an arm of two links or a five-bar, in turn."""
+    """Returns two axes, three, an arm of two links or a five-bar, in turn; every third with a spring or with balls."""
     kinds = (random_group, lambda one: random_group(one, 3), lambda one: on_an_arm(random_group(one)))
-    return (*kinds, lambda one: on_a_five_bar(random_group(one)))[seed % 4](seed)
+    group = (*kinds, lambda one: on_a_five_bar(random_group(one)))[seed % 4](seed)
+    return with_spring_or_balls(group) if seed % 3 == 2 else group
+
+
+def with_spring_or_balls(group: AdmittanceGroup) -> AdmittanceGroup:
+    """Returns the group with a spring to ground, around where its handle begins, or with cups and balls."""
+    random, given, of = Random(group.axes[0].seed + 1), group.environment, group.kinematics
+    at = [axis.plant.initial_position for axis in group.axes]
+    rest = [place + random.uniform(-0.02, 0.02) for place in (at if of is None else of.pose(at).position)]
+    if random.random() < 0.5:
+        spring = {"stiffness": random.choice([50.0, 500.0, 5000.0]), "rest": tuple(rest)}
+        return replace(group, environment=given.model_copy(update=spring))
+    cup, ball, length = random.choice([0.5, 2.4]), random.choice([0.2, 0.6]), random.choice([0.05, 0.45])
+    shared = {key: getattr(given, key) for key in ("damping", "lower", "upper")}
+    return replace(group, environment=GroupCupAndBall(cup=cup, ball=ball, length=length, **shared))
 
 
 def _beside(first: Display, other: Display, random: Random) -> Display:
@@ -120,7 +134,7 @@ def _around(group: AdmittanceGroup, of: Kinematics, places: tuple[float, float],
     mass, damping = random.choice([1.0, 10.0, 50.0]), random.choice([0.0, 20.0])
     environment = GroupMass(mass=mass, damping=damping)
     if random.random() < 0.5:
-        x, y = of.forward(places)
+        x, y = of.pose(places).position
         environment = GroupMass(mass=mass, damping=damping, lower=(x - 0.01, y - 1.0), upper=(x + 1.0, y + 0.01))
     return replace(group, axes=tuple(axes), environment=environment, kinematics=of)
 

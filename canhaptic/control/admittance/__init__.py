@@ -38,6 +38,7 @@ DISPLAY_ALGORITHMS: Final[dict[str, str]] = {
 DISPLAY_NETWORKS: Final[dict[str, str]] = {
     "virtual_mass": f"{_HERE}.group_environment:GroupMass",
     "guided_path": f"{_HERE}.group_environment:PathMass",
+    "cup_and_ball": f"{_HERE}.group_environment:GroupCupAndBall",
 }
 """Environments of several displays, in the same form."""
 

@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from math import isfinite, sqrt
 from typing import Any, ClassVar, Final, Generic, TypeVar
 
-from canhaptic.control.admittance.admittance_environment import AdmittanceAxis, AdmittanceMass
-from canhaptic.control.admittance.group_environment import GroupMass, TaskEnvironment
+from canhaptic.control.admittance.admittance_environment import AdmittanceAxis, AdmittanceEnvironment
+from canhaptic.control.admittance.group_environment import GroupEnvironment, TaskEnvironment
 from canhaptic.control.admittance.guarded_admittance import GuardedAxis, LateMargin
 from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold
 from canhaptic.control.admittance.unprotected_admittance import NothingToChoose
@@ -25,6 +25,7 @@ from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalanc
 from canhaptic.control.multi_axis.group_controller import GroupBalance, group_at_rest
 from canhaptic.control.passivity.stepped import settle
 from canhaptic.errors import ControlError, ForceContradictedError, ParameterError
+from canhaptic.kernels import list_of_zeros
 from canhaptic.units import Parameters
 
 _Vector = list[float]
@@ -49,7 +50,10 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
     """
 
     def __init__(
-        self, environment: GroupMass | TaskEnvironment, parameters: Any, properties: Sequence[AdmittanceProperties]
+        self,
+        environment: GroupEnvironment | TaskEnvironment,
+        parameters: Any,
+        properties: Sequence[AdmittanceProperties],
     ) -> None:
         if len({(p.sample_time, p.delay, p.latency) for p in properties}) > 1:
             raise ParameterError(
@@ -62,12 +66,13 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
         self.reset()
 
     @abstractmethod
-    def _begun(self, environment: AdmittanceMass, properties: AdmittanceProperties) -> _Axis:
+    def _begun(self, environment: AdmittanceEnvironment, properties: AdmittanceProperties) -> _Axis:
         """Return an axis at rest."""
 
     def reset(self) -> None:
         """Return to the initial state; see `GroupController`."""
         self._each = [self._begun(self._environment.of_axis(axis), of) for axis, of in enumerate(self._properties)]
+        self._inner = [list_of_zeros(self._environment.states) for _ in self._each]
         self._h_s, self._started, self._last = 0.0, False, group_at_rest(self.axes)
 
     @property
@@ -79,10 +84,16 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
         """Return the balance of a SYNC without the sample of an axis, with zero velocities; see `GroupController`."""
         speeds, last = (0.0,) * self.axes, self._last.account
         if self._started:
+            before = self._own()
             self._miss()
             for axis in self._each:
                 axis.commands.send(0.0)
+            self._environment.go_along(self._inner, before, list(speeds), self._time)
         return GroupBalance(speeds, AT_REST._replace(h_s=last.h_s, h_dis=last.h_dis, branch=Branch.HELD.value), speeds)
+
+    def _own(self) -> _Vector:
+        """Return the speeds of the environment in the last commands [m/s or rad/s]."""
+        return [axis.commands.speed for axis in self._each]
 
     def _miss(self) -> None:
         """Account for a hold that ended without a sample."""
@@ -91,9 +102,11 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
 
     def lasted(self, periods: float) -> None:
         """Count skipped SYNCs as lost samples, during which the commands kept acting."""
-        if self._started:
-            for axis in self._each:
-                axis.port.missed += round(periods) - 1
+        skipped, own = (round(periods) - 1) * self._started, self._own()
+        for axis in self._each:
+            axis.port.missed += skipped
+        for _ in range(skipped):
+            self._environment.go_along(self._inner, own, own, self._time)
 
     def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
         """Account for the hold that ended; see `GroupController`. `torques_applied` are minus the forces."""
@@ -120,11 +133,11 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
 
 
 class UnprotectedAdmittanceGroup(AdmittanceGroup[AdmittanceAxis]):
-    """A mass on several axes without protection."""
+    """An environment on several axes without protection."""
 
     parameters_type: ClassVar[type[Parameters]] = NothingToChoose
 
-    def _begun(self, environment: AdmittanceMass, properties: AdmittanceProperties) -> AdmittanceAxis:
+    def _begun(self, environment: AdmittanceEnvironment, properties: AdmittanceProperties) -> AdmittanceAxis:
         return AdmittanceAxis(environment, properties, properties.delay + 1)
 
     def reset(self) -> None:
@@ -136,6 +149,9 @@ class UnprotectedAdmittanceGroup(AdmittanceGroup[AdmittanceAxis]):
         """Return the initial energy of the observer or tank [J]."""
         return 0.0
 
+    def _own(self) -> _Vector:
+        return [axis.commands.speed - slip for axis, slip in zip(self._each, self._slips, strict=True)]
+
     def _miss(self) -> None:
         super()._miss()
         self._slips = [0.0] * self.axes
@@ -145,31 +161,31 @@ class UnprotectedAdmittanceGroup(AdmittanceGroup[AdmittanceAxis]):
         holds = [
             axis.port.book(position, force) for axis, position, force in zip(self._each, positions, forces, strict=True)
         ]
-        before = [axis.commands.speed - slip for axis, slip in zip(self._each, self._slips, strict=True)]
+        before = self._own()
         h_pas = sum(force * slip for force, slip in zip(forces, self._slips, strict=True)) * holds[0].elapsed
         self._observe(sum(force * axis.commands.speed for force, axis in zip(forces, self._each, strict=True)) * time)
-        request = self._environment.speeds_after(before, forces, list(positions), time)
+        request = self._environment.speeds_after(self._inner, before, forces, list(positions), time)
         request, slips = self._protected(request, forces)
         self._slips = []
         for place, (axis, hold) in enumerate(zip(self._each, holds, strict=True)):
             asked = request[place] + slips[place]
             axis.commands.send(axis.whole(axis.limited(asked, positions[place], hold.moved / hold.elapsed)))
             self._slips.append(slips[place] if abs(axis.commands.speed - asked) < abs(slips[place]) else 0.0)
-        return self._closed(holds, h_pas, before)
+        self._environment.go_along(self._inner, before, self._own(), time)
+        return self._closed(holds, h_pas, before, list(positions))
 
     def _observe(self, energy: float) -> None:
         """Add the energy of the hold that ended, force times commanded velocity, to the observed energy [J]."""
 
     def _protected(self, request: _Vector, forces: _Vector) -> tuple[_Vector, _Vector]:
-        """Return the speeds of the mass, and additional speeds that dissipate energy [m/s or rad/s]."""
+        """Return the speeds of the environment, and additional speeds that dissipate energy [m/s or rad/s]."""
         return request, [0.0] * self.axes
 
-    def _closed(self, holds: list[BookedHold], h_pas: float, before: _Vector) -> GroupBalance:
+    def _closed(self, holds: list[BookedHold], h_pas: float, before: _Vector, positions: _Vector) -> GroupBalance:
         """Return the commands with the account of the hold."""
         environment, energy = self._environment, sum(hold.energy for hold in holds)
         commands = tuple(axis.commands.speed for axis in self._each)
-        own = [speed - slip for speed, slip in zip(commands, self._slips, strict=True)]
-        h_s, h_r = environment.stored(own), environment.lost(before, holds[0].elapsed)
+        h_s, h_r = environment.stored(self._inner, self._own(), positions), environment.lost(before, holds[0].elapsed)
         rest = self._h_s + energy - h_pas - h_r - h_s
         self._h_s = h_s
         branch = Branch.EXACT if any(commands) or any(before) else Branch.FREE
@@ -200,13 +216,13 @@ _CLOSE: Final = 0.999  # of the budget used: near enough
 
 
 class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
-    """A mass on several axes, with the certificate of their velocity loops."""
+    """An environment on several axes, with the certificate of their velocity loops."""
 
     parameters_type: ClassVar[type[Parameters]] = GuardedAdmittanceParameters
     _parameters: GuardedAdmittanceParameters
 
     def __init__(
-        self, environment: GroupMass | TaskEnvironment, parameters: GuardedAdmittanceParameters,
+        self, environment: GroupEnvironment | TaskEnvironment, parameters: GuardedAdmittanceParameters,
         properties: Sequence[AdmittanceProperties],
     ) -> None:  # fmt: skip
         for key in ("largest_hand_force", "hand_stiffness"):
@@ -219,7 +235,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         self.max_consecutive_losses = parameters.max_consecutive_losses
         super().__init__(environment, parameters, properties)
 
-    def _begun(self, environment: AdmittanceMass, properties: AdmittanceProperties) -> GuardedAxis:
+    def _begun(self, environment: AdmittanceEnvironment, properties: AdmittanceProperties) -> GuardedAxis:
         return GuardedAxis(environment, self._parameters, properties)
 
     def reset(self) -> None:
@@ -246,8 +262,10 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
             return
         self._is_unsure = self._is_unsure or any(axis.port.missed and axis.loop.integral for axis in self._each)
         changes = [axis.change_of_skip(skipped) for axis in self._each]
+        own = self._own()
         for number in range(skipped):
             self._let_pass([change[min(number, 1)] for change in changes])
+            self._environment.go_along(self._inner, own, own, self._time)
         self._watch_limit()
 
     def _let_pass(self, changes: Sequence[float]) -> None:
@@ -259,17 +277,18 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
     def _answer(self, positions: Sequence[float], forces: list[float]) -> GroupBalance:
         is_first = bool(self._each[0].port.missed)
         holds, h_i = self._take(positions, forces)
-        before = [axis.commands.speed for axis in self._each]
+        before = self._own()
         velocities = [hold.moved / hold.elapsed for hold in holds]
-        request = self._environment.speeds_after(before, forces, list(positions), self._time)
+        request = self._environment.speeds_after(self._inner, before, forces, list(positions), self._time)
         limits = zip(self._each, request, positions, velocities, strict=True)
         certificate = self._send([axis.whole(axis.limited(*of)) for axis, *of in limits])
+        self._environment.go_along(self._inner, before, self._own(), self._time)
         self._watch_limit()
         if self._is_unsure:
             certificate = Certificate.NONE.value
         else:
             self._require_agreement(holds, forces, is_first=is_first)
-        account = self._settle(h_i, before, velocities, certificate)
+        account = self._settle(h_i, before, velocities, list(positions), certificate)
         commands = tuple(axis.commands.speed for axis in self._each)
         apart = (h_i - sum(hold.energy for hold in holds)) / self.axes  # known by the encoders: of no axis alone
         return GroupBalance(commands, account, tuple(hold.energy + apart for hold in holds))
@@ -344,13 +363,16 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
             if axis.loop.integral > 0.0 and not self._is_unsure:
                 self._is_unsure = axis.loop.may_limit(axis.drive, axis.commands.speed, axis.port.missed)
 
-    def _settle(self, h_i: float, before: list[float], velocities: Sequence[float], certificate: int) -> EnergyBalance:
-        """Dissipate and leak the energy that neither mass nor drives can give back; return the account."""
+    def _settle(
+        self, h_i: float, before: _Vector, velocities: Sequence[float], positions: _Vector, certificate: int
+    ) -> EnergyBalance:
+        """Dissipate and leak the energy that neither environment nor drives can give back; return the account."""
         environment, under_way = self._environment, sum(axis.used() for axis in self._each)
-        speeds, carried = [axis.commands.speed for axis in self._each], under_way
+        speeds, carried, inner = self._own(), under_way, self._inner
         for axis, velocity in zip(self._each, velocities, strict=True):
             carried += axis.reserve(abs(velocity) + axis.properties.handle_acceleration * self._time)
-        ceiling = max(environment.stored(speeds), environment.stored(before), carried)
+        kept = [environment.stored(inner, of, positions) for of in (speeds, before)]
+        ceiling = max(*kept, carried)
         slack = self._margin.known + self._allowance - under_way
         lost = environment.lost(before, self._time)
         h_s, surplus, h_r, deficit, leak, paid = settle(self._h_s + h_i, self._surplus, lost, ceiling, slack)

@@ -1,4 +1,4 @@
-"""Environments that several admittance displays render together: a mass that moves on all axes, or along a path.
+"""Environments that several admittance displays render together: a mass on all axes or along a path, a cup with balls.
 
 `TaskEnvironment` renders them in the task space of a mechanism. With u the speeds of the motors, F the forces of the
 sensors on the motor axes, p' the velocity and f the force of the hand in task space:
@@ -11,31 +11,36 @@ queued commands and drives still cause, at the speed of the last command.
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 from itertools import pairwise
 from math import inf, sqrt
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import model_validator
 
-from canhaptic.control.admittance.admittance_environment import AdmittanceMass
-from canhaptic.control.port_hamiltonian.gauss import dot, solve_linear
+from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment, AdmittanceMass
+from canhaptic.control.environments.environment import plain
+from canhaptic.control.port_hamiltonian.network import dot, solve_linear
 from canhaptic.errors import ParameterError
+from canhaptic.kernels import Buffer
 from canhaptic.units import Coordinates, Parameters, quantity
 
 if TYPE_CHECKING:
+    from canhaptic.control.admittance.cup_and_ball import CupAndBall
     from canhaptic.control.mechanisms.kinematics import Kinematics
 
 
 _Vector = list[float]
+_Inner = list[Buffer]
 
 
-class GroupMass(Parameters):
-    """`virtual_mass`: the same mass and damper on every axis, and a wall at each end of each axis."""
+class GroupEnvironment(Parameters):
+    """Parameters and methods of an environment on several axes, with a damper and walls on each of them."""
 
     display: ClassVar[Literal["admittance"]] = "admittance"
+    states: ClassVar[int] = 0
+    """Number of states kept for each axis from SYNC to SYNC: the rows of `inner` of its methods, zeros at first."""
 
-    mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
-    """Mass felt in every direction."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """Damping to ground, in every direction."""
     lower: Coordinates = ()
@@ -61,33 +66,116 @@ class GroupMass(Parameters):
                     f"{name}: got {len(walls)} walls, expected one for each of the {axes} axes, or none"
                 )
 
-    def of_axis(self, axis: int) -> AdmittanceMass:
-        """Return the mass on one axis, with its walls."""
-        return AdmittanceMass(
-            mass=self.mass, damping=self.damping,
-            **({"lower_wall": self.lower[axis]} if self.lower else {}),
-            **({"upper_wall": self.upper[axis]} if self.upper else {}),
-        )  # fmt: skip
+    def walls_of(self, axis: int) -> dict[str, float]:
+        """Return the walls of one axis, by their names in an environment of one axis."""
+        walls = {"lower_wall": self.lower, "upper_wall": self.upper}
+        return {name: at[axis] for name, at in walls.items() if at}
 
-    def speeds_after(self, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
-        """Return the speeds after another hold under the forces of the hand [m/s or rad/s].
+    def of_axis(self, axis: int) -> AdmittanceEnvironment:
+        """Return damper and walls of one axis."""
+        return AdmittanceEnvironment(damping=self.damping, **self.walls_of(axis))
+
+    def speeds_after(self, inner: _Inner, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
+        """Speeds after another hold under the forces of the hand [m/s or rad/s].
 
         Args:
+            inner: States of the environment, a row for each axis.
             speeds: Speeds of the last commands [m/s or rad/s].
             forces: Forces of the hand [N or N*m].
             positions: Positions at this SYNC [m or rad].
             time: T [s].
         """
-        whole = self.mass + time * self.damping
-        return [(self.mass * speed + time * force) / whole for speed, force in zip(speeds, forces, strict=True)]
+        raise NotImplementedError
 
-    def stored(self, speeds: _Vector) -> float:
-        """Return the energy of the mass [J]."""
-        return 0.5 * self.mass * dot(speeds, speeds)
+    def go_along(self, inner: _Inner, before: _Vector, speeds: _Vector, time: float) -> None:
+        """Advance the states by a hold at given speeds; `before` are those of the previous hold [m/s or rad/s]."""
+
+    def stored(self, inner: _Inner, speeds: _Vector, positions: _Vector) -> float:
+        """Stored energy [J]."""
+        raise NotImplementedError
 
     def lost(self, speeds: _Vector, time: float) -> float:
         """Return the energy that the damper dissipates in a time [J]."""
         return self.damping * dot(speeds, speeds) * time
+
+
+class GroupMass(GroupEnvironment):
+    """`virtual_mass`: the same mass, damper and spring on every axis, and a wall at each end of each axis."""
+
+    mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
+    """Mass felt in every direction."""
+    stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)] = 0.0
+    """Stiffness of a spring to ground, in every direction."""
+    rest: Coordinates = ()
+    """Where that spring is at rest, one coordinate for each axis [m or rad]; empty: zeros."""
+
+    def require(self, axes: int) -> None:
+        """Check the fit with the number of axes; see `GroupEnvironment`."""
+        super().require(axes)
+        if self.rest and len(self.rest) != axes:
+            raise ParameterError(f"rest: got {len(self.rest)} coordinates, expected one for each of the {axes} axes")
+
+    def of_axis(self, axis: int) -> AdmittanceMass:
+        """Return the mass on one axis, with its spring and walls."""
+        rest = self.rest[axis] if self.rest else 0.0
+        spring = {"stiffness": self.stiffness, "rest": rest}
+        return AdmittanceMass(mass=self.mass, damping=self.damping, **spring, **self.walls_of(axis))
+
+    def speeds_after(self, inner: _Inner, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
+        """Return the speeds after another hold; see `GroupEnvironment`."""
+        whole, pushes = self.mass + time * self.damping, self.pushes(forces, positions)
+        return [(self.mass * speed + time * push) / whole for speed, push in zip(speeds, pushes, strict=True)]
+
+    def pushes(self, forces: _Vector, positions: _Vector) -> _Vector:
+        """Return the forces of hand and spring on the mass [N or N*m]."""
+        if not self.stiffness:
+            return forces
+        return [force - self.stiffness * d for force, d in zip(forces, self._stretches(positions), strict=True)]
+
+    def stored(self, inner: _Inner, speeds: _Vector, positions: _Vector) -> float:
+        """Return the energy of mass and spring [J]."""
+        moving = 0.5 * self.mass * dot(speeds, speeds)
+        if not self.stiffness:
+            return moving
+        stretches = self._stretches(positions)
+        return moving + 0.5 * self.stiffness * dot(stretches, stretches)
+
+    def _stretches(self, positions: _Vector) -> _Vector:
+        rest = self.rest or (0.0,) * len(positions)
+        return [position - at for position, at in zip(positions, rest, strict=True)]
+
+
+class GroupCupAndBall(GroupEnvironment):
+    """`cup_and_ball`: one cup that moves in every direction, in each of which a ball of its own swings."""
+
+    states: ClassVar[int] = 3  # as those of `CupAndBall`
+
+    cup: Annotated[float, quantity("kg", gt=0.0, le=1e3)] = 2.4
+    """Mass of the cup."""
+    ball: Annotated[float, quantity("kg", gt=0.0, le=1e3)] = 0.6
+    """Mass of each ball."""
+    length: Annotated[float, quantity("m", gt=0.0, le=100.0)] = 0.45
+    """Length of each pendulum: the radius of the cup."""
+
+    @cached_property
+    def _alone(self) -> "CupAndBall":
+        from canhaptic.control.admittance.cup_and_ball import CupAndBall
+
+        return plain(CupAndBall(cup=self.cup, ball=self.ball, length=self.length, damping=self.damping))
+
+    def speeds_after(self, inner: _Inner, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
+        """Return the speeds of the cup after another hold [m/s]; see `GroupEnvironment`."""
+        each = zip(inner, speeds, forces, positions, strict=True)
+        return [self._alone.speed_after(*of, time) for of in each]
+
+    def go_along(self, inner: _Inner, before: _Vector, speeds: _Vector, time: float) -> None:
+        """Let each ball take the change of speed, then swing for a hold."""
+        for of in zip(inner, before, speeds, strict=True):
+            self._alone.go_along(*of, time)
+
+    def stored(self, inner: _Inner, speeds: _Vector, positions: _Vector) -> float:
+        """Return the energy of cup and balls [J]."""
+        return sum(self._alone.stored(*of) for of in zip(inner, speeds, positions, strict=True))
 
 
 class PathMass(GroupMass):
@@ -116,17 +204,17 @@ class PathMass(GroupMass):
         return (*self.points, self.points[0]) if self.closed else self.points
 
     def require(self, axes: int) -> None:
-        """Check that the path fits a number of axes; see `GroupMass`."""
+        """Check that the path fits a number of axes; see `GroupEnvironment`."""
         super().require(axes)
         if len(self.points[0]) != axes:
             raise ParameterError(
                 f"points: got {len(self.points[0])} coordinates, expected one for each of the {axes} axes"
             )
 
-    def speeds_after(self, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
-        """Return the speeds after another hold; see `GroupMass`."""
+    def speeds_after(self, inner: _Inner, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
+        """Return the speeds after another hold; see `GroupEnvironment`."""
         place = nearest(self._ends, positions)
-        pushed = self.mass * dot(speeds, place.along) + time * dot(forces, place.along)
+        pushed = self.mass * dot(speeds, place.along) + time * dot(self.pushes(forces, positions), place.along)
         speed = pushed / (self.mass + time * self.damping)
         if not self.closed and ((place.is_begin and speed < 0.0) or (place.is_end and speed > 0.0)):
             speed = 0.0
@@ -164,7 +252,7 @@ _Rows = Sequence[Sequence[float]]
 
 
 class TaskEnvironment:
-    """A mass in task space, with the interface of `GroupMass` for the motor axes.
+    """An environment in task space, with the interface of `GroupEnvironment` for the motor axes.
 
     Args:
         environment: Environment in task space.
@@ -175,7 +263,7 @@ class TaskEnvironment:
         ParameterError: The mechanism has more or fewer task coordinates than axes.
     """
 
-    def __init__(self, environment: GroupMass, kinematics: "Kinematics", time_ahead: float) -> None:
+    def __init__(self, environment: GroupEnvironment, kinematics: "Kinematics", time_ahead: float) -> None:
         if kinematics.axes != kinematics.dimensions:
             raise ParameterError(
                 f"kinematics: got {kinematics.axes} motor axes and {kinematics.dimensions} task coordinates, expected "
@@ -183,7 +271,8 @@ class TaskEnvironment:
             )
         self._environment, self._kinematics, self._ahead = environment, kinematics, time_ahead
         self._jacobian: _Rows = ()
-        self.damping = environment.damping
+        self._place: _Vector = []
+        self.damping, self.states = environment.damping, environment.states
 
     def require(self, axes: int) -> None:
         """Check that kinematics and walls fit a number of motor axes.
@@ -195,24 +284,24 @@ class TaskEnvironment:
             raise ParameterError(f"kinematics: has {self._kinematics.axes} motor axes, expected {axes} as in the group")
         self._environment.require(self._kinematics.dimensions)
 
-    def of_axis(self, _axis: int) -> AdmittanceMass:
-        """Return the mass on one motor axis, without walls: they are in task space."""
-        return AdmittanceMass(mass=self._environment.mass, damping=self._environment.damping)
+    def of_axis(self, _axis: int) -> AdmittanceEnvironment:
+        """Return the damper on one motor axis, without walls: they are in task space."""
+        return AdmittanceEnvironment(damping=self.damping)
 
-    def speeds_after(self, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
-        """Return the speeds of the motors after another hold [m/s or rad/s]; see `GroupMass.speeds_after`."""
+    def speeds_after(self, inner: _Inner, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
+        """Return the speeds of the motors after another hold [m/s or rad/s]; see `GroupEnvironment`."""
         pose = self._kinematics.pose(positions)
         if pose.limit:
             self._jacobian = ()
             return [0.0] * len(speeds)
-        self._jacobian = jacobian = pose.jacobian
+        self._jacobian, self._place = jacobian, place = pose.jacobian, list(pose.position)
         transposed = [list(column) for column in zip(*jacobian, strict=True)]
         pushed = list(forces)
         before = _times(jacobian, speeds)
         if not solve_linear(transposed, pushed):
             return [0.0] * len(speeds)
-        request = self._environment.speeds_after(before, pushed, list(pose.position), time)
-        request = self._within_walls(request, before, pose.position, time)
+        request = self._environment.speeds_after(inner, before, pushed, place, time)
+        request = self._within_walls(request, before, place, time)
         return request if solve_linear([list(row) for row in jacobian], request) else [0.0] * len(speeds)
 
     def _within_walls(self, request: _Vector, before: _Vector, place: Sequence[float], time: float) -> _Vector:
@@ -224,9 +313,16 @@ class TaskEnvironment:
             found.append(max(min(speed, high), low))
         return found
 
-    def stored(self, speeds: _Vector) -> float:
-        """Return the energy of the mass at speeds of the motors [J]; 0 in a pose where nothing is rendered."""
-        return self._environment.stored(_times(self._jacobian, speeds))
+    def go_along(self, inner: _Inner, before: _Vector, speeds: _Vector, time: float) -> None:
+        """Advance the states by a hold at speeds of the motors; they rest where nothing is rendered."""
+        if self._jacobian:
+            self._environment.go_along(inner, _times(self._jacobian, before), _times(self._jacobian, speeds), time)
+
+    def stored(self, inner: _Inner, speeds: _Vector, positions: _Vector) -> float:
+        """Return the energy at speeds of the motors [J]; 0 where nothing is rendered."""
+        if not self._jacobian:
+            return 0.0
+        return self._environment.stored(inner, _times(self._jacobian, speeds), self._place)
 
     def lost(self, speeds: _Vector, time: float) -> float:
         """Return the energy that the damper dissipates in a time [J]."""

@@ -152,13 +152,14 @@ def felt(run: AdmittanceRun, scene: Scene) -> tuple[float, float]:
     motion, time = run.motion[20:], scene.bus.sample_time
     if len(motion) < _FEWEST or not np.isfinite(motion).all() or np.ptp(motion[:, :, 1]) < _STILL:
         return float("nan"), float("nan")
-    environment = (scene.groups[0].network if scene.groups else scene.axes[0].environment).parameters
+    environment: Any = (scene.groups[0].network if scene.groups else scene.axes[0].environment).parameters
     rows, forces = [], []
     axes = motion.shape[1]
     for place in range(axes):
         position, speed, force = motion[1:-1, place, :].T
         rise = (motion[2:, place, 1] - motion[:-2, place, 1]) / (2.0 * time)
-        spring = getattr(environment, "stiffness", 0.0) * (position - getattr(environment, "rest", 0.0))
+        part = environment.of_axis(place) if scene.groups else environment
+        spring = getattr(part, "stiffness", 0.0) * (position - getattr(part, "rest", 0.0))
         near = float(np.abs(speed).max()) * (3.0 * time + 10e-3)  # in which a drive stops
         is_free = _is_free(scene, place, position, near)
         rows.append(np.column_stack([rise, speed, np.tile(np.eye(axes)[place], (len(rise), 1))])[is_free])

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple, cast
 
 from canhaptic.axis_units import damping_unit, effort_unit, mass_unit, stiffness_unit
 from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
-from canhaptic.control.admittance.group_environment import GroupMass, PathMass
+from canhaptic.control.admittance.group_environment import GroupEnvironment, PathMass
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.detents import Detents
@@ -227,7 +227,7 @@ def _walls(environment: AdmittanceEnvironment, shown: tuple[float, float]) -> tu
     return tuple((low, high) for low, high in spans if low < high)
 
 
-def _box(network: GroupMass) -> tuple[tuple[float, float], ...]:
+def _box(network: GroupEnvironment) -> tuple[tuple[float, float], ...]:
     """Return the range between the walls in each direction [m or rad]; empty without walls."""
     if not network.lower and not network.upper:
         return ()
@@ -235,7 +235,7 @@ def _box(network: GroupMass) -> tuple[tuple[float, float], ...]:
     return tuple(zip(network.lower or far[0], network.upper or far[1], strict=True))
 
 
-def _path(network: GroupMass) -> tuple[tuple[float, ...], ...]:
+def _path(network: GroupEnvironment) -> tuple[tuple[float, ...], ...]:
     if not isinstance(network, PathMass):
         return ()
     points: Sequence[tuple[float, ...]] = network.points

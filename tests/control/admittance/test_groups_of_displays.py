@@ -5,19 +5,23 @@ from typing import Any
 
 import pytest
 
-from canhaptic.control.admittance import DISPLAY_GROUP_ALGORITHMS, build_display_group
-from canhaptic.control.admittance.group_environment import GroupMass, TaskEnvironment
+from canhaptic.control.admittance import DISPLAY_GROUP_ALGORITHMS, build_display_controller, build_display_group
+from canhaptic.control.admittance.admittance_environment import AdmittanceMass
+from canhaptic.control.admittance.cup_and_ball import CupAndBall
+from canhaptic.control.admittance.group_environment import GroupCupAndBall, GroupMass, PathMass, TaskEnvironment
 from canhaptic.control.admittance.guarded_admittance import GuardedAxis
 from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.balance import Certificate, residual
 from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.errors import ControlError, ParameterError
+from canhaptic.kernels import list_of_zeros
 from canhaptic.registry import load
 
 ARM = Planar2R(first=0.3, second=0.4)
 POSE = (0.3, 1.1)
 TIME = 1e-3
+NONE: list[Any] = [[], []]  # states of a mass
 
 
 def properties(**values: Any) -> AdmittanceProperties:
@@ -38,22 +42,22 @@ def torques_of(force: list[float]) -> list[float]:
 def test_a_force_along_x_moves_the_handle_along_x_as_the_mass_says() -> None:
     task = TaskEnvironment(GroupMass(mass=2.0, damping=3.0), ARM, 0.0)
     task.require(2)
-    speeds = task.speeds_after([0.0, 0.0], torques_of([5.0, 0.0]), list(POSE), TIME)
+    speeds = task.speeds_after(NONE, [0.0, 0.0], torques_of([5.0, 0.0]), list(POSE), TIME)
     assert in_task_space(speeds) == pytest.approx([5.0 * TIME / (2.0 + 3.0 * TIME), 0.0], abs=1e-12)
-    moving = task.speeds_after(speeds, [0.0, 0.0], list(POSE), TIME)
+    moving = task.speeds_after(NONE, speeds, [0.0, 0.0], list(POSE), TIME)
     assert in_task_space(moving)[0] == pytest.approx(2.0 / (2.0 + 3.0 * TIME) * in_task_space(speeds)[0])
-    assert task.stored(speeds) == pytest.approx(0.5 * 2.0 * in_task_space(speeds)[0] ** 2)
+    assert task.stored(NONE, speeds, list(POSE)) == pytest.approx(0.5 * 2.0 * in_task_space(speeds)[0] ** 2)
     assert task.lost(speeds, TIME) == pytest.approx(3.0 * in_task_space(speeds)[0] ** 2 * TIME)
 
 
 def test_a_wall_in_task_space_lets_nothing_through_and_holds_nothing_back() -> None:
-    x, _ = ARM.forward(POSE)
+    x, _ = ARM.pose(POSE).position
     task = TaskEnvironment(GroupMass(mass=1.0, lower=(-9.0, -9.0), upper=(x + 1e-4, 9.0)), ARM, 2e-3)
-    fast = [10.0 * s for s in task.speeds_after([0.0, 0.0], torques_of([1000.0, 0.0]), list(POSE), TIME)]
-    pushed = task.speeds_after(fast, torques_of([50.0, 20.0]), list(POSE), TIME)
+    fast = [10.0 * s for s in task.speeds_after(NONE, [0.0, 0.0], torques_of([1000.0, 0.0]), list(POSE), TIME)]
+    pushed = task.speeds_after(NONE, fast, torques_of([50.0, 20.0]), list(POSE), TIME)
     assert in_task_space(pushed)[0] == pytest.approx(0.0, abs=1e-12)  # its way under way fills what is left
     assert in_task_space(pushed)[1] == pytest.approx(20.0 * TIME)
-    away = task.speeds_after([0.0, 0.0], torques_of([-50.0, 0.0]), list(POSE), TIME)
+    away = task.speeds_after(NONE, [0.0, 0.0], torques_of([-50.0, 0.0]), list(POSE), TIME)
     assert in_task_space(away)[0] == pytest.approx(-50.0 * TIME)
 
 
@@ -64,8 +68,8 @@ def test_walls_without_room_between_them_are_refused() -> None:
 
 def test_a_singular_pose_commands_nothing() -> None:
     task = TaskEnvironment(GroupMass(mass=1.0), ARM, 0.0)
-    assert task.speeds_after([1.0, 1.0], [5.0, 5.0], [0.3, 0.0], TIME) == [0.0, 0.0]
-    assert task.stored([1.0, 1.0]) == 0.0
+    assert task.speeds_after(NONE, [1.0, 1.0], [5.0, 5.0], [0.3, 0.0], TIME) == [0.0, 0.0]
+    assert task.stored(NONE, [1.0, 1.0], list(POSE)) == 0.0
 
 
 def test_a_mechanism_with_more_axes_than_coordinates_is_refused() -> None:
@@ -76,9 +80,17 @@ def test_a_mechanism_with_more_axes_than_coordinates_is_refused() -> None:
         TaskEnvironment(GroupMass(mass=1.0), Redundant(first=1.0, second=1.0), 0.0)
 
 
-def run(name: str, cycles: int, damping: float = 1.0, turn: float = 0.03) -> tuple[Any, list[Any]]:
+NETWORKS = {
+    "mass": GroupMass(mass=1.0, damping=1.0),
+    "mass on a spring": GroupMass(mass=1.0, damping=1.0, stiffness=400.0, rest=(0.01, 0.0)),
+    "path with a spring": PathMass(mass=1.0, damping=1.0, points=((0.0, 0.0), (0.1, 0.1)), stiffness=400.0),
+    "cup and balls": GroupCupAndBall(damping=1.0),
+}
+
+
+def run(name: str, cycles: int, damping: float = 1.0, turn: float = 0.03, of: str = "mass") -> tuple[Any, list[Any]]:
     """A group of two axes that a force turns in a circle, the handle following the command of two SYNCs before."""
-    network, given = GroupMass(mass=1.0, damping=damping), [properties(), properties()]
+    network, given = NETWORKS[of].model_copy(update={"damping": damping}), [properties(), properties()]
     parameters = {"initial": 1e-3} if name == "energy_tank" else {}
     model = load(DISPLAY_GROUP_ALGORITHMS, name, "algorithm").parameters_type
     controller = build_display_group(network, name, model(**parameters), given)
@@ -92,9 +104,10 @@ def run(name: str, cycles: int, damping: float = 1.0, turn: float = 0.03) -> tup
     return controller, found
 
 
+@pytest.mark.parametrize("of", NETWORKS)
 @pytest.mark.parametrize("name", ["unprotected", "passivity_observer", "energy_tank"])
-def test_the_account_of_a_group_without_a_certificate_closes(name: str) -> None:
-    _, found = run(name, 400)
+def test_the_account_of_a_group_without_a_certificate_closes(name: str, of: str) -> None:
+    _, found = run(name, 400, of=of)
     stored = 0.0
     for balance in found:
         account = balance.account
@@ -102,6 +115,82 @@ def test_the_account_of_a_group_without_a_certificate_closes(name: str) -> None:
         assert account.h_i == pytest.approx(sum(balance.interactions), abs=1e-15)
         stored = account.h_s
     assert max(abs(speed) for balance in found for speed in balance.torques) > 0.05
+
+
+@pytest.mark.parametrize("of", NETWORKS)
+def test_the_account_of_a_guarded_group_closes(of: str) -> None:
+    drive = GuardedAdmittanceParameters(drive_mass=1.0, loop_gain=300.0, energy_allowance=1e-3)
+    controller: Any = build_display_group(NETWORKS[of], "guarded", drive, [properties(), properties()])
+    stored, fastest, place = 0.0, 0.0, [0.0, 0.0]
+    for k in range(400):
+        force = [6.0 * math.cos(0.03 * k), 6.0 * math.sin(0.03 * k)]
+        if k % 50 == 40:
+            controller.lasted(2.0)
+        balance = controller.sample_lost() if k % 70 == 60 else controller.step(place, [-f for f in force])
+        account = balance.account
+        if k % 70 != 60:
+            assert abs(residual(account, stored)) < 1e-12
+        stored, fastest = account.h_s, max(fastest, *map(abs, balance.torques))
+        place = [p + TIME * v for p, v in zip(place, balance.torques, strict=True)]
+    assert fastest > 0.02
+
+
+@pytest.mark.parametrize("loses", [False, True])
+@pytest.mark.parametrize("name", ["unprotected", "passivity_observer", "energy_tank"])
+@pytest.mark.parametrize(
+    ("alone", "together"),
+    [
+        (AdmittanceMass(mass=1.0, stiffness=300.0, rest=0.02), GroupMass(mass=1.0, stiffness=300.0, rest=(0.02,))),
+        (CupAndBall(length=0.1, upper_wall=0.05), GroupCupAndBall(length=0.1, upper=(0.05,))),
+    ],
+)
+def test_a_group_of_one_without_a_certificate_is_the_axis(alone: Any, together: Any, name: str, loses: bool) -> None:
+    given = load(DISPLAY_GROUP_ALGORITHMS, name, "algorithm").parameters_type()
+    axis: Any = build_display_controller(alone, name, given, properties())
+    group: Any = build_display_group(together, name, given, [properties()])
+    place, fastest = 0.0, 0.0
+    for k in range(300):
+        if loses and k % 40 == 30:
+            assert group.sample_lost().torques == (axis.sample_lost().torque,)
+            continue
+        if loses and k % 60 == 50:
+            axis.lasted(3.0)
+            group.lasted(3.0)
+        force = 6.0 * math.sin(0.05 * k)
+        one, both = axis.step(place, -force), group.step([place], [-force])
+        assert both.torques[0] == pytest.approx(one.torque, rel=1e-9, abs=1e-12)
+        assert both.account.h_i == pytest.approx(one.h_i, rel=1e-9, abs=1e-13)
+        assert both.account.h_s == pytest.approx(one.h_s, rel=1e-9, abs=1e-12)
+        place, fastest = place + TIME * one.torque, max(fastest, abs(one.torque))
+    assert fastest > (0.0 if name == "energy_tank" else 0.05)
+
+
+def test_a_spring_in_task_space_pulls_the_handle_to_its_rest() -> None:
+    x, y = ARM.pose(POSE).position
+    task = TaskEnvironment(GroupMass(mass=2.0, stiffness=500.0, rest=(x + 0.01, y)), ARM, 0.0)
+    task.require(2)
+    speeds = task.speeds_after(NONE, [0.0, 0.0], [0.0, 0.0], list(POSE), TIME)
+    assert in_task_space(speeds) == pytest.approx([500.0 * 0.01 * TIME / 2.0, 0.0], abs=1e-12)
+    assert task.stored(NONE, [0.0, 0.0], list(POSE)) == pytest.approx(0.5 * 500.0 * 0.01**2)
+
+
+def test_balls_in_task_space_take_the_change_of_the_handles_speed() -> None:
+    alone, inner = CupAndBall(), [list_of_zeros(3), list_of_zeros(3)]
+    task = TaskEnvironment(GroupCupAndBall(), ARM, 0.0)
+    speeds = task.speeds_after(inner, [0.0, 0.0], torques_of([5.0, -3.0]), list(POSE), TIME)
+    task.go_along(inner, [0.0, 0.0], speeds, TIME)
+    for place, force in enumerate((5.0, -3.0)):
+        expected = [0.0] * 3
+        speed = alone.speed_after(expected, 0.0, force, 0.0, TIME)
+        alone.go_along(expected, 0.0, speed, TIME)
+        assert in_task_space(speeds)[place] == pytest.approx(speed)
+        assert inner[place] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("network", [GroupMass(mass=1.0, rest=(0.0,)), GroupMass(mass=1.0, lower=(0.0, 0.0, 0.0))])
+def test_a_network_of_other_axes_is_refused(network: GroupMass) -> None:
+    with pytest.raises(ParameterError, match="expected one for each of the 2 axes"):
+        network.require(2)
 
 
 @pytest.mark.parametrize("name", ["unprotected", "passivity_observer", "energy_tank", "guarded"])
