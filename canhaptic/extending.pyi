@@ -8,7 +8,7 @@ from canhaptic.control.mechanisms import KINEMATICS as KINEMATICS
 from canhaptic.control.mechanisms.kinematics import Kinematics as Kinematics
 from canhaptic.control.mechanisms.kinematics import Limit as Limit
 from canhaptic.control.mechanisms.kinematics import Pose as Pose
-from canhaptic.control.mechanisms.user_function import UserFunction as UserFunction
+from canhaptic.control.mechanisms.kinematics import UserFunction as UserFunction
 from canhaptic.control.multi_axis import NETWORKS as NETWORKS
 from canhaptic.control.multi_axis.group_controller import GroupBalance as GroupBalance
 from canhaptic.control.multi_axis.group_controller import GroupController as GroupController

@@ -1,20 +1,20 @@
-"""Kernels: functions that Python runs in the cycle and numba compiles for sweeps; one source for both.
+"""Kernels: functions that Python runs in the cycle and numba compiles for sweeps, from one source.
 
-A kernel is a function on numbers and records. It stores nothing, raises nothing, and calls only `math`, other kernels
+A kernel is a function of numbers and records. It stores nothing, raises nothing, and calls only `math`, other kernels
 and methods of an environment. Its data come in four forms:
 
 * settings, fixed for a run: a frozen dataclass of numbers and of the parameters, of which only numbers are read;
 * state, kept from SYNC to SYNC: a dataclass of numbers, changed in place;
-* memory, sequences whose length the configuration chooses: buffers, changed in place; lists where Python runs the
-  kernel, arrays where it is compiled;
+* memory, whose size the configuration determines: buffers, changed in place; lists where Python runs the kernel,
+  arrays where it is compiled;
 * results: numbers and NamedTuples.
 
-Compiled, settings and state are NumPy records of the same fields. A state that is returned anew by every kernel was
-tried: it is as fast compiled, but makes the step 1.3 to 2 times as slow in the cycle, as CPython makes a NamedTuple in
-0.1 to 0.3 us and changes a field in 6 ns.
+Compiled, settings and state are NumPy records of the same fields. Returning a new state from every kernel was tried:
+compiled it is as fast, but in the cycle a step takes 1.3 to 2 times as long, because CPython makes a NamedTuple in 0.1
+to 0.3 us and changes a field in 6 ns.
 
-To be avoided so that both give the same bits: `x**0.5` and `x**2` (the C library's pow is neither the exact
-root nor the exact product), `sum()` (compensated by Python from 3.12 on), None for a missing number.
+Both forms must give the same bits. A kernel therefore avoids `x**0.5` and `x**2` (the C library's pow is neither the
+exact root nor the exact product), `sum()` (compensated by Python from 3.12 on), and None for a missing number.
 """
 
 from collections.abc import Callable, MutableSequence, Sequence
@@ -25,11 +25,11 @@ from typing import Any, Final, Generic, NamedTuple, TypeAlias, TypeVar, cast
 Buffer: TypeAlias = MutableSequence[float]
 """Numbers that a kernel changes in place, shape (n,)."""
 Matrix: TypeAlias = Sequence[Buffer]
-"""Rows of such numbers, shape (m, n)."""
+"""Rows of buffers, shape (m, n)."""
 Indices: TypeAlias = MutableSequence[int]
 """Whole numbers, shape (n,)."""
 MakeBuffer: TypeAlias = Callable[[int], Buffer]
-"""Returns a buffer of zeros of a given length."""
+"""Function that returns a buffer of zeros of a given length."""
 
 _Memory = TypeVar("_Memory")
 GivenT = TypeVar("GivenT")
@@ -38,7 +38,7 @@ StateT = TypeVar("StateT", covariant=True)
 MemoryT = TypeVar("MemoryT")
 
 new: Final = tuple.__new__
-"""Makes a NamedTuple of a tuple at half the price of calling its class: `new(EnergyBalance, (0.0, ...))`."""
+"""Makes a NamedTuple from a tuple in half the time of calling its class: `new(EnergyBalance, (0.0, ...))`."""
 
 
 def list_of_zeros(length: int) -> Buffer:
@@ -58,7 +58,7 @@ def fields_of(kind: object) -> tuple[str, ...]:
 
 
 def with_quick_fields(memory: _Memory) -> _Memory:
-    """Copy of a NamedTuple, and any nested in it, whose fields Python reads at half the cost."""
+    """Copy of a NamedTuple, nested ones included, whose fields Python reads in half the time."""
     names = fields_of(memory)
     if not names:
         return memory
@@ -84,7 +84,12 @@ class Run(NamedTuple, Generic[SettingsT, StateT, MemoryT]):
 
 
 class Kernel(NamedTuple):
-    """A passivity algorithm of one axis as functions."""
+    """A passivity algorithm as four functions, whose arguments are those of one axis.
+
+    Those of a group are settings (world, parameters, loops), state (), memory (world, settings) and step (world,
+    settings, state, memory, samples lost before, positions, torques applied) -> `GroupHold`, with `world` its
+    `GroupModel`.
+    """
 
     settings: Callable[..., Any]  # (environment, parameters, loop) -> constants of a run
     state: Callable[[], Any]  # () -> state at rest

@@ -1,21 +1,20 @@
-"""Kernels compiled by numba, each with every kernel that it reaches; needs the extra `fast`.
+"""Compile kernels with numba and keep their machine code on disk; needs the extra `fast`.
 
-The source code is taken from the functions; only their global names are bound to compiled functions. No floating-point
-operation is reordered or fused, and a division by zero gives an infinity, so that both forms give the same bits.
-Reference counts of arrays are left out - a kernel makes no array - which makes it ten times faster.
+**Compilation.** A kernel is compiled with every kernel that it reaches. The source is that of the Python functions;
+only their global names are bound to compiled functions. No floating-point operation is reordered or fused, and a
+division by zero gives an infinity, so that both forms give the same bits. Arrays are not reference-counted, because no
+kernel makes one; that makes the code ten times faster.
 
-Machine code of kernels on disk, so that the next process need not compile: in the user's own cache folder.
+**Code on disk.** Machine code is kept in the user's own cache folder, so that the next process need not compile. The
+key of numba's own cache is the file of one function: a change in a function that it calls, in another file, goes
+unnoticed. Here the key of a folder covers the code of every kernel reached, the constants that they name, the versions
+of Python, numba, llvmlite and NumPy, and the processor. Loaded code is executed, so the folder must belong to the user,
+and only the user may read it; otherwise nothing is kept.
 
-numba keeps code too, but its key is the file of one function: a change in a function that it calls, in another file,
-goes unnoticed. Here the key of a folder covers the code of every kernel reached, the constants that they name, the
-versions of Python, numba, llvmlite and NumPy, and the processor. What is loaded is executed, so the folder must belong
-to the user, and only the user may read it; otherwise nothing is kept.
-
-Linking of a kernel by numba: machine code is emitted once, for the kernel with everything in it.
-
-numba optimises each function that a kernel reaches, and emits machine code for it, although only the kernel is called;
-for a loop of 170 functions that was 18 of 26 s. Here a function compiled for a caller is linked into that caller
-only. Where numba's version differs from those below, its own procedure is unchanged.
+**Linking.** numba optimises each function that a kernel reaches, and emits machine code for it, although Python calls
+only the kernel; for a loop of 170 functions that was 18 of 26 s. Here a function that only kernels call is linked into
+its caller, and machine code is emitted once, for the kernel. With a version of numba outside `_KNOWN`, numba's own
+procedure is used.
 """
 
 import gc
@@ -61,7 +60,7 @@ _DIGEST: Final = hashlib.sha256().digest_size
 
 
 class _CheckedFiles(caching.IndexDataCacheFile):
-    """numba's files of one function, each with a digest at its end: one that is damaged counts as missing."""
+    """numba's cache files of one function, each with a digest at its end; a damaged file counts as missing."""
 
     def _dump(self, obj: object) -> bytes:
         data: bytes = super()._dump(obj)
@@ -81,7 +80,7 @@ _Found = TypeVar("_Found")
 
 
 class NotKeptError(Exception):
-    """Machine code that is not on the disk, and may not be made now."""
+    """Machine code is not on disk, and compiling is not allowed now."""
 
 
 _may_compile = True
@@ -89,9 +88,9 @@ _may_compile = True
 
 @contextmanager
 def only_kept() -> Iterator[None]:
-    """Within the context, a kernel whose code is not on the disk raises `NotKeptError` instead of compiling.
+    """Forbid compiling within the context: a kernel whose code is not on disk raises `NotKeptError`.
 
-    Where the disk keeps nothing, it compiles.
+    If the cache folder cannot be written, kernels are compiled as usual.
     """
     global _may_compile
     _may_compile = False
@@ -102,14 +101,14 @@ def only_kept() -> Iterator[None]:
 
 
 def if_kept(run: Callable[..., _Found], *arguments: object) -> _Found | None:
-    """Result of a function whose kernels are on the disk; None where one is not."""
+    """Result of a function; None if the machine code of one of its kernels is not on disk."""
     with suppress(NotKeptError), only_kept():
         return run(*arguments)
     return None
 
 
 class CheckedCache(caching.FunctionCache):
-    """The code of one function on disk; where it is damaged or cannot be written, the function is compiled anew."""
+    """Machine code of one function on disk; if it is damaged or missing, the function is compiled again."""
 
     def __init__(self, function: Callable[..., object]) -> None:
         super().__init__(function)
@@ -117,10 +116,10 @@ class CheckedCache(caching.FunctionCache):
         self._cache_file = _CheckedFiles(locator.get_cache_path(), self._impl.filename_base, locator.get_source_stamp())
 
     def load_overload(self, sig: object, target_context: object) -> object:
-        """Return the code from the disk; None where there is none.
+        """Return the code from the disk; None if there is none.
 
         Raises:
-            NotKeptError: It is not, and nothing may be compiled now.
+            NotKeptError: There is none, and compiling is not allowed now.
         """
         found: object = super().load_overload(sig, target_context)
         if found is None and not _may_compile:
@@ -141,10 +140,10 @@ def _is_whole(content: bytes, version: str = "") -> bool:
 
 @contextmanager
 def kept_code(sources: Iterable[str]) -> Iterator[bool]:
-    """Within the context, numba stores code in a folder for these sources; yields whether it can.
+    """Let numba store code within the context, in a folder for these sources; yields whether the folder can be written.
 
     Args:
-        sources: Everything that decides the machine code.
+        sources: Texts that determine the machine code.
     """
     place = _place_of(sources)
     if place is None:
@@ -160,7 +159,7 @@ def kept_code(sources: Iterable[str]) -> Iterator[bool]:
 
 
 def _place_of(sources: Iterable[str]) -> Path | None:
-    """Return the folder for the code of these sources, marked as used now; None where none can be written."""
+    """Return the folder for the code of these sources, marked as used now; None if it cannot be written."""
     folder = cache_folder()
     if folder is None:
         return None
@@ -177,10 +176,9 @@ def _place_of(sources: Iterable[str]) -> Path | None:
 
 @cache
 def _delete_unused(folder: Path) -> None:
-    """Delete what no process has used for 30 days, once in a process.
+    """Delete the folders that no process has used for 30 days; at most once in a process.
 
-    A folder is renamed first, so that no process finds half of it. Code that a process misses because of that is
-    compiled again.
+    A folder is renamed first, so that no process finds half of it. A process that still needed the code compiles again.
     """
     with os.scandir(folder) as entries:
         used = {entry.path: entry.stat().st_mtime for entry in entries if entry.is_dir(follow_symlinks=False)}
@@ -203,7 +201,7 @@ def _say_that_nothing_is_kept() -> None:
 
 
 def cache_folder() -> Path | None:
-    """Folder of compiled kernels, created if needed; None where others can access it."""
+    """Folder of compiled kernels, created if needed; None if it cannot be made or others can access it."""
     root = os.environ.get("XDG_CACHE_HOME", "")
     try:
         base = Path(root) if Path(root).is_absolute() else Path.home() / ".cache"
@@ -229,27 +227,27 @@ def code_key(sources: Iterable[str]) -> str:
 
 
 _KNOWN: Final = ((0, 60), (0, 69))
-"""Versions of numba from the first up to, but not including, the second, whose `finalize` matches this one."""
+"""Versions of numba whose `finalize` matches `_Library`: from the first up to, but not including, the second."""
 _LEVEL: Final = 2
-"""Optimisation by LLVM; a loop is as fast with it as with the highest."""
+"""Optimisation level of LLVM; a loop is as fast with it as with the highest level."""
 _under_way = False
 
 
 Numba = Any
-"""A part of numba, which states no types: its code generator, a compiled function."""
+"""An object of numba, which has no type annotations: its code generator, or a compiled function."""
 
 
 class _Library(codegen.JITCodeLibrary):
-    """A function compiled for its callers only: within `_linked`, neither optimised nor made machine code.
+    """Code of a function that only kernels call: within `_linked`, it is neither optimised nor emitted by itself.
 
     Attributes:
-        is_linked: Whether that is so.
+        is_linked: Whether the code is only linked into callers.
     """
 
     is_linked = False
 
     def finalize(self) -> None:
-        """Link its callees; as numba does where Python calls it, or outside of `_linked`."""
+        """Link the callees; if Python calls the function, or outside of `_linked`, complete it as numba does."""
         if not (_under_way and self._object_caching_enabled) or self._is_called_from_python():
             super().finalize()
             _set_environments(self._codegen)
@@ -264,7 +262,7 @@ class _Library(codegen.JITCodeLibrary):
         return any(function.name.startswith("_ZN7cpython") for function in self._final_module.functions)
 
     def serialize_using_object_code(self) -> tuple[str, str, object]:
-        """Its content for the disk."""
+        """Content of the library for the disk."""
         if not self.is_linked:
             found: tuple[str, str, object] = super().serialize_using_object_code()
             return found
@@ -320,7 +318,7 @@ def _installed() -> bool:
 
 
 _waiting: Final[dict[str, object]] = {}
-"""By name: environments (what numba calls so) of functions that have no machine code yet."""
+"""Name -> environment, in numba's sense, of a function that has no machine code yet."""
 
 
 def _set_environment(owner: Numba) -> Callable[[str, object], None]:
@@ -363,7 +361,7 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 _njit: Final[Callable[..., Numba]] = numba.njit
 
 fixed_tuple: Final = cast(Callable[[object, int], tuple[float, ...]], to_fixed_tuple)
-"""(array, length) -> tuple of its numbers; the length is a global name of the function that calls it."""
+"""(array, length) -> tuple of its numbers; the length must be a global constant of the calling function."""
 
 
 def compiled(
@@ -382,14 +380,14 @@ def compiled(
         instead: Replacements by reached function or by global name.
         keep: Whether the machine code is stored on disk for the next process.
         parts: Classes whose methods the kernel calls without naming the class.
-        calls: Functions that remain calls, because they are long and called from several places, while every other
-            is inlined into its callers: that halves the time of a loop, for the arrays of a NamedTuple are
-            some fifty words, which a call passes on. None leaves it to LLVM.
-        units: Functions, as reached after the replacements, that are also stored on disk on their own, so that another
+        calls: Functions that are called, because they are long and used in several places; every other function is
+            inlined, which halves the time of a loop, because a call passes the arrays of a NamedTuple as some fifty
+            words. None: LLVM decides.
+        units: Functions, as reached after the replacements, whose code is also stored by itself, so that another
             kernel that reaches one of them need not compile it again.
 
     Raises:
-        InputError: A NamedTuple that it names has a field with the name of a method.
+        InputError: A NamedTuple that the kernel names has a field with the name of a method.
     """
     compiling = _Compiling(instead or {}, calls, units, parts)
     rebound = compiling.rebound(function)
@@ -401,7 +399,7 @@ def compiled(
 
 
 def _link(made: Numba) -> None:
-    """Let a function compile with its callees linked in."""
+    """Make a function compile with its callees linked in."""
     of_numba = made._compile_for_args  # noqa: SLF001
 
     def compile_for(*args: object, **named: object) -> object:
@@ -412,10 +410,10 @@ def _link(made: Numba) -> None:
 
 
 class _Compiling(Binding):
-    """Functions found on the way, each compiled once.
+    """The functions that a kernel reaches, each compiled once.
 
     Attributes:
-        sources: Determinants of the machine code: the code of every function, and the constants that they name.
+        sources: Texts that determine the machine code: the code of every function, and the constants that they name.
     """
 
     def __init__(
@@ -438,13 +436,13 @@ class _Compiling(Binding):
         return _njit(function, **_INNER, forceinline=inlined)
 
     def keep(self, made: Numba, function: Callable[..., object]) -> None:
-        """Keep the code of a function on disk, where that can be."""
+        """Keep the machine code of a function on disk, if the cache folder can be written."""
         with kept_code(self.sources) as can_keep:
             if can_keep:
                 made._cache = CheckedCache(function)  # noqa: SLF001 - as `enable_caching` does
 
     def rebound(self, function: Callable[..., object]) -> FunctionType:
-        """Return the same code with compiled functions in the place of its global names."""
+        """Copy of a function whose global names are bound to compiled functions."""
         function = cast(FunctionType, function)
         self.sources.append(_text_of(function.__code__) + repr(function.__defaults__))
         made = super().rebound(function)
@@ -452,12 +450,12 @@ class _Compiling(Binding):
         return made
 
     def constant(self, name: str, value: object) -> object:
-        """Value that a function names; adds it to the sources."""
+        """Value of a constant that a function names, which is added to the sources."""
         self.sources.append(f"{name}={value!r}")
         return value
 
     def of(self, name: str, value: object) -> object:
-        """Replacement of a function or class; adds a class's content to the sources."""
+        """Replacement of a function or class; the content of a class is added to the sources."""
         if value in self._known:
             return self._known[value]
         if isinstance(value, type):
@@ -469,7 +467,7 @@ class _Compiling(Binding):
         return super().of(name, value)
 
     def _take_unit(self, function: FunctionType) -> None:
-        """Compile a function by itself, so that its cached code depends on nothing else."""
+        """Compile a function by itself, so that its code on disk depends on nothing else."""
         unit = _Compiling(self._instead_of, self._calls, parts=self._parts)
         made = self._wrapped(unit.rebound(function))
         unit.keep(made, function)

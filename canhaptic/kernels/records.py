@@ -1,7 +1,4 @@
-"""Substitutes in a compiled kernel: replaced functions, and records and arrays in place of dataclasses.
-
-Copies of a kernel, and of every kernel that it reaches, with some functions replaced.
-"""
+"""Copies of kernels with some functions replaced, and their data as NumPy records and arrays for compiled code."""
 
 import builtins
 from collections.abc import Callable, Iterable, Mapping
@@ -25,8 +22,8 @@ class Binding:
 
     Args:
         instead: Replacements by function reached, or by global name.
-        wrap: Makes the binding of a reached function's name.
-        known: Functions with known replacements, used without inspection.
+        wrap: Makes the object to which the name of a reached function is bound.
+        known: Replacements of functions that are not inspected.
     """
 
     def __init__(
@@ -39,7 +36,7 @@ class Binding:
         self._known: dict[object, object] = dict(known or {})
 
     def rebound(self, function: Callable[..., object]) -> FunctionType:
-        """Return the same code with its global names bound to other functions."""
+        """Copy of a function whose global names are bound to the replacements."""
         function = cast(FunctionType, function)
         found: dict[str, object] = {"__name__": function.__module__, "__builtins__": builtins}
         for name in sorted(_names_in(function.__code__)):
@@ -112,20 +109,20 @@ _NUMBER: Final = (float, int, np.generic)
 
 
 def record_type(value: object) -> np.dtype[np.void]:
-    """Record type of the numbers of an object, and of objects in it; see `_parts_of`."""
+    """NumPy record type of the numbers of an object, nested objects included; see `_parts_of`."""
     kinds = [(n, type(part) if isinstance(part, _NUMBER) else record_type(part)) for n, part in _parts_of(value)]
     return np.dtype(kinds, align=True)
 
 
 def _parts_of(value: object) -> list[tuple[str, object]]:
-    """Return the fields of a dataclass; of the plain object of a parameter model those that are numbers."""
+    """Return the fields of a dataclass, or the numbers of the plain object of a parameter model."""
     if is_dataclass(value):
         return [(field.name, getattr(value, field.name)) for field in fields(value)]
     return [(name, part) for name, part in vars(value).items() if isinstance(part, _NUMBER)]
 
 
 def records_of(values: Iterable[object]) -> Records:
-    """Return dataclasses of one kind as records, shape (n,)."""
+    """Return dataclasses of one class as records, shape (n,)."""
     values = list(values)
     kind = record_type(values[0])
     names, kinds, offsets = zip(*_flat(kind), strict=True)
@@ -145,9 +142,9 @@ def _flat(kind: _Kind, path: str = "", offset: int = 0) -> Iterable[tuple[str, _
 
 
 def arrays_of(value: _Value) -> _Value:
-    """Return a NamedTuple of buffers, nested ones included, with its own arrays.
+    """Copy of a NamedTuple, nested ones included, with arrays in place of its buffers.
 
-    The kind of a field follows from its annotation: `Buffer`, `Indices`, `Matrix`, or anything else.
+    The annotation of a field says what it is: `Buffer`, `Indices`, `Matrix`, or anything else, which is kept.
     """
     kind = type(value)
     if not fields_of(kind):
@@ -164,10 +161,10 @@ def arrays_of(value: _Value) -> _Value:
 
 
 def record_of(value: object) -> Records:
-    """Return a NamedTuple of buffers, of such tuples and of dataclasses, as one record of arrays, shape (1,).
+    """Return a NamedTuple of buffers, nested NamedTuples and dataclasses as one record of arrays, shape (1,).
 
-    Compiled code takes it by its address, where a tuple of arrays would come apart into hundreds of arguments; and it
-    knows the lengths.
+    Compiled code takes the record by its address, and its type states the lengths of the arrays. A tuple of arrays
+    would be passed as hundreds of arguments.
     """
     record: Records = np.zeros(1, _record_type(value))
     _fill(record[0], value)

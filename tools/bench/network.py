@@ -165,7 +165,7 @@ def around(k: int) -> list[float]:
 
 def cost_rows() -> list[Row]:
     """Returns the cost of a step."""
-    ball = Sphere(stiffness=1500.0, damping=3.0, centre=FIVE_BAR.forward((2.2, 0.9)), radius=0.05)
+    ball = Sphere(stiffness=1500.0, damping=3.0, centre=FIVE_BAR.pose((2.2, 0.9)).position, radius=0.05)
     cases: list[tuple[str, Any, Any, Callable[[int], list[float]], float]] = [
         ("step, 4 states, two axes, delay 1", EXAMPLE, Identity(axes=2), circle(0.01), 200.0),
         ("step, two axes in a box, no mass", BOX, Identity(axes=2), circle(0.01), 100.0),

@@ -66,7 +66,7 @@ def turn_five_bar(generator: np.random.Generator, values: dict[str, Any], tags: 
         angles = [float(angle) for angle in generator.uniform(-math.pi, math.pi, 2)]
         if linkage.pose(angles).limit == Limit.NONE and bool(nearer.pose(angles).limit) == is_near:
             break
-    handle, turn = linkage.forward(angles), generator.uniform(-math.pi, math.pi)
+    handle, turn = linkage.pose(angles).position, generator.uniform(-math.pi, math.pi)
     centre = [float(handle[0] + 0.04 * math.cos(turn)), float(handle[1] + 0.04 * math.sin(turn))]
     mechanism["initial_angles"] = angles
     mechanism["hand"]["rest"] = group["network"]["centre"] = centre

@@ -1,4 +1,4 @@
-"""One mechanism a file, and the table that names them."""
+"""Kinematics between motor axes and task space: one mechanism a file, and the table that names them."""
 
 from typing import Final
 
@@ -12,5 +12,5 @@ KINEMATICS: Final[dict[str, str]] = {
 }
 """Name in a scene -> "module:Class"; the class is the parameter model and the mechanism in one (`Kinematics`).
 
-A user-defined mechanism is `user_function.UserFunction(forward, jacobian, at, limit)`, in Python only.
+A user-defined mechanism is `kinematics.UserFunction(forward, jacobian, at, limit)`, in Python only.
 """

@@ -13,7 +13,7 @@ _WORKSPACE, _SINGULAR = Limit.WORKSPACE.value, Limit.SINGULAR.value
 
 
 class FiveBarMap(NamedTuple):
-    """Two motors and four links; see `FiveBar` and `KinematicsKernel`."""
+    """Map of two motors and four links; see `FiveBar` and `KinematicsKernel`."""
 
     base: float
     proximal_1: float
@@ -25,7 +25,7 @@ class FiveBarMap(NamedTuple):
     box: WorkspaceBox
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Write the position of the handle."""
+        """Write position and Jacobian of the handle, and return the limit."""
         l1, l2, l3, l4 = self.proximal_1, self.proximal_2, self.distal_1, self.distal_2
         ax, ay = l1 * math.cos(positions[0]), l1 * math.sin(positions[0])  # of the elbows, from their motors
         bx, by = l2 * math.cos(positions[1]), l2 * math.sin(positions[1])
@@ -56,7 +56,7 @@ class FiveBarMap(NamedTuple):
 
 
 class FiveBar(FromMechanism, Parameters):
-    """Motors at (-base / 2, 0) and (base / 2, 0); angles counted from the +x axis.
+    """A five-bar with motors at (-base / 2, 0) and (base / 2, 0); angles are counted from the +x axis.
 
     With A and B the elbows, the handle p is where the circles of the distal links meet. Differentiating
     |p - A| = const and |p - B| = const gives p' from q1' and q2'. It fails where the distal links are in line (the
@@ -90,6 +90,6 @@ class FiveBar(FromMechanism, Parameters):
         return self
 
     def mechanism(self) -> FiveBarMap:
-        """Return the map."""
+        """Return the map for the kernels."""
         box = workspace_box(self.workspace_lower, self.workspace_upper, 2)
         return FiveBarMap(self.base, *self.proximal, *self.distal, self.assembly == "down", self.least_sine, box)

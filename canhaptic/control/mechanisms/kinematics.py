@@ -1,21 +1,19 @@
-"""Interface of every mechanism: a map from the positions of its motor axes to task space, with its Jacobian.
+"""Interface of every mechanism, a map from motor positions to task space with its Jacobian, and their common parts.
 
 Task forces become motor torques by the transposed Jacobian, tau = J(q)' F. The account stays in motor coordinates,
 where the torque is constant during the hold; -tau . dq and -F . dp differ by at most |F| c |dq|^2 / 2, with c the
 largest curvature of the map along dq, because F and J are evaluated at the start of the hold.
 
-Common parts of mechanisms: place and Jacobian from the pose, a workspace box, and the test of a Jacobian.
-
-No mechanism: every motor axis is a coordinate of task space, as on an X-Y stage.
+`Identity` is the mechanism of an X-Y stage: every motor axis is a coordinate of task space.
 """
 
 from collections.abc import Callable, Sequence
 from enum import IntEnum
-from typing import Annotated, NamedTuple, Protocol, TypeAlias, cast
+from typing import Annotated, NamedTuple, Protocol, cast
 
 import numpy as np
 
-from canhaptic.errors import ControlError, ParameterError
+from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, Matrix, list_of_zeros, zeros
 from canhaptic.units import Parameters, quantity
 
@@ -64,63 +62,12 @@ class Kinematics(Protocol):
     def pose(self, positions: Sequence[float]) -> Pose:
         """Return position, Jacobian and limit at the positions of the motor axes [rad or m]; never raises."""
 
-    def forward(self, positions: Sequence[float]) -> tuple[float, ...]:
-        """Return the position in task space [m or rad].
 
-        Raises:
-            ControlError: The pose is outside the workspace or too close to a singular one.
-        """
-
-    def jacobian(self, positions: Sequence[float]) -> tuple[tuple[float, ...], ...]:
-        """Return the Jacobian, rows of task coordinates.
-
-        Raises:
-            ControlError: As `forward`.
-        """
-
-
-Rows: TypeAlias = tuple[tuple[float, ...], ...]
-
-
-class FromPose:
-    """Place and Jacobian of a mechanism that knows its pose."""
-
-    def pose(self, positions: Sequence[float]) -> Pose:
-        """Return position, Jacobian and limit; see `Kinematics`."""
-        raise NotImplementedError
-
-    def forward(self, positions: Sequence[float]) -> tuple[float, ...]:
-        """Return the position in task space [m or rad].
-
-        Raises:
-            ControlError: The pose is outside the workspace or too close to a singular one.
-        """
-        return self._checked(positions).position
-
-    def jacobian(self, positions: Sequence[float]) -> Rows:
-        """Return the Jacobian, rows of task coordinates.
-
-        Raises:
-            ControlError: As `forward`.
-        """
-        return self._checked(positions).jacobian
-
-    def _checked(self, positions: Sequence[float]) -> Pose:
-        pose = self.pose(positions)
-        if pose.limit:
-            place = Limit(pose.limit).name.lower()
-            raise ControlError(
-                f"{type(self).__name__}: motor positions {tuple(positions)} are at the limit {place!r}, "
-                "expected a pose inside the declared workspace; move the handle back, or declare a smaller margin"
-            )
-        return pose
-
-
-class FromMechanism(FromPose):
-    """Pose of a mechanism that is written as a kernel; it has `axes` and `dimensions`, see `Kinematics`."""
+class FromMechanism:
+    """Base of a mechanism written as a kernel; it also has `axes` and `dimensions`, see `Kinematics`."""
 
     def mechanism(self) -> KinematicsKernel:
-        """The mechanism with the interface of the kernels."""
+        """Return the mechanism with the interface of the kernels."""
         raise NotImplementedError
 
     def pose(self, positions: Sequence[float]) -> Pose:
@@ -132,12 +79,12 @@ class FromMechanism(FromPose):
 
 
 class PoseAsked(NamedTuple):
-    """A mechanism given by a Python function of its pose; see `KinematicsKernel`."""
+    """A mechanism whose pose Python computes, with the interface of the kernels; see `KinematicsKernel`."""
 
     kinematics: Kinematics
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Copy the pose."""
+        """Write the pose that the mechanism computes, and return its limit."""
         pose = self.kinematics.pose(positions)
         if not pose.limit:
             place[:] = pose.position
@@ -147,12 +94,12 @@ class PoseAsked(NamedTuple):
 
 
 def mechanism_of(kinematics: Kinematics) -> KinematicsKernel:
-    """A mechanism with the interface of the kernels."""
+    """Return a mechanism with the interface of the kernels."""
     return kinematics.mechanism() if isinstance(kinematics, FromMechanism) else PoseAsked(kinematics)
 
 
 class WorkspaceBox(NamedTuple):
-    """Edges of a workspace in task space; empty without such a limit."""
+    """Edges of a workspace in task space; an edge that is not limited is empty."""
 
     lower: Buffer
     upper: Buffer
@@ -162,7 +109,7 @@ def workspace_box(lower: Sequence[float] | None, upper: Sequence[float] | None, 
     """Return the edges of a workspace.
 
     Raises:
-        ValueError: Another number of entries than dimensions, or a lower edge not below the upper one.
+        ValueError: The number of entries differs from `dimensions`, or a lower edge is not below the upper one.
     """
     for name, edge in (("workspace_lower", lower), ("workspace_upper", upper)):
         if edge is not None and len(edge) != dimensions:
@@ -219,7 +166,7 @@ def check_jacobian(
 
 
 class IdentityMap(NamedTuple):
-    """x = q; see `KinematicsKernel`."""
+    """The map x = q; see `KinematicsKernel`."""
 
     axes: int
 
@@ -232,10 +179,10 @@ class IdentityMap(NamedTuple):
 
 
 class Identity(FromMechanism, Parameters):
-    """x = q, for any number of axes, all in the same unit."""
+    """No mechanism: x = q, for any number of axes, all in the same unit."""
 
     axes: Annotated[int, quantity("count", ge=1, le=16)]
-    """Number of motor axes; of a group in a scene it follows from its `axes`."""
+    """Number of motor axes; in a scene it follows from the `axes` of the group."""
 
     @property
     def dimensions(self) -> int:
@@ -245,3 +192,49 @@ class Identity(FromMechanism, Parameters):
     def mechanism(self) -> IdentityMap:
         """Return the map."""
         return IdentityMap(self.axes)
+
+
+class UserFunction:
+    """A mechanism x = forward(q); the constructor compares the Jacobian with finite differences of the map.
+
+    Attributes:
+        axes: Number of motor axes.
+        dimensions: Number of dimensions of task space.
+    """
+
+    def __init__(
+        self,
+        forward: Callable[[Sequence[float]], Sequence[float]],
+        jacobian: Callable[[Sequence[float]], Sequence[Sequence[float]]],
+        at: Sequence[float],
+        limit: Callable[[Sequence[float]], int] | None = None,
+    ) -> None:
+        """Make and check the mechanism.
+
+        Args:
+            forward: Motor positions -> task coordinates.
+            jacobian: Motor positions -> rows of task coordinates.
+            at: Motor positions inside the workspace at which Jacobian and map are compared.
+            limit: Motor positions -> `Limit.NONE`, WORKSPACE or SINGULAR; called before the map. None: no limit.
+
+        Raises:
+            ParameterError: The Jacobian is not that of the map.
+        """
+        self.axes, self.dimensions = len(at), len(forward(list(at)))
+        check_jacobian(forward, jacobian, at, self.dimensions)
+        self._forward, self._jacobian, self._limit = forward, jacobian, limit
+
+    def pose(self, positions: Sequence[float]) -> Pose:
+        """Pose by the user's functions; a value that is not finite is a singular pose."""
+        limit = 0 if self._limit is None else int(self._limit(positions))
+        if limit:
+            return Pose((), (), limit)
+        place = tuple([float(v) for v in self._forward(positions)])
+        rows = tuple([tuple([float(v) for v in row]) for row in self._jacobian(positions)])
+        total = 0.0
+        for row in (place, *rows):
+            for value in row:
+                total += value - value
+        if total != 0.0:
+            return Pose((), (), Limit.SINGULAR.value)
+        return Pose(place, rows)

@@ -13,7 +13,7 @@ _WORKSPACE, _SINGULAR = Limit.WORKSPACE.value, Limit.SINGULAR.value
 
 
 class LinkMap(NamedTuple):
-    """Two links; see `Planar2R` and `KinematicsKernel`."""
+    """Map of two links; see `Planar2R` and `KinematicsKernel`."""
 
     first: float
     second: float
@@ -24,7 +24,7 @@ class LinkMap(NamedTuple):
     box: WorkspaceBox
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Write the position of the handle."""
+        """Write position and Jacobian of the handle, and return the limit."""
         a = positions[0]
         b = a + positions[1] if self.relative else positions[1]
         if not abs(math.sin(b - a)) >= self.least_sine:
@@ -51,7 +51,7 @@ class Planar2R(FromMechanism, Parameters):
     second: Annotated[float, quantity("m", gt=0.0)]
     """Length l2 of the second link."""
     base: tuple[Annotated[float, quantity("m")], Annotated[float, quantity("m")]] = (0.0, 0.0)
-    """Where the first joint is in the plane."""
+    """Position of the first joint in the plane."""
     elbow: Literal["relative", "absolute"] = "relative"
     """Whether q2 turns the second link against the first (motor at the elbow) or against the base (parallelogram)."""
     least_sine: Annotated[float, quantity("1", gt=0.0, lt=1.0)] = 0.1
@@ -67,6 +67,6 @@ class Planar2R(FromMechanism, Parameters):
         return self
 
     def mechanism(self) -> LinkMap:
-        """Return the map."""
+        """Return the map for the kernels."""
         box = workspace_box(self.workspace_lower, self.workspace_upper, 2)
         return LinkMap(self.first, self.second, *self.base, self.elbow == "relative", self.least_sine, box)

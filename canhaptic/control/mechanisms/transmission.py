@@ -14,14 +14,14 @@ _WORKSPACE = Limit.WORKSPACE.value
 
 
 class LinearMap(NamedTuple):
-    """x = A q + offset; see `KinematicsKernel`."""
+    """The map x = A q + offset; see `KinematicsKernel`."""
 
     matrix: Matrix
     offset: Buffer
     box: WorkspaceBox
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Write A q + offset and A."""
+        """Write A q + offset and A, and return the limit."""
         for i in range(len(place)):
             row, into, total = self.matrix[i], jacobian[i], self.offset[i]
             for j in range(len(row)):
@@ -32,7 +32,7 @@ class LinearMap(NamedTuple):
 
 
 class Transmission(FromMechanism, Parameters):
-    """x = A q + offset."""
+    """Task coordinates x = A q + offset."""
 
     matrix: tuple[Numbers, ...]
     """A, one row for each task coordinate, one column for each motor axis [m/rad, m/m, ...]."""
@@ -74,7 +74,7 @@ class Transmission(FromMechanism, Parameters):
         return len(self.matrix)
 
     def mechanism(self) -> LinearMap:
-        """Return the map."""
+        """Return the map for the kernels."""
         offset = self.offset or (0.0,) * len(self.matrix)
         box = workspace_box(self.workspace_lower, self.workspace_upper, len(self.matrix))
         return LinearMap([list(row) for row in self.matrix], list(offset), box)

@@ -1,4 +1,4 @@
-"""Port-Hamiltonian networks on several motor axes: the tables that name them, and the controller of a group of axes.
+"""Groups of axes that render one port-Hamiltonian network: the tables of networks and algorithms, and the controller.
 
 Every scene reads the tables; the modules of this room are loaded where a scene has a group.
 """
@@ -51,14 +51,14 @@ def build_group_controller(
 
     Args:
         environment: Environment to render; a class of `NETWORKS`, or anything with `build`.
-        kinematics: Map between the motor axes and its task space.
+        kinematics: Map between the motor axes and task space.
         algorithm_name: A name of `GROUP_ALGORITHMS`.
         parameters: The algorithm's own `parameters_type`; None for its defaults.
         loops: Properties of the loop of each motor axis; sample time and delay are the same for all.
 
     Raises:
-        ParameterError: Unknown name, parameters of another algorithm, dimensions that do not fit together, loops that
-            differ in sample time or delay, or a value that the algorithm cannot do without.
+        ParameterError: The name is unknown, the parameters are of another algorithm, dimensions do not fit together,
+            loops differ in sample time or delay, or a value that the algorithm needs is missing.
     """
     algorithm, chosen = load_algorithm(GROUP_ALGORITHMS, algorithm_name, "group algorithm", parameters)
     controller: GroupController = algorithm(environment, kinematics, chosen, tuple(loops))

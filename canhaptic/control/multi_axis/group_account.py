@@ -1,14 +1,15 @@
-"""The account of a group between holds: one scalar balance for all its torques.
+"""The account of a group: one balance for all its torques, and the energy reserved for those that are queued.
 
-Energy that came in over several holds of which only the total displacement is known.
+The sections below derive the bounds that `group_certificates` leaves open: lost samples, and torques that come late.
 
-After n - 1 lost samples the displacement D of n holds is known, the torque f_n of the last one, read back, and for each
-hold before it the torques that may have acted. Booked is -f_n D; true is -sum f_j D_j; too much by
+**Several holds of which only the total displacement is known.** After n - 1 lost samples the displacement D of n holds
+is known, the torque f_n of the last one, read back, and for each hold before it the torques that may have acted. Booked
+is -f_n D; true is -sum f_j D_j; too much by
 
     sum over j < n and axes of (f_j - f_n) D_j = sum of delta_j D_j.
 
-**Hand force.** Only the side of D_j that makes it large counts; on that side the declared force holds the hand. With s
-the farthest that torques and hand move the axis beyond the hold before (`Gap.step`), for delta_j > 0 (else mirrored)
+*Hand force.* Only the side of D_j that makes the sum large counts; on that side the declared force holds the hand. With
+s the farthest that torques and hand move the axis beyond the hold before (`Gap.step`), for delta_j > 0 (else mirrored)
 
     f_j > 0:   D_j <= D_0 + j s + friction,                         the hand pulls along f_j with F_h at most;
     else f_n < f_j <= 0, and the hand is held along -: D_m >= D_j - (m - j) s - friction for m > j, and
@@ -17,19 +18,15 @@ the farthest that torques and hand move the axis beyond the hold before (`Gap.st
 
 (with friction, 1 + a + a^2 + ... in place of n - j + 1 where D_j > 0, a the share that a hold keeps of the one before).
 
-**Hand speed.** |D_j| <= v_max T.
+*Hand speed.* |D_j| <= v_max T.
 
-**Device damping** alone, for every hand: sum((b/T) D_j^2 - delta_j D_j) over displacements of sum D is least at
+*Device damping* alone, for every hand: sum((b/T) D_j^2 - delta_j D_j) over displacements of sum D is least at
 D_j = D/n + (T/2b)(delta_j - mean), where it is (b/T) D^2 / n - mean D - (T/4b) sum((delta_j - mean)^2). The first term
 is dissipated for certain, the others are uncertain.
 
-Buffers of the account of a group, by axis.
-
-Energy given out by late torques in a group; `group_certificates` bounds the energy of the torques held.
-
-Let W be the torques of the next free hold, l W those sent, and g_i in [lowest_i, highest_i] the older torques that
-axis i still has at its SYNC. With p_i as in (1) of `hold_timing`, different for every axis, the motors give out in
-that hold
+**Late torques** give out energy beyond that of the torques held, which `group_certificates` bounds. Let W be the
+torques of the next free hold, l W those sent, and g_i in [lowest_i, highest_i] the older torques that axis i still has
+at its SYNC. With p_i as in (1) of `hold_timing`, different for every axis, the motors give out in that hold
 
     l W . D + sum of integral(p_i (g_i - l W_i) v_i) <= l W . D + sum of max(0, highest_i - l W_i) X_i+
                                                                     + max(0, l W_i - lowest_i) X_i-            (1)
@@ -40,25 +37,23 @@ with D_i its displacement along the sign in the hold before, s = theta_i / T and
 
     X_i <= s max(0, D_i) + s (1/2 + s) step_i,      D_i in the j-th hold from now <= r D_i0 + j step_i.             (2)
 
-**A hand without limit inwards**, where M does not couple the axes and all torques of an axis have one sign: what the
+*A hand without limit inwards*, where M does not couple the axes and all torques of an axis have one sign: what the
 motor gives out grows with v_i, which is no larger than with F_h along the torque throughout; (2) holds for that motion.
 
-**The hold after it.** Of l W and older torques no more is left than (highest', lowest') of the next SYNC, and they
+*The hold after it.* Of l W and older torques no more is left than (highest', lowest') of the next SYNC, and they
 give out highest' X' and -lowest' X' at most, as if no torque followed. That counts with W. A smaller torque, and none
 at all, then has what the larger one leaves running.
 
-**The share l.** What older torques exceed l W by is convex in l and lies below its chord between l = 0 and l = 1, and
+*The share l.* The part of older torques beyond l W is convex in l and lies below its chord between l = 0 and l = 1, and
 N <= N_0 + l N_1 as in `group_certificates`, so that all together stay below a parabola a + b l + c l^2, c >= 0, for
-every l up to 1; l is the largest for which it stays in the budget. Where even a is not in it, what runs on was
-certified before, and l W adds to that its own energy, l W . D - l sum of integral(p_i W_i v_i) with its tail, and what
-older torques give out over the motion that it adds. As long as that is below zero for certain, it is sent: without it
-no debt would end (`given_in_debt`). The chord of a smaller W is nearer, so that one of the size of the older torques
-is asked as well.
+every l up to 1; l is the largest for which it stays in the budget. If even a is not in the budget, the older torques
+were certified before, and l W adds to them its own energy, l W . D - l sum of integral(p_i W_i v_i) with its tail, and
+what older torques give out over the motion that it adds. As long as that is below zero for certain, l W is sent:
+without it no debt would end (`given_in_debt`). The chord of a smaller W is nearer, so that one of the size of the older
+torques is tried as well.
 
-**The hold that ended.** Of that D_i is known, and the way back inside it is no longer than `swing` times
+*The hold that ended.* Of that D_i is known, and the way back inside it is no longer than `swing` times
 s (D_i + step_i / 2) (`hold_timing`): `doubt_of_late_group`. By device damping and hand speed it is as of one axis.
-
-The energy reserved for queued torques, and the certified share of the next ones.
 """
 
 from dataclasses import dataclass
@@ -86,12 +81,12 @@ from canhaptic.control.multi_axis.group_certificates import (
     write_needs,
 )
 from canhaptic.control.multi_axis.group_kernel import GroupHolds
-from canhaptic.control.port_hamiltonian.gauss import dot
+from canhaptic.control.port_hamiltonian.network import dot
 from canhaptic.kernels import Buffer, Matrix, list_of_zeros, new, zeros
 
 
 class Gap(NamedTuple):
-    """Several holds of one axis, and the hold before them."""
+    """Motion of one axis over several holds, and in the hold before them."""
 
     holds: int
     moved: float  # in all of them [m or rad]
@@ -172,7 +167,7 @@ def account_memory(limits: group_certificates.PerAxisLimits) -> AccountMemory:
 
 
 class QueuedTorques(NamedTuple):
-    """Torques that act before the next command."""
+    """Commands that were sent and act before the next one."""
 
     torques: Matrix  # a ring, (delay + 1, axes) [N*m or N]
     first: int  # place of the one that acts next; below 0 it wraps
@@ -188,7 +183,7 @@ class LateShare(NamedTuple):
 
 
 class Norms(NamedTuple):
-    """Norm of the torques that act and of the hand: N + h <= least + more l."""
+    """Bound on the norms of acting torques and hand: N + h <= least + more l."""
 
     least: float
     more: float
@@ -204,7 +199,7 @@ def copy_range(axes: AxisLimits, memory: AccountMemory, ended: bool) -> None:
 
 
 def norms_of(axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer, size: float) -> Norms:
-    """Return a bound on the norm of older, queued and next torques, and of the hand; see `Norms`.
+    """Return the bound `Norms` for older, queued and next torques and the hand.
 
     Args:
         axes: Properties of the motor axes.
@@ -373,10 +368,10 @@ def doubt_of_late_group(axes: AxisLimits, memory: AccountMemory, moved: Buffer, 
 def doubt_of_late_gap(
     axes: AxisLimits, memory: AccountMemory, ended: GroupHolds, missed: int, axis: int, excursion: float
 ) -> float:
-    """Largest excess of an axis's energy over several holds, beyond `group_account`, as torques came late [J].
+    """Largest error, of either sign, of an axis's booked energy over several holds because torques came late [J].
 
-    Any two torques that may have acted differ by `apart` at most, in each hold for as long as in one. The range of
-    torques at the SYNC at which the last hold began is taken.
+    It adds to `doubt_of_axis`. Any two torques that may have acted differ by `apart` at most. `memory.before` becomes
+    the range of torques at the SYNC at which the last hold began.
 
     Args:
         axes: Properties of the motor axes.
@@ -401,7 +396,7 @@ def doubt_of_late_gap(
 
 
 def older_needs(axes: AxisLimits, memory: AccountMemory) -> tuple[float, float]:
-    """Need of the torques at the last SYNC by the damping of the devices, and by the hand's speed [J]."""
+    """Return the energy reserved for late torques of the last SYNC by device damping, and by hand speed [J]."""
     damped = paths = 0.0
     if axes.timing.is_ideal:
         return damped, paths
@@ -416,7 +411,7 @@ def older_needs(axes: AxisLimits, memory: AccountMemory) -> tuple[float, float]:
 
 @dataclass(slots=True)
 class GroupAccount:
-    """Stored energy, surplus and the uncertain part of the energy."""
+    """State of the account: stored energy, surplus, and the uncertain part of the energy."""
 
     h_s: float = 0.0  # stored energy that the network may still give [J]
     h_dis: float = 0.0  # surplus still to be dissipated [J]
@@ -427,7 +422,7 @@ class GroupAccount:
 
 
 class AccountSettings(NamedTuple):
-    """Constants of a run."""
+    """Constants of the account in one run."""
 
     axes: AxisLimits
     apart: group_certificates.PerAxisLimits
@@ -444,7 +439,7 @@ class Accounting(NamedTuple):
 
 
 def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: AccountMemory, ended: GroupHolds) -> float:
-    """Take one hold, its displacements and the torques applied in it.
+    """Book one hold by its displacements and the torques applied in it.
 
     Returns:
         Largest shortfall of the energy received against the booked energy, because torques came late [J].
@@ -472,12 +467,14 @@ def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: Acc
 def end_group_gap(
     settings: AccountSettings, account: GroupAccount, memory: AccountMemory, ended: GroupHolds, missed: int
 ) -> tuple[float, float]:
-    """Take several holds of which only the total displacement is known; return the largest shortfall of the energy [J].
-
-    Also return its largest excess because torques came late; any other excess is left to the meter of the axis.
+    """Book several holds of which only the total displacement is known.
 
     In every hold but the last, whose torque was read back, each axis may have held any torque sent for it until
-    then, or the one of the hold before (`group_account`).
+    then, or the one of the hold before (see the module).
+
+    Returns:
+        Largest shortfall of the energy received against the booked energy, and its largest excess because torques came
+        late [J]; any other excess is left to the meter of the axis.
     """
     axes, holds, growth = settings.axes, missed + 1, settings.axes.timing.growth
     push = 0.0
@@ -526,7 +523,7 @@ def doubt_of_axis(
 ) -> float:
     """Largest shortfall of the energy received through one axis over several holds [J].
 
-    Below 0 where more came in for certain. By hand speed |D_j| <= v_max T; see `group_account` for the others.
+    It is below 0 if more came in for certain. The bounds are derived in the module's docstring.
     """
     last, damping, total = ended.applied[axis], axes.damping[axis], 0.0
     for hold in range(1, missed + 1):
@@ -578,21 +575,21 @@ def certain_energy(account: GroupAccount, credit: float) -> float:
 
 
 def fade(account: GroupAccount, share: float) -> None:
-    """Keep, out of contact, a share of the devices' dissipation together with the account; a deficit is kept whole."""
+    """Forget a part of the devices' dissipation, as happens out of contact; a deficit is kept in full."""
     if account.dissipated > 0.0:
         energy = account.h_s - account.h_dis
         keep(account, energy, share * max(0.0, energy + account.dissipated))
 
 
 def quotient(budget: float, need: float) -> float:
-    """Return budget / need; infinite where nothing is needed, 0 where there is no budget."""
+    """Return budget / need; infinite if nothing is needed, 0 if there is no budget."""
     if not budget >= 0.0:
         return 0.0
     return budget / need if need > 0.0 else inf
 
 
 def worst_case(at: Accounting, torques: Buffer, count: int) -> float:
-    """Return the base of torques that act after some of the queued ones [J]; see `base_of`."""
+    """Return the base of torques that act after the first `count` queued ones [J]; see `base_of`."""
     axes, memory, sent, first = at.settings.axes, at.memory, at.under_way.torques, at.under_way.first
     along = along_last(axes, torques, memory.displacement, memory.position_uncertainty)
     if not axes.timing.is_ideal:
@@ -610,7 +607,7 @@ def extraction_of(at: Accounting, hold: int) -> float:
 
 
 def moved_at_most(at: Accounting) -> float:
-    """Energy that a mover takes [J] in the holds of queued torques, where that is positive."""
+    """Return the energy that a mover takes from the queued torques [J]; holds in which it gives energy count 0."""
     total, under_way = 0.0, at.under_way
     if at.settings.moves:
         for hold in range(under_way.holds):
@@ -653,7 +650,7 @@ def free_energy(at: Accounting, energy: float) -> float:
 
 
 def shares(at: Accounting, torques: Buffer, energy: float) -> tuple[float, float, float]:
-    """Share of the torques that each certificate admits: hand force, device damping, hand speed; may be > 1.
+    """Return the share of torques that each certificate permits: hand force, device damping, hand speed; may exceed 1.
 
     Args:
         at: Account of the group.
@@ -686,7 +683,7 @@ def shares(at: Accounting, torques: Buffer, energy: float) -> tuple[float, float
 
 
 def by_hand_force(at: Accounting, torques: Buffer, energy: float, moved: float) -> float:
-    """Return the share by hand force; at most 1 where torques come late, see `group_account`.
+    """Return the share permitted by hand force; at most 1 where torques come late.
 
     `moved` is the energy of a mover on the torques [J]; the other arguments are as for `shares`.
     """
@@ -712,7 +709,7 @@ def by_hand_force(at: Accounting, torques: Buffer, energy: float, moved: float) 
 
 
 def share_beyond(energy: float, base: float, gain: float, late: LateShare, size: float) -> float:
-    """Return the share, up to `size`, of torques beyond what the older ones give out.
+    """Return the share, up to `size`, of new torques for which the energy suffices after the older ones.
 
     `late` is for `size`, its constant at most the energy; `base` and `gain` are for all of the torques.
     """
@@ -721,7 +718,7 @@ def share_beyond(energy: float, base: float, gain: float, late: LateShare, size:
 
 
 def damping_need_of(axes: AxisLimits, squares: Buffer) -> float:
-    """Return sum((T + theta_i) / 4 b_i times the sum of squares of an axis) [J]."""
+    """Return the sum of (T + theta_i) / 4 b_i times the sum of squares of each axis [J]."""
     total = 0.0
     for i in range(len(squares)):
         total += squares[i] / axes.squares[i]
@@ -737,7 +734,7 @@ def size_of(values: Buffer) -> float:
 
 
 def take_all_sent(at: Accounting) -> None:
-    """Take the hold that ended and the torques that may still act, for per-axis certificates."""
+    """Copy the hold that ended and the torques that may still act to the per-axis certificates."""
     settings, _, memory, under_way = at
     copy_range(settings.axes, memory, True)
     take_sent(
@@ -747,7 +744,7 @@ def take_all_sent(at: Accounting) -> None:
 
 
 def free_if_apart(at: Accounting, energy: float) -> float:
-    """`free_energy` for per-axis certificates."""
+    """Return `free_energy` by the per-axis certificates."""
     settings, account, memory, _ = at
     axes, limits, apart, free = settings.axes, settings.apart, memory.apart, 0.0
     take_all_sent(at)
@@ -765,7 +762,7 @@ def free_if_apart(at: Accounting, energy: float) -> float:
 
 
 def shares_if_apart(at: Accounting, torques: Buffer, energy: float) -> tuple[float, float, float]:
-    """`shares` for per-axis certificates; none is above 1 by hand force."""
+    """Return `shares` by the per-axis certificates; that of hand force is at most 1."""
     settings, account, memory, _ = at
     axes, limits, apart = settings.axes, settings.apart, memory.apart
     take_all_sent(at)

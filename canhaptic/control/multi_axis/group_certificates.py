@@ -1,37 +1,37 @@
 """The share of a group's torques permitted in the next hold: the certificates of one axis, for all motor axes at once.
 
-Let W be the requested torques (motor coordinates) and l W, 0 <= l <= 1, those sent. The energy that they take out in
-their hold is l W . D, D the displacement in it, and the reasoning of `certificates.scalar_bounds` bounds W . D as it
-bounds a displacement along one axis: with D_0 the displacement of the hold that ended and f_0, f_1, ... the torques
-before,
+**Together.** Let W be the requested torques (motor coordinates) and l W, 0 <= l <= 1, those sent. The energy that they
+give out in their hold is l W . D, D the displacement in it, and the reasoning of `certificates.scalar_bounds` bounds
+W . D as it bounds a displacement along one axis: with D_0 the displacement of the hold that ended and f_0, f_1, ... the
+torques before,
 
     W . D <= W . D_0 + sum of the responses of W . D to f_0, f_1, ..., to l W, and to the hand,
 
 so that l W . D <= l base + l^2 gain, and l follows as the torque of one axis does (`hand_force_bound`). For one axis it
-is the same number. What the axes share is only the energy: motion across the torques costs nothing.
+is the same number. The axes share only the energy: motion across the torques costs nothing.
 
-**Inertia.** The true inertia M may couple the axes; all that is known is M >= diag(m_i), the declared under-estimates.
+*Inertia.* The true inertia M may couple the axes; all that is known is M >= diag(m_i), the declared under-estimates.
 For symmetric 0 <= M^-1 <= P the largest value of W' M^-1 f is (W'Pf + |W|_P |f|_P) / 2: never more than the product of
 the norms, and 0 for opposed torques. For one axis it is max(0, W f) / m.
 
-**Hand.** W' M^-1 u <= F_h |W|_P |1|_P, u the torque of the hand at the motors, for the torques W of the hold and of the
+*Hand.* W' M^-1 u <= F_h |W|_P |1|_P, u the torque of the hand at the motors, for the torques W of the hold and of the
 1 + delay holds after it. Every hand that pulls each motor axis with F_h or less is covered, however fast the torque
 turns and for every M. A hand may push harder against the torque (into a wall) where M does not couple the axes; a
 harder push ACROSS the torque is covered as long as the torque does not turn, and the axes are equal and not coupled.
 Forces that come from an inertia changing with the pose (Coriolis, centrifugal) count with the hand's.
 
-**Friction** of an axis raises an inward displacement, by no more than e^(-bT/m) in every hold; that is counted axis by
-axis. What it lowers counts only for one axis alone: where M couples them, friction on one axis pushes the others, and
-counts with the hand's force.
+*Friction* of an axis raises an inward displacement, by no more than e^(-bT/m) in every hold; that is counted axis by
+axis. An outward displacement is counted as lowered only for one axis alone: where M couples the axes, friction on one
+pushes the others, and counts with the hand's force.
 
-**Mover.** A wall that moves by w in a hold gives the energy that its force takes over w: with u the motion of the
+*Mover.* A wall that moves by w in a hold gives the energy that its force takes over w: with u the motion of the
 motors that would go with it, W . u, so that D - u replaces D where it is multiplied by a torque. u is known in advance.
 
-**Device damping.** Each axis dissipates at least (b_i/T) D_i^2, so sum(F_i^2 T / 4 b_i) <= E_d serves every user.
+*Device damping.* Each axis dissipates at least (b_i/T) D_i^2, so sum(F_i^2 T / 4 b_i) <= E_d serves every user.
 
-**Hand speed.** sum |F_i| v_max T <= E.
+*Hand speed.* sum |F_i| v_max T <= E.
 
-**Holds that jitter, torques that come late** (`certificates.hold_timing`, of which (1) holds for every axis by itself).
+*Holds that jitter, torques that come late* (`certificates.hold_timing`, of which (1) holds for every axis by itself).
 D_1 = r D_0 + responses with one r of all axes, 1 / growth <= r <= growth, so that W . D_0 counts with that; friction
 and responses are taken for the longest hold. A motor that still has an older torque adds a change of it on its own
 axis, a force d p(t) along e_i with p as in (1). Its response is never below zero for either sign of d,
@@ -39,12 +39,10 @@ axis, a force d p(t) along e_i with p as in (1). Its response is never below zer
     W' M^-1 e_i d <= d W_i / 2 m_i + |d| |W|_P / 2 m_i^(1/2),
 
 so that it counts as in (1) as min(1, 2 theta / T) of its largest value held throughout, and adds to that of the
-torques of the hold. Of one axis this is max(0, g - f) / m. The energy of older torques is in `group_account`.
+torques of the hold. For one axis this is max(0, g - f) / m. The energy of older torques is in `group_account`.
 
-The certificates axis by axis: each holds its new torque or an older one.
-
-`group_certificates` covers torques that act together. Where a frame is lost the group's torque turns: one axis still
-has an older torque, and energy that the new one was to bring in may be missing. Declared is
+**Axis by axis.** The bounds above cover torques that act together. Where a frame is lost the group's torque turns: one
+axis still has an older torque, and energy that the new one was to bring in may be missing. Declared is
 `max_consecutive_losses` = L: axis i has in hold j from now one of the torques sent for it that are no more than L holds
 older than the newest. With s_q those torques, W the new one, d the delay and D_ij the displacement of axis i in hold j,
 they give out no more than
@@ -67,7 +65,7 @@ sent before. Every term is a parabola in l, (1) convex, and the largest l within
 terms that count at the last one, from l = 1 down. Without losses, e = d + 1, (1) serves groups as well: it lets axes
 that bring energy in go first (`inward_first`).
 
-**Torques that come late** (`hold_timing`). In a hold, axis i may then have any course between 0 and the torques of that
+*Torques that come late* (`hold_timing`). In a hold, axis i may then have any course between 0 and the torques of that
 hold; no term counts below 0. It gives out no more than the largest times the way V that it goes along it: for an axis
 that gains a T in the hold, V = D_ij where it begins outward, and V <= (D_ij + a T^2 / 2) / 2 where it turns inside the
 hold and D_ij <= a T^2 / 2. What an older torque has beyond all of those acts for theta alone (`write_tail`), and all of
@@ -89,7 +87,7 @@ from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, zeros
 
 
 class GroupTiming(NamedTuple):
-    """Declared timing of the holds of a group; see `hold_timing`. Shapes (axes,)."""
+    """Declared timing of a group's holds as the certificates use it; see `hold_timing`. Shapes (axes,)."""
 
     is_ideal: bool  # whether every hold is exact, and no torque late
     growth: float  # longest hold over the shortest
@@ -104,7 +102,7 @@ class GroupTiming(NamedTuple):
 
 
 def timing_of(loops: tuple[LoopProperties, ...], by_hand: bool, pull: float, speed: float) -> GroupTiming:
-    """Declared timing of the holds of a group.
+    """Return the declared timing of a group's holds.
 
     Args:
         loops: Loop of each axis.
@@ -151,7 +149,7 @@ class AxisLimits(NamedTuple):
 
 
 def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_speed: float | None) -> AxisLimits:
-    """Properties of the motor axes for the certificates.
+    """Return the properties of the motor axes that the certificates use.
 
     Args:
         loops: Loop of each axis.
@@ -228,7 +226,7 @@ def response_to_late(
 
 
 def pass_range(axes: AxisLimits, highest: Buffer, lowest: Buffer, held: Buffer) -> None:
-    """Advance the range of the torques to the next SYNC, after a hold of these."""
+    """Advance the range of the torques to the next SYNC, after a hold with the torques `held`."""
     for i in range(len(held)):
         torque, left = held[i], axes.timing.left[i]
         highest[i] = torque + left * max(0.0, highest[i] - torque)
@@ -244,7 +242,7 @@ def _hand_term(axes: AxisLimits, torques: Buffer) -> float:
 
 
 def along_last(axes: AxisLimits, torques: Buffer, displacement: Buffer, position_uncertainty: Buffer) -> float:
-    """Largest W . D_0 [J], after friction, of a displacement known up to encoder counts and its uncertainty."""
+    """Return the largest W . D_0 [J] of a displacement known up to encoder counts and its uncertainty."""
     total = 0.0
     for i in range(len(axes.counts)):
         along = torques[i] * displacement[i]
@@ -263,7 +261,7 @@ def _raised_by_friction(axes: AxisLimits, torques: Buffer, displacement: Buffer)
 
 
 class Acting(NamedTuple):
-    """The range of the torques that act at a SYNC."""
+    """Range of the torques that may act at a SYNC."""
 
     highest: Buffer  # at most, (axes,) [N*m or N]
     lowest: Buffer  # at least
@@ -319,12 +317,12 @@ def base_of(
 
 
 def _stretched(total: float, growth: float) -> float:
-    """Return the largest that W . D can be in a hold of another length."""
+    """Return the largest W . D [J] in a hold of another length."""
     return total * growth if total > 0.0 else total / growth
 
 
 def taken_by_mover(torques: Buffer, moved: Buffer) -> float:
-    """Return the energy of a mover [J] in a hold; its motion is given in motor coordinates (axes,) [rad or m]."""
+    """Return the energy that a mover takes from the torques in a hold [J]; `moved` is its motion at the motors."""
     total = 0.0
     for i in range(len(moved)):
         total -= torques[i] * moved[i]
@@ -332,7 +330,7 @@ def taken_by_mover(torques: Buffer, moved: Buffer) -> float:
 
 
 def gain_of(axes: AxisLimits, torques: Buffer) -> float:
-    """Return the gain of l W . D [J] by the torques themselves."""
+    """Return the gain of l W . D [J]: the response to the torques W themselves."""
     total = 0.0
     for i in range(len(axes.during)):
         total += torques[i] * axes.during[i] * torques[i]
@@ -356,7 +354,7 @@ def path_need(axes: AxisLimits, torques: Buffer) -> float:
 
 
 class PerAxisLimits(NamedTuple):
-    """Constants of a run."""
+    """Constants of the certificates axis by axis."""
 
     delay: int  # whole holds between computation and action
     losses: int  # consecutive cycles in which an axis may be without a new torque
@@ -370,7 +368,7 @@ class PerAxisLimits(NamedTuple):
 
 
 class PerAxisMemory(NamedTuple):
-    """Torques that may still act, and the energy of each axis with them; [J] except torques and starts."""
+    """Torques that may still act, and the energy of each axis with them; [J] but for torques and starts."""
 
     sent: Matrix  # torques held in the hold that ended, and those under way, (delay + 1, axes) [N*m or N]
     largest: Buffer  # size of any of them on each axis, (axes,)
@@ -392,7 +390,7 @@ class PerAxisMemory(NamedTuple):
 
 
 def per_axis_limits(axes: AxisLimits, delay: int, losses: int) -> PerAxisLimits:
-    """Constants of a run."""
+    """Return the constants of the certificates axis by axis."""
     whole = [b + d for b, d in zip(axes.before, axes.during, strict=True)]
     first = max([d / r if r else 0.0 for d, r in zip(axes.during, whole, strict=True)])
     is_late = any(axes.timing.share)
@@ -420,7 +418,7 @@ def per_axis_memory(limits: PerAxisLimits) -> PerAxisMemory:
 
 
 def write_parabolas(memory: PerAxisMemory, place: int, old: float, new: float, base: float, slope: float) -> int:
-    """Write the energy of an axis that moves by base + slope l, for an old torque and for l times a new one."""
+    """Write the energy of an axis that moves by base + slope l, with an old torque and with l times a new one."""
     if old > 0.0:
         memory.constant[place], memory.linear[place], memory.square[place] = old * base, old * slope, 0.0
         place += 1
@@ -474,7 +472,7 @@ def write_tail(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, axis: int, side: int, index: int, norm: float,
     more: float, older: float, new: float, place: int,
 ) -> int:  # fmt: skip
-    """Write the energy of torques at the beginning of a hold as parabolas; return the index of the next.
+    """Write the energy of older torques at the beginning of a hold as parabolas; return the index of the next.
 
     X = integral(p v) over v > 0 is convex in the displacement D before: s D + s (1/2 + s) a T^2 for D >= 0 and none
     where the axis still goes inward at the end of the hold, D <= -3/2 a T^2.
@@ -489,7 +487,7 @@ def write_tail(
 
 
 _PASSES: Final = 24
-"""Most passes of the search for a share; an axis that needs more renders nothing."""
+"""Most passes of the search for a share; if more are needed, nothing is rendered."""
 _ROUNDING: Final = 1e-12
 
 
@@ -497,7 +495,7 @@ def take_sent(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, displacement: Buffer, position_uncertainty: Buffer,
     torques: Buffer, under_way: Matrix, first: int, older: Acting,
 ) -> None:  # fmt: skip
-    """Take the hold that ended and the torques that may still act.
+    """Write the hold that ended and the torques that may still act.
 
     Args:
         axes: Properties of the motor axes.
@@ -538,7 +536,7 @@ def write_largest(limits: PerAxisLimits, memory: PerAxisMemory) -> None:
 
 
 def take_older(axes: AxisLimits, memory: PerAxisMemory, older: Acting, axis: int) -> None:
-    """Take the range of the torques of an axis at the last SYNC, for holds of any length, and the friction in them."""
+    """Write the range of an axis's torques at the last SYNC, and adapt start and friction to holds of any length."""
     highest, lowest = older.highest[axis], older.lowest[axis]
     memory.older.highest[axis], memory.older.lowest[axis] = highest, lowest
     memory.largest[axis] = max(memory.largest[axis], highest, -lowest)
@@ -681,7 +679,7 @@ def needed_by_hand(axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemor
 
 
 def largest_share(limits: PerAxisLimits, memory: PerAxisMemory, budget: float) -> float:
-    """Return the largest l <= 1 at which the cells sum to no more than the budget [J]; 0 where none is found."""
+    """Return the largest l <= 1 at which the cells sum to no more than the budget [J]; 0 if none is found."""
     share = 1.0
     for _ in range(_PASSES):
         fixed, linear, square = given_at_most(limits, memory, share)
@@ -698,7 +696,7 @@ def largest_share(limits: PerAxisLimits, memory: PerAxisMemory, budget: float) -
 def share_by_hand(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer, budget: float
 ) -> float:
-    """Return the largest share l <= 1 of new torques within a budget [J]; 0 where there is none.
+    """Return the largest share l <= 1 of new torques within a budget [J]; 0 if there is none.
 
     Args:
         axes: Properties of the motor axes.
@@ -716,11 +714,11 @@ def inward_first(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer,
     quanta: Buffer, budget: float, found: Buffer,
 ) -> None:  # fmt: skip
-    """Write torques: the largest certified ones on axes that move against theirs, a common share on the others.
+    """Write the torques to send: axes that move against their torque first, then a common share on the others.
 
-    An axis that moves against its torque absorbs energy, independently of the others; otherwise no group would leave
-    an empty account, as the first torque of an axis at rest gives out F^2 T^2 / 2m. The force turns while the account
-    is short. Torques that cost nothing are sent in debt as well.
+    An axis that moves against its torque absorbs energy, independently of the others. Without this order no group would
+    leave an empty account, because the first torque of an axis at rest gives out F^2 T^2 / 2m. The force of the group
+    turns while the account is short. Torques that cost nothing are sent even in debt.
 
     Args:
         axes: Properties of the motor axes.

@@ -1,13 +1,11 @@
-"""Controllers that render on several motor axes at once, with one shared account.
+"""Controllers that render on several motor axes at once, with one account.
 
 The torque of every motor is constant during a hold, so the energy that came in is -sum(tau_i dq_i) in MOTOR
 coordinates, exactly, for every mechanism between motors and hand (eq. 2). Kinematics only shape the torques.
 
-Axes that render together: every axis still has a sample, a torque and its part of the energy, the group one account.
-
-The energy of an axis in a group is -torque * displacement as for any other (eq. 2), but alone it proves nothing: what
-comes in by one axis may go out by another. Store, dissipation, surplus and certificate belong to the group; the
-balance of the axis says `Branch.GROUP`, and it holds h_i alone.
+Every axis of a group has its own sample, torque and balance, but its energy -torque * displacement alone proves
+nothing: energy that enters through one axis may leave through another. Stored energy, dissipation, surplus and
+certificate therefore belong to the group; the balance of the axis says `Branch.GROUP` and holds h_i alone.
 """
 
 from collections.abc import Sequence
@@ -43,10 +41,10 @@ def group_at_rest(axes: int) -> GroupBalance:
 
 
 class GroupController(Protocol):
-    """A network with its kinematics and passivity, rendered on several motor axes at once.
+    """An algorithm that renders a network on several motor axes at once.
 
     Attributes:
-        axes: Motor axes, in the order of every sequence below.
+        axes: Number of motor axes; every sequence below has one entry for each.
     """
 
     axes: int
@@ -84,7 +82,7 @@ class NetworkEnvironment(Protocol):
             dimensions: Number of dimensions of task space.
 
         Raises:
-            ParameterError: It does not fit that many dimensions, or would not be passive.
+            ParameterError: The network does not fit that many dimensions, or would not be passive.
         """
 
 
@@ -95,11 +93,11 @@ _LIMIT_TEXTS = {
     Limit.SINGULAR.value: "the pose is closer to a singularity than declared: no torque until it has moved away",
     Limit.UNSOLVED.value: "the network's equation did not converge: no torque until it does",
 }
-"""Limit -> its meaning for the user, for logs."""
+"""Limit -> message for the user."""
 
 
 class AxisGroup:
-    """Some axes of a rig, their controller and their account.
+    """A group of axes of a rig, with its controller and its account.
 
     Args:
         name: Name of the group, different from every axis name.
@@ -143,14 +141,14 @@ class AxisGroup:
         return self.balance
 
     def book(self, sync_index: int, deadline: int | None = None) -> str:
-        """Take the last step into the ledger, and count its limit.
+        """Book the last step in the ledger, and count its limit.
 
         Args:
             sync_index: Index of the SYNC of that step.
             deadline: Sample times to that SYNC; None: no SYNC was skipped.
 
         Returns:
-            Message about a limit newly reached; empty otherwise.
+            Message about a limit that was just reached; empty otherwise.
         """
         self.ledger.add(self.balance.account, sync_index, deadline)
         self.supplied += self.balance.supplied
@@ -163,7 +161,7 @@ class AxisGroup:
         return _LIMIT_TEXTS[limit] if before != limit else ""
 
     def sample(self, samples: Sequence[Sample]) -> Sample:
-        """The group's entry in the log: no position, and the norm of its torques.
+        """Return the group's entry in the log: position 0, and the norm of its torques.
 
         Args:
             samples: Samples of the whole rig.
@@ -177,7 +175,7 @@ class AxisGroup:
         return Sample(samples[0].sync_index, 0.0, square**0.5, words, fresh)
 
     def truth(self, truths: Sequence[Truth]) -> Truth:
-        """Return the true energies of its axes together; work of movers counts like work of motors.
+        """Return the sum of the true energies of its axes; work of a mover counts as work of a motor.
 
         Args:
             truths: True energies, one for each axis of the rig.
@@ -188,12 +186,12 @@ class AxisGroup:
 
 
 class GroupedControllers:
-    """Controllers of a rig on which at least one group renders, or of a dry run.
+    """Controllers of a rig that has groups of axes, or of any rig in a dry run.
 
     Args:
         controllers: Controllers of the axes outside groups, in the order of the rig.
         groups: Groups; each axis of the rig is in one of them or has a controller.
-        dry_run: Whether no torque is sent. No lost sample then makes energy uncertain.
+        dry_run: Whether no torque is sent; a lost sample then makes no energy uncertain.
     """
 
     def __init__(self, controllers: Sequence[Controller], groups: Sequence[AxisGroup], dry_run: bool = False) -> None:

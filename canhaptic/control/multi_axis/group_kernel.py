@@ -1,10 +1,8 @@
-"""An algorithm of a group in the cycle: keeps the state of the kernel, and refuses values that are not finite.
+"""Common part of the algorithms of a group: its motion, its commands, and the kernel with its state in the cycle.
 
-Maps between motor axes and network ports: the group's motion, and the efforts that its network requests.
-
-Common part of the kernels of groups, for any algorithm.
-
-The torques of a group, with their components, from computation to the end of the hold in which they acted.
+The motion of the motors moves the ports of the network through mechanism and geometry, and the efforts of the network
+return to the motors the same way. A command is kept, with its components, from its computation to the end of the hold
+in which it acted.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,8 +16,7 @@ from canhaptic.control.damping import VelocityWindow, damping_cap, restart, upda
 from canhaptic.control.mechanisms.kinematics import Kinematics, KinematicsKernel, Limit, mechanism_of
 from canhaptic.control.multi_axis.group_controller import GroupBalance, NetworkEnvironment, group_at_rest
 from canhaptic.control.passivity.controller import LoopProperties
-from canhaptic.control.port_hamiltonian.gauss import dot
-from canhaptic.control.port_hamiltonian.network import Functions, NetworkTables
+from canhaptic.control.port_hamiltonian.network import Functions, NetworkTables, dot
 from canhaptic.control.port_hamiltonian.sampled_network import (
     NetworkMemory,
     NetworkState,
@@ -33,7 +30,7 @@ from canhaptic.control.port_hamiltonian.sampled_network import (
 )
 from canhaptic.control.port_hamiltonian.shapes.geometry import Geometry, Mover, moved_by
 from canhaptic.errors import ControlError, ParameterError
-from canhaptic.kernels import Buffer, Matrix, list_of_zeros, with_quick_fields, zeros
+from canhaptic.kernels import Buffer, Kernel, Matrix, list_of_zeros, with_quick_fields, zeros
 from canhaptic.units import Parameters
 
 _NONE, _WORKSPACE, _UNSOLVED = Limit.NONE.value, Limit.WORKSPACE.value, Limit.UNSOLVED.value
@@ -42,7 +39,7 @@ _LONGEST_WINDOW: Final = 0.02
 
 
 class GroupModel(NamedTuple):
-    """Network of a group, and its kinematics."""
+    """Network of a group with its geometry, mover and mechanism."""
 
     mechanism: KinematicsKernel
     geometry: Geometry
@@ -52,7 +49,7 @@ class GroupModel(NamedTuple):
 
 
 class MotionSettings(NamedTuple):
-    """Constants of a run."""
+    """Constants of a group's motion in one run."""
 
     sample_time: float  # [s]
     counts: Buffer  # of the encoders, (axes,); 0: ideal [m or rad]
@@ -62,7 +59,7 @@ class MotionSettings(NamedTuple):
 
 @dataclass(slots=True)
 class GroupMotion:
-    """Motion of a group."""
+    """State of a group's motion and of its network."""
 
     located: bool = False  # whether the mechanism is inside its limits
     began: bool = True  # whether the last positions were the first inside the limits
@@ -108,7 +105,7 @@ class MotionAhead(NamedTuple):
 
 
 class RequestedEfforts(NamedTuple):
-    """Efforts that oppose the motion, at the motors, shapes (axes,) [N*m or N]."""
+    """Efforts at the motors, positive against the motion, shapes (axes,) [N*m or N]."""
 
     spring: Buffer
     lead: Buffer
@@ -120,7 +117,7 @@ def world_of(environment: NetworkEnvironment, kinematics: Kinematics, loops: tup
     """Return a model from environment, mechanism and loops.
 
     Raises:
-        ParameterError: They do not fit.
+        ParameterError: They do not fit together.
     """
     _check_loops(kinematics, loops)
     network, geometry, mover = environment.build(kinematics.dimensions)
@@ -134,20 +131,20 @@ def world_of(environment: NetworkEnvironment, kinematics: Kinematics, loops: tup
 
 
 def why_not_world(world: GroupModel) -> str:
-    """Reason why a part of a group model cannot be compiled, or ""."""
+    """Reason why a part of a group model cannot be compiled; empty if all can."""
     parts = (world.mechanism, world.geometry, world.functions)
     names = [type(part).__name__ for part in parts if not hasattr(part, "_fields") or hasattr(part, "kinematics")]
     return f"got {', '.join(names)}, which is Python code of its own" if names else ""
 
 
 def motion_settings(world: GroupModel, loops: tuple[LoopProperties, ...]) -> MotionSettings:
-    """Constants of a run."""
+    """Return the constants of a group's motion."""
     counts = [loop.encoder_count for loop in loops]
     return MotionSettings(loops[0].sample_time, counts, any(counts), world.mover.half != 0.0)
 
 
 def motion_memory(world: GroupModel, settings: MotionSettings) -> MotionMemory:
-    """Buffers for the motion of a group."""
+    """Return the buffers for the motion of a group."""
     geometry, axes = world.geometry, len(settings.counts)
     ports, dimensions = geometry.ports, geometry.dimensions
     longest = max(2, round(_LONGEST_WINDOW / settings.sample_time)) if settings.smooth else 0
@@ -177,7 +174,7 @@ def follow(
     world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer,
     displacement: Buffer, holds: int,
 ) -> None:  # fmt: skip
-    """Take positions and the displacement since the last ones, and advance the network by it."""
+    """Update the motion of a group with new positions, and advance the network by it."""
     move(world, settings, motion, memory, positions, displacement, holds)
     motion.internal, motion.entered = 0.0, 1.0
     if not motion.located:
@@ -200,7 +197,7 @@ def move(
     world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer,
     displacement: Buffer, holds: int,
 ) -> None:  # fmt: skip
-    """Take positions and the displacement since the last ones, over one hold or several; the network is not advanced.
+    """Update the motion of a group with new positions, after one hold or several; the network is not advanced.
 
     Args:
         world: Network and kinematics of the group.
@@ -236,7 +233,7 @@ def move(
 
 
 def settle_motion(motion: GroupMotion) -> None:
-    """Update energy and engagement of the network."""
+    """Copy energy and engagement of the network to the motion."""
     motion.energy = motion.network.energy
     motion.engaged = motion.network.engaged and motion.limit == _NONE
 
@@ -244,7 +241,7 @@ def settle_motion(motion: GroupMotion) -> None:
 def locate(
     world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer
 ) -> None:
-    """Compute pose and coordinates, minus the mover's motion."""
+    """Compute pose and port coordinates, minus the mover's motion, and the rows of the ports over the motor axes."""
     motion.limit = world.mechanism.locate(positions, memory.place, memory.jacobian)
     motion.located = motion.limit == _NONE
     if not motion.located:
@@ -305,7 +302,7 @@ def write_efforts(
     """Write the efforts that the network requests of the motors, its springs at the predicted positions.
 
     Returns:
-        Speed at which the storages at the ports move by themselves [m/s or rad/s].
+        Speed at which the storages at the ports move relative to the ports [m/s or rad/s].
     """
     tables, network, holds = world.tables, memory.network, motion.holds
     ports, time, carried = memory.port_motion, settings.sample_time, motion.moved / motion.holds
@@ -351,7 +348,7 @@ def to_ports(memory: MotionMemory, moved: Buffer, carried: float, into: Buffer) 
 
 
 def to_motors(memory: MotionMemory, efforts: Buffer, into: Buffer) -> None:
-    """Write the efforts at the motors [N*m or N] of efforts at the ports."""
+    """Write the motor efforts [N*m or N] that are equivalent to efforts at the ports."""
     for axis in range(len(into)):
         into[axis] = 0.0
     for j in range(len(efforts)):
@@ -419,10 +416,10 @@ def end_holds(
     commands: GroupCommands, ended: GroupHolds, largest: Buffer, oldest: int, missed: int, positions: Buffer,
     applied: Buffer,
 ) -> int:  # fmt: skip
-    """Take the holds that ended; return the index of the command that acted in the last of them.
+    """Record the holds that ended; return the index of the command that acted in the last of them.
 
-    The efforts at that place are afterwards those inside the torques applied: a torque that was cut had as much less
-    of each of them.
+    The efforts of that command are then scaled to the torques applied: a torque that was cut contains as much less of
+    each of them.
 
     Args:
         commands: Commands of the group.
@@ -515,7 +512,7 @@ _NO_CAP: Final = 1e12
 
 
 class GroupLoop(NamedTuple):
-    """Constants of a run, the same for every algorithm."""
+    """Constants of a run that every algorithm has."""
 
     delay: int  # whole holds between computation and action
     caps: Buffer  # of the damping, (axes,) [N*s/m or N*m*s/rad]
@@ -537,7 +534,7 @@ class Group:
 
 
 class GroupMemory(NamedTuple):
-    """Buffers of every algorithm."""
+    """Buffers that every algorithm has."""
 
     commands: GroupCommands
     ended: GroupHolds
@@ -555,17 +552,8 @@ class GroupHold(NamedTuple):
     place: int  # of the torques that it sent, in the rings of the commands
 
 
-class GroupKernel(NamedTuple):
-    """A passivity algorithm of a group as functions; see `canhaptic.kernels.Kernel`."""
-
-    settings: Callable[..., Any]  # (world, parameters, loops) -> constants of a run; has `loop`
-    state: Callable[[], Any]  # () -> state at rest
-    memory: Callable[..., Any]  # (world, settings) -> buffers; has `group`
-    step: Callable[..., GroupHold]  # (world, settings, state, memory, samples lost before, positions, torques applied)
-
-
 def group_loop(world: GroupModel, loops: tuple[LoopProperties, ...]) -> GroupLoop:
-    """Constants of a run."""
+    """Return the constants of a run that every algorithm has."""
     sample_time, delay = loops[0].sample_time, loops[0].delay
     caps = [min(_NO_CAP, damping_cap(delay, loop.moving_mass, sample_time)) for loop in loops]
     largest = [loop.torque_limit or inf for loop in loops]
@@ -575,7 +563,7 @@ def group_loop(world: GroupModel, loops: tuple[LoopProperties, ...]) -> GroupLoo
 
 
 def group_memory(world: GroupModel, loop: GroupLoop, ports: int) -> GroupMemory:
-    """Return the buffers of a group at rest; the efforts at the ports are kept."""
+    """Return the buffers of a group at rest; `ports` is the number of ports whose efforts are kept."""
     axes = len(loop.caps)
     return GroupMemory(
         no_group_commands(axes, ports, loop.delay), no_group_holds(axes, loop.delay), motion_memory(world, loop.motion)
@@ -586,14 +574,14 @@ _HELD = Branch.HELD.value
 
 
 class SteppedGroup:
-    """A kernel with the state of one group; see `GroupController`.
+    """The controller of one group: a kernel with its state; see `GroupController`.
 
     Attributes:
         energy_resolution: Largest excess of the energy that came in, due to late torques and lost samples [J].
     """
 
     parameters_type: ClassVar[type[Parameters]]
-    kernel: ClassVar[GroupKernel]
+    kernel: ClassVar[Kernel]
 
     def __init__(
         self,
@@ -605,7 +593,7 @@ class SteppedGroup:
         """Prepare a run; `parameters` is of `parameters_type`.
 
         Raises:
-            ParameterError: Parts do not fit together, or the algorithm cannot do without something that is not known.
+            ParameterError: Parts do not fit together, or a property that the algorithm needs is not declared.
         """
         self.axes = kinematics.axes
         self.max_consecutive_losses: int = getattr(parameters, "max_consecutive_losses", 0)
@@ -616,7 +604,7 @@ class SteppedGroup:
         self.reset()
 
     def _begin(self) -> tuple[Callable[..., GroupHold], Matrix, Buffer, Callable[[int], object]]:
-        """Begin a run: its step, the rows of its commands, h_i of each axis, and what takes a command back."""
+        """Begin a run; return step, rows of commands, h_i of each axis, and a function that voids a command."""
         memory, fixed = with_quick_fields(self.kernel.memory(*self._fixed)), map(with_quick_fields, self._fixed)
         step, commands = partial(self.kernel.step, *fixed, self.kernel.state(), memory), memory.group.commands
         return step, commands.torques, memory.group.ended.interactions, partial(send_nothing, commands)

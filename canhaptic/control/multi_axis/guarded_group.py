@@ -1,10 +1,9 @@
-"""`guarded` for a group: the network keeps the state of its model, the energy account limits the torques together.
+"""`guarded` for a group: the network keeps the state of its model, and the energy account limits all torques together.
 
-On one axis with a spring and a damper it equals `passivity.guarded` to rounding. On several axes the account is scalar;
-efforts are compared in the norm in which every axis has its own damping cap, |f|^2 = sum(f_i^2 / cap_i), and are scaled
-together, so that a limited force keeps its direction.
-
-Efforts are rendered as far as the account covers them, and sent as far as they are certified.
+On one axis with a spring and a damper it equals `passivity.guarded` to rounding. On several axes the account is scalar.
+Efforts are compared in the norm in which every axis has its own damping cap, |f|^2 = sum(f_i^2 / cap_i), and are scaled
+together, so that a limited force keeps its direction. They are requested as far as the account covers them, and sent as
+far as the certificates permit.
 """
 
 from dataclasses import dataclass, field
@@ -48,7 +47,7 @@ from canhaptic.control.passivity.guarded import observe, observe_mean, predicted
 from canhaptic.control.passivity.stepped import settle, towards_zero
 from canhaptic.control.port_hamiltonian.sampled_network import internal_motion
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import Buffer, Run, list_of_zeros, new
+from canhaptic.kernels import Buffer, Kernel, Run, list_of_zeros, new
 from canhaptic.units import Parameters
 
 _FREE, _START, _EXACT = Branch.FREE.value, Branch.START.value, Branch.EXACT.value
@@ -62,7 +61,7 @@ _GRID_BACK: Final = 0.99
 
 
 class GuardedGroupSettings(NamedTuple):
-    """Constants of a run."""
+    """Constants of a `guarded` group in one run."""
 
     loop: group_kernel.GroupLoop
     account: group_account.AccountSettings
@@ -79,7 +78,7 @@ class GuardedGroupSettings(NamedTuple):
 
 @dataclass(slots=True)
 class GuardedGroupState:
-    """State kept from SYNC to SYNC."""
+    """State of a `guarded` group, kept from SYNC to SYNC."""
 
     was_engaged: bool = False
     group: group_kernel.Group = field(default_factory=group_kernel.Group)
@@ -87,7 +86,7 @@ class GuardedGroupState:
 
 
 class GuardedGroupMemory(NamedTuple):
-    """Buffers of a group."""
+    """Buffers of a `guarded` group."""
 
     group: group_kernel.GroupMemory
     account: group_account.AccountMemory
@@ -106,16 +105,16 @@ class GuardedGroupMemory(NamedTuple):
 
 
 GuardedRun: TypeAlias = Run[GuardedGroupSettings, GuardedGroupState, GuardedGroupMemory]
-"""Settings, state and memory of a group."""
+"""Settings, state and memory of a `guarded` group."""
 
 
 def settings_of(
     world: group_kernel.GroupModel, parameters: guarded.GuardedParameters, loops: tuple[LoopProperties, ...]
 ) -> GuardedGroupSettings:
-    """Constants of a run.
+    """Return the constants of a `guarded` group.
 
     Raises:
-        ParameterError: No declared property certifies any torque, or a group cannot honour a key.
+        ParameterError: No declared property certifies any torque, or a key is not supported for groups.
     """
     _refuse_keys_of_one_axis(parameters)
     sample_time, delay = loops[0].sample_time, loops[0].delay
@@ -144,14 +143,14 @@ def _refuse_keys_of_one_axis(parameters: guarded.GuardedParameters) -> None:
     """Refuse keys that only the certificates of a single axis can use.
 
     Raises:
-        ParameterError: Such a key is declared; it names it.
+        ParameterError: Such a key is declared.
     """
     push, pull = parameters.hand_push or 0.0, parameters.hand_force or 0.0
     if push > pull:
         raise ParameterError(
-            f"guarded group: got hand_push {push:g}, expected none above hand_force ({pull:g}); a group knows no way "
-            f"out of its contacts, so hand_force counts along every torque: declare hand_force {push:g}, or leave out "
-            "hand_push"
+            f"guarded group: got hand_push {push:g}, expected none above hand_force ({pull:g}); for a group no way out "
+            f"of a contact is known, so hand_force counts along every torque: declare hand_force {push:g}, or leave "
+            "out hand_push"
         )
     for key in ("earned_energy", "drag"):
         if value := getattr(parameters, key):
@@ -196,7 +195,7 @@ def step(
     positions: Buffer,
     torques_applied: Buffer,
 ) -> GroupHold:
-    """Account for the hold that ended; see `GroupKernel`."""
+    """Account for the hold that ended; see `canhaptic.kernels.Kernel`."""
     group, motion, ended, commands = state.group, state.group.motion, memory.group.ended, memory.group.commands
     run = Run(settings, state, memory)  # not by `new`: compiled, no function returns a record
     if not group.started:
@@ -231,7 +230,7 @@ def step(
 
 
 def begin(world: group_kernel.GroupModel, run: GuardedRun, positions: Buffer) -> None:
-    """Take the first positions, of a group at rest."""
+    """Start at the first positions, at rest."""
     settings, state, memory = run
     group, motion, loop = state.group, memory.group.motion, settings.loop.motion
     group.started = True
@@ -244,12 +243,11 @@ def begin(world: group_kernel.GroupModel, run: GuardedRun, positions: Buffer) ->
 
 
 def end(world: group_kernel.GroupModel, run: GuardedRun, missed: int) -> tuple[float, float, float]:
-    """Take the holds that ended into the account; return the energy that a mover supplied, and its uncertainty [J].
+    """Book the holds that ended; return the energy that a mover supplied, and bounds of the account's error [J].
 
-    The uncertainty is the largest shortfall, which is not booked, and the largest excess.
-
-    The mover's motion is that of the motors at the pose at which it was first computed: another pose of the same hold
-    could book less than was certified.
+    The bounds are the largest shortfall, which is subtracted from the booked energy, and the largest excess. The
+    mover's motion keeps the pose at which it was first computed: with another pose of the same hold less could be
+    booked than was certified.
     """
     settings, state, memory = run
     ended, account, limits = memory.group.ended, memory.account, settings.account.apart
@@ -308,7 +306,7 @@ def book(run: GuardedRun, at: Accounting, h_i: float, h_pas: float, lost: float)
 
 
 def branch_of(state: GuardedGroupState, h_i: float, leak: float, deficit: float) -> int:
-    """Rule that booked the hold."""
+    """Return the branch of the account by which a hold was booked."""
     if deficit > 0.0:
         return _DEPLETED
     if state.group.motion.engaged:
@@ -325,9 +323,9 @@ def render(world: group_kernel.GroupModel, run: GuardedRun, at: Accounting) -> t
         group.oldest = send_nothing(commands, place)
         fade(state.account, _FADE)
         return 0.0, _UNBOUNDED
-    speed = write_wish(world, run, at.under_way)
+    speed = write_request(world, run, at.under_way)
     energy = certain_energy(state.account, settings.credit)
-    share, lead_share, damper_share, covered = shares_of_wish(run, speed, energy)
+    share, lead_share, damper_share, covered = shares_of_request(run, speed, energy)
     rendered = write_dampers(run, damper_share)
     damper, modulated, torques = memory.damper, memory.modulated, memory.torques
     for i in range(len(torques)):
@@ -345,10 +343,10 @@ def render(world: group_kernel.GroupModel, run: GuardedRun, at: Accounting) -> t
     return factor * rendered, certificate
 
 
-def write_wish(world: group_kernel.GroupModel, run: GuardedRun, under_way: QueuedTorques) -> float:
-    """Write the requested efforts at the predicted motor positions; returns the same as `write_efforts`.
+def write_request(world: group_kernel.GroupModel, run: GuardedRun, under_way: QueuedTorques) -> float:
+    """Write the efforts that the network requests at the predicted motor positions; return as `write_efforts`.
 
-    Motion inside a network is not predicted: it continues as in the last hold, and the motors with it.
+    If masses move inside the network, nothing is predicted: they and the motors continue as in the last hold.
     """
     settings, state, memory = run
     loop, motion, followed, request = settings.loop.motion, state.group.motion, memory.group.motion, memory.request
@@ -378,7 +376,7 @@ def write_wish(world: group_kernel.GroupModel, run: GuardedRun, under_way: Queue
 
 
 def split(run: GuardedRun, place: int, most: float, energy: float, certificate: int) -> int:
-    """Set a command to the larger part of the requested torques, by a common share or by inward torques first.
+    """Set a command to a common share of the requested torques or to inward torques first, whichever renders more.
 
     Returns:
         Certificate of the command.
@@ -471,7 +469,7 @@ def put_on_grid(run: GuardedRun, at: Accounting, energy: float, factor: float) -
 
 
 def write_dampers(run: GuardedRun, share: float) -> float:
-    """Write the efforts of the damper and of the modulated damper (eq. 19); return the damping rendered."""
+    """Write the efforts of the network's damper and of the modulated damper (eq. 19); return the damping rendered."""
     settings, state, memory = run
     request, damper, modulated, h_dis = memory.request, memory.damper, memory.modulated, state.account.h_dis
     square = along = extra = 0.0
@@ -490,8 +488,8 @@ def write_dampers(run: GuardedRun, share: float) -> float:
     return rendered + extra
 
 
-def shares_of_wish(run: GuardedRun, internal_speed: float, energy: float) -> tuple[float, float, float, bool]:
-    """Shares of spring, lead and damper to render, and whether the account covers all of them."""
+def shares_of_request(run: GuardedRun, internal_speed: float, energy: float) -> tuple[float, float, float, bool]:
+    """Return the shares of spring, lead and damper to render, and whether the account covers all of them."""
     settings, _, memory = run
     request, caps = memory.request, settings.loop.caps
     size, lead_size = capped_norm(request.spring, caps), capped_norm(request.lead, caps)
@@ -565,9 +563,7 @@ def capped_norm(efforts: Buffer, caps: Buffer) -> float:
 
 
 class GuardedGroup(group_kernel.SteppedGroup):
-    """A network rendered as far as the certificates allow."""
+    """A controller that renders a network as far as the certificates permit."""
 
     parameters_type: ClassVar[type[Parameters]] = guarded.GuardedParameters
-    kernel: ClassVar[group_kernel.GroupKernel] = group_kernel.GroupKernel(
-        settings_of, GuardedGroupState, memory_of, step
-    )
+    kernel: ClassVar[Kernel] = Kernel(settings_of, GuardedGroupState, memory_of, step)

@@ -1,1 +1,1 @@
-"""Port-Hamiltonian networks: storages, discrete gradient, Newton's method, and the shapes made of them."""
+"""Port-Hamiltonian networks: storages, dissipators, their samples, and the virtual objects made of them."""

@@ -1,31 +1,25 @@
 """A port-Hamiltonian network: storages, dissipators, structure and ports, checked on construction (section III).
 
-xdot = (J(x) - R(x)) e + g u,    e = dH/dx,    y = g'e + S u,    effort on the user's side = -y
+    xdot = (J(x) - R(x)) e + g u,    e = dH/dx,    y = g'e + S u,    effort on the user's side = -y
 
-network = Network(
-    storages=[Spring(stiffness=800.0), Mass(mass=0.3)],       # x = (extension, momentum)
-    dissipators=[Damper(viscous=2.0, states={1: 1.0})],      # a floor under the mass
-    structure=[[0.0, -1.0], [1.0, 0.0]],                     # extension' = u - v, momentum' = spring
-    gain=[[1.0], [0.0]],                                     # one port pulls at the spring
-)
+    network = Network(
+        storages=[Spring(stiffness=800.0), Mass(mass=0.3)],       # x = (extension, momentum)
+        dissipators=[Damper(viscous=2.0, states={1: 1.0})],      # a floor under the mass
+        structure=[[0.0, -1.0], [1.0, 0.0]],                     # extension' = u - v, momentum' = spring
+        gain=[[1.0], [0.0]],                                     # one port pulls at the spring
+    )
 
-A network as plain numbers, its stored energy, and the discrete gradient of that energy (Gonzalez 1996).
+**Storages.** A scalar storage has the extension d = x beyond `upper`, x below `lower` and 0 between them - measured
+from those edges - and stores k d^2 / 2 + k3 d^4 / 4. With lower = upper = 0 it is always engaged; a wall is engaged on
+one side. With k < 0 it is a double well and stores k3 (d^2 + k / k3)^2 / 4, which differs only by a constant and is 0
+in the wells. A storage may also be a quadratic form of several states, or an energy that the user gives as a function.
 
-For a storage of one state the discrete gradient is the divided difference (H(x + s) - H(x)) / s, for a quadratic form
-Q (x + s / 2); each is exact, H(x + s) - H(x) = e . s, and so is their sum.
+**Dissipators.** Each element acts on one flow f = a . e + b . u with an effort phi(f), phi(f) f >= 0. e are the efforts
+of the states (that of a mass is its velocity), u the velocities of the ports. The effort acts back on the same states
+and ports, so that it removes the power phi(f) f and nothing else.
 
-A scalar storage has the extension d = x beyond `upper`, x below `lower` and 0 between them - measured from those
-edges - and stores k d^2 / 2 + k3 d^4 / 4. With lower = upper = 0 it is always engaged; a wall is engaged on one side.
-With k < 0 it is a double well and stores k3 (d^2 + k / k3)^2 / 4, the same but for a constant: 0 in the wells.
-
-Elements of a network: storages, dissipators, and energies that a user gives as functions.
-
-Dissipators of a network: each element acts on one flow f = a . e + b . u with an effort phi(f), phi(f) f >= 0.
-
-e are the efforts of the states (a mass has its velocity), u the velocities of the ports. The effort acts back on the
-same states and ports, so that it removes phi(f) f and nothing else, wherever it acts.
-
-Energies and structures that a user gives as functions: discrete gradient, and derivatives for Newton's method.
+**Discrete gradient** of the stored energy (Gonzalez 1996): for a storage of one state the divided difference
+(H(x + s) - H(x)) / s, for a quadratic form Q (x + s / 2). Each is exact, H(x + s) - H(x) = e . s; so is their sum.
 """
 
 import math
@@ -36,7 +30,6 @@ from typing import Annotated, Any, Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 from pydantic import Field, model_validator
 
-from canhaptic.control.port_hamiltonian.gauss import dot
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, Indices, Matrix, zeros
 from canhaptic.units import Numbers, Parameters, quantity
@@ -47,7 +40,7 @@ _Row = tuple[float, ...]
 class Spring(Parameters):
     """A spring on one state: H = k d^2 / 2 + k3 d^4 / 4, d the extension beyond `lower` or `upper`.
 
-    lower = upper is a spring that always acts; lower = None is a wall above `upper`, upper = None one below `lower`.
+    With lower = upper it always acts; with lower = None it is a wall above `upper`, with upper = None below `lower`.
     """
 
     type: Literal["spring"] = "spring"
@@ -113,7 +106,7 @@ class UserEnergy:
 
 
 Storage: TypeAlias = Annotated[Spring | DoubleWell | Mass | QuadraticForm, Field(discriminator="type")]
-"""Names that a scene can use."""
+"""Storages that a scene can name."""
 
 
 def symmetric_positive(matrix: tuple[_Row, ...], name: str, consequence: str) -> None:
@@ -161,11 +154,11 @@ class Damper(Parameters):
     corner: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] = 1e-3
     """Flow f_c below which Coulomb friction fades, so that a sampled one does not chatter."""
     states: Mapping[int, float] = Field(default_factory=dict)
-    """a, by index of the state."""
+    """Row a: the coefficient of each state, by its index."""
     ports: Mapping[int, float] = Field(default_factory=dict)
-    """b, by index of the port."""
+    """Row b: the coefficient of each port, by its index."""
     beside: int | None = None
-    """Storage in parallel: the damper has that storage's flow, and acts only where the storage is engaged."""
+    """Index of a storage in parallel: the damper has its flow, and acts only while that storage is engaged."""
 
     @model_validator(mode="after")
     def _acts_on_something(self) -> "Damper":
@@ -181,9 +174,9 @@ class DampingMatrix(Parameters):
     matrix: tuple[Numbers, ...]
     """SI, symmetric and positive semidefinite."""
     states: tuple[int, ...] = ()
-    """States of its rows; either these or `ports`."""
+    """States to which its rows belong; give either these or `ports`."""
     ports: tuple[int, ...] = ()
-    """Ports of its rows; either these or `states`."""
+    """Ports to which its rows belong; give either these or `states`."""
 
     @model_validator(mode="after")
     def _positive(self) -> "DampingMatrix":
@@ -212,17 +205,17 @@ class DampingMatrix(Parameters):
 
 
 Dissipator: TypeAlias = Annotated[Damper | DampingMatrix, Field(discriminator="type")]
-"""Names that a scene can use."""
+"""Dissipators that a scene can name."""
 
 
 StructureFunction: TypeAlias = Callable[[Sequence[float]], Sequence[Sequence[float]]]
-"""J(x), skew, of the state."""
+"""Function of the state that returns J(x), skew."""
 
 _DIFFERENCE: Final = 1e-6
 
 
 class NoFunctions(NamedTuple):
-    """Placeholder for `UserFunctions` in a network made only of tables, which numba compiles."""
+    """Placeholder for `UserFunctions` in a network without user-defined functions, which numba can compile."""
 
     unused: int = 0  # numba passes no empty tuple
 
@@ -243,7 +236,7 @@ class NoFunctions(NamedTuple):
         """Add nothing."""
 
     def fill_structure(self, state: Buffer, structure: Matrix) -> None:
-        """No-op: the structure is constant."""
+        """Leave the structure as it is: it is constant."""
 
 
 class _Placed(NamedTuple):
@@ -255,7 +248,7 @@ class UserFunctions:
     """User-defined storages of a network, each with its index in the state, and the structure function; in Python only.
 
     Attributes:
-        structure_at: J(x) as a function of the state; None where it is constant.
+        structure_at: J(x) as a function of the state; None if it is constant.
     """
 
     def __init__(self, storages: Sequence[Any], structure_at: StructureFunction | None) -> None:
@@ -339,14 +332,14 @@ class UserFunctions:
 
 
 Functions: TypeAlias = NoFunctions | UserFunctions
-"""Functions that the kernels of a network call where `NetworkTables.by_functions`."""
+"""Functions that the kernels of a network call if `NetworkTables.by_functions` is set."""
 
 
 def check_gradient(storage: UserEnergy) -> None:
     """Compare a gradient with differences of its energy near 0.
 
     Raises:
-        ParameterError: They differ by more than differences can, or the energy is negative or not finite.
+        ParameterError: They differ by more than the error of differences, or the energy is negative or not finite.
     """
     chance = np.random.default_rng(0)
     for scale in (1e-3, 1e-1):
@@ -373,7 +366,7 @@ def check_gradient(storage: UserEnergy) -> None:
 
 
 class NetworkTables(NamedTuple):
-    """A network as data: n states, r ports, d dissipators."""
+    """A network as numbers: n states, r ports, d dissipators."""
 
     stiffness: Buffer  # k, (n,)
     hardening: Buffer  # k3, (n,)
@@ -478,10 +471,10 @@ _ROUNDING: Final = 1e-12
 
 
 class Network:
-    """An immutable network.
+    """A port-Hamiltonian network; immutable.
 
     Attributes:
-        tables: The network as data; a structure that depends on the state is filled in at every sample.
+        tables: The network as numbers; a structure that depends on the state is filled in at every sample.
         states: Number of states.
         ports: Number of ports.
         functions: Energies and structure given as functions.
@@ -499,16 +492,16 @@ class Network:
         """Make and check a network.
 
         Args:
-            storages: Their states in this order are x.
-            dissipators: Indices count states and ports from 0.
+            storages: Storages; their states, in this order, are x.
+            dissipators: Dissipators; their indices count states and ports from 0.
             gain: g, one row for each state, one column for each port.
             structure: J, skew, or a function of the state that returns it; None for zero.
             origin: x(0) over the ports' coordinates at the first sample, shaped as `gain`. None: states that only the
                 ports move begin where `gain` puts them (a wall is where it is), all others at 0 (at rest, unstrained).
 
         Raises:
-            ParameterError: Dimensions that do not fit, J not skew, an index out of range, a gradient that is not that
-                of its energy.
+            ParameterError: Dimensions do not fit, J is not skew, an index is out of range, or a gradient is not that of
+                its energy.
         """
         self.states = n = sum(states_of(storage) for storage in storages)
         if n == 0:
@@ -536,7 +529,7 @@ class Network:
         )
 
     def _constant(self, structure: _Rows | Callable[[Sequence[float]], _Rows] | None) -> _Rows:
-        """Return J, or its value at the state 0 where it is a function, after checking that it is skew."""
+        """Return J, or its value at the state 0 if it is a function, after checking that it is skew."""
         n = self.states
         if callable(structure):
             chance = np.random.default_rng(0)
@@ -596,7 +589,7 @@ class Network:
         )  # fmt: skip
 
     def _rows_of(self, damper: Damper, structure: _Rows, gain: _Rows) -> tuple[list[float], list[float]]:
-        """Return the rows a and b of a damper; in parallel to a storage the rows of its flow."""
+        """Return the rows a and b of a damper; for one in parallel to a storage, the rows of that storage's flow."""
         where = damper.beside
         if where is not None:
             if not 0 <= where < self.states:
@@ -620,7 +613,7 @@ class Network:
 
 
 def _never_left(tables: NetworkTables) -> bool:
-    """Return True where some storage or dissipator of the tables can be felt at every position."""
+    """Return whether some storage or dissipator can be felt at every position."""
     if tables.coupled:
         return True
     acts_always = [low == high for low, high in zip(tables.lower, tables.upper, strict=True)]
@@ -637,7 +630,7 @@ def check_rows(name: str, rows: _Rows, count: int, length: int) -> None:
     """Check the shape of a matrix and that it is finite.
 
     Raises:
-        ParameterError: It has another shape, or an entry that is no finite number.
+        ParameterError: The shape differs, or an entry is no finite number.
     """
     if len(rows) != count or any(len(row) != length for row in rows):
         seen = f"{len(rows)} rows of {sorted({len(row) for row in rows})} entries"
@@ -652,7 +645,7 @@ def _check_skew(structure: _Rows, states: int) -> None:
     """Check that a structure creates no energy.
 
     Raises:
-        ParameterError: It is not a skew matrix of that size.
+        ParameterError: The structure is not a skew matrix of that size.
     """
     check_rows("structure", structure, states, states)
     largest = max((abs(v) for row in structure for v in row), default=0.0)
@@ -664,3 +657,47 @@ def _check_skew(structure: _Rows, states: int) -> None:
                     f"network: structure[{i}][{j}] = {structure[i][j]:g} and structure[{j}][{i}] = "
                     f"{structure[j][i]:g}, expected J = -J'; anything else creates energy: put losses in dissipators"
                 )
+
+
+def dot(row: Buffer, vector: Buffer) -> float:
+    """Return the product of a row and a vector of the same length, summed from the first entry on."""
+    total = 0.0
+    for i in range(len(row)):
+        total += row[i] * vector[i]
+    return total
+
+
+def solve_linear(matrix: Matrix, right: Buffer) -> bool:
+    """Solve in place by elimination with row pivots; return False where the matrix is singular."""
+    n = len(right)
+    for column in range(n):
+        pivot = column  # the row, from the diagonal down, with the largest entry
+        for index in range(column + 1, n):
+            if abs(matrix[index][column]) > abs(matrix[pivot][column]):
+                pivot = index
+        if not abs(matrix[pivot][column]) > 0.0:
+            return False
+        if pivot != column:
+            for k in range(column, n):
+                matrix[pivot][k], matrix[column][k] = matrix[column][k], matrix[pivot][k]
+            right[pivot], right[column] = right[column], right[pivot]
+        _eliminate(matrix, right, column)
+    for back in range(n):
+        index = n - 1 - back
+        row, total = matrix[index], right[index]
+        for k in range(index + 1, n):
+            total -= row[k] * right[k]
+        right[index] = total / row[index]
+    return True
+
+
+def _eliminate(matrix: Matrix, right: Buffer, column: int) -> None:
+    """Take a column out of all rows below its diagonal."""
+    n, above = len(right), matrix[column]
+    for index in range(column + 1, n):
+        row = matrix[index]
+        if row[column] != 0.0:
+            factor = row[column] / above[column]
+            for k in range(column + 1, n):
+                row[k] -= factor * above[k]
+            right[index] -= factor * right[column]

@@ -1,23 +1,20 @@
-"""A network advanced sample by sample with the measured motion of its ports: the model-consistent state.
+"""A network advanced from sample to sample by the measured motion of its ports.
 
-The equation of one sample of a network at a given step of its state: efforts, losses, residual and Jacobian.
-
-s = T (J e - sum(a_j phi_j(f_j))) + g dc,    e = e_dg(x, x + s),    f_j = a_j . e + b_j . dc / T
-
-One sample of a network: the state change that the discrete gradient balances with the motion of its ports.
+In a sample of length T the ports move by dc; the state x then changes by the s that solves
 
     s = T (J e - sum(a_j phi_j(f_j))) + g dc,    e = e_dg(x, x + s),    f_j = a_j . e + b_j . dc / T
 
-J is skew and e . s = H(x + s) - H(x), so that for every T
+with e_dg the discrete gradient of the stored energy (see `network`). J is skew and e . s = H(x + s) - H(x), so that for
+every T
 
     H(x + s) - H(x) = y . dc - T sum(phi_j f_j),    y = g'e + sum(b_j phi_j),    phi_j f_j >= 0
 
-A network whose state is moved by its ports alone (springs and dampers, no masses) has s = g dc and nothing to solve.
-Else Newton's method solves for s, with a residual that falls from step to step. Near a double well the residual can
-have a minimum that is no solution; from there on the power r . de along a step counts, r the residual and de the change
-of the efforts. Where springs act on masses it is the slope of a potential (the masses' change of velocity, the losses
-and the integral of the springs' discrete gradients) whose every level place is a solution, so that the way goes down
-until it is level.
+In a network without masses, which only its ports move, s = g dc and there is nothing to solve. Otherwise Newton's
+method solves for s as long as the residual falls from step to step. Near a double well the residual can have a minimum
+that is no solution. From there on the search follows the power r . de along a step, with r the residual and de the
+change of the efforts. If springs act on masses, that power is the slope of a potential (the masses' change of velocity,
+the losses and the integral of the springs' discrete gradients), and every level point of it is a solution: the search
+goes downhill until it is level.
 """
 
 import math
@@ -25,20 +22,21 @@ from dataclasses import dataclass
 from math import sqrt
 from typing import Final, NamedTuple, Protocol
 
-from canhaptic.control.port_hamiltonian.gauss import dot, solve_linear
 from canhaptic.control.port_hamiltonian.network import (
     Functions,
     NetworkTables,
     discrete_gradient,
+    dot,
     extension,
     gradient,
+    solve_linear,
     stored_energy,
 )
 from canhaptic.kernels import Buffer, Matrix, list_of_zeros, zeros
 
 
 class Workspace(NamedTuple):
-    """Buffers that a step writes; shapes (n,), (d,) and (n, n)."""
+    """Buffers of one sample of a network with n states and d dissipators; shapes (n,), (d,) and (n, n)."""
 
     step: Buffer  # s; the guess before, the solution after
     efforts: Buffer  # e
@@ -58,7 +56,7 @@ class Workspace(NamedTuple):
 
 
 def new_workspace(states: int, dissipators: int) -> Workspace:
-    """Return zeros of the sizes that a network needs."""
+    """Return buffers of zeros for one sample of a network."""
     n, d, one = states, dissipators, list_of_zeros
     return Workspace(
         one(n), one(n), one(n), one(d), one(d), one(d), one(d), one(n), one(n), one(n), one(n), one(n), one(n),
@@ -67,11 +65,11 @@ def new_workspace(states: int, dissipators: int) -> Workspace:
 
 
 class NetworkModel(Protocol):
-    """A network: `network.Network`, and the model of a group that has one."""
+    """What has a network: `network.Network`, or the model of a group."""
 
     @property
     def tables(self) -> NetworkTables:
-        """The network as data."""
+        """The network as numbers."""
 
     @property
     def functions(self) -> Functions:
@@ -100,7 +98,7 @@ def drive(tables: NetworkTables, state: Buffer, displacement: Buffer, room: Work
 
 
 def engaged_share(tables: NetworkTables, index: int, value: float, change: float) -> float:
-    """Return the share of a state's change during which its storage was engaged; 0 where it ends disengaged."""
+    """Return the share of a state's change during which its storage was engaged; 0 if it ends disengaged."""
     after = extension(tables, index, value + change)
     if tables.lower[index] == tables.upper[index]:
         return 1.0
@@ -143,7 +141,7 @@ def write_losses(model: NetworkModel, sample: NetworkSample) -> None:
 def evaluate(model: NetworkModel, sample: NetworkSample) -> float:
     """Write the residual of the equation at `room.step`; return its largest entry over the size of its terms.
 
-    Infinite where an entry is not finite.
+    The result is infinite if an entry is not finite.
     """
     tables, sample_time, room = model.tables, sample.sample_time, sample.room
     write_losses(model, sample)
@@ -225,20 +223,20 @@ _FLOOR: Final = 1e-11
 _ROUNDING: Final = 1e-14
 """Below it the residual need not fall any more."""
 _HALVINGS: Final = 8
-"""Halvings of a Newton step after which the residual has not fallen; the shortest is taken all the same."""
+"""Most halvings of a Newton step while the residual does not fall; the shortest step is then taken."""
 _LEAST_SCALE: Final = 1e-3
 """Added to the root of a stiffness, for states that it leaves without a scale."""
 _STEEP: Final = 0.9
-"""Share of the power at the start of a step above which its end is no nearer to level ground: a longer one follows."""
+"""Share of the power at the start of a step: if more is left at its end, a longer step follows."""
 _LONGER: Final = 3.0
 _LEVEL: Final = 0.5
-"""Share of the power at the start of a step that is level enough for its end."""
+"""Share of the power at the start of a step: if no more is left at its end, the step is accepted."""
 _INSIDE: Final = 0.1
-"""Fraction of the interval between two places, at either end, in which no further place is tried."""
+"""Fraction of an interval, at either end, in which no further point is tried."""
 
 
 def advance(model: NetworkModel, sample: NetworkSample) -> int:
-    """Find the state change of one sample; return the evaluations it took, negative where it did not converge."""
+    """Find the state change of one sample; return the evaluations it took, negative if it did not converge."""
     room = sample.room
     drive(model.tables, sample.state, sample.displacement, room)
     for i in range(len(room.scale)):
@@ -248,7 +246,7 @@ def advance(model: NetworkModel, sample: NetworkSample) -> int:
 
 
 def _by_residual(model: NetworkModel, sample: NetworkSample) -> int:
-    """Take Newton steps while the residual falls; return the evaluations, negative where it stops before a solution."""
+    """Take Newton steps while the residual falls; return the evaluations, negative if it stops before a solution."""
     room, worst, evaluations = sample.room, evaluate(model, sample), 1
     while worst > _CLOSE:
         before, merit = worst, _merit_of(room)
@@ -322,7 +320,7 @@ def by_power(model: NetworkModel, sample: NetworkSample, spent: int) -> int:
 
 
 def _aim(model: NetworkModel, sample: NetworkSample) -> float:
-    """Write Newton's direction and the change of the efforts along it; return the power, 0 where it has none."""
+    """Write Newton's direction and the change of the efforts along it; return the power, 0 without a direction."""
     tables, room = model.tables, sample.room
     n = len(room.step)
     linearise(model, sample)
@@ -374,7 +372,7 @@ def _go_down(model: NetworkModel, sample: NetworkSample, power: float, left: int
 
 
 def rest_on_ports(model: NetworkModel, sample: NetworkSample) -> None:
-    """Take s = g dc where no solution was found: internal states rest in this sample, and nothing is created."""
+    """Take s = g dc where no solution was found: internal states rest in this sample, and no energy is created."""
     room = sample.room
     for i in range(len(room.step)):
         room.step[i] = room.driven[i]
@@ -383,7 +381,7 @@ def rest_on_ports(model: NetworkModel, sample: NetworkSample) -> None:
 
 @dataclass(slots=True)
 class NetworkState:
-    """Result of the last step."""
+    """Energy, losses and engagement of a network after the last sample."""
 
     energy: float = 0.0  # H(x) [J]
     internal: float = 0.0  # dissipated on the states in the last step, without the ports' part [J]
@@ -448,7 +446,7 @@ def advance_network(
 def propose(
     model: NetworkModel, network: NetworkState, memory: NetworkMemory, displacement: Buffer, elapsed: float
 ) -> bool:
-    """Find the state change of one motion of the ports without taking it; see `advance_network`."""
+    """Find the state change for one motion of the ports without applying it; see `advance_network`."""
     tables, room = model.tables, memory.room
     network.internal, network.evaluations = 0.0, 1
     if not tables.moving:  # s = g dc: nothing to solve, and nothing dissipated beyond the ports
@@ -469,7 +467,7 @@ def propose(
 
 
 def place_state(tables: NetworkTables, memory: NetworkMemory, coordinates: Buffer, into: Buffer) -> None:
-    """Write the state of a network that only its ports have moved: from their positions, without rounding drift."""
+    """Write the state of a network that only its ports move from their positions, so that rounding does not add up."""
     for i in range(len(into)):
         row, total = tables.gain[i], memory.begun[i]
         for j in range(len(coordinates)):
@@ -478,7 +476,7 @@ def place_state(tables: NetworkTables, memory: NetworkMemory, coordinates: Buffe
 
 
 def settle_network(model: NetworkModel, network: NetworkState, memory: NetworkMemory) -> None:
-    """Update energy and engagement of the state."""
+    """Update energy and engagement of a network from its state."""
     tables = model.tables
     energy, engaged = stored_energy(tables, memory.state), tables.always
     if tables.by_functions:
@@ -563,7 +561,7 @@ def dampers(
 
 
 def internal_motion(tables: NetworkTables, room: Workspace) -> float:
-    """Return the motion of the storages at the ports, minus the ports' own, in the last step, as a norm [m or rad]."""
+    """Return how far the storages at the ports moved by themselves in the last sample, as a norm [m or rad]."""
     total = 0.0
     if tables.moving:
         for i in range(len(room.step)):
@@ -578,7 +576,7 @@ def internal_motion(tables: NetworkTables, room: Workspace) -> float:
 
 
 def share_inside(tables: NetworkTables, room: Workspace, after: Buffer) -> float:
-    """Return the largest share of the last step, ending at a state, for which any storage was engaged."""
+    """Return the largest share of the last sample, which ended at `after`, for which any storage was engaged."""
     largest = 0.0
     for i in tables.edged:
         changed = room.step[i]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, GroupModel, GroupMotion, why_not_world
+from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupModel, GroupMotion, why_not_world
 from canhaptic.errors import EventLimitError, InputError, ParameterError
 from canhaptic.kernels import Buffer, Kernel, Matrix, Run
 from canhaptic.kernels.compiler import compiled, fixed_tuple, tuple_type
@@ -244,7 +244,7 @@ def run_records(
 
 
 @lru_cache(maxsize=16)
-def _compiled_loop(kernel: GroupKernel, parts: tuple[type, ...], replaced: tuple[tuple[object, object], ...]) -> Any:
+def _compiled_loop(kernel: Kernel, parts: tuple[type, ...], replaced: tuple[tuple[object, object], ...]) -> Any:
     """Return `run_records` for an algorithm; numba compiles it once for each size of group."""
     instead = {step_group: kernel.step, noise: compiled_noise, uniform: compiled_uniform, **dict(replaced)}
     return compiled(run_records, instead, keep=True, parts=parts, units=(kernel.step, stepper.run))

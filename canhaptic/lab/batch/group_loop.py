@@ -28,7 +28,7 @@ from canhaptic.control.multi_axis import GROUP_ALGORITHMS, group_kernel
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
 from canhaptic.control.multi_axis.group_kernel import GroupModel, MotionAhead, begin_motion, follow, write_efforts
 from canhaptic.drive.axis_parameters import BusParameters
-from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, new
+from canhaptic.kernels import Buffer, Indices, Kernel, Matrix, list_of_zeros, new
 from canhaptic.kernels.records import record_of, records_of
 from canhaptic.lab.batch import plants as event_plant
 from canhaptic.lab.batch.closed_loop import LoopSettings, Signals, acting, commanded, measured, read
@@ -107,7 +107,7 @@ class GroupMeter:
 
 
 def step(*_kernel: Any) -> group_kernel.GroupHold:
-    """Placeholder of an algorithm's step (`GroupKernel.step`); the caller of `run_group` binds one."""
+    """Placeholder of an algorithm's step (`Kernel.step`); the caller of `run_group` binds one."""
     raise NotImplementedError
 
 
@@ -524,7 +524,7 @@ def _listed(flow: Array, state: Array, places: Sequence[int]) -> GroupPlant:
 class GroupCase(NamedTuple):
     """One group as the objects that its loop takes."""
 
-    kernel: group_kernel.GroupKernel
+    kernel: Kernel
     world: GroupModel
     settings: Any
     rig: GroupRig
@@ -569,7 +569,7 @@ def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
     loops = tuple(loop_as_known(axis) for axis in axes)
     environment, kinematics = (cast(Any, part.parameters) for part in (group.network, group.kinematics))
     world = group_kernel.world_of(cast(NetworkEnvironment, environment), cast(Kinematics, kinematics), loops)
-    kernel: group_kernel.GroupKernel = load(GROUP_ALGORITHMS, group.passivity.name, "group algorithm").kernel
+    kernel: Kernel = load(GROUP_ALGORITHMS, group.passivity.name, "group algorithm").kernel
     settings = kernel.settings(world, group.passivity.parameters, loops)
     rig = GroupRig(
         scene.bus.delay, [_loop_of(axis, scene.bus) for axis in axes],

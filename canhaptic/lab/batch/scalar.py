@@ -21,11 +21,11 @@ import numpy as np
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.environment import Environment, plain
-from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, GroupMotion
+from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupMotion
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.stepped import Axis
 from canhaptic.errors import CanHapticError, ControlError
-from canhaptic.kernels import Run, with_quick_fields
+from canhaptic.kernels import Kernel, Run, with_quick_fields
 from canhaptic.kernels.records import bound
 from canhaptic.lab import reference
 from canhaptic.lab.batch import ChosenEngine, closed_loop
@@ -272,7 +272,7 @@ def _run_group(
 
 
 @lru_cache(maxsize=16)
-def _python_loop(kernel: GroupKernel, replaced: tuple[tuple[object, object], ...]) -> Callable[..., None]:
+def _python_loop(kernel: Kernel, replaced: tuple[tuple[object, object], ...]) -> Callable[..., None]:
     found: Callable[..., None] = bound(run_group, {step_group: kernel.step, **dict(replaced)})
     return found
 

@@ -46,7 +46,7 @@ from canhaptic.control.port_hamiltonian.sampled_network import (
     share_inside,
     springs,
 )
-from canhaptic.kernels import Buffer, Run, list_of_zeros, new
+from canhaptic.kernels import Buffer, Kernel, Run, list_of_zeros, new
 from canhaptic.units import Parameters
 
 EVALUATIONS: Final = 60
@@ -548,7 +548,7 @@ def step(
     world: GroupModel, settings: ScaledSettings, state: ScaledState, memory: ScaledMemory, missed: int,
     positions: Buffer, torques_applied: Buffer,
 ) -> GroupHold:  # fmt: skip
-    """Account for the hold that ended; see `GroupKernel`."""
+    """Account for the hold that ended; see `canhaptic.kernels.Kernel`."""
     group, motion, ended, loop = state.group, state.group.motion, memory.group.ended, settings.loop
     run = Run(settings, state, memory)  # not by `new`: compiled, no function returns a record
     if not group.started:
@@ -637,4 +637,4 @@ class ScaledGroup(group_kernel.SteppedGroup):
     """A network whose state stores received energy only."""
 
     parameters_type: ClassVar[type[Parameters]] = ScaledGroupParameters
-    kernel: ClassVar[group_kernel.GroupKernel] = group_kernel.GroupKernel(settings_of, ScaledState, memory_of, step)
+    kernel: ClassVar[Kernel] = Kernel(settings_of, ScaledState, memory_of, step)

@@ -9,10 +9,9 @@ import pytest
 
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.mechanisms.five_bar import FiveBar
-from canhaptic.control.mechanisms.kinematics import Identity, Limit
+from canhaptic.control.mechanisms.kinematics import Identity, Limit, UserFunction
 from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.control.mechanisms.transmission import Transmission
-from canhaptic.control.mechanisms.user_function import UserFunction
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
 
@@ -35,6 +34,11 @@ EXAMPLES: dict[str, tuple[Any, Any]] = {
 }
 
 
+def at(mechanism, positions):
+    """Place in task space at motor positions."""
+    return np.array(mechanism.pose(positions.tolist()).position)
+
+
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_the_jacobian_is_the_derivative_of_the_map(name):
     mechanism, centre = EXAMPLES[name]
@@ -45,12 +49,9 @@ def test_the_jacobian_is_the_derivative_of_the_map(name):
             continue
         step = 1e-6
         expected = np.array(
-            [
-                (np.array(mechanism.forward(q + step * e)) - np.array(mechanism.forward(q - step * e))) / (2 * step)
-                for e in np.eye(2)
-            ]
+            [(at(mechanism, q + step * e) - at(mechanism, q - step * e)) / (2 * step) for e in np.eye(2)]
         ).T
-        assert np.allclose(mechanism.jacobian(q.tolist()), expected, rtol=1e-6, atol=1e-9)
+        assert np.allclose(mechanism.pose(q.tolist()).jacobian, expected, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("assembly", ["up", "down"])
@@ -62,7 +63,7 @@ def test_the_links_of_the_five_bar_keep_their_lengths(assembly):
         q = (rng.uniform(1.2, 2.9), rng.uniform(0.2, 1.9))
         if mechanism.pose(q).limit:
             continue
-        x, y = mechanism.forward(q)
+        x, y = mechanism.pose(q).position
         ax, ay = -0.04 + l1 * math.cos(q[0]), l1 * math.sin(q[0])
         bx, by = 0.04 + l2 * math.cos(q[1]), l2 * math.sin(q[1])
         assert math.hypot(x - ax, y - ay) == pytest.approx(l3, rel=1e-12)
@@ -84,8 +85,8 @@ def test_work_at_the_motors_is_work_in_task_space_to_the_curvature_of_the_map(na
             q = np.array([c + rng.uniform(-0.05, 0.05) for c in centre])
             angle = rng.uniform(0.0, 2.0 * math.pi)
             motion = size * np.array([math.cos(angle), math.sin(angle)])
-            torques = np.array(mechanism.jacobian(q.tolist())).T @ force
-            task = np.array(mechanism.forward((q + motion).tolist())) - np.array(mechanism.forward(q.tolist()))
+            torques = np.array(mechanism.pose(q.tolist()).jacobian).T @ force
+            task = at(mechanism, q + motion) - at(mechanism, q)
             error = abs(float(torques @ motion - force @ task))
             assert error <= np.linalg.norm(force) * curvature(mechanism, q, motion) * size**2 / 2.0 * 1.05 + 1e-15
             worst = max(worst, error)
@@ -98,7 +99,7 @@ def curvature(mechanism, q, motion):
     """Norm of the second derivative of the map along a motion, by differences."""
     along, step = motion / np.linalg.norm(motion), 2e-4
     middle = q + 0.5 * motion
-    values = [np.array(mechanism.forward((middle + k * step * along).tolist())) for k in (-1, 0, 1)]
+    values = [at(mechanism, middle + k * step * along) for k in (-1, 0, 1)]
     return float(np.linalg.norm(values[0] - 2.0 * values[1] + values[2])) / step**2
 
 

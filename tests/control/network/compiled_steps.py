@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupKernel, GroupModel
-from canhaptic.kernels import Buffer
+from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupModel
+from canhaptic.kernels import Buffer, Kernel
 from canhaptic.kernels.compiler import compiled
 from canhaptic.kernels.records import Records, record_of, records_of
 from canhaptic.lab.batch.compiled_loops import compiled_world
@@ -30,7 +30,7 @@ def step_records(
 
 
 @cache
-def compiled_step(kernel: GroupKernel, parts: tuple[type, ...]) -> Any:
+def compiled_step(kernel: Kernel, parts: tuple[type, ...]) -> Any:
     """Returns the step of an algorithm, compiled once in a process for each size of group.
 
     Args:
@@ -40,7 +40,7 @@ def compiled_step(kernel: GroupKernel, parts: tuple[type, ...]) -> Any:
     return compiled(step_records, {step: kernel.step}, keep=True, parts=parts)
 
 
-def begin_compiled(kernel: GroupKernel, world: GroupModel, settings: Any) -> Callable[[], tuple[Any, ...]]:
+def begin_compiled(kernel: Kernel, world: GroupModel, settings: Any) -> Callable[[], tuple[Any, ...]]:
     """Returns what begins a run; compiles first, which takes up to half a minute where it is not kept on disk.
 
     Raises:

@@ -6,10 +6,9 @@ import struct
 import pytest
 
 from canhaptic.control.mechanisms.five_bar import FiveBar
-from canhaptic.control.mechanisms.kinematics import Identity
+from canhaptic.control.mechanisms.kinematics import Identity, UserFunction
 from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.control.mechanisms.transmission import Transmission
-from canhaptic.control.mechanisms.user_function import UserFunction
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.group_kernel import SteppedGroup, world_of
 from canhaptic.control.passivity.controller import LoopProperties
@@ -74,7 +73,7 @@ def group_of(rng):
             (FiveBar(base=0.1, proximal=(0.15, 0.15), distal=(0.2, 0.2)), (2.2, 0.9), 0.02),
         ]
     )
-    environment = environment_of(rng, kinematics.forward(start))
+    environment = environment_of(rng, kinematics.pose(start).position)
     count, quantum, limit = rng.choice((0.0, 1e-5)), rng.choice((0.0, 1e-3)), rng.choice((None, 2.0))
     loop = LoopProperties(
         sample_time=rng.choice((1e-3, 1e-2)), delay=rng.choice((0, 1, 2)), moving_mass=mass,

@@ -23,7 +23,8 @@ def moved(seed, delay, max_consecutive_losses):
     angle = rng.uniform(0.0, 2.0 * math.pi)
     normal = math.cos(angle), math.sin(angle)
     wall = MovingWall(
-        normal=normal, offset=float(np.dot(normal, kinematics.forward(at))) - rng.choice((0.0, 0.005, 0.01)),  # type: ignore[arg-type]
+        normal=normal,
+        offset=float(np.dot(normal, kinematics.pose(at.tolist()).position)) - rng.choice((0.0, 0.005, 0.01)),
         stiffness=10.0 ** rng.uniform(2, 4), damping=rng.choice((0.0, 5.0)), amplitude=0.02,
         frequency=rng.uniform(1.0, 10.0),
     )  # fmt: skip

@@ -146,7 +146,7 @@ def five_bar(base=0.1, **own):
     ],
 )
 def test_no_torque_at_a_limit_of_the_mechanism_and_the_account_goes_on(mechanism, inside, outside, limit):
-    centre = mechanism.forward(inside)
+    centre = mechanism.pose(inside).position
     spring = AnisotropicSpring(
         centre=tuple(c + 0.02 for c in centre), stiffness=((400.0, 0.0), (0.0, 400.0)), damping=None
     )  # fmt: skip
@@ -165,8 +165,6 @@ def test_no_torque_at_a_limit_of_the_mechanism_and_the_account_goes_on(mechanism
         held = balance.torques
     assert mechanism.pose(outside).limit == limit
     assert felt > 0.01
-    with pytest.raises(ControlError, match=limit.name.lower()):
-        mechanism.forward(outside)
 
 
 @pytest.mark.parametrize("bad", [(math.nan, 0.0), (math.inf, 0.0), (0.0,), (0.0, 0.0, 0.0)])

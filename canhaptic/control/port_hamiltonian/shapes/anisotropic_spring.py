@@ -10,7 +10,7 @@ from canhaptic.units import Coordinates, Parameters, quantity
 
 
 class AnisotropicSpring(Parameters):
-    """F = -K (p - centre) - D p'."""
+    """A spring and damper to a point: F = -K (p - centre) - D p'."""
 
     centre: Coordinates
     """Task coordinates [m or rad] where the spring is at rest."""

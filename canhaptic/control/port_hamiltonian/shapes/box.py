@@ -13,14 +13,14 @@ from canhaptic.units import Coordinates
 
 
 class Box(Surface):
-    """From `lower` to `upper` in every coordinate."""
+    """A box from `lower` to `upper` in every coordinate."""
 
     lower: Coordinates
     """Least task coordinates [m or rad] of the box."""
     upper: Coordinates
     """Largest task coordinates [m or rad]; each above its entry of `lower`."""
     side: Literal["inside", "outside"] = "inside"
-    """Where free space is."""
+    """Side of the faces on which the handle moves freely."""
 
     @model_validator(mode="after")
     def _has_inside(self) -> "Box":
@@ -45,7 +45,7 @@ class Box(Surface):
 
 
 class BoxInside(NamedTuple):
-    """Distance from the nearest face; inside the body it is continuous, and the nearest face changes at ridges."""
+    """Distance from the nearest face of a box; inside it is continuous, and the nearest face changes at ridges."""
 
     lower: Buffer
     upper: Buffer

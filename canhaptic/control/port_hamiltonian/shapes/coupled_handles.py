@@ -9,7 +9,7 @@ from canhaptic.units import Coordinates, Parameters, quantity
 
 
 class CoupledHandles(Parameters):
-    """The first half of task space is the first handle, the second half the second; extension = p1 - scale p2 - offset.
+    """The first half of task space is handle 1, the second half handle 2; extension = p1 - scale p2 - offset.
 
     Forces scale as motion does, F2 = scale F1: any other ratio would generate power.
     """

@@ -11,7 +11,7 @@ _Rows = tuple[Numbers, ...]
 
 
 class General(Parameters):
-    """xdot = (J - R) e + g u, y = g'e + S u; see `canhaptic.control.port_hamiltonian.network.Network`."""
+    """A network xdot = (J - R) e + g u, y = g'e + S u; see `canhaptic.control.port_hamiltonian.network.Network`."""
 
     storages: tuple[Storage, ...]
     """Energy storages, in the order of the states x."""
@@ -22,11 +22,11 @@ class General(Parameters):
     gain: _Rows
     """g, one row for each state, one column for each port."""
     origin: _Rows | None = None
-    """x(0) over the ports' first coordinates; None: walls where they are, masses at rest."""
+    """x(0) over the ports' first coordinates; None: walls at their positions, masses at rest."""
     ports: _Rows | None = None
-    """Rows of the ports over task space; None: its coordinates."""
+    """Rows of the ports over task space; None: one port for each of its coordinates."""
     offset: Coordinates | None = None
-    """Taken off the ports' coordinates; None: zeros."""
+    """Subtracted from the ports' coordinates; None: zeros."""
 
     @model_validator(mode="after")
     def _fits(self) -> "General":

@@ -1,10 +1,8 @@
 """From task space to the ports of a network: coordinates whose increments move the ports, and their gradients.
 
-A contact with a curved surface has one coordinate, the distance from it. Its increment is exact for any curvature;
-the force acts along its gradient at the start of the hold, and the account, which is computed from the torques,
-includes the effect of curvature.
-
-Common part of touchable surfaces: one coordinate, the distance from the surface, negative inside the material.
+A contact with a surface has one coordinate: the distance from it, negative inside the material. Its increment is exact
+for any curvature; the force acts along its gradient at the start of the hold, and the account, which is computed from
+the torques, includes the effect of curvature.
 """
 
 import math
@@ -19,7 +17,7 @@ from canhaptic.units import Parameters, quantity
 
 
 class Geometry(Protocol):
-    """Positions of a network's ports in task space. Immutable; a NamedTuple of numbers and buffers is compiled.
+    """Positions of a network's ports in task space. Immutable; as a NamedTuple of numbers and buffers it is compiled.
 
     Attributes:
         dimensions: Number of dimensions of task space.
@@ -45,7 +43,7 @@ class Geometry(Protocol):
 
 
 class Mover(NamedTuple):
-    """A prescribed motion w(t) = half (1 - cos(rate t)), subtracted from each coordinate; a port has its energy."""
+    """A prescribed motion w(t) = half (1 - cos(rate t)), subtracted from each coordinate; its energy is accounted."""
 
     half: float = 0.0  # 0: nothing moves [m or rad]
     rate: float = 0.0  # [rad/s]
@@ -68,7 +66,7 @@ class Rendered(NamedTuple):
 
 
 class LinearGeometry(NamedTuple):
-    """Coordinates A p - offset."""
+    """Ports with the coordinates A p - offset."""
 
     matrix: Matrix  # A, one row for each port
     offset: Buffer  # [m or rad]
@@ -86,7 +84,7 @@ class LinearGeometry(NamedTuple):
 
 
 def linear_geometry(rows: Sequence[Sequence[float]], offset: Sequence[float]) -> LinearGeometry:
-    """Return the coordinates A p - offset.
+    """Return ports with the coordinates A p - offset.
 
     Args:
         rows: A, one row for each port.

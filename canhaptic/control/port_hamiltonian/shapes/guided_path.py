@@ -14,14 +14,14 @@ from canhaptic.units import Coordinates, Parameters, quantity
 
 
 class GuidedPath(Parameters):
-    """Straight segments from point to point; nothing is felt within `width` of them."""
+    """A path of straight segments from point to point; nothing is felt within `width` of it."""
 
     points: tuple[Coordinates, ...]
     """Task coordinates [m or rad] of the corners, two at least."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
     """Stiffness of the spring towards the path."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
-    """Across the path."""
+    """Damping coefficient across the path."""
     width: Annotated[float, quantity("m", "rad", ge=0.0)] = 0.0
     """Distance from the path at which the spring begins."""
     closed: bool = False

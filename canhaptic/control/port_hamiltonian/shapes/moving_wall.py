@@ -10,12 +10,12 @@ from canhaptic.units import Numbers, quantity
 class MovingWall(Surface):
     """Material where normal . p < offset + w(t), w(t) = amplitude (1 - cos(2 pi f t)) / 2: from 0 to the amplitude.
 
-    The wall can push: its energy comes from its mover, `GroupBalance.supplied`, and the promise of the account is
-    sum(h_i) >= 0 with the mover's energy in it.
+    The wall can push the hand with the energy of its mover, which is booked as `GroupBalance.supplied`. The promise of
+    the account, sum(h_i) >= 0, includes that energy.
     """
 
     normal: Numbers
-    """Out of the material; its length does not matter."""
+    """Direction out of the material; its length does not matter."""
     offset: Annotated[float, quantity("m", "rad")] = 0.0
     """Distance of the surface from the origin along the normal at rest [m or rad]."""
     amplitude: Annotated[float, quantity("m", "rad")]

@@ -7,10 +7,10 @@ from canhaptic.units import Numbers, quantity
 
 
 class Plane(Surface):
-    """Material where normal . p < offset."""
+    """A wall: material where normal . p < offset."""
 
     normal: Numbers
-    """Out of the material; its length does not matter."""
+    """Direction out of the material; its length does not matter."""
     offset: Annotated[float, quantity("m", "rad")] = 0.0
     """Distance of the surface from the origin along the normal [m or rad]."""
 

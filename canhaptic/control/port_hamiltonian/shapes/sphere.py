@@ -8,14 +8,14 @@ from canhaptic.units import Coordinates, quantity
 
 
 class Sphere(Surface):
-    """Round in every coordinate of task space."""
+    """A sphere in task space; a disc in a plane."""
 
     centre: Coordinates
     """Task coordinates [m or rad] of the centre."""
     radius: Annotated[float, quantity("m", "rad", gt=0.0)]
-    """From the centre to the surface."""
+    """Radius of the surface."""
     side: Literal["inside", "outside"] = "outside"
-    """Where free space is."""
+    """Side of the surface on which the handle moves freely."""
 
     def build(self, dimensions: int) -> Rendered:
         """Return the sphere; see `NetworkEnvironment`."""

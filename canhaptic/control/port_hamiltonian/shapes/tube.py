@@ -12,16 +12,16 @@ _ON_THE_LINE: Final = 1e-12
 
 
 class Tube(Surface):
-    """Around the line through `point` along `direction`; in a plane it is a channel."""
+    """A tube around the line through `point` along `direction`; in a plane a channel."""
 
     point: Coordinates
-    """Any one point [m or rad] of the line."""
+    """Any point of the line [m or rad]."""
     direction: Numbers
-    """Along the line; its length does not matter."""
+    """Direction of the line; its length does not matter."""
     radius: Annotated[float, quantity("m", "rad", gt=0.0)]
-    """From the line to the surface."""
+    """Distance of the surface from the line."""
     side: Literal["inside", "outside"] = "inside"
-    """Where free space is."""
+    """Side of the surface on which the handle moves freely."""
 
     def build(self, dimensions: int) -> Rendered:
         """Return the tube; see `NetworkEnvironment`."""

@@ -10,9 +10,9 @@ from canhaptic.units import Coordinates, Parameters, quantity
 
 
 class VirtualMass(Parameters):
-    """Handle - spring (hardening) and damper - mass on a viscous floor; every coordinate of task space alike.
+    """A mass on a viscous floor, coupled to the handle by a (hardening) spring and a damper in every coordinate.
 
-    The states are the extensions of the coupling, then the momenta. The mass begins at rest where the handle is.
+    The states are the extensions of the coupling, then the momenta. The mass begins at rest at the handle.
     """
 
     mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0)]
