@@ -190,11 +190,8 @@ def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_t
         account["reach"] = list(port.reach)
     if port.damping_asked is not None:
         account["contact"] |= {"asked": port.sizes_asked, "sent": port.sizes_sent, "beyond_limit": port.beyond_limit}
-        damping = port.damping_asked * port.contacts
-        account["rendered"] = {
-            "stiffness": port.rendered / port.asked if port.asked else None,
-            "damping": port.damping / damping if damping else None,
-        }
+        damping, stiffness = port.damping_asked * port.contacts, port.rendered / port.asked if port.asked else None
+        account["rendered"] = {"stiffness": stiffness, "damping": port.damping / damping if damping else None}
     if (felt := port.felt) is not None:
         asked, mass = felt.asked.mass, felt.mass
         account["mass"] = {"asked": asked, "felt": mass, "share": None if mass is None else mass / asked}
