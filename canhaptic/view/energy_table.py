@@ -1,6 +1,7 @@
 """Tables of a run for a terminal, from the dictionary that `run --json` prints: `run --full` and `inspect`."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -40,7 +41,10 @@ def energy_report(*results: Result) -> RenderableType:
     for result in results:
         parts += [*([_header(result)] if "file" in result else []), *headlines(result), heading(result)]
     if any(result.get("ports") for result in results):
-        parts.append(energy_table(*results))
+        table = energy_table(*results)
+        if len(results) > 1:  # short lines, so that the columns fit next to each other
+            table = replace(table, rows=[[_in_lines(cell) for cell in row] for row in table.rows])
+        parts.append(table)
     for result in results:
         parts += [Text(f" {result['file']}")] if len(results) > 1 else []
         parts += [line(name, result[name]) for name in ("timing", "link", "method") if result.get(name)]
@@ -66,9 +70,11 @@ def energy_table(*results: Result) -> Table:
     if any(truths):
         rows.append([])
         rows += [[label, *(_cell(key, truth) for truth in truths)] for label, key in _TRUTH_ROWS.items()]
-    if len(results) > 1:
-        rows = [[in_lines(cell, _NAME_WIDTH) if isinstance(cell, str) else cell for cell in row] for row in rows]
     return Table("", ["energy account", *heads], rows, keys=1)
+
+
+def _in_lines(cell: Cell) -> Cell:
+    return in_lines(cell, _NAME_WIDTH) if type(cell) is str else cell
 
 
 def _cell(cell: _Shown, port: Result) -> str | Styled:

@@ -3,7 +3,8 @@
 import re
 
 from canhaptic.control.balance import EnergyBalance
-from tests.docs.documents import ROOT
+from canhaptic.view.energy_table import _PORT_ROWS
+from tests.docs.documents import ROOT, pages
 
 PAGE = (ROOT / "docs" / "words.md").read_text(encoding="utf-8")
 ROWS = re.findall(r"^\| ((?!word )[^|-][^|]*) \| ([^|]*) ?\| ([^|]+) \|$", PAGE, re.MULTILINE)
@@ -29,6 +30,15 @@ def test_the_keys_of_a_scene_link_to_their_words() -> None:
     linked = dict(re.findall(r"^\| (?:\*\*)?\[`(\w+)`\]\(words\.md#([\w-]+)\)", page, re.MULTILINE))
     assert linked["hand_force"] == "hand-force"
     assert len(linked) > 15
+
+
+def test_rows_of_the_account_that_a_page_names_exist() -> None:
+    """A row that is renamed is renamed in every page."""
+    labels = {label.strip() for label, _ in _PORT_ROWS}
+    texts = (" ".join(page.read_text(encoding="utf-8").split()) for page in pages())
+    named = [row for text in texts for row in re.findall(r"[Rr]ow \*([^*]+)\*", text)]
+    assert len(named) > 8
+    assert set(named) <= labels
 
 
 def test_columns_of_the_log_that_are_named_exist() -> None:
