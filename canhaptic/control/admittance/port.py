@@ -100,9 +100,7 @@ class Port:
     """Energy account of one axis of an admittance display, kept from SYNC to SYNC."""
 
     settings: AdmittanceProperties
-    positions: list[float] = field(
-        default_factory=list
-    )  # of the SYNCs whose forces have not come, (latency + 1,) [m or rad]
+    positions: list[float] = field(default_factory=list)  # whose forces have not come, (latency + 1,) [m or rad]
     started: bool = False
     position: float = 0.0  # of the last SYNC that came [m or rad]
     missed: int = 0  # samples lost since
