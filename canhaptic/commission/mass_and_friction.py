@@ -265,8 +265,6 @@ _TIMES: Final = ("sync_jitter", "torque_window", "current_lag")
 _ITEM: Final = "torque lag"
 _DOUBLETS: Final = (32, 64, 128, 256, 512)
 """Number of doublets of each test in turn, until the hold is known and the wall can be judged."""
-_REVERSALS: Final = 2.5  # of a doublet, with the one to the next
-_LEAST_MOTION: Final = 7.1  # counts in a sample time, by the root of the number of reversals: two holds then differ
 _OVER: Final = 1.1
 _EARLY: Final = 3.0  # standard deviations below 0 from which on a torque acts before its SYNC
 
@@ -310,9 +308,7 @@ def time_the_torque(
         if is_told and hold and hold > 0:  # the hold is declared, and the lag is that within it
             late = late[0] - hold * session.sample_time, late[1]
         if is_last or (is_told and (known is None or _is_resolved(session, axis, late, known))):
-            sent = max(map(abs, law.sent))
-            remedy = _remedy_of_unclear(session, axis, sent, mass, count)
-            report_hold(session, axis, times if is_told else times._replace(hold=None), remedy)
+            report_hold(session, axis, times if is_told else times._replace(hold=None))
             if known is None:
                 return
             declared = session.axes[axis].loop.current_lag or 0.0
@@ -324,18 +320,6 @@ def time_the_torque(
             return
         seen = f"+- {SURE * late[1] * 1e6:.2g} us costs too much of the wall" if is_told else "in which hold is unclear"
         session.dialogue.tell(f"  {name}: {_ITEM}: {seen}")
-
-
-def _remedy_of_unclear(session: Session, axis: int, torque: float, mass: float, count: int) -> str:
-    """Return why reversals of a torque [N or N*m] on a mass [kg or kg*m^2] may not show the hold, and what to do."""
-    least = _LEAST_MOTION / session.axes[axis].parameters.counts_per_unit / math.sqrt(_REVERSALS * count)
-    needed = mass * least / session.sample_time**2
-    until = "until the hold is known, the account of a real drive stays in doubt"
-    if needed <= torque:
-        cause = "the motion is not that of a mass with friction and one resonance; let go of the handle"
-        return f"{cause}, remove what is coupled to it, or raise --torque, --travel and --speed; {until}"
-    cause = f"the encoder is too coarse for {session.shown(axis, torque)}"
-    return f"{cause}: raise --torque (and torque_limit) to {session.shown(axis, needed)}, or refine it; {until}"
 
 
 def _at_most(late: tuple[float, float]) -> float:

@@ -233,6 +233,7 @@ class OpenLoop:
         sent: Torque returned at every SYNC; after `Session.play`, the torque that the limits let pass [N or N*m].
         tripped: Reason why the torque was removed; "" if it was not.
         has_gap: Whether a sample was lost: the positions then do not belong to consecutive SYNCs.
+        skipped: SYNCs before which others were skipped, after `Session.play`.
     """
 
     def __init__(self, torques: Sequence[float] = (), travel: float = math.inf, largest_step: float = math.inf) -> None:
@@ -246,6 +247,7 @@ class OpenLoop:
         self.sent: list[float] = []
         self.tripped = ""
         self.has_gap = False
+        self.skipped: list[int] = []
         self._rest = iter(self._torques)
         self._last = AT_REST
 
@@ -420,6 +422,8 @@ class Session:
     ) -> OpenLoop:
         """Play torques of an amplitude as `play` does; where the axis goes too far or too fast, repeat with half of it.
 
+        Where a TPDO was lost, the same amplitude is repeated.
+
         Args:
             axis: Index of the axis.
             item: Measured quantity.
@@ -434,10 +438,11 @@ class Session:
             self.coast(axis)
             torques = torques_of(torque)
             law = self.play(axis, torques, len(torques) + 2)  # the last one ends as well, or the axis moves on
-            if not law.tripped or law.has_gap or self.stop_requested() or not left:
+            if not law.tripped or self.stop_requested() or not left:
                 break
-            torque *= 0.5
-            self.dialogue.tell(f"  {name}: {item}: stopped, handle {law.tripped}; repeating with {torque:.3g} {unit}")
+            torque *= 1.0 if law.has_gap else 0.5
+            cause = law.tripped if law.has_gap else f"handle {law.tripped}"
+            self.dialogue.tell(f"  {name}: {item}: stopped, {cause}; repeating with {torque:.3g} {unit}")
         return law
 
     def play(
@@ -460,6 +465,8 @@ class Session:
 
         def note() -> bool:
             if self.rig.records:
+                if self.rig.periods > 1:
+                    law.skipped.append(len(sent))
                 sent.append(self.drives[axis].scaling.torque(self.rig.records[-1].torques_per_mille[axis]))
             return ready()
 

@@ -35,6 +35,7 @@ _DELAYS: Final = np.arange(-13, 29) * 0.1  # [sample times]
 _NARROW: Final = 0.6  # [sample times] from which on no better model is tried
 _MARGIN: Final = 0.05  # [sample times]
 _LATEST: Final = 2  # SYNCs late
+_CLEAR: Final = 0.3  # [sample times] a range this narrow names one hold; the torque narrows it by its root
 _GOLDEN: Final = 0.382
 
 
@@ -114,7 +115,7 @@ def _windows(positions: _Array, torques: _Array, half: int) -> _Windows | None:
         return None
     moved = positions[turns[:, None] + at]
     parts = np.diff(moved[:, :: max(1, half // 2)], axis=1)
-    is_one_way = (parts > 0.0).all(axis=1) | (parts < 0.0).all(axis=1)
+    is_one_way = ((parts > 0.0).all(axis=1) | (parts < 0.0).all(axis=1)) & np.isfinite(moved).all(axis=1)
     moved, pushed = moved[is_one_way], changes[turns[is_one_way, None] + before]
     if len(moved) < _FEWEST:
         return None
@@ -258,6 +259,8 @@ def time_the_hold(session: Session, axis: int, law: OpenLoop, half_base: int) ->
     drive, period = session.drives[axis], session.sample_time
     maps = [other.map for other in session.drives if other.link is drive.link]
     positions, booked = np.array(law.positions) / session.encoder_ratios[axis], np.array(law.applied)
+    for sync in law.skipped:  # no window that counts a torque before such a SYNC is regular
+        positions[sync : sync + _BEFORE + 1] = np.nan
     declared = as_declared(session, axis, law)
     motion = estimate_delay(positions, declared, period, half_base)
     hold = None if motion is None else motion.hold(torque_latency(drive.bus, maps) / period)
@@ -284,17 +287,10 @@ def _age(commands: _Array, shown: _Array) -> int | None:
     return errors.index(min(errors)) if is_clear else None
 
 
-def report_hold(session: Session, axis: int, times: HoldTimes, remedy: str) -> None:
-    """Report the times from command to motion, to read-back and between these two; propose the values to declare.
-
-    Args:
-        session: Commissioning session.
-        axis: Index of the axis.
-        times: Times that the last test found.
-        remedy: Reason and remedy where the hold is unclear.
-    """
+def report_hold(session: Session, axis: int, times: HoldTimes) -> None:
+    """Report the times from command to motion, to read-back and between these two; propose the values to declare."""
     begin = session.axes[axis].loop.delay
-    _report_motion(session, axis, begin, times, remedy)
+    _report_motion(session, axis, begin, times)
     if not times.is_read_back:
         return session.found(axis, _SHOWN, "", "none", StepVerdict.UNKNOWN, "no torque is read back")
     if times.shown is None:
@@ -314,13 +310,24 @@ def _text(begin: int, found: TorqueDelay | None, hold: int | None) -> str:
     return f"unclear: {within} SYNC" if hold is None else f"{begin + hold} SYNC ({within})"
 
 
-def _report_motion(session: Session, axis: int, begin: int, times: HoldTimes, remedy: str) -> None:
+def _remedy(found: TorqueDelay | None) -> str:
+    """Return why the hold stays unclear, and what to do."""
+    until = "until the hold is known, the account of a real drive stays in doubt"
+    if found is not None and not found.is_explained:
+        cause = "the motion is not that of a mass with friction and one resonance"
+        return f"{cause}: let go of the handle, and remove what is coupled to it; {until}"
+    wide = 4.0 if found is None else max(2.0, ((found.high - found.low) / _CLEAR) ** 2)
+    more = f"raise --torque or torque_limit about {wide:.0f} times, with --travel and --speed"
+    return f"the encoder is too coarse for this torque: {more}, or use a finer encoder; {until}"
+
+
+def _report_motion(session: Session, axis: int, begin: int, times: HoldTimes) -> None:
     """Report in which hold a torque acts; no scene is ready where it cannot declare that hold."""
     parameters, rpdo = session.axes[axis].parameters, session.drives[axis].bus.rpdo
     configured, found, hold = f"{begin} SYNC", _text(begin, times.motion, times.hold), times.hold
     late = quirks_of(parameters.quirks).syncs_late
     if hold is None:
-        session.found(axis, _MOTION, configured, found, StepVerdict.UNKNOWN, remedy)
+        session.found(axis, _MOTION, configured, found, StepVerdict.UNKNOWN, _remedy(times.motion))
     elif hold == 0:
         session.found(axis, _MOTION, configured, found, StepVerdict.AGREES)
         checked = session.drives[axis].signature()

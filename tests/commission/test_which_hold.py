@@ -1,13 +1,16 @@
 """The hold in which a torque acts, found from the motion; judged by the plant that moved."""
 
+from itertools import count
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from canhaptic.commission.session import Report, StepVerdict, reversals
-from canhaptic.commission.which_hold import TorqueDelay, _age, _response, estimate_delay
+from canhaptic.commission.which_hold import TorqueDelay, _age, _remedy, _response, estimate_delay
 from canhaptic.cycle import run
+from canhaptic.drive.can.exchange import Exchange
 from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.effects import Effect
@@ -201,8 +204,29 @@ def test_of_random_twins_no_hold_is_wrong(seed: int) -> None:
     assert found.hold in (None, found.true_hold)
 
 
-def test_a_torque_too_small_for_its_encoder_tells_no_hold() -> None:
-    assert delay_of([], 0, count=1e-4, doublets=12).hold(0.25) is None
+def test_a_torque_too_small_for_its_encoder_tells_no_hold_but_the_torque_that_does() -> None:
+    found = delay_of([], 0, count=1e-4, doublets=12)
+    assert found.hold(0.25) is None
+    assert "too coarse" in _remedy(found)
+    assert "about 4 times" in _remedy(found._replace(low=-0.4, high=0.2))
+    assert "let go of the handle" in _remedy(found._replace(is_explained=False))
+
+
+def test_a_skipped_sync_costs_the_windows_around_it_and_not_the_test(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every 300 cycles the host is held up by two sample times: that hold is three times as long as it counts."""
+    regular, calls, skipped = Exchange._wait, count(), []
+
+    def held_up(exchange: Exchange) -> int:
+        if next(calls) % 300 == 299:
+            exchange.wait_until(exchange._next + 2 * exchange._period)
+        woken = regular(exchange)
+        skipped.append(exchange.skipped)
+        return woken
+
+    monkeypatch.setattr(Exchange, "_wait", held_up)
+    session, _ = timed()
+    assert max(skipped) >= 4
+    assert verdicts(session.report) == [AGREES, AGREES, AGREES]
 
 
 @pytest.mark.parametrize(("serial", "is_checked"), [(7, True), (8, False)])
