@@ -184,7 +184,8 @@ class Report:
     def table(self) -> Table:
         """Return the rows as a table for a terminal."""
         rows: list[list[Cell]] = [
-            [*row[:4], Styled(row.verdict.value, _COLOURS[row.verdict]), row.text] for row in self.findings
+            [axis, item.replace("_", " "), configured, found, Styled(verdict.value, _COLOURS[verdict]), text]
+            for axis, item, configured, found, verdict, text in self.findings
         ]
         return Table("commissioning", ("axis", "what", "configured", "found", "verdict", ""), rows)
 

@@ -28,6 +28,7 @@ _LABELS: Final = {
     "missing": "TPDOs missed", "received": "frames received", "sent": "frames sent",
 }  # fmt: skip
 """Words for figures of the link."""
+_RAN_IN: Final = {"cycle": "the cycle", "process": "a process of its own"}
 _LOSSES: Final = ("skipped_syncs", "missed_tpdos", "missing")
 """Link counters that indicate a problem if they are not zero."""
 STYLES: Final[dict[Headline, str]] = {
@@ -203,7 +204,7 @@ def heading(result: Result) -> Text:
     if result.get("config_hash"):
         text.append(f"   configuration {str(result['config_hash'])[:12]}", style="dim")
     if code := result.get("own_code"):
-        text.append(f"\n own code: {code['runs_in']}")
+        text.append(f"\n user code ran in {_RAN_IN.get(code['runs_in'], code['runs_in'])}")
         text.append(f", {counted(code['late_holds'], 'answer')} late" if "late_holds" in code else "")
     return text
 

@@ -146,6 +146,9 @@ class PortPicture:
         common, own = self._lines(panel), self._own_lines(panel)
         lines = [*own, *common] if panel == "torque" else [*common, *own]
         largest = max(abs(float(limit(line, initial=0.0))) for line, _ in lines for limit in (np.nanmin, np.nanmax))
+        wall = self._log.attributes.get(f"{self._name}.wall_position")
+        if panel == "position" and isinstance(wall, int | float) and np.isfinite(wall):
+            largest = max(largest, abs(float(wall)))
         self.scales[panel], prefix = scale_of(largest)
         scale, unit = self.scales[panel], self._movers[0].unit(_COLUMNS[panel])
         if panel == "energy":
@@ -343,7 +346,8 @@ def _layout(
 
 
 def _caption(log: EnergyLog) -> str:
-    parts = [log.path.name, f"{counted(log.rows, 'cycle')} at {si(1.0 / log.sample_time, 'Hz', 3)}", log.status]
+    status = log.status.partition(":")[0]  # the reason of a failure is longer than the picture is wide
+    parts = [log.path.name, f"{counted(log.rows, 'cycle')} at {si(1.0 / log.sample_time, 'Hz', 3)}", status]
     if "config_hash" in log.attributes:
         parts.insert(1, f"configuration {str(log.attributes['config_hash'])[:12]}")
     return "   ".join(parts)

@@ -279,9 +279,12 @@ def test_a_run_prints_a_line_a_port_and_what_is_amiss(capsys: pytest.CaptureFixt
 @pytest.mark.parametrize(
     ("own_code", "row"),
     [
-        ({"runs_in": "cycle"}, "own code: cycle"),
-        ({"runs_in": "process", "late_holds": 3, "longest": 2}, "own code: process, 3 answers late"),
-        ({"runs_in": "process", "late_holds": 1, "longest": 1}, "own code: process, 1 answer late"),
+        ({"runs_in": "cycle"}, "user code ran in the cycle"),
+        (
+            {"runs_in": "process", "late_holds": 3, "longest": 2},
+            "user code ran in a process of its own, 3 answers late",
+        ),
+        ({"runs_in": "process", "late_holds": 1, "longest": 1}, "user code ran in a process of its own, 1 answer late"),
     ],
 )
 def test_a_run_with_own_code_says_where_it_ran_and_how_often_it_was_late(
@@ -290,7 +293,7 @@ def test_a_run_with_own_code_says_where_it_ran_and_how_often_it_was_late(
     content = result(["handle"])
     add_verdicts(content["ports"]["handle"])
     make_console().print(brief_report(content))
-    assert "own code" not in capsys.readouterr().out
+    assert "user code" not in capsys.readouterr().out
     make_console().print(brief_report(content | {"own_code": own_code}))
     assert f" {row}" in capsys.readouterr().out.splitlines()
     assert f" {row}" in map(str.rstrip, printed(content | {"own_code": own_code}).splitlines())

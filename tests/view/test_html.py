@@ -183,4 +183,4 @@ def test_a_run_of_other_ports_is_not_laid_over(tmp_path: Path, capsys: pytest.Ca
     write_run(tmp_path / "other.h5", cycles=200, ports=("knob",))
     words = ["inspect", str(tmp_path / "run.h5"), "--html", str(tmp_path / "run.html")]
     assert main([*words, "--overlay", str(tmp_path / "other.h5")]) == 2
-    assert "has the ports knob and none of handle" in capsys.readouterr().err
+    assert "got the ports knob, expected one of handle" in capsys.readouterr().err
