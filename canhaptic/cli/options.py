@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from canhaptic.errors import InputError
-from canhaptic.host.output_file import require_writable_place
 from canhaptic.input_file import CONVERTIBLE
 
 if TYPE_CHECKING:
@@ -108,6 +107,8 @@ def check_place(path: Path, force: bool) -> None:
     """
     if not path.absolute().parent.is_dir():
         raise InputError(f"{path}: no such folder {path.absolute().parent}; make it first")
+    from canhaptic.host.output_file import require_writable_place  # a run without outputs loads nothing of it
+
     require_writable_place(path)
     if not force:
         require_new(path)

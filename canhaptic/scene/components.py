@@ -1,9 +1,7 @@
 """Annotations for fields of a scene whose parameter model is chosen by a name in the file, or defined by the user."""
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -12,10 +10,10 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from canhaptic.drive.axis_parameters import BusParameters
-from canhaptic.errors import OverrideWarning, ParameterError
+from canhaptic.errors import ParameterError
 from canhaptic.registry import load
 from canhaptic.scene.document import MarkedMapping
-from canhaptic.units import OnDemand, Parameters, UnitContext, example, shown
+from canhaptic.units import OnDemand, Parameters, UnitContext, shown
 
 READY: Final = "ready"
 """Type of a pydantic error whose text is complete, without the value seen in front of it."""
@@ -23,7 +21,12 @@ READY: Final = "ready"
 
 CodeUse = Literal["refused", "run", "left"]
 """Treatment of user code that a scene names: refused with an error, run, or left unread."""
-_OWN_CODE: Final = {"own code": "canhaptic.scene.own_code:OwnCode"}
+_ON_DEMAND: Final = {
+    "own code": "canhaptic.scene.own_code:OwnCode",
+    "own model": "canhaptic.scene.own_code:own_model",
+    "override": "canhaptic.scene.overrides:without_old_keys",
+}
+"""Reader of a section -> "module:name"; a scene loads only those that it needs."""
 OWN_MODULE: Final = "_canhaptic_own_"
 """Prefix of the name of the private module made from a file of user code."""
 
@@ -49,7 +52,7 @@ class SceneContext(UnitContext):
     def code(self) -> Any:
         """The `OwnCode` of the scene, made when the scene first refers to user code."""
         if self._code is None:
-            self._code = load(_OWN_CODE, "own code", "reader")(self.folder, self.use)
+            self._code = load(_ON_DEMAND, "own code", "reader")(self.folder, self.use)
         return self._code
 
 
@@ -102,13 +105,14 @@ class ComponentOf:
     def model_of(self, section: object) -> type[Parameters] | None:
         """Return the model that a section names; None if it names none of the table, such as user code."""
         name = section.get(self.selector) if isinstance(section, MarkedMapping) else None
-        return self._model(name) if isinstance(name, str) and name in self.table else None
+        return self.model_named(name) if isinstance(name, str) and name in self.table else None
 
     def table_for(self, _section: object) -> "ComponentOf":
         """Return the table from which a section is read."""
         return self
 
-    def _model(self, name: str) -> type[Parameters]:
+    def model_named(self, name: str) -> type[Parameters]:
+        """Return the model of an entry of the table."""
         return _parameters_of(load(self.table, name, self.kind))
 
     def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -135,39 +139,19 @@ class ComponentOf:
                     written = dict(value.without(self.selector, *self.apart))
                     return ComponentSpec(name, UnreadParameters(written=written))
                 own = code.find(name, self.kind)
-            model = self._model(name) if own is None else _own_parameters(own, name)
+            model = self.model_named(name) if own is None else _own_parameters(own, name)
         except ParameterError as error:
-            raise self._refused(str(error)) from error
+            raise self.refused(str(error)) from error
         except ImportError as error:
             text = f"got {name!r}, a {self.kind} that this installation lacks a module for ({error})"
-            raise self._refused(text) from error
+            raise self.refused(text) from error
         section = value.without(self.selector, *(key for key in self.apart if key not in model.model_fields))
-        section = self._switched(name, model, section, info.context)
+        if section.was not in (None, name) and section.was in self.table:
+            section = load(_ON_DEMAND, "override", "reader")(self, name, model, section, info.context)
         return ComponentSpec(name, model.of_section(section, info.context), own)
 
-    def _switched(
-        self, name: str, model: type[Parameters], section: MarkedMapping, reading: SceneContext
-    ) -> MarkedMapping:
-        """Return the section without keys of the type that an override replaced; real drives refuse such keys."""
-        was, fields = section.was, model.model_fields
-        if was in (None, name) or was not in self.table:
-            return section
-        of_file = [key for key, at in section.keys_at.items() if key in section and not at.source.startswith("--set ")]
-        gone = [key for key in of_file if key in self._model(was).model_fields.keys() - fields.keys()]
-        if gone and not reading.simulated:
-            text = f"which has no {', '.join(gone)}; the drives may be real, so no key is dropped: take it"
-            raise self._refused(f"got {name!r} in place of {was!r}, {text} out of the scene")
-        path, motion = ".".join(section.mark.path), section.motion or reading.motion
-        needed = {key: field for key, field in fields.items() if field.is_required() and key not in section}
-        if needed:
-            words = " ".join(f"--set {path}.{key}={example(field, motion)}" for key, field in needed.items())
-            raise self._refused(f"got {name!r} in place of {was!r}, which needs {', '.join(needed)}, as in {words}")
-        if gone and parent_process() is None:
-            text = f"{', '.join(gone)}: dropped, as {name!r} in place of {was!r} has no such key"
-            warnings.warn(f"{section.value_at(self.selector).source}: {path}: {text}", OverrideWarning, stacklevel=2)
-        return section.without(*gone)
-
-    def _refused(self, text: str) -> ValidationError:
+    def refused(self, text: str) -> ValidationError:
+        """Return the error of a section whose name cannot be used."""
         fault = InitErrorDetails(
             type=PydanticCustomError(READY, "{text}", {"text": text}), loc=(self.selector,), input=None
         )
@@ -178,7 +162,7 @@ class ComponentOf:
 
     def _choice(self, name: str, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         """Schema of one entry of the table, including its name."""
-        model = handler.resolve_ref_schema(handler(self._model(name).__pydantic_core_schema__))
+        model = handler.resolve_ref_schema(handler(self.model_named(name).__pydantic_core_schema__))
         own = {key: value for key, value in model.get("properties", {}).items() if key != self.selector}
         required = [key for key in model.get("required", []) if key != self.selector]
         properties = {self.selector: {"const": name}, **own}
@@ -205,19 +189,7 @@ class OwnModel(OnDemand):
         """Return the parameters of a section."""
         if not isinstance(value, MarkedMapping) or "type" not in value:
             return super().read(value, info)
-        name, code, model = value["type"], info.context.code, self.model_of()
-        if not isinstance(name, str):
-            raise ValueError(f"type: got {shown(name)}, expected FILE.py:Class")
-        if code.is_left(name, self._kind):
-            return model()
-        try:
-            own = code.find(name, self._kind)
-        except ParameterError as error:
-            raise PydanticCustomError(READY, "{text}", {"text": str(error)}) from error
-        if not (isinstance(own, type) and issubclass(own, model)):
-            seen = "which is unknown" if own is None else f"which is no {model.__name__}"
-            raise ValueError(f"type: got {name!r}, {seen}; expected FILE.py:Class, a subclass of {model.__name__}")
-        return own.of_section(value.without("type"), info.context)
+        return load(_ON_DEMAND, "own model", "reader")(value, info.context, self.model_of(), self._kind)
 
 
 def _with_type(value: Parameters | None) -> dict[str, object] | None:

@@ -1,7 +1,7 @@
 """Checks of a scene that need more than one of its sections."""
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import NamedTuple
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen.eds import read_dictionary
@@ -13,15 +13,12 @@ from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.host.interfaces import interface_faults
 from canhaptic.scene.components import ComponentSpec
-from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, SourceLocation
+from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation
 from canhaptic.scene.layout import bus_section
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controller, build_group
 from canhaptic.scene.timing import rests_on_hand_force
 from canhaptic.units import shown
-
-if TYPE_CHECKING:
-    from canhaptic.sim.plant.mechanism import MechanismParameters
 
 
 def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, beyond_bus: bool = False) -> None:
@@ -44,13 +41,16 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
         loop = next(section for section in given if isinstance(section, MarkedMapping))
         first = next(other for other in scene.axes if other.group == axis.group)
         known = scene.bus_of(axis), scene.passivity_of(axis), not scene.simulated, bool(scene.mechanisms)
-        maps[axis.bus].append(_check_axis(_Checked(axis, first, entry, loop, *known), sections, faults))
+        maps[axis.bus].append(_check_axis(_Checked(axis, first, entry, loop, *known), faults))
     for group in scene.groups:
         try:
             build_group(scene, group)
         except ParameterError as error:
             faults.add(of_groups[group.name].mark, str(error))
-    _check_mechanisms(scene, sections, faults)
+    if scene.simulation is not None:
+        from canhaptic.scene.far_side import check_plants
+
+        check_plants(scene, sections, faults)
     for index, (name, bus) in enumerate(scene.buses):
         if None not in maps[name] and not beyond_bus:
             try:
@@ -72,11 +72,11 @@ class _Checked(NamedTuple):
     is_coupled: bool  # whether the scene has simulated mechanisms
 
 
-def _check_axis(of: _Checked, sections: MarkedMapping, faults: Diagnostics) -> AxisMap | None:
+def _check_axis(of: _Checked, faults: Diagnostics) -> AxisMap | None:
     """Note the faults of an axis; return the PDO map of its drive, if its dictionary is fit."""
     for key, text in _faults_of_axis(of):
         faults.add(of.entry.value_at(key) if key else of.entry.mark, text)
-    _check_parts(of, sections, faults)
+    _check_controller(of, faults)
     axis_map = _check_dictionary(of, faults)
     for key, text in _faults_of_loop(of, axis_map):
         faults.add(of.loop.value_at(key), text)
@@ -214,34 +214,14 @@ def _faults_of_loop(of: _Checked, axis_map: AxisMap | None) -> Iterator[tuple[st
         yield "torque_window", f"{text} bit/s; measure it (canhaptic commission), or set rpdo: synchronous"
 
 
-def _check_parts(of: _Checked, sections: MarkedMapping, faults: Diagnostics) -> None:
-    """Build controller and plant once, so that each reports what it refuses."""
+def _check_controller(of: _Checked, faults: Diagnostics) -> None:
+    """Build the controller once, so that it reports what it refuses."""
     axis = of.axis
     try:
         if not axis.group and axis.is_read:
             build_axis_controller(axis)
     except ParameterError as error:
         faults.add(of.loop.mark, str(error))
-    if axis.simulation is not None and axis.is_read:
-        from canhaptic.scene.far_side import build_plant
-
-        try:
-            build_plant(axis.simulation, of.bus.sample_time_ns)
-        except ParameterError as error:
-            faults.add(_place_in_simulation(axis, sections["simulation"], error.part), str(error))
-
-
-def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) -> SourceLocation:
-    """Return the location of the part that a plant refuses: an effect of this type, else the plant."""
-    axes = simulation.get("axes")
-    own = axes.get(axis.parameters.name) if isinstance(axes, MarkedMapping) else None
-    for owner in (own, simulation):
-        effects = owner.get("effects") if isinstance(owner, MarkedMapping) else None
-        if isinstance(effects, MarkedList):
-            for effect, at in effects.items_at():
-                if isinstance(effect, MarkedMapping) and part == effect.get("type"):
-                    return at
-    return simulation.value_at("plant")
 
 
 def _check_dictionary(of: _Checked, faults: Diagnostics) -> AxisMap | None:
@@ -259,25 +239,3 @@ def _check_dictionary(of: _Checked, faults: Diagnostics) -> AxisMap | None:
     if of.is_real and (text := limit_objection(dictionary, given)):
         faults.add(of.entry.value_at("admittance"), f"{given.eds}: 0x6072 max torque: {text}")
     return None if refusals else choose_map(dictionary, given)
-
-
-def _check_mechanisms(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
-    """Note axes that cannot move a mechanism, and what the mechanism refuses, such as a singular initial pose."""
-    if not scene.mechanisms:
-        return
-    from canhaptic.scene.far_side import build_mechanism
-
-    for of, section in zip(scene.mechanisms, sections["simulation"]["mechanisms"], strict=True):
-        (name, model, _), before, at = of.mechanism, len(faults), section.value_at("axes")
-        motion, members = cast("MechanismParameters", model).motion, [scene.axis(axis) for axis in of.axes]
-        for axis in members:
-            if axis.parameters.unit != motion:
-                text = f"got {axis.parameters.name!r} with unit {axis.parameters.unit}, expected unit: {motion}, in"
-                faults.add(at, f"{text} which the motors of a {name} move")
-        if len({axis.bus for axis in members}) > 1:
-            faults.add(at, "got axes of several buses, expected one bus for axes simulated together")
-        try:
-            if len(faults) == before:
-                build_mechanism(of, scene.bus.sample_time_ns)
-        except ParameterError as error:
-            faults.add(section.mark, str(error))

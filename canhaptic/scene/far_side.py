@@ -7,6 +7,7 @@ Only a scene with a simulation loads this module.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Any, Final, Literal, cast
@@ -17,11 +18,13 @@ from canhaptic.drive.profile.quirks import TWINS
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.registry import load
 from canhaptic.scene.components import ComponentSpec
-from canhaptic.scene.document import Diagnostics, MarkedMapping
+from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, SourceLocation
 from canhaptic.scene.models import SCALING_KEYS, SIMULATION_PARTS, AxisScene, AxisSimulation, MechanismScene, Scene
-from canhaptic.units import Unit
+from canhaptic.units import Parameters, Unit
 
 if TYPE_CHECKING:
+    from canhaptic.control.axis_meter import Accuracy
+    from canhaptic.control.passivity.controller import LoopProperties
     from canhaptic.sim.bus.faulty_bus import FaultyBus
     from canhaptic.sim.drive.can.drive_node import DriveGroup
     from canhaptic.sim.plant.effects import Effect
@@ -30,6 +33,10 @@ if TYPE_CHECKING:
     from canhaptic.sim.plant.plant import Plant
 
 _SEEDS_APART: Final = 1_000_003  # from one bus to the next
+_ANY: Final = 1e6  # [N or N*m]
+_OF_A_WINDING: Final = ("supply", "back_emf", "resistance")
+_SIGMAS: Final = 6.0
+"""Standard deviations of a noise that no sample is expected to exceed: 2e-9 of the samples do."""
 _BOUNDS: Final = ("device_damping_bound", "device_friction_bound")
 _NO_LAG: Final = 1.0
 """Lag of a torque that has no bound [s]: the largest accepted value, with which nothing is certified."""
@@ -291,3 +298,98 @@ def _mirror_display(drive: MarkedMapping, axis: MarkedMapping) -> None:
         if value is not None and key not in scales:
             scales.put(key, value, at, at)
     drive.put("display", scales, at, at)
+
+
+def loop_of_simulated(axis: AxisScene, simulation: AxisSimulation) -> "LoopProperties":
+    """Return the loop of an axis with the errors of its simulated encoder, and torques that its motor can reach."""
+    effects, loop = _effects(simulation), axis.loop
+    error = 0.5 * _value(effects, "encoder_quantisation", "count")
+    error += _SIGMAS * _value(effects, "encoder_noise", "deviation")
+    limit, changes = _value(effects, "torque_saturation", "limit", inf), dict[str, float]()
+    if error:
+        changes["encoder_count"] = loop.encoder_count + 2.0 * error
+    if limit < (inf if loop.torque_limit is None else loop.torque_limit):
+        changes["torque_limit"] = limit
+    return loop.model_copy(update=changes) if changes else loop
+
+
+def with_torque_errors(accuracy: "Accuracy", axis: AxisScene, simulation: AxisSimulation) -> "Accuracy":
+    """Return an accuracy with the errors of a simulated motor's torque."""
+    effects = _effects(simulation)
+    unasked = _unasked(effects, axis)
+    return replace(
+        accuracy,
+        torque_share=1.0 if "thermal_derating" in effects else _value(effects, "torque_ripple", "amplitude"),
+        torque_offset=0.5 * _value(effects, "torque_quantisation", "quantum") + unasked,
+        acts_unasked=unasked > 0.0,
+        torque_limit=_value(effects, "torque_saturation", "limit", inf),
+    )
+
+
+def _effects(simulation: AxisSimulation) -> Mapping[str, Parameters]:
+    return {effect.name: effect.parameters for effect in simulation.effects}
+
+
+def _value(effects: Mapping[str, Parameters], name: str, key: str, otherwise: float = 0.0) -> float:
+    return float(getattr(effects[name], key)) if name in effects else otherwise
+
+
+def _unasked(effects: Mapping[str, Parameters], axis: AxisScene) -> float:
+    """Return the largest unrequested torque of a motor whose back-EMF can reach its supply; 0 if it cannot."""
+    if "voltage_limit" not in effects:
+        return 0.0
+    supply, constant, resistance = (_value(effects, "voltage_limit", of) for of in _OF_A_WINDING)
+    speed, torque = axis.parameters.largest_speed, axis.parameters.torque_limit or _ANY
+    if supply > constant * speed + resistance * torque / constant:
+        return 0.0
+    return constant * (supply + constant * speed) / resistance + torque
+
+
+def check_plants(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
+    """Build each plant and mechanism once, so that it reports its objections.
+
+    Args:
+        scene: Scene with a `simulation`.
+        sections: Sections from which it was read.
+        faults: Receives the faults.
+    """
+    for axis in scene.axes:
+        if axis.simulation is None or not axis.is_read:
+            continue
+        try:
+            build_plant(axis.simulation, scene.bus.sample_time_ns)
+        except ParameterError as error:
+            faults.add(_place_in_simulation(axis, sections["simulation"], error.part), str(error))
+    if scene.mechanisms:
+        _check_mechanisms(scene, sections, faults)
+
+
+def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) -> SourceLocation:
+    """Return the location of the part that a plant refuses: an effect of this type, else the plant."""
+    axes = simulation.get("axes")
+    own = axes.get(axis.parameters.name) if isinstance(axes, MarkedMapping) else None
+    for owner in (own, simulation):
+        effects = owner.get("effects") if isinstance(owner, MarkedMapping) else None
+        if isinstance(effects, MarkedList):
+            for effect, at in effects.items_at():
+                if isinstance(effect, MarkedMapping) and part == effect.get("type"):
+                    return at
+    return simulation.value_at("plant")
+
+
+def _check_mechanisms(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
+    """Note axes that cannot move a mechanism, and what the mechanism refuses, such as a singular initial pose."""
+    for of, section in zip(scene.mechanisms, sections["simulation"]["mechanisms"], strict=True):
+        (name, model, _), before, at = of.mechanism, len(faults), section.value_at("axes")
+        motion, members = cast("MechanismParameters", model).motion, [scene.axis(axis) for axis in of.axes]
+        for axis in members:
+            if axis.parameters.unit != motion:
+                text = f"got {axis.parameters.name!r} with unit {axis.parameters.unit}, expected unit: {motion}, in"
+                faults.add(at, f"{text} which the motors of a {name} move")
+        if len({axis.bus for axis in members}) > 1:
+            faults.add(at, "got axes of several buses, expected one bus for axes simulated together")
+        try:
+            if len(faults) == before:
+                build_mechanism(of, scene.bus.sample_time_ns)
+        except ParameterError as error:
+            faults.add(section.mark, str(error))

@@ -1,44 +1,28 @@
-"""Cost and error of the simulated plants, estimated after a run for the line `method` that it prints.
+"""One line on the method of a simulated run: its price, and the estimated error of its plants.
 
-The scene's own controller drives a new plant without a bus, over the first periods of the run. That plant is timed, and
-run again with halved steps (sample time and substeps) and with coarser event bits. The error follows from the
-differences, by the declared order of the effects and the bracket of events, which halves with every bit. The line says
-if the steps do not converge. `canhaptic accuracy` compares with a reference instead.
+The scene's own controller drives a fresh plant without a bus, over the first periods of the run. The plant is timed
+there, and its error is estimated under the same torques (`sim.plant.direct_rig`).
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
-import numpy as np
-
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_axis_controller
+from canhaptic.sim.plant import direct_rig
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
-from canhaptic.sim.plant.direct_rig import DirectRig, observed
 from canhaptic.sim.plant.plant import Plant
-from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.plant.user import RecordedMotion
 
 _PRODUCTS: Final = 6_000
 """Matrix products for which the plant is timed: about 25 ms; the halved steps cost six times that."""
 _FEWEST, _MOST = 50, 1000  # periods
 _LOOKED_AT: Final = 300  # periods, for figures of many loops
-_BITS_COARSER: Final = 6
 _NS_PER_US: Final = 1e3
-_FLOOR: Final = 1e-9
-"""Fraction of the travel below which differences show no order."""
-_COARSE: Final = 0.03
-"""Fraction of the travel: at larger differences of halved steps the order is not reliable."""
-_DETENTS: Final = 6.0
-"""Detents passed in one substep from which half and a third of it may both be whole numbers of detents."""
-_SUSPECT: Final = 1e3
-"""Multiple of the event bracket: a larger difference of halved steps has another cause."""
-
-
 _FINE: Final = AccuracyParameters(substeps=16)
 
 
@@ -55,7 +39,7 @@ def torque_history(axis: AxisScene, scene: Scene, holds: int, accuracy: Accuracy
     plant = build_plant(replace(simulation, accuracy=accuracy), period)
     given, quantum = axis.parameters, axis.loop.torque_quantum or None
     step = build_axis_controller(axis).step
-    rig = DirectRig(plant, step, period, scene.bus.delay, given.counts_per_unit, quantum, given.torque_limit)
+    rig = direct_rig.DirectRig(plant, step, period, scene.bus.delay, given.counts_per_unit, quantum, given.torque_limit)
     held: list[float] = rig.run(holds + 1).torque_applied[1:].tolist()
     return held
 
@@ -112,20 +96,12 @@ def dear_holds(scene: Scene) -> list[str]:
     return lines
 
 
-class ErrorEstimate(NamedTuple):
-    """Estimated largest error of the position at any SYNC."""
-
-    size: float  # [m or rad]
-    travel: float  # of the position over the same periods [m or rad]
-    doubt: str = ""  # why the estimate is not reliable; empty if it is
-
-
 class PlantPrice(NamedTuple):
     """Cost and error of the plant of one axis."""
 
     unit: str
     microseconds: float  # per period, of the plant alone
-    error: "ErrorEstimate | None"  # None: exact, to rounding
+    error: direct_rig.ErrorEstimate | None  # None: exact, to rounding
     periods: int  # from which both were estimated
 
 
@@ -162,41 +138,22 @@ def _price(axis: AxisScene, scene: Scene, plant: Plant, periods: int) -> PlantPr
     return PlantPrice(axis.parameters.unit, spent / holds / _NS_PER_US, error, holds)
 
 
-def estimated_error(simulation: AxisSimulation, torques: Sequence[float], sample_time_ns: int) -> ErrorEstimate | None:
-    """Return the estimated largest error of the position at any SYNC; None where the plant is exact to rounding.
+def estimated_error(
+    simulation: AxisSimulation, torques: Sequence[float], sample_time_ns: int
+) -> direct_rig.ErrorEstimate | None:
+    """Return the estimated largest error of the position at any SYNC; None if the plant is exact to rounding.
 
     Args:
         simulation: Plant, effects and the accuracy to estimate.
         torques: Torque of each hold [N or N*m].
         sample_time_ns: Length of a hold [ns].
     """
-    accuracy = simulation.accuracy
-    plant = build_plant(simulation, sample_time_ns)
-    switches = any(part.has_guards for part in plant.scene.parts)
-    if plant.is_exact and not switches:
-        return None
-    runs = _Runs(simulation, torques, sample_time_ns)
-    travel = max(float(np.ptp(runs.of(accuracy))), 1e-12)
-    step = runs.between(accuracy, 1, 2)
-    bracket = _bracket_error(runs, accuracy) if switches else 0.0
-    if plant.is_exact:
-        doubt = _moved(step, travel) if step > _SUSPECT * max(bracket, _FLOOR * travel) else ""
-        return ErrorEstimate(max(bracket, 2.0 * step), travel, doubt)
-    order, passed = declared_order(simulation) or 1, 0.0
-    pitches = [float(of.parameters.pitch) for of in simulation.effects if hasattr(of.parameters, "pitch")]
-    if pitches:  # over whole detents halves show nothing: thirds do, up to six of them
-        step = max(step, runs.between(accuracy, 1, 3))
-        passed = float(np.abs(np.diff(runs.of(accuracy))).max(initial=0.0)) / accuracy.substeps / min(pitches)
-    error = step * 2.0**order / (2.0**order - 1.0) + bracket
-    slow = step > _FLOOR * travel and runs.between(accuracy, 2, 4) > step * 2.0 ** (-0.5 * order)
-    doubt = f"{_moved(step, travel)}; raise accuracy.substeps" if slow or step > _COARSE * travel else ""
-    if passed >= _DETENTS:
-        doubt = f"a substep passes {passed:.2g} detents, in which no error shows; raise accuracy.substeps"
-    return ErrorEstimate(error, travel, doubt)
 
+    def plant_of(accuracy: AccuracyParameters, period: int) -> Plant:
+        return build_plant(replace(simulation, accuracy=accuracy), period)
 
-def _moved(step: float, travel: float) -> str:
-    return f"halving the steps moves the position by {100.0 * step / travel:.2g} % of its travel"
+    order = declared_order(simulation) or 1
+    return direct_rig.estimated_error(plant_of, simulation.accuracy, order, torques, sample_time_ns)
 
 
 def plant_errors(scene: Scene) -> list[str]:
@@ -226,37 +183,6 @@ def _error_of(axis: AxisScene, simulation: AxisSimulation, scene: Scene) -> str:
         return f"not exact, ERROR NOT KNOWN over {holds} periods: {error.doubt if error else ''}"
     share = f"{error.size / error.travel:.1g} of its travel"
     return f"not exact, estimated error {error.size:.1g} {axis.parameters.unit}, {share}, over {holds} periods"
-
-
-class _Runs:
-    """Positions at the SYNCs for one torque history, with several accuracies and step lengths."""
-
-    def __init__(self, simulation: AxisSimulation, torques: Sequence[float], sample_time_ns: int) -> None:
-        self._simulation, self._torques, self._period = simulation, torques, sample_time_ns
-        self._found: dict[tuple[AccuracyParameters, int], Array] = {}
-
-    def of(self, accuracy: AccuracyParameters, finer: int = 1) -> Array:
-        """Return the positions of a plant whose sample time and substeps are `finer` times shorter."""
-        key = (accuracy, finer)
-        if key not in self._found:
-            changed = replace(self._simulation, accuracy=accuracy)
-            plant = build_plant(changed, max(1, self._period // finer))
-            self._found[key] = observed(plant, self._torques, self._period).position
-        return self._found[key]
-
-    def between(self, accuracy: AccuracyParameters, one: int, other: int) -> float:
-        """Return the largest difference between two step lengths [m or rad]."""
-        return float(np.abs(self.of(accuracy, one) - self.of(accuracy, other)).max())
-
-
-def _bracket_error(runs: _Runs, accuracy: AccuracyParameters) -> float:
-    """Return the position error due to the bracket of events, which halves with every bit [m or rad]."""
-    less = max(1, accuracy.event_bits - _BITS_COARSER)
-    more = accuracy.event_bits + _BITS_COARSER if accuracy.event_bits == less else less
-    factor = 2.0 ** abs(accuracy.event_bits - more)
-    other = runs.of(accuracy.model_copy(update={"event_bits": more}))
-    apart = float(np.abs(other - runs.of(accuracy)).max())
-    return apart / (factor - 1.0) if more < accuracy.event_bits else apart * factor / (factor - 1.0)
 
 
 def _step(plant: Plant, torques: Sequence[float]) -> None:

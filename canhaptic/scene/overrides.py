@@ -4,12 +4,16 @@ The path is keys and list indices joined by dots (a key that contains a dot is q
 """
 
 import re
+import warnings
 from collections.abc import Sequence
+from multiprocessing import parent_process
 from typing import Any, Final
 
+from canhaptic.errors import OverrideWarning
 from canhaptic.registry import nearest
+from canhaptic.scene.components import ComponentOf, SceneContext
 from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, SourceLocation, parse_yaml
-from canhaptic.units import shown
+from canhaptic.units import Parameters, example, shown
 
 _PATH: Final = re.compile(r'(?:"[^"]*"|[^".=]+)(?:\.(?:"[^"]*"|[^".=]+))*')
 _SELECTORS: Final = ("type", "algorithm")
@@ -76,3 +80,35 @@ def _index(entries: MarkedList, part: str, here: SourceLocation, faults: Diagnos
     expected = f"0{last}{named}" if entries else "an index of a list that has entries"
     faults.add(here, f"got index {shown(part)}, expected {expected}{nearest(part, known)}")
     return None
+
+
+def without_old_keys(
+    table: ComponentOf, name: str, model: type[Parameters], section: MarkedMapping, reading: SceneContext
+) -> MarkedMapping:
+    """Section without the keys of a type that an override replaced; in a scene of real drives it is an error.
+
+    Args:
+        table: Table that has both types.
+        name: Type named by the override.
+        model: Its model.
+        section: Section of the scene.
+        reading: Context of the validation.
+
+    Raises:
+        ValidationError: The drives may be real and keys would be dropped, or keys that the new type needs are missing.
+    """
+    was, fields = str(section.was), model.model_fields
+    of_file = [key for key, at in section.keys_at.items() if key in section and not at.source.startswith("--set ")]
+    gone = [key for key in of_file if key in table.model_named(was).model_fields.keys() - fields.keys()]
+    if gone and not reading.simulated:
+        text = f"which has no {', '.join(gone)}; the drives may be real, so no key is dropped: take it"
+        raise table.refused(f"got {name!r} in place of {was!r}, {text} out of the scene")
+    path, motion = ".".join(section.mark.path), section.motion or reading.motion
+    needed = {key: field for key, field in fields.items() if field.is_required() and key not in section}
+    if needed:
+        words = " ".join(f"--set {path}.{key}={example(field, motion)}" for key, field in needed.items())
+        raise table.refused(f"got {name!r} in place of {was!r}, which needs {', '.join(needed)}, as in {words}")
+    if gone and parent_process() is None:
+        text = f"{', '.join(gone)}: dropped, as {name!r} in place of {was!r} has no such key"
+        warnings.warn(f"{section.value_at(table.selector).source}: {path}: {text}", OverrideWarning, stacklevel=2)
+    return section.without(*gone)

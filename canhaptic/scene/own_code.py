@@ -18,10 +18,14 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 
+from pydantic_core import PydanticCustomError
+
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.input_file import read_regular
 from canhaptic.own_results import watch
-from canhaptic.scene.components import OWN_MODULE, CodeUse
+from canhaptic.scene.components import OWN_MODULE, READY, CodeUse, SceneContext
+from canhaptic.scene.document import MarkedMapping
+from canhaptic.units import Parameters, shown
 
 _RETURN_NUMBERS: Final[Mapping[str, tuple[str, ...]]] = {
     "environment": ("potential", "effort", "true_state", "admissible", "stored_energy", "state_of_energy", "relaxed"),
@@ -37,6 +41,34 @@ ENTRY_POINT_GROUPS: Final[Mapping[str, str]] = {
     "hand": "canhaptic.hands",
 }
 """Kind of user-defined part -> entry point group of its plug-ins."""
+
+
+def own_model(section: MarkedMapping, reading: SceneContext, model: type[Parameters], kind: str) -> object:
+    """Return the parameters of a section whose `type` names a user-defined subclass.
+
+    Args:
+        section: Section of the scene.
+        reading: Context of the validation.
+        model: Built-in model of the section.
+        kind: Kind of model, for messages and plug-ins.
+
+    Raises:
+        ValueError: The name is no text, or names no subclass of the model.
+        PydanticCustomError: The code must not run, or fails.
+    """
+    name, code = section["type"], reading.code
+    if not isinstance(name, str):
+        raise ValueError(f"type: got {shown(name)}, expected FILE.py:Class")
+    if code.is_left(name, kind):
+        return model()
+    try:
+        own = code.find(name, kind)
+    except ParameterError as error:
+        raise PydanticCustomError(READY, "{text}", {"text": str(error)}) from error
+    if not (isinstance(own, type) and issubclass(own, model)):
+        seen = "which is unknown" if own is None else f"which is no {model.__name__}"
+        raise ValueError(f"type: got {name!r}, {seen}; expected FILE.py:Class, a subclass of {model.__name__}")
+    return own.of_section(section.without("type"), reading)
 
 
 def installed(kind: str) -> dict[str, EntryPoint]:

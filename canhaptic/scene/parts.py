@@ -1,10 +1,6 @@
-"""Construction of the control side of a scene: controllers of axes and groups, meters of the accounts, servo drives.
+"""Construction of the control side of a scene: controllers of axes and groups, meters of the accounts, servo drives."""
 
-Certificates and account of a simulated axis allow for the errors that its effects cause: an encoder may be noisy or
-coarser than its counts, and a motor may give another torque than its demand.
-"""
-
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import inf
 from typing import TYPE_CHECKING, Final, cast
 
@@ -29,16 +25,12 @@ if TYPE_CHECKING:
     from canhaptic.control.mechanisms.kinematics import Kinematics
     from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupController, NetworkEnvironment
 
-_ANY: Final = 1e6  # [N or N*m]
 _OF_THE_DEVICE: Final = ("device_damping", "device_friction", "device_damping_bound", "device_friction_bound")
-_OF_A_WINDING: Final = ("supply", "back_emf", "resistance")
 _PROGRAMS: Final = {
     "certificates": "canhaptic.control.passivity.asked_torque:GuardedProgram",
     "none": "canhaptic.control.passivity.asked_torque:UnguardedProgram",
 }
 """Guard -> "module:Class" of the controller of an axis whose torques a program requests."""
-_SIGMAS: Final = 6.0
-"""Standard deviations of a noise that no sample is expected to exceed: 2e-9 of the samples do."""
 
 
 def loop_as_known(axis: AxisScene) -> LoopProperties:
@@ -46,15 +38,11 @@ def loop_as_known(axis: AxisScene) -> LoopProperties:
 
     The encoder count is widened by the errors; a torque that the motor cannot reach is reduced before it is certified.
     """
-    effects, loop = _effects(axis), axis.loop
-    error = 0.5 * _value(effects, "encoder_quantisation", "count", 0.0)
-    error += _SIGMAS * _value(effects, "encoder_noise", "deviation", 0.0)
-    limit, changes = _value(effects, "torque_saturation", "limit", inf), dict[str, float]()
-    if error:
-        changes["encoder_count"] = loop.encoder_count + 2.0 * error
-    if limit < (inf if loop.torque_limit is None else loop.torque_limit):
-        changes["torque_limit"] = limit
-    return loop.model_copy(update=changes) if changes else loop
+    if axis.simulation is None:
+        return axis.loop
+    from canhaptic.scene.far_side import loop_of_simulated
+
+    return loop_of_simulated(axis, axis.simulation)
 
 
 def _accuracy_of(axis: AxisScene, passivity: ComponentSpec, together: Sequence[AxisScene]) -> Accuracy:
@@ -65,17 +53,13 @@ def _accuracy_of(axis: AxisScene, passivity: ComponentSpec, together: Sequence[A
         passivity: Algorithm that renders on it.
         together: Axes on which that algorithm renders.
     """
-    effects, loop = _effects(axis), loop_as_known(axis)
+    loop = loop_as_known(axis)
     late = (loop.torque_window or 0.0) + (loop.current_lag or 0.0)  # beyond a hold too, where nothing is certified
-    certifies, unasked = passivity.name == "guarded", _unasked(effects, axis)
+    certifies = passivity.name == "guarded"
     bounds_motion = certifies and _bounds_motion(passivity.parameters, together)
-    return Accuracy(
+    accuracy = Accuracy(
         sample_time=loop.sample_time * (1.0 + (loop.sync_jitter or 0.0)),
         position=0.5 * loop.encoder_count,
-        torque_share=1.0 if "thermal_derating" in effects else _value(effects, "torque_ripple", "amplitude", 0.0),
-        torque_offset=0.5 * _value(effects, "torque_quantisation", "quantum", 0.0) + unasked,
-        acts_unasked=unasked > 0.0,
-        torque_limit=_value(effects, "torque_saturation", "limit", inf),
         late=0.0 if bounds_motion else late,
         late_speed=axis.parameters.largest_speed if certifies else None,
         counts_losses=bool(axis.group) or not bounds_motion,
@@ -83,6 +67,11 @@ def _accuracy_of(axis: AxisScene, passivity: ComponentSpec, together: Sequence[A
         largest_torque=axis.parameters.torque_limit,
         **{key: getattr(loop, key) for key in _OF_THE_DEVICE},
     )
+    if axis.simulation is None:
+        return accuracy
+    from canhaptic.scene.far_side import with_torque_errors
+
+    return with_torque_errors(accuracy, axis, axis.simulation)
 
 
 def _bounds_motion(passivity: Parameters, together: Sequence[AxisScene]) -> bool:
@@ -109,27 +98,6 @@ def friction_declared(axis: AxisScene) -> "FrictionDeclared | None":
         jitter=loop.sync_jitter or 0.0,
         late=(loop.torque_window or 0.0) + (loop.current_lag or 0.0),
     )
-
-
-def _effects(axis: AxisScene) -> Mapping[str, Parameters]:
-    if axis.simulation is None:
-        return {}
-    return {effect.name: effect.parameters for effect in axis.simulation.effects}
-
-
-def _value(effects: Mapping[str, Parameters], name: str, key: str, otherwise: float) -> float:
-    return float(getattr(effects[name], key)) if name in effects else otherwise
-
-
-def _unasked(effects: Mapping[str, Parameters], axis: AxisScene) -> float:
-    """Return the largest unrequested torque of a motor whose back-EMF can reach its supply; 0 if it cannot."""
-    if "voltage_limit" not in effects:
-        return 0.0
-    supply, constant, resistance = (_value(effects, "voltage_limit", of, 0.0) for of in _OF_A_WINDING)
-    speed, torque = axis.parameters.largest_speed, axis.parameters.torque_limit or _ANY
-    if supply > constant * speed + resistance * torque / constant:
-        return 0.0
-    return constant * (supply + constant * speed) / resistance + torque
 
 
 def build_axis_controller(axis: AxisScene) -> Controller:

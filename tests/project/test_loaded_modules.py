@@ -10,8 +10,10 @@ from tests.acceptance.two_processes import Listener, canhaptic, shared_bus  # no
 from tools.count_structure import code_of, loaded_modules
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-CODE_OF_A_REAL_AXIS: Final = 10_900
+CODE_OF_A_REAL_AXIS: Final = 9_950
 """Most lines of code that one real axis may load, on a bus that is not SocketCAN and without its preflight (170)."""
+CODE_OF_THE_DEMO: Final = 10_500
+"""Most lines of code that the demo may load, its simulation in `canhaptic/sim/` left out."""
 KINDS: Final[dict[str, tuple[str, ...]]] = {
     "simulation": (
         *("sim.drive", "sim.bus", "sim.plant.plant", "sim.plant.user", "control.energy_audit"),
@@ -71,6 +73,12 @@ def loaded(scene: str, *options: str) -> set[str]:
 
 def test_a_bare_simulated_axis_loads_its_algorithm_and_its_plant_alone() -> None:
     assert loaded("configs/demo.yaml") == GUARDED
+
+
+@pytest.mark.slow
+def test_the_demo_loads_no_more_code_than_can_be_read() -> None:
+    own = [name for name in loaded_modules(ROOT, duration=0.02) if not name.startswith("canhaptic.sim")]
+    assert code_of(ROOT, own) <= CODE_OF_THE_DEMO
 
 
 @pytest.mark.slow

@@ -37,7 +37,6 @@ from typing import Any, ClassVar, Final, Literal, NamedTuple, Protocol
 import numpy as np
 
 from canhaptic.errors import ParameterError
-from canhaptic.own_results import FORCE, watch
 from canhaptic.sim.plant.accuracy_parameters import LEVELS
 from canhaptic.sim.plant.propagator import Array, doublings, dyadic_flows, series, smallest_step, taylor_flow
 from canhaptic.units import Parameters
@@ -263,9 +262,12 @@ def collect(axis: Any, user: Any, effects: Sequence[Any], sample_time: float) ->
         except ParameterError as error:
             error.part = getattr(part, "type", error.part)
             raise
-    for part in (*scene.commands, *scene.efforts):
-        watch(type(part), ("apply", "force"), FORCE)
-        watch(type(part), ("stored",))
+    for kind in {type(part) for part in (*scene.commands, *scene.efforts)}:
+        if not kind.__module__.startswith("canhaptic."):
+            from canhaptic.own_results import FORCE, watch
+
+            watch(kind, ("apply", "force"), FORCE)
+            watch(kind, ("stored",))
     return scene
 
 
