@@ -227,7 +227,7 @@ def _ratio(written: object) -> float | None:
     return ratio if isinstance(ratio, int | float) and 0.0 < ratio < _LARGEST_RATIO else None
 
 
-def _joined(before: Any, value: Any) -> Any:
+def _joined(before: object, value: Any) -> object:
     if isinstance(before, list):
         return [*before, *value]
     return {**before, **value} if isinstance(before, dict) else value

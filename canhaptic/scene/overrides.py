@@ -44,7 +44,7 @@ def split_override(text: str) -> tuple[tuple[str, ...], str]:
     return tuple(quoted or plain for quoted, plain in _PART.findall(address.strip())), value
 
 
-def _put(container: Any, path: tuple[str, ...], value: Any, mark: SourceLocation, faults: Diagnostics) -> None:
+def _put(container: Any, path: tuple[str, ...], value: object, mark: SourceLocation, faults: Diagnostics) -> None:
     """Set the entry at a path; missing mappings on the path are made."""
     for depth, part in enumerate(path):
         here = mark._replace(path=path[: depth + 1])
