@@ -89,6 +89,10 @@ METRICS: Final[dict[str, Figure]] = {
         "mean force in contact over the mean effort asked for there", "1", ("force", "asked"), "stiffness rendered",
         "near one",
     ),
+    "stiffness_at_end.share": Figure(
+        "mean force in contact over the mean effort asked for there, in the last part of the run", "1",
+        ("last_force", "last_asked"),
+    ),
     "travel": Figure("largest less least true position", "m", ("highest", "lowest")),
     "certificate": Figure(
         "weakest promise of any hold: 0 exact, 1 device damping, 7 device friction, 2 hand force, 3 hand speed, 4 none",

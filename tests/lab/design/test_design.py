@@ -94,14 +94,14 @@ def test_the_search_ends_where_a_fine_grid_of_walls_does(designed):
     first = int(np.argmin(verdict.nearly))
     assert first > 0
     assert designed["stiffness"] == pytest.approx(places[:first][verdict.passed[:first]].max(), rel=0.006)
-    assert [row["damping"] > 0.0 for row in designed["trade"]] == [False, True, True]
-    for stiffness, damping in (row.values() for row in designed["trade"][1:]):
-        dampings = np.linspace(0.0, 1.3, 131) * damping
+    assert designed["trade"][-1]["damping"] > 0.0
+    for stiffness, damping in (row.values() for row in designed["trade"]):
+        dampings = np.linspace(0.0, 1.3, 131) * damping if damping else np.geomspace(1e-3, 1.0, 131)
         below = 1.2 * stiffness * np.array([0.2, 0.4, 0.6, 0.8, 1.0])
         grid = trial.verdict(*(wall.ravel() for wall in np.broadcast_arrays(below, 1.2 * dampings[:, None])))
         passed, nearly = (found.reshape(131, 5).all(axis=1) for found in (grid.passed, grid.nearly))
         first = int(np.argmin(nearly))
-        assert damping == pytest.approx(dampings[:first][passed[:first]].max(), rel=0.03)
+        assert damping == pytest.approx(dampings[:first][passed[:first]].max(initial=0.0), rel=0.03)
 
 
 def test_both_hands_in_one_batch_are_each_hand_in_a_scene_of_its_own(engine):
@@ -110,12 +110,16 @@ def test_both_hands_in_one_batch_are_each_hand_in_a_scene_of_its_own(engine):
     motion = "{type: sinusoid, amplitude: 0.16666666666666666, frequency: 1, phase: 1.5707963267948966}"
     for row, (stiffness, damping) in enumerate([(300.0, 2.0), (600.0, 0.0)]):
         shares, least = [], []
-        for user in ("{damping: 5, push: -5}", f"{{stiffness: 60, damping: 5, motion: {motion}}}"):
+        hands = {
+            "stiffness_at_end.share": "{damping: 5, push: -5}",
+            "stiffness_rendered.share": f"{{stiffness: 60, damping: 5, motion: {motion}}}",
+        }
+        for share, user in hands.items():
             wall = f"environment={{type: spring_damper_wall, stiffness: {stiffness}, damping: {damping}}}"
             start = "simulation.plant.initial_position=0.002"
             scene = load_scene(DEMO, [*RIG, wall, start, f"simulation.user={user}"])
-            found = run_scalar(scene, 200, ["stiffness_rendered.share", "least_covered"])
-            shares.append(found["stiffness_rendered.share"])
+            found = run_scalar(scene, 300, [share, "least_covered"])
+            shares.append(found[share])
             least.append(found["least_covered"])
         assert verdict.stiffness_share[row] == pytest.approx(max(shares, key=lambda share: abs(share - 1.0)), rel=1e-9)
         assert verdict.least_judged[row] == pytest.approx(min(least), abs=1e-12)

@@ -197,7 +197,8 @@ _HAND: Final = {"stiffness": 300.0, "damping": 3.0}
 """Hand for a scene without a hand: an ordinary grip."""
 _DEEPEST: Final = 0.1
 """Depth [m or rad] to which the hand leans into the softest wall that is tried."""
-DURATION: Final = 2.0  # [s]
+DURATION: Final = 3.0
+"""Time of a trial [s]. A wall beyond its certificates that is leant on softens for some 2 s, until it is at rest."""
 _SLACK: Final = 0.05
 """Amount by which a wall may miss the tolerance without excluding larger walls: the phase of counts and holds makes
 the shares of neighbouring walls differ by some tenths of a per cent."""
@@ -207,6 +208,7 @@ _METRICS: Final = (
     "least_interaction",
     "least_covered",
     "stiffness_rendered.share",
+    "stiffness_at_end.share",
     "damping_rendered.share",
     "contact",
 )
@@ -321,7 +323,7 @@ class Trial:
             & (figures["diverged"] == 0.0)
             & (figures["contact"] > 0.0)
         )
-        shares = figures["stiffness_rendered.share"]
+        shares = np.stack([figures["stiffness_at_end.share"][0], figures["stiffness_rendered.share"][1]])
         return verdict_of(
             shares, damped, least, judged, ran.all(axis=0), self._allowance, self._tolerance, damping
         )  # fmt: skip
