@@ -23,7 +23,7 @@ from typing import Any, Final, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.control.certificates.certified_torque import doubt_of_late, end_gap, free_of_late, largest_of_late
+from canhaptic.control.certificates import certified_torque
 from canhaptic.errors import EventLimitError, ParameterError
 from canhaptic.kernels import Buffer, Indices
 from canhaptic.kernels.records import Records, records_of
@@ -256,7 +256,9 @@ def residual_of_plant(plant: EventPlant, force: float) -> float:
 
 
 CALLS: Final = (
-    stepper.run, splitting.fixed_point, residual_of_plant, doubt_of_late, end_gap, free_of_late, largest_of_late,
+    stepper.run, splitting.fixed_point, residual_of_plant, certified_torque.doubt_of_late, certified_torque.end_gap,
+    certified_torque.free_of_late, certified_torque.largest_of_late, certified_torque.outward_by_windows,
+    certified_torque.taken_along, certified_torque.if_held_on, certified_torque.below_older,
 )  # fmt: skip
 """Functions that are called, not inlined: long ones with several callers, and certificates that are rarely needed."""
 
