@@ -218,6 +218,9 @@ class CommissioningLimits(Parameters):
     """Speed beyond which the torque of a step is removed."""
 
 
+_LOST: Final = "a TPDO was lost"
+
+
 class OpenLoop:
     """A controller that renders nothing: it plays torques, one per cycle, and drops to zero when the axis goes too far.
 
@@ -254,7 +257,7 @@ class OpenLoop:
 
     def sample_lost(self) -> EnergyBalance:
         """End the torques: a measurement with a gap is useless."""
-        self.tripped, self.has_gap = self.tripped or "a TPDO was lost", True
+        self.tripped, self.has_gap = self.tripped or _LOST, True
         self._last = self._last._replace(torque=0.0, h_i=0.0, h_m=0.0, deficit=0.0, branch=Branch.HELD.value)
         return self._last
 
@@ -441,8 +444,9 @@ class Session:
             law = self.play(axis, torques, len(torques) + 2)  # the last one ends as well, or the axis moves on
             if not law.tripped or self.stop_requested() or not left:
                 break
-            torque *= 1.0 if law.has_gap else 0.5
-            cause = law.tripped if law.has_gap else f"handle {law.tripped}"
+            is_lost = law.tripped == _LOST  # and not too fast or too far before
+            torque *= 1.0 if is_lost else 0.5
+            cause = law.tripped if is_lost else f"handle {law.tripped}"
             self.dialogue.tell(f"  {name}: {item}: stopped, {cause}; repeating with {torque:.3g} {unit}")
         return law
 
