@@ -282,7 +282,8 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         request = self._environment.speeds_after(self._inner, before, forces, list(positions), self._time)
         limits = zip(self._each, request, positions, velocities, strict=True)
         certificate = self._send([axis.whole(axis.limited(*of)) for axis, *of in limits])
-        self._environment.go_along(self._inner, before, self._own(), self._time)
+        if self._environment.states:
+            self._environment.go_along(self._inner, before, self._own(), self._time)
         self._watch_limit()
         if self._is_unsure:
             certificate = Certificate.NONE.value
@@ -371,8 +372,8 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         speeds, carried, inner = self._own(), under_way, self._inner
         for axis, velocity in zip(self._each, velocities, strict=True):
             carried += axis.reserve(abs(velocity) + axis.properties.handle_acceleration * self._time)
-        kept = [environment.stored(inner, of, positions) for of in (speeds, before)]
-        ceiling = max(*kept, carried)
+        stored = environment.stored(inner, speeds, positions), environment.stored(inner, before, positions)
+        ceiling = max(*stored, carried)
         slack = self._margin.known + self._allowance - under_way
         lost = environment.lost(before, self._time)
         h_s, surplus, h_r, deficit, leak, paid = settle(self._h_s + h_i, self._surplus, lost, ceiling, slack)
