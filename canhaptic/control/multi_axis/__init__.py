@@ -1,6 +1,6 @@
-"""Groups of axes that render one port-Hamiltonian network: the tables of networks and algorithms, and the controller.
+"""Groups of axes that render one port-Hamiltonian network: tables of what a scene can name, and a controller's builder.
 
-Every scene reads the tables; the modules of this room are loaded where a scene has a group.
+Every scene imports these tables; the other modules of this package are imported only if a scene has a group.
 """
 
 from collections.abc import Sequence
@@ -31,13 +31,13 @@ NETWORKS: Final[dict[str, str]] = {
     "guided_path": f"{_SHAPES}.guided_path:GuidedPath",
     "general": f"{_SHAPES}.general:General",
 }
-"""Name in a scene -> "module:Class"; the class is the parameter model of the section (`NetworkEnvironment`)."""
+"""Networks: name in a scene -> "module:Class"; the class models the section's parameters (`NetworkEnvironment`)."""
 
 GROUP_ALGORITHMS: Final[dict[str, str]] = {
     "guarded": f"{_HERE}.guarded_group:GuardedGroup",
     "step_scaling": f"{_RIVALS}.scaled_group:ScaledGroup",
 }
-"""Name in a scene -> "module:Class". Every class has `parameters_type`, as in `passivity.ALGORITHMS`."""
+"""Algorithms: name in a scene -> "module:Class". Every class has `parameters_type`, as in `passivity.ALGORITHMS`."""
 
 
 def build_group_controller(
@@ -53,7 +53,7 @@ def build_group_controller(
         environment: Environment to render; a class of `NETWORKS`, or anything with `build`.
         kinematics: Map between the motor axes and task space.
         algorithm_name: A name of `GROUP_ALGORITHMS`.
-        parameters: The algorithm's own `parameters_type`; None for its defaults.
+        parameters: Parameters of the algorithm, of its `parameters_type`; None: its defaults.
         loops: Properties of the loop of each motor axis; sample time and delay are the same for all.
 
     Raises:

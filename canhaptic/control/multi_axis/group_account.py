@@ -1,4 +1,9 @@
-"""The account of a group: one balance for all its torques, and the energy reserved for those that are queued.
+"""The energy account of a group of axes: one balance for all torques, and the energy reserved for queued torques.
+
+Energy that is *given out* flows from the motors to the user's side, energy *received* or *absorbed* flows back.
+A *certificate* proves that torques give out no more than the account holds. *Older torques* are commands of earlier
+holds that a motor still produces because a new one takes effect late. The *shortfall* of a hold is the most by which
+the energy received may be below the energy booked. A *mover* is a prescribed motion of a wall; it can supply energy.
 
 The sections below derive the bounds that `group_certificates` leaves open: lost samples, and torques that come late.
 
@@ -98,13 +103,13 @@ class Gap(NamedTuple):
 
 
 def farthest(gap: Gap, sign: float, hold: int, along: bool) -> float:
-    """Largest displacement of one hold, counted along `sign` [m or rad].
+    """Return an upper bound on the displacement in one of several holds, counted along `sign` [m or rad].
 
     Args:
         gap: Holds of the axis.
         sign: 1 or -1.
-        hold: Index of the hold, 1 for the first; the last is never asked for.
-        along: Whether a torque along the sign acts in it; otherwise one against it acts in the last.
+        hold: Index of the hold, 1 for the first; never the last hold.
+        along: Whether the torque of that hold acts along `sign`; otherwise the last hold's torque acts against it.
     """
     holds, moved, start, error, position_uncertainty, step, lost = gap
     start, moved = sign * start, sign * moved
@@ -126,13 +131,13 @@ def farthest(gap: Gap, sign: float, hold: int, along: bool) -> float:
 
 
 def doubt_of(gap: Gap, hold: int, torque: float, last: float) -> float:
-    """Largest excess of the booked energy of one hold, if a given torque acted in it [J].
+    """Return the most by which the energy booked for one hold is too high, if a given torque acted in it [J].
 
     Args:
         gap: Holds of the axis.
-        hold: Index of the hold, 1 for the first; the last is never asked for.
-        torque: Torque that may have acted [N or N*m].
-        last: Torque of the last hold, with which the energy was booked [N or N*m].
+        hold: Index of the hold, 1 for the first; never the last hold.
+        torque: Torque that may have acted in that hold [N or N*m].
+        last: Torque of the last hold, with which the energy of all holds was booked [N or N*m].
     """
     more = torque - last
     if more > 0.0:
@@ -158,7 +163,7 @@ class AccountMemory(NamedTuple):
 
 
 def account_memory(limits: group_certificates.PerAxisLimits) -> AccountMemory:
-    """Return empty buffers."""
+    """Return the buffers of the account, filled with zeros."""
     axes, one = len(limits.roots), list_of_zeros
     return AccountMemory(
         one(axes), one(axes), one(axes), Acting(one(axes), one(axes)), Acting(one(axes), one(axes)),
@@ -167,7 +172,7 @@ def account_memory(limits: group_certificates.PerAxisLimits) -> AccountMemory:
 
 
 class QueuedTorques(NamedTuple):
-    """Commands that were sent and act before the next one."""
+    """Commands already sent that act before the command computed next."""
 
     torques: Matrix  # a ring, (delay + 1, axes) [N*m or N]
     first: int  # place of the one that acts next; below 0 it wraps
@@ -175,7 +180,7 @@ class QueuedTorques(NamedTuple):
 
 
 class LateShare(NamedTuple):
-    """A parabola a + b l + c l^2 above the energy that older torques give out [J]."""
+    """Upper bound a + b l + c l^2 on the energy older torques give out, if the share l of the new ones is sent [J]."""
 
     constant: float
     linear: float
@@ -183,14 +188,14 @@ class LateShare(NamedTuple):
 
 
 class Norms(NamedTuple):
-    """Bound on the norms of acting torques and hand: N + h <= least + more l."""
+    """Upper bound least + more l on N + h, the norm of the acting torques plus the norm of the hand's force."""
 
     least: float
     more: float
 
 
 def copy_range(axes: AxisLimits, memory: AccountMemory, ended: bool) -> None:
-    """Copy the range of torques at the beginning of the hold that ended, or at its end."""
+    """Set `memory.now` to the range of torques that may act when the last hold began, or with `ended` when it ended."""
     now, before = memory.now, memory.before
     for i in range(len(memory.torques)):
         now.highest[i], now.lowest[i] = before.highest[i], before.lowest[i]
@@ -199,13 +204,13 @@ def copy_range(axes: AxisLimits, memory: AccountMemory, ended: bool) -> None:
 
 
 def norms_of(axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer, size: float) -> Norms:
-    """Return the bound `Norms` for older, queued and next torques and the hand.
+    """Return an upper bound on the norm of all torques that may act (older, queued, new) plus the hand's force.
 
     Args:
         axes: Properties of the motor axes.
         memory: Buffers of the account.
-        under_way: Torques that act before W.
-        torques: W, (axes,) [N*m or N].
+        under_way: Queued torques, which act before W.
+        torques: Requested torques W of the next free hold, (axes,) [N*m or N].
         size: Share of W that is sent at l = 1.
     """
     total = added = 0.0
@@ -220,7 +225,7 @@ def norms_of(axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, 
 
 
 def reach_of(axes: AxisLimits, memory: AccountMemory, i: int, sign: float, hold: int, norm: float) -> float:
-    """Return X of an axis in a hold from now, the next being 1 [rad or m]; see (2)."""
+    """Return X of (2): how far an axis may move while older torques act in a hold, the next being 1 [rad or m]."""
     timing = axes.timing
     share, step, before = timing.share[i], timing.roots[i] * norm, hold - 1
     start = sign * memory.displacement[i] + axes.counts[i] + memory.position_uncertainty[i]
@@ -236,17 +241,17 @@ def reach_of(axes: AxisLimits, memory: AccountMemory, i: int, sign: float, hold:
 def given_late(
     axes: AxisLimits, memory: AccountMemory, held: Buffer, fixed: float, size: float, hold: int, norms: Norms, end: bool
 ) -> LateShare:
-    """Energy that older torques give out in a hold, beyond the energy of the torques held in it; see (1).
+    """Return a bound on the energy that older torques give out in one hold, beyond that of its own torques; see (1).
 
     Args:
         axes: Properties of the motor axes.
-        memory: Its `now` is the range at the SYNC at which the hold begins.
-        held: Torques of the hold, (axes,) [N*m or N], of which fixed + l size are held.
-        fixed: 1 where they are sent for every l, else 0.
-        size: 0 where `fixed` is 1, else the share of them that is sent at l = 1.
+        memory: Buffers of the account; `now` is the range of acting torques at the SYNC where the hold begins.
+        held: Torques of the hold, (axes,) [N*m or N]; the share fixed + l size of them is sent.
+        fixed: 1 if they are sent in full for every l, else 0.
+        size: 0 if `fixed` is 1, else the share of them that is sent at l = 1.
         hold: Index of the hold from now, the next being 1.
-        norms: Norms of the acting torques and of the hand.
-        end: Whether it is the energy that all torques give out in the hold after that one, if none follows.
+        norms: Bound on the norms of the acting torques and of the hand.
+        end: Whether to bound the hold after that one instead: all that the torques still give out if none follows.
     """
     constant = linear = square = 0.0
     for i in range(len(held)):
@@ -272,13 +277,13 @@ def given_late(
 def share_of_late(
     axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer, size: float
 ) -> LateShare:
-    """Energy that older torques give out from now on, by the share of W that is sent.
+    """Return a bound on the energy that older torques give out from now on, as a function of the sent share of W.
 
     Args:
         axes: Properties of the motor axes.
         memory: Buffers of the account; `now` is changed.
-        under_way: Torques that act before W.
-        torques: W, (axes,).
+        under_way: Queued torques, which act before W.
+        torques: Requested torques W, (axes,).
         size: Share of W that is sent at l = 1.
     """
     norms = norms_of(axes, memory, under_way, torques, size)
@@ -302,7 +307,7 @@ def share_of_late(
 
 
 def given_in_debt(axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer) -> LateShare:
-    """Increase by l W of the energy that all torques give out, beyond l W . D of `base_of` and its gain."""
+    """Return a bound on the energy that sending l W adds in debt, beyond the l base + l^2 gain of its own hold."""
     norms, full, cross = norms_of(axes, memory, under_way, torques, 1.0), 0.0, 0.0
     highest, lowest = memory.now.highest, memory.now.lowest
     none = response_to_late(axes, torques, highest, lowest, memory.nothing, axes.during)
@@ -322,7 +327,7 @@ def given_in_debt(axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorq
 
 
 def older_size(axes: AxisLimits, memory: AccountMemory, torques: Buffer) -> float:
-    """Return the size of the older torques at the SYNC of W divided by the size of W, in the norm |f|_P."""
+    """Return the norm |f|_P of the older torques at the SYNC of W, divided by the norm of W."""
     older = size = 0.0
     for i in range(len(torques)):
         most = max(memory.now.highest[i], -memory.now.lowest[i])
@@ -332,16 +337,17 @@ def older_size(axes: AxisLimits, memory: AccountMemory, torques: Buffer) -> floa
 
 
 def doubt_of_late_group(axes: AxisLimits, memory: AccountMemory, moved: Buffer, held: Buffer) -> tuple[float, float]:
-    """Largest shortfall of the energy received in a hold whose torques came late [J].
+    """Return by how much less energy than booked may have been received in a hold, because torques came late [J].
 
     Args:
         axes: Properties of the motor axes.
-        memory: Buffers of the account before the hold; `before` becomes the range at its beginning.
+        memory: Buffers of the account before the hold; `before` is set to the range of torques at the hold's start.
         moved: Displacement in the hold, (axes,) [rad or m].
-        held: Torques held in it [N*m or N].
+        held: Torques held in the hold [N*m or N].
 
     Returns:
-        The shortfall by the declared hand, and by the damping of the devices.
+        The shortfall by the declared hand force or speed (by damping if neither is declared), and the shortfall by
+        the damping of the devices, 0 where it is not known.
     """
     timing, push, total, damped = axes.timing, 0.0, 0.0, 0.0
     for i in range(len(held)):
@@ -368,15 +374,15 @@ def doubt_of_late_group(axes: AxisLimits, memory: AccountMemory, moved: Buffer, 
 def doubt_of_late_gap(
     axes: AxisLimits, memory: AccountMemory, ended: GroupHolds, missed: int, axis: int, excursion: float
 ) -> float:
-    """Largest error, of either sign, of an axis's booked energy over several holds because torques came late [J].
+    """Return the most by which late torques make one axis's booked energy over several holds too high or too low [J].
 
-    It adds to `doubt_of_axis`. Any two torques that may have acted differ by `apart` at most. `memory.before` becomes
-    the range of torques at the SYNC at which the last hold began.
+    It is added to the result of `doubt_of_axis`, and grows with the largest difference of two torques that may have
+    acted. `memory.before` is set to the range of torques at the SYNC at which the last hold began.
 
     Args:
         axes: Properties of the motor axes.
         memory: Buffers of the account before the holds.
-        ended: The holds.
+        ended: The holds that ended.
         missed: Number of lost samples.
         axis: Index of the axis.
         excursion: Largest displacement of the axis in any hold [m or rad].
@@ -396,7 +402,7 @@ def doubt_of_late_gap(
 
 
 def older_needs(axes: AxisLimits, memory: AccountMemory) -> tuple[float, float]:
-    """Return the energy reserved for late torques of the last SYNC by device damping, and by hand speed [J]."""
+    """Return the energy to reserve for older torques of the last SYNC: by device damping, and by hand speed [J]."""
     damped = paths = 0.0
     if axes.timing.is_ideal:
         return damped, paths
@@ -469,12 +475,12 @@ def end_group_gap(
 ) -> tuple[float, float]:
     """Book several holds of which only the total displacement is known.
 
-    In every hold but the last, whose torque was read back, each axis may have held any torque sent for it until
-    then, or the one of the hold before (see the module).
+    The torque of the last hold was read back. In every other hold each axis may have held any torque sent for it until
+    then, or the torque of the hold before the first (see the module).
 
     Returns:
         Largest shortfall of the energy received against the booked energy, and its largest excess because torques came
-        late [J]; any other excess is left to the meter of the axis.
+        late [J]; excess for other reasons is added by the meter of each axis.
     """
     axes, holds, growth = settings.axes, missed + 1, settings.axes.timing.growth
     push = 0.0
@@ -510,7 +516,7 @@ def end_group_gap(
 
 
 def largest_of(memory: AccountMemory, ended: GroupHolds, missed: int, axis: int) -> float:
-    """Return the size of the largest torque that may have acted in the holds that ended, or before [N*m or N]."""
+    """Return the largest |torque| that one axis may have had in the holds that ended, or before them [N*m or N]."""
     most = max(abs(memory.torques[axis]), abs(ended.applied[axis]))
     most = max(most, memory.before.highest[axis], -memory.before.lowest[axis])
     for place in range(min(missed, len(ended.lost))):
@@ -521,9 +527,9 @@ def largest_of(memory: AccountMemory, ended: GroupHolds, missed: int, axis: int)
 def doubt_of_axis(
     axes: AxisLimits, memory: AccountMemory, ended: GroupHolds, gap: Gap, missed: int, axis: int
 ) -> float:
-    """Largest shortfall of the energy received through one axis over several holds [J].
+    """Return by how much less energy than booked one axis may have received over several holds [J].
 
-    It is below 0 if more came in for certain. The bounds are derived in the module's docstring.
+    Negative if it certainly received more than booked. The bounds are derived in the module's docstring.
     """
     last, damping, total = ended.applied[axis], axes.damping[axis], 0.0
     for hold in range(1, missed + 1):
@@ -548,11 +554,11 @@ def doubt_of_axis(
 
 
 def doubt_of_mover(memory: AccountMemory, ended: GroupHolds, hold: int) -> float:
-    """Largest shortfall of the energy given by a mover in one hold whose sample was lost [J].
+    """Return by how much less energy than booked the mover may have supplied in one hold whose sample was lost [J].
 
     Args:
-        memory: Buffers of the account, before `end_group_gap`; its `passing` is the motion of the mover in the hold.
-        ended: The holds.
+        memory: Buffers of the account, before `end_group_gap`; `passing` is the motion of the mover in the hold.
+        ended: The holds that ended.
         hold: Index of the hold, 0 for the first.
     """
     last, moved, total = ended.applied, memory.passing, 0.0
@@ -565,9 +571,10 @@ def doubt_of_mover(memory: AccountMemory, ended: GroupHolds, hold: int) -> float
 
 
 def certain_energy(account: GroupAccount, credit: float) -> float:
-    """Return the energy [J] that the next torques may extract.
+    """Return the energy that the next torques may give out [J].
 
-    What was dissipated or leaked is not available again, but it covers the uncertainty of the encoders.
+    Energy dissipated or leaked earlier cannot be given out again. The uncertainty due to encoders is subtracted only
+    as far as it exceeds that energy.
     """
     energy = account.h_s - account.h_dis + credit
     lacking = account.uncertainty - account.unrecovered
@@ -575,21 +582,21 @@ def certain_energy(account: GroupAccount, credit: float) -> float:
 
 
 def fade(account: GroupAccount, share: float) -> None:
-    """Forget a part of the devices' dissipation, as happens out of contact; a deficit is kept in full."""
+    """Discard part of the devices' booked dissipation, out of contact; what covers a deficit is not discarded."""
     if account.dissipated > 0.0:
         energy = account.h_s - account.h_dis
         keep(account, energy, share * max(0.0, energy + account.dissipated))
 
 
 def quotient(budget: float, need: float) -> float:
-    """Return budget / need; infinite if nothing is needed, 0 if there is no budget."""
+    """Return budget / need; infinite if nothing is needed, 0 if the budget is negative."""
     if not budget >= 0.0:
         return 0.0
     return budget / need if need > 0.0 else inf
 
 
 def worst_case(at: Accounting, torques: Buffer, count: int) -> float:
-    """Return the base of torques that act after the first `count` queued ones [J]; see `base_of`."""
+    """Return the bound `base_of` for torques that act after the first `count` queued commands [J]."""
     axes, memory, sent, first = at.settings.axes, at.memory, at.under_way.torques, at.under_way.first
     along = along_last(axes, torques, memory.displacement, memory.position_uncertainty)
     if not axes.timing.is_ideal:
@@ -598,7 +605,7 @@ def worst_case(at: Accounting, torques: Buffer, count: int) -> float:
 
 
 def extraction_of(at: Accounting, hold: int) -> float:
-    """Return the most energy [J] that the torques of one queued hold may extract during that hold."""
+    """Return the most energy that the torques of one queued command may give out during its hold [J]."""
     axes, memory, torques = at.settings.axes, at.memory, at.under_way.torques[at.under_way.first + hold]
     taken = worst_case(at, torques, hold) + gain_of(axes, torques)
     if not axes.timing.is_ideal:
@@ -607,7 +614,7 @@ def extraction_of(at: Accounting, hold: int) -> float:
 
 
 def moved_at_most(at: Accounting) -> float:
-    """Return the energy that a mover takes from the queued torques [J]; holds in which it gives energy count 0."""
+    """Return the energy that a mover takes from the queued torques, summed over the holds in which it takes any [J]."""
     total, under_way = 0.0, at.under_way
     if at.settings.moves:
         for hold in range(under_way.holds):
@@ -616,7 +623,7 @@ def moved_at_most(at: Accounting) -> float:
 
 
 def needed_under_way(at: Accounting) -> float:
-    """Return the most energy [J] that the queued torques may give out to a hand within its force."""
+    """Return the most energy that the queued torques may give out to a hand within its declared force [J]."""
     axes, memory, worst, given = at.settings.axes, at.memory, 0.0, 0.0
     for hold in range(at.under_way.holds):
         given += extraction_of(at, hold)
@@ -627,7 +634,7 @@ def needed_under_way(at: Accounting) -> float:
 
 
 def free_energy(at: Accounting, energy: float) -> float:
-    """Part of `energy` [J] that the certificates of the queued torques do not need."""
+    """Return the part of `energy` that need not be reserved for the queued torques [J]."""
     settings, account, memory, under_way = at
     axes = settings.axes
     if settings.apart.is_apart:
@@ -654,8 +661,8 @@ def shares(at: Accounting, torques: Buffer, energy: float) -> tuple[float, float
 
     Args:
         at: Account of the group.
-        torques: W, for the next free hold [N*m or N].
-        energy: Energy budget [J].
+        torques: Requested torques W of the next free hold [N*m or N].
+        energy: Energy that torques may give out [J].
     """
     settings, account, memory, under_way = at
     axes = settings.axes
@@ -683,9 +690,9 @@ def shares(at: Accounting, torques: Buffer, energy: float) -> tuple[float, float
 
 
 def by_hand_force(at: Accounting, torques: Buffer, energy: float, moved: float) -> float:
-    """Return the share permitted by hand force; at most 1 where torques come late.
+    """Return the share of torques that the hand-force certificate permits; at most 1 where torques come late.
 
-    `moved` is the energy of a mover on the torques [J]; the other arguments are as for `shares`.
+    `moved` is the energy that a mover takes from the torques [J]; the other arguments are as for `shares`.
     """
     axes, memory, under_way = at.settings.axes, at.memory, at.under_way
     for hold in range(under_way.holds):
@@ -709,16 +716,17 @@ def by_hand_force(at: Accounting, torques: Buffer, energy: float, moved: float) 
 
 
 def share_beyond(energy: float, base: float, gain: float, late: LateShare, size: float) -> float:
-    """Return the share, up to `size`, of new torques for which the energy suffices after the older ones.
+    """Return the largest share, up to `size`, of new torques that the energy covers in addition to older torques.
 
-    `late` is for `size`, its constant at most the energy; `base` and `gain` are for all of the torques.
+    `late` is the bound for older torques if `size` is sent at l = 1; its constant is at most `energy`. `base` and
+    `gain` are those of the unscaled torques.
     """
     start, more = size * base + late.linear, max(0.0, size * size * gain + late.square)
     return size * min(1.0, hand_force_bound(energy - late.constant, start, more))
 
 
 def damping_need_of(axes: AxisLimits, squares: Buffer) -> float:
-    """Return the sum of (T + theta_i) / 4 b_i times the sum of squares of each axis [J]."""
+    """Return the energy that device damping must cover, given each axis's sum of F^2: sum(F^2 (T + theta) / 4b) [J]."""
     total = 0.0
     for i in range(len(squares)):
         total += squares[i] / axes.squares[i]
@@ -734,7 +742,7 @@ def size_of(values: Buffer) -> float:
 
 
 def take_all_sent(at: Accounting) -> None:
-    """Copy the hold that ended and the torques that may still act to the per-axis certificates."""
+    """Copy the hold that ended and the torques that may still act to the buffers of the per-axis certificates."""
     settings, _, memory, under_way = at
     copy_range(settings.axes, memory, True)
     take_sent(
@@ -744,7 +752,7 @@ def take_all_sent(at: Accounting) -> None:
 
 
 def free_if_apart(at: Accounting, energy: float) -> float:
-    """Return `free_energy` by the per-axis certificates."""
+    """Return the result of `free_energy` by the per-axis certificates."""
     settings, account, memory, _ = at
     axes, limits, apart, free = settings.axes, settings.apart, memory.apart, 0.0
     take_all_sent(at)
@@ -762,7 +770,7 @@ def free_if_apart(at: Accounting, energy: float) -> float:
 
 
 def shares_if_apart(at: Accounting, torques: Buffer, energy: float) -> tuple[float, float, float]:
-    """Return `shares` by the per-axis certificates; that of hand force is at most 1."""
+    """Return the result of `shares` by the per-axis certificates; the share by hand force is at most 1."""
     settings, account, memory, _ = at
     axes, limits, apart = settings.axes, settings.apart, memory.apart
     take_all_sent(at)

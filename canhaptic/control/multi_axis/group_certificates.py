@@ -1,5 +1,8 @@
-"""The share of a group's torques permitted in the next hold: the certificates of one axis, for all motor axes at once.
+"""Which share of a group's torques may be sent for the next hold: the certificates of one axis, extended to all axes.
 
+A certificate is a proof, from declared properties of the hand or the devices, that the torques give out (from motors to
+the user's side) no more energy than the account holds. Older torques are commands of earlier holds that a motor still
+produces because a new one takes effect late. A cell is one axis in one hold.
 **Together.** Let W be the requested torques (motor coordinates) and l W, 0 <= l <= 1, those sent. The energy that they
 give out in their hold is l W . D, D the displacement in it, and the reasoning of `certificates.scalar_bounds` bounds
 W . D as it bounds a displacement along one axis: with D_0 the displacement of the hold that ended and f_0, f_1, ... the
@@ -107,8 +110,8 @@ def timing_of(loops: tuple[LoopProperties, ...], by_hand: bool, pull: float, spe
     Args:
         loops: Loop of each axis.
         by_hand: Whether the moving mass of every axis is known.
-        pull: F_h with friction [N or N*m].
-        speed: v_max [m/s or rad/s]; 0: not declared.
+        pull: Declared hand force F_h plus dry friction [N or N*m].
+        speed: Declared hand speed v_max [m/s or rad/s]; 0: not declared.
     """
     timings = [loop.timing for loop in loops]
     longest = max([timing.longest for timing in timings])
@@ -153,8 +156,9 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
 
     Args:
         loops: Loop of each axis.
-        hand_force: F_h of each axis [N or N*m]; None: certificate not used. It needs every moving mass.
-        hand_speed: v_max [m/s or rad/s]; None: not used.
+        hand_force: Largest hand force F_h on each axis [N or N*m]; its certificate also needs every axis's moving
+            mass. None: certificate not used.
+        hand_speed: Largest hand speed v_max [m/s or rad/s]; None: certificate not used.
     """
     sample_time = max([loop.timing.longest for loop in loops])
     by_hand = hand_force is not None and all(loop.moving_mass is not None for loop in loops)
@@ -189,7 +193,7 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
 
 
 def _response_to(torques: Buffer, acting: Buffer, response: Buffer) -> float:
-    """Return the largest response of W . D [J] to torques acting, for any inertia not below the declared."""
+    """Return the most by which acting torques can raise W . D, for any inertia not below the declared one [J]."""
     product = first = second = 0.0
     for i in range(len(response)):
         gain = response[i]
@@ -203,15 +207,15 @@ def _response_to(torques: Buffer, acting: Buffer, response: Buffer) -> float:
 def response_to_late(
     axes: AxisLimits, torques: Buffer, highest: Buffer, lowest: Buffer, held: Buffer, response: Buffer
 ) -> float:
-    """Return the largest response of W . D [J] to older torques in a hold, beyond that to the torques held in it.
+    """Return the most by which older torques in a hold can raise W . D, beyond the effect of its own torques [J].
 
     Args:
         axes: Properties of the motor axes.
-        torques: W, (axes,).
+        torques: Torques W, (axes,).
         highest: Largest of the older torques, (axes,) [N*m or N].
-        lowest: Smallest of them, (axes,) [N*m or N].
-        held: Torques held in the hold.
-        response: `before` or `during`.
+        lowest: Smallest of the older torques, (axes,) [N*m or N].
+        held: Torques commanded for the hold, (axes,).
+        response: Displacement per torque, `axes.before` or `axes.during`.
     """
     size = total = 0.0
     for i in range(len(response)):
@@ -226,7 +230,7 @@ def response_to_late(
 
 
 def pass_range(axes: AxisLimits, highest: Buffer, lowest: Buffer, held: Buffer) -> None:
-    """Advance the range of the torques to the next SYNC, after a hold with the torques `held`."""
+    """Advance the range of torques that may still act to the next SYNC, after a hold with the torques `held`."""
     for i in range(len(held)):
         torque, left = held[i], axes.timing.left[i]
         highest[i] = torque + left * max(0.0, highest[i] - torque)
@@ -234,7 +238,7 @@ def pass_range(axes: AxisLimits, highest: Buffer, lowest: Buffer, held: Buffer) 
 
 
 def _hand_term(axes: AxisLimits, torques: Buffer) -> float:
-    """Return how much the hand raises W . D in one hold [J]."""
+    """Return the most by which the hand can raise W . D in one hold [J]."""
     total = 0.0
     for i in range(len(axes.before)):
         total += torques[i] * (axes.before[i] + axes.during[i]) * torques[i]
@@ -242,7 +246,7 @@ def _hand_term(axes: AxisLimits, torques: Buffer) -> float:
 
 
 def along_last(axes: AxisLimits, torques: Buffer, displacement: Buffer, position_uncertainty: Buffer) -> float:
-    """Return the largest W . D_0 [J] of a displacement known up to encoder counts and its uncertainty."""
+    """Return the largest W . D_0 for a displacement D_0 known up to encoder counts and `position_uncertainty` [J]."""
     total = 0.0
     for i in range(len(axes.counts)):
         along = torques[i] * displacement[i]
@@ -251,7 +255,7 @@ def along_last(axes: AxisLimits, torques: Buffer, displacement: Buffer, position
 
 
 def _raised_by_friction(axes: AxisLimits, torques: Buffer, displacement: Buffer) -> float:
-    """Return how much of W . D_0 the inward parts lose by friction in one hold [J], >= 0."""
+    """Return by how much friction can raise W . D_0 in one hold, slowing axes that move inward [J], >= 0."""
     total = 0.0
     for i in range(len(axes.lost)):
         along = torques[i] * displacement[i] + abs(torques[i]) * axes.counts[i]
@@ -271,22 +275,22 @@ def base_of(
     axes: AxisLimits, torques: Buffer, displacement: Buffer, bound: float, last: Buffer, sent: Matrix, first: int,
     under_way: int, range_of: Acting,
 ) -> float:  # fmt: skip
-    """Return the base of l W . D [J] for torques that act after the queued ones.
+    """Return `base` of l W . D <= l base + l^2 gain: the most that W . D can be without the effect of W itself [J].
 
-    In every hold friction acts on what is left of D_0, axis by axis: where one axis moves inward and another outward,
-    their sum gives no bound. The responses to forces are bounded without friction.
+    W acts after the queued torques. In every hold friction acts on what is left of D_0, axis by axis, because the sum
+    over axes that move inward and outward gives no bound. The responses to forces are bounded without friction.
 
     Args:
         axes: Properties of the motor axes.
-        torques: W, (axes,).
-        displacement: Displacement in the hold that ended, (axes,).
+        torques: Torques W, (axes,).
+        displacement: Displacement D_0 in the hold that ended, (axes,).
         bound: Largest W . D_0 [J].
         last: Torques held in that hold, (axes,).
-        sent: Torques by hold, a ring (holds, axes).
-        first: Index of the next hold; negative indices wrap.
+        sent: Queued torques, a ring buffer with a row for each hold, (holds, axes).
+        first: Row of the next hold; negative indices wrap.
         under_way: Number of holds before W acts.
-        range_of: Range of torques at the SYNC at which the hold that ended began; where torques come late, advanced to
-            the SYNC of W.
+        range_of: Range of torques that may act at the SYNC where the hold that ended began; where torques come late, it
+            is advanced to the SYNC of W.
     """
     hand, friction = _hand_term(axes, torques), _raised_by_friction(axes, torques, displacement)
     is_ideal, growth = axes.timing.is_ideal, axes.timing.growth
@@ -317,12 +321,12 @@ def base_of(
 
 
 def _stretched(total: float, growth: float) -> float:
-    """Return the largest W . D [J] in a hold of another length."""
+    """Return the largest W . D in the next hold, which may be longer or shorter by the factor `growth` [J]."""
     return total * growth if total > 0.0 else total / growth
 
 
 def taken_by_mover(torques: Buffer, moved: Buffer) -> float:
-    """Return the energy that a mover takes from the torques in a hold [J]; `moved` is its motion at the motors."""
+    """Return the energy that a mover, moving by `moved` in motor coordinates, takes from the torques in a hold [J]."""
     total = 0.0
     for i in range(len(moved)):
         total -= torques[i] * moved[i]
@@ -330,7 +334,7 @@ def taken_by_mover(torques: Buffer, moved: Buffer) -> float:
 
 
 def gain_of(axes: AxisLimits, torques: Buffer) -> float:
-    """Return the gain of l W . D [J]: the response to the torques W themselves."""
+    """Return `gain` of l W . D <= l base + l^2 gain: how much the torques W themselves raise W . D [J]."""
     total = 0.0
     for i in range(len(axes.during)):
         total += torques[i] * axes.during[i] * torques[i]
@@ -338,7 +342,7 @@ def gain_of(axes: AxisLimits, torques: Buffer) -> float:
 
 
 def damping_need(axes: AxisLimits, torques: Buffer) -> float:
-    """Return sum(F_i^2 (T + theta_i) / 4 b_i) [J]."""
+    """Return the energy that device damping must cover for torques F: sum(F_i^2 (T + theta_i) / 4 b_i) [J]."""
     total = 0.0
     for i in range(len(axes.damping)):
         total += torques[i] * torques[i] / axes.squares[i]
@@ -346,7 +350,7 @@ def damping_need(axes: AxisLimits, torques: Buffer) -> float:
 
 
 def path_need(axes: AxisLimits, torques: Buffer) -> float:
-    """Return sum |F_i| v_max (T + theta) [J]."""
+    """Return the most energy that torques F give out at the declared hand speed: sum |F_i| v_max (T + theta) [J]."""
     total = 0.0
     for torque in torques:
         total += abs(torque)
@@ -354,7 +358,7 @@ def path_need(axes: AxisLimits, torques: Buffer) -> float:
 
 
 class PerAxisLimits(NamedTuple):
-    """Constants of the certificates axis by axis."""
+    """Constants of the per-axis certificates in one run."""
 
     delay: int  # whole holds between computation and action
     losses: int  # consecutive cycles in which an axis may be without a new torque
@@ -368,7 +372,7 @@ class PerAxisLimits(NamedTuple):
 
 
 class PerAxisMemory(NamedTuple):
-    """Torques that may still act, and the energy of each axis with them; [J] but for torques and starts."""
+    """Buffers of the per-axis certificates: torques that may still act, and the energy [J] of each axis with them."""
 
     sent: Matrix  # torques held in the hold that ended, and those under way, (delay + 1, axes) [N*m or N]
     largest: Buffer  # size of any of them on each axis, (axes,)
@@ -390,7 +394,7 @@ class PerAxisMemory(NamedTuple):
 
 
 def per_axis_limits(axes: AxisLimits, delay: int, losses: int) -> PerAxisLimits:
-    """Return the constants of the certificates axis by axis."""
+    """Return the constants of the per-axis certificates."""
     whole = [b + d for b, d in zip(axes.before, axes.during, strict=True)]
     first = max([d / r if r else 0.0 for d, r in zip(axes.during, whole, strict=True)])
     is_late = any(axes.timing.share)
@@ -402,7 +406,7 @@ def per_axis_limits(axes: AxisLimits, delay: int, losses: int) -> PerAxisLimits:
 
 
 def per_axis_memory(limits: PerAxisLimits) -> PerAxisMemory:
-    """Return empty buffers."""
+    """Return the buffers of the per-axis certificates, filled with zeros."""
     axes, one = len(limits.roots), list_of_zeros
     cells, pieces = limits.holds * axes, (limits.delay + 2) * limits.holds * axes
     if limits.is_late:
@@ -418,7 +422,7 @@ def per_axis_memory(limits: PerAxisLimits) -> PerAxisMemory:
 
 
 def write_parabolas(memory: PerAxisMemory, place: int, old: float, new: float, base: float, slope: float) -> int:
-    """Write the energy of an axis that moves by base + slope l, with an old torque and with l times a new one."""
+    """Store two energies, parabolas in l, over a motion base + slope l: of an old torque, and of l times a new one."""
     if old > 0.0:
         memory.constant[place], memory.linear[place], memory.square[place] = old * base, old * slope, 0.0
         place += 1
@@ -432,16 +436,18 @@ def write_late_cells(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, torques: Buffer, fixed: Buffer, norm: float,
     more: float, place: int,
 ) -> None:  # fmt: skip
-    """Write the energy of older torques beyond those of each hold, and of all torques in the hold after the last.
+    """Store bounds on the energy of older torques, beyond the torques of each hold, as parabolas in the share l of W.
+
+    The bounds include the hold after the last, in which all torques may still act.
 
     Args:
         axes: Properties of the motor axes.
         limits: Per-axis limits of the group.
         memory: Buffers of the certificates, after `take_sent`.
-        torques: W, (axes,).
+        torques: Requested torques W, (axes,).
         fixed: Torques sent for every l, (axes,).
-        norm: N_0 + h.
-        more: N_1.
+        norm: N_0 + h of the module: norm of torques and hand at l = 0.
+        more: N_1 of the module: increase of that norm with l.
         place: Index of the next parabola.
     """
     cell = limits.holds * len(torques)
@@ -472,10 +478,11 @@ def write_tail(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, axis: int, side: int, index: int, norm: float,
     more: float, older: float, new: float, place: int,
 ) -> int:  # fmt: skip
-    """Write the energy of older torques at the beginning of a hold as parabolas; return the index of the next.
+    """Store a bound on the energy of older torques at the start of a hold, parabolas in l; return the next index.
 
-    X = integral(p v) over v > 0 is convex in the displacement D before: s D + s (1/2 + s) a T^2 for D >= 0 and none
-    where the axis still goes inward at the end of the hold, D <= -3/2 a T^2.
+    X = integral(p v) over v > 0, the outward motion weighted by the part p of older torques, is convex in the
+    displacement D of the hold before: s D + s (1/2 + s) a T^2 for D >= 0, and 0 where the axis still goes inward at
+    the end of the hold, D <= -3/2 a T^2.
     """
     share, root, start = axes.timing.share[axis], axes.timing.roots[axis], memory.starts[axis][side]
     pace, rise = memory.lost[axis][side] + root * norm, root * more
@@ -487,7 +494,7 @@ def write_tail(
 
 
 _PASSES: Final = 24
-"""Most passes of the search for a share; if more are needed, nothing is rendered."""
+"""Most iterations of the search for a share; if more are needed, the share is 0."""
 _ROUNDING: Final = 1e-12
 
 
@@ -495,18 +502,18 @@ def take_sent(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, displacement: Buffer, position_uncertainty: Buffer,
     torques: Buffer, under_way: Matrix, first: int, older: Acting,
 ) -> None:  # fmt: skip
-    """Write the hold that ended and the torques that may still act.
+    """Copy the motion in the hold that ended, and the torques that may still act, to the buffers.
 
     Args:
         axes: Properties of the motor axes.
         limits: Per-axis limits of the group.
-        memory: Buffers of the certificates; written.
+        memory: Buffers of the certificates; changed.
         displacement: Displacement in the hold that ended, (axes,) [rad or m].
         position_uncertainty: Uncertainty of each displacement (axes,).
-        torques: Torques held in it, (axes,) [N*m or N].
-        under_way: Torques sent, a ring (delay + 1, axes).
-        first: Index of the torques that act next; negative indices wrap.
-        older: Range of all torques at the last SYNC, where torques come late.
+        torques: Torques held in that hold, (axes,) [N*m or N].
+        under_way: Queued torques, a ring buffer (delay + 1, axes).
+        first: Row of the torques that act next; negative indices wrap.
+        older: Range of all torques that may act at the last SYNC, where torques come late.
     """
     for i in range(len(torques)):
         memory.sent[0][i], memory.largest[i] = torques[i], abs(torques[i])
@@ -526,7 +533,7 @@ def take_sent(
 
 
 def write_largest(limits: PerAxisLimits, memory: PerAxisMemory) -> None:
-    """Write the largest torques that may act in each hold, of those sent, >= 0."""
+    """Store, for each hold and axis, the largest sent torque that may act along + and along -, >= 0."""
     for index in range(limits.holds):
         for i in range(len(memory.largest)):
             up = down = 0.0
@@ -536,7 +543,7 @@ def write_largest(limits: PerAxisLimits, memory: PerAxisMemory) -> None:
 
 
 def take_older(axes: AxisLimits, memory: PerAxisMemory, older: Acting, axis: int) -> None:
-    """Write the range of an axis's torques at the last SYNC, and adapt start and friction to holds of any length."""
+    """Copy one axis's range of torques, and widen its last displacement and friction for holds of varying length."""
     highest, lowest = older.highest[axis], older.lowest[axis]
     memory.older.highest[axis], memory.older.lowest[axis] = highest, lowest
     memory.largest[axis] = max(memory.largest[axis], highest, -lowest)
@@ -547,27 +554,27 @@ def take_older(axes: AxisLimits, memory: PerAxisMemory, older: Acting, axis: int
 
 
 def first_of(limits: PerAxisLimits, hold: int) -> int:
-    """Return the row of the oldest torques that may act in a hold, the next one being 1."""
+    """Return the row of `sent` with the oldest torques that may act in a hold, the next hold being 1."""
     return max(0, hold - limits.losses)
 
 
 def end_of(limits: PerAxisLimits, hold: int) -> int:
-    """Return the row after the newest queued torques that may act in a hold."""
+    """Return the row of `sent` after the newest queued torques that may act in a hold, the next hold being 1."""
     return min(hold, limits.delay) + 1
 
 
 def write_cells(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer, fixed: Buffer
 ) -> None:
-    """Write the energy that each axis may give out in each hold, as parabolas of which the largest counts.
+    """Store a bound on the energy that each axis may give out in each hold: the largest of several parabolas in l.
 
     Args:
         axes: Properties of the motor axes.
         limits: Per-axis limits of the group.
-        memory: Buffers of the certificates; written.
+        memory: Buffers of the certificates; changed.
         mover_motion: Motion of a mover in future holds, (holds, axes) [m or rad].
-        torques: W, (axes,), of which the share l is to be found.
-        fixed: Torques sent at every l, on axes without W, (axes,).
+        torques: Requested torques W, (axes,); the caller searches for the largest permitted share l of them.
+        fixed: Torques sent for every l, on axes where W is 0, (axes,).
     """
     total = added = 0.0
     for i in range(len(torques)):
@@ -589,7 +596,7 @@ def write_options(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torque: float, fixed: float,
     norm: float, more: float, axis: int, place: int,
 ) -> int:  # fmt: skip
-    """Write the energy of an axis for each torque that may be held in each hold; return the next index."""
+    """Store one axis's energy in each hold, a parabola in l for each torque that may be held; return the next index."""
     root, kept = limits.roots[axis], 1.0 - axes.lost[axis]
     along, against = memory.starts[axis][0], memory.starts[axis][1]
     for index in range(limits.holds):
@@ -616,7 +623,10 @@ def write_courses(
     limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torque: float, fixed: float, norm: float,
     more: float, axis: int, place: int,
 ) -> int:  # fmt: skip
-    """Write the energy of an axis for any torque course from 0 to the torques of each hold; return the next index."""
+    """Store one axis's energy in each hold, where its torque may vary from 0 to the torques of that hold.
+
+    The energies are parabolas in l. Returns the index of the next parabola.
+    """
     root = limits.roots[axis]
     for index in range(limits.holds):
         mine, sign, moved = index - limits.delay, 1.0, mover_motion[index][axis]
@@ -636,9 +646,9 @@ def write_courses(
 
 
 def worst_of(memory: PerAxisMemory, first: int, end: int, share: float, least: float) -> tuple[int, float]:
-    """Index and value [J] of the largest parabola at a share.
+    """Return the index and the value [J] of the parabola that is largest at a share.
 
-    If none exceeds `least`, the result is the last parabola, which is 0.
+    If none exceeds `least`, return `least` and the index of the last parabola, which is always 0.
     """
     active, largest = -1, least
     for place in range(first, end):
@@ -649,7 +659,7 @@ def worst_of(memory: PerAxisMemory, first: int, end: int, share: float, least: f
 
 
 def given_at_most(limits: PerAxisLimits, memory: PerAxisMemory, share: float) -> tuple[float, float, float]:
-    """Return a parabola A + B l + C l^2 equal, at a share l, to the most that all axes may give out [J]."""
+    """Return A, B, C of the parabola that equals, at this share, the most energy that all axes may give out [J]."""
     least = 0.0 if limits.is_late else -inf
     fixed = linear = square = 0.0
     cell = place = 0
@@ -673,13 +683,13 @@ def given_at_most(limits: PerAxisLimits, memory: PerAxisMemory, share: float) ->
 
 
 def needed_by_hand(axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix) -> float:
-    """Return the most energy [J] that the queued torques may give out to a hand within its declared force."""
+    """Return the most energy that the queued torques may give out to a hand within its declared force [J]."""
     write_cells(axes, limits, memory, mover_motion, memory.nothing, memory.nothing)
     return given_at_most(limits, memory, 0.0)[0]
 
 
 def largest_share(limits: PerAxisLimits, memory: PerAxisMemory, budget: float) -> float:
-    """Return the largest l <= 1 at which the cells sum to no more than the budget [J]; 0 if none is found."""
+    """Return the largest share l <= 1 at which the bounds of `write_cells` sum to `budget` at most [J], 0 if none."""
     share = 1.0
     for _ in range(_PASSES):
         fixed, linear, square = given_at_most(limits, memory, share)
@@ -696,15 +706,15 @@ def largest_share(limits: PerAxisLimits, memory: PerAxisMemory, budget: float) -
 def share_by_hand(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer, budget: float
 ) -> float:
-    """Return the largest share l <= 1 of new torques within a budget [J]; 0 if there is none.
+    """Return the largest share l <= 1 of new torques that the hand-force certificate permits; 0 if there is none.
 
     Args:
         axes: Properties of the motor axes.
         limits: Per-axis limits of the group.
         memory: Buffers of the certificates, after `take_sent`.
         mover_motion: Motion of a mover in future holds, (holds, axes) [m or rad].
-        torques: W, (axes,) [N*m or N].
-        budget: Energy budget [J].
+        torques: Requested torques W, (axes,) [N*m or N].
+        budget: Energy that may be given out [J].
     """
     write_cells(axes, limits, memory, mover_motion, torques, memory.nothing)
     return largest_share(limits, memory, budget)
@@ -714,21 +724,21 @@ def inward_first(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer,
     quanta: Buffer, budget: float, found: Buffer,
 ) -> None:  # fmt: skip
-    """Write the torques to send: axes that move against their torque first, then a common share on the others.
+    """Choose the torques to send: first on axes that move against their torque, then a common share on the others.
 
-    An axis that moves against its torque absorbs energy, independently of the others. Without this order no group would
-    leave an empty account, because the first torque of an axis at rest gives out F^2 T^2 / 2m. The force of the group
-    turns while the account is short. Torques that cost nothing are sent even in debt.
+    An axis that moves against its torque absorbs energy, independently of the others. Without this order a group with
+    an empty account could never start, because the first torque of an axis at rest gives out F^2 T^2 / 2m. The force of
+    the group changes direction while the account is short. Torques that need no energy are sent even in debt.
 
     Args:
         axes: Properties of the motor axes.
         limits: Per-axis limits of the group.
         memory: Buffers of the certificates, after `take_sent`.
         mover_motion: Motion of a mover in future holds, (holds, axes) [m or rad].
-        torques: W, (axes,) [N*m or N].
+        torques: Requested torques W, (axes,) [N*m or N].
         quanta: Torque quanta of the drives; torques are rounded towards 0, (axes,).
-        budget: Energy budget [J].
-        found: Receives the torques, (axes,); certified as rounded.
+        budget: Energy that may be given out [J].
+        found: Receives the rounded torques, (axes,).
     """
     count = len(torques)
     for i in range(count):
@@ -757,12 +767,14 @@ def inward_first(
 
 
 def write_needs(limits: PerAxisLimits, memory: PerAxisMemory, torques: Buffer, squared: bool) -> None:
-    """Write sums over all holds of |f_i| or f_i^2 of the queued torques, and their increase by l or l^2 of new ones.
+    """Store each axis's sum over all holds of queued torques |f_i| or f_i^2, and its increase if W is sent in full.
+
+    If l W is sent, the increase is at most l or l^2 times as large.
 
     Args:
         limits: Per-axis limits of the group.
-        memory: Buffers; `old` and `new` are written.
-        torques: W, (axes,); zeros for the queued torques alone.
+        memory: Buffers; `old` receives the sum, `new` the increase.
+        torques: Requested torques W, (axes,); zeros for the queued torques alone.
         squared: Whether the squares are summed.
     """
     for i in range(len(torques)):
@@ -780,13 +792,13 @@ def write_needs(limits: PerAxisLimits, memory: PerAxisMemory, torques: Buffer, s
 def taken_at_most(
     limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer
 ) -> tuple[float, float]:
-    """Upper bound on the mover's energy from queued torques [J], and the increase from new ones.
+    """Return the most energy that a mover takes from the queued torques, and its increase by new torques [J].
 
     Args:
         limits: Per-axis limits of the group.
         memory: Buffers of the certificates, after `take_sent`.
         mover_motion: Motion of a mover in future holds, (holds, axes) [m or rad].
-        torques: W, (axes,); zeros for the queued torques alone.
+        torques: Requested torques W, (axes,); zeros for the queued torques alone.
     """
     old = new = 0.0
     for index in range(limits.holds):

@@ -5,7 +5,7 @@ coordinates, exactly, for every mechanism between motors and hand (eq. 2). Kinem
 
 Every axis of a group has its own sample, torque and balance, but its energy -torque * displacement alone proves
 nothing: energy that enters through one axis may leave through another. Stored energy, dissipation, surplus and
-certificate therefore belong to the group; the balance of the axis says `Branch.GROUP` and holds h_i alone.
+certificate therefore belong to the group; the balance of an axis has `Branch.GROUP` and, of the energies, h_i alone.
 """
 
 from collections.abc import Sequence
@@ -55,7 +55,7 @@ class GroupController(Protocol):
     def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
         """Book the hold that just ended and return the account with the torques for the next free hold.
 
-        The first call after `reset` only takes the positions: its balance is all zero.
+        The first call after `reset` only stores the positions: its balance is all zero.
 
         Args:
             positions: Positions of the motor axes at this SYNC [rad or m].
@@ -66,14 +66,14 @@ class GroupController(Protocol):
         """
 
     def sample_lost(self) -> GroupBalance:
-        """Return the balance of a SYNC at which an axis lost its sample: the last commands, of displays zeros.
+        """Repeat the last commands at a SYNC where the sample of an axis was lost; return a balance without energies.
 
-        Nothing is booked; the next `step` books one displacement of all axes over several holds at its worst.
+        Nothing is booked; the next `step` books the total displacement over several holds at its worst-case energy.
         """
 
 
 class NetworkEnvironment(Protocol):
-    """An environment as a scene names it: the parameters of a network, built for a task space of a given dimension."""
+    """Parameters of an environment in a scene, from which a network for a given task space is built."""
 
     def build(self, dimensions: int) -> Any:
         """Return the network with its geometry.
@@ -124,7 +124,7 @@ class AxisGroup:
         self._limit = Limit.NONE.value
 
     def step(self, samples: Sequence[Sample]) -> GroupBalance:
-        """Return the balance of the hold that ended; `Branch.HELD` when the sample of any of its axes is not fresh.
+        """Return the balance of the hold that ended; `Branch.HELD` if any axis of the group has no fresh sample.
 
         Args:
             samples: Samples of the whole rig.
@@ -141,14 +141,14 @@ class AxisGroup:
         return self.balance
 
     def book(self, sync_index: int, deadline: int | None = None) -> str:
-        """Book the last step in the ledger, and count its limit.
+        """Book the balance of the last step in the group's ledger, and count the limit it reached, if any.
 
         Args:
             sync_index: Index of the SYNC of that step.
-            deadline: Sample times to that SYNC; None: no SYNC was skipped.
+            deadline: Sample times from the first SYNC to that SYNC; None: no SYNC was skipped.
 
         Returns:
-            Message about a limit that was just reached; empty otherwise.
+            Message about the limit if the step before did not reach it; empty otherwise.
         """
         self.ledger.add(self.balance.account, sync_index, deadline)
         self.supplied += self.balance.supplied
@@ -175,7 +175,7 @@ class AxisGroup:
         return Sample(samples[0].sync_index, 0.0, square**0.5, words, fresh)
 
     def truth(self, truths: Sequence[Truth]) -> Truth:
-        """Return the sum of the true energies of its axes; work of a mover counts as work of a motor.
+        """Return the sum of the true energies of the group's axes; work of a mover counts as work of a motor.
 
         Args:
             truths: True energies, one for each axis of the rig.
@@ -234,5 +234,5 @@ class GroupedControllers:
 
 
 def _axis_balance(torque: float, h_i: float, branch: int, certificate: int) -> EnergyBalance:
-    """Return the balance of an axis in a group: the rest of its account is the group's."""
+    """Return the balance of one axis of a group: torque and h_i, because all else is in the group's account."""
     return EnergyBalance(torque, h_i, 0.0, h_i, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, branch, 0.0, certificate, 0.0)

@@ -1,4 +1,4 @@
-"""Common part of the algorithms of a group: its motion, its commands, and the kernel with its state in the cycle.
+"""What all algorithms of a group share: its motion, its commands, and the controller that steps a compiled kernel.
 
 The motion of the motors moves the ports of the network through mechanism and geometry, and the efforts of the network
 return to the motors the same way. A command is kept, with its components, from its computation to the end of the hold
@@ -114,7 +114,7 @@ class RequestedEfforts(NamedTuple):
 
 
 def world_of(environment: NetworkEnvironment, kinematics: Kinematics, loops: tuple[LoopProperties, ...]) -> GroupModel:
-    """Return a model from environment, mechanism and loops.
+    """Return the model of a group: network, geometry and mover of its environment, and its mechanism.
 
     Raises:
         ParameterError: They do not fit together.
@@ -131,7 +131,7 @@ def world_of(environment: NetworkEnvironment, kinematics: Kinematics, loops: tup
 
 
 def why_not_world(world: GroupModel) -> str:
-    """Reason why a part of a group model cannot be compiled; empty if all can."""
+    """Return why a group model cannot be compiled; empty if it can."""
     parts = (world.mechanism, world.geometry, world.functions)
     names = [type(part).__name__ for part in parts if not hasattr(part, "_fields") or hasattr(part, "kinematics")]
     return f"got {', '.join(names)}, which is Python code of its own" if names else ""
@@ -159,7 +159,7 @@ def motion_memory(world: GroupModel, settings: MotionSettings) -> MotionMemory:
 def begin_motion(
     world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer
 ) -> None:
-    """Take the first positions, at rest."""
+    """Start the motion of a group at its first positions, at rest."""
     motion.elapsed = settings.sample_time
     for i in range(len(positions)):
         if settings.counts[i] > 0.0:
@@ -233,7 +233,7 @@ def move(
 
 
 def settle_motion(motion: GroupMotion) -> None:
-    """Copy energy and engagement of the network to the motion."""
+    """Copy the network's stored energy, and whether it is in contact, to the motion of the group."""
     motion.energy = motion.network.energy
     motion.engaged = motion.network.engaged and motion.limit == _NONE
 
@@ -241,7 +241,7 @@ def settle_motion(motion: GroupMotion) -> None:
 def locate(
     world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, positions: Buffer
 ) -> None:
-    """Compute pose and port coordinates, minus the mover's motion, and the rows of the ports over the motor axes."""
+    """Compute the pose, the port coordinates less the mover's motion, and the Jacobian of the ports by the motors."""
     motion.limit = world.mechanism.locate(positions, memory.place, memory.jacobian)
     motion.located = motion.limit == _NONE
     if not motion.located:
@@ -272,7 +272,7 @@ def mover_motion(world: GroupModel, settings: MotionSettings, first: int, last: 
 def write_carried(
     world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, after: int, into: Buffer
 ) -> None:
-    """Write the smallest motor motion that moves the ports as the mover does in one hold, at this pose.
+    """Compute the smallest motor motion that moves the ports as a wall's mover does in one hold, at this pose.
 
     Args:
         world: Network and kinematics of the group.
@@ -299,7 +299,7 @@ def write_efforts(
     world: GroupModel, settings: MotionSettings, motion: GroupMotion, memory: MotionMemory, ahead: MotionAhead,
     request: RequestedEfforts,
 ) -> float:  # fmt: skip
-    """Write the efforts that the network requests of the motors, its springs at the predicted positions.
+    """Compute the efforts that the network requests of the motors, with its springs at the predicted positions.
 
     Returns:
         Speed at which the storages at the ports move relative to the ports [m/s or rad/s].
@@ -325,7 +325,7 @@ def write_efforts(
 def write_springs(
     world: GroupModel, motion: GroupMotion, memory: MotionMemory, lead: float, way: Buffer, request: RequestedEfforts
 ) -> None:
-    """Write the present efforts of the springs, and their change until the motors reach the predicted positions.
+    """Compute the springs' present efforts at the motors, and their change up to the predicted motor positions.
 
     Args:
         world: Network and kinematics of the group.
@@ -342,13 +342,13 @@ def write_springs(
 
 
 def to_ports(memory: MotionMemory, moved: Buffer, carried: float, into: Buffer) -> None:
-    """Write the port motion [m or rad] due to a motor motion, minus the mover's."""
+    """Convert a motor motion to motion of the ports, less the mover's motion `carried` [m or rad]."""
     for j in range(len(into)):
         into[j] = dot(memory.at_motors[j], moved) - carried
 
 
 def to_motors(memory: MotionMemory, efforts: Buffer, into: Buffer) -> None:
-    """Write the motor efforts [N*m or N] that are equivalent to efforts at the ports."""
+    """Convert efforts at the ports to the equivalent efforts at the motors [N*m or N]."""
     for axis in range(len(into)):
         into[axis] = 0.0
     for j in range(len(efforts)):
@@ -376,7 +376,7 @@ def _check_loops(kinematics: Kinematics, loops: tuple[LoopProperties, ...]) -> N
 
 
 class GroupCommands(NamedTuple):
-    """Commands of the holds that have not ended, rings of delay + 1 rows; see `stepped.Commands`.
+    """Commands of the holds that have not ended, in ring buffers of delay + 1 rows; see `stepped.Commands`.
 
     torque = -(spring + damper + modulated), per motor axis [N*m or N].
     """
@@ -418,13 +418,12 @@ def end_holds(
 ) -> int:  # fmt: skip
     """Record the holds that ended; return the index of the command that acted in the last of them.
 
-    The efforts of that command are then scaled to the torques applied: a torque that was cut contains as much less of
-    each of them.
+    If the drives applied other torques than that command, its spring and damper efforts are scaled accordingly.
 
     Args:
         commands: Commands of the group.
         ended: Receives displacement, torques and energy of each axis.
-        largest: Torque of each axis that limiter and drive let act [N*m or N].
+        largest: Largest torque of each axis that limiter and drive let through [N*m or N].
         oldest: Index of the command whose hold ended first.
         missed: Number of lost samples.
         positions: Positions at the end [rad or m].
@@ -456,12 +455,12 @@ def end_holds(
 
 
 def next_place(commands: GroupCommands, place: int) -> int:
-    """Return the next index in the rings."""
+    """Return the next index in the ring buffers of the commands."""
     return place + 1 if place + 1 < len(commands.power) else 0
 
 
 def take_applied(commands: GroupCommands, place: int, applied: Buffer) -> None:
-    """Scale the efforts of a command, axis by axis, to torques that were not applied as sent."""
+    """Replace a command's torques by the applied ones, and scale its efforts by applied over sent torque."""
     torques, sent, along = commands.torques[place], 0.0, 0.0
     for i in range(len(applied)):
         torque = torques[i]
@@ -483,14 +482,14 @@ def share_of(part: float, whole: float) -> float:
 
 
 def torque_held(ended: GroupHolds, hold: int, missed: int, axis: int) -> float:
-    """Return the torque sent for one of the holds that ended, counted from 0 [N*m or N]."""
+    """Return the torque of one of the holds that ended, counted from 0: as sent, in the last as applied [N*m or N]."""
     if hold >= missed:
         return ended.applied[axis]
     return ended.lost[min(hold, len(ended.lost) - 1)][axis]
 
 
 def send_nothing(commands: GroupCommands, place: int) -> int:
-    """Store zero torque at an index; return the index of the next oldest command."""
+    """Store a command of zero torque at an index of the ring buffers; return the next index."""
     for i in range(len(commands.torques[place])):
         commands.torques[place][i] = commands.dampers[place][i] = commands.modulated[place][i] = 0.0
     for j in range(len(commands.ports[place])):
@@ -577,7 +576,8 @@ class SteppedGroup:
     """The controller of one group: a kernel with its state; see `GroupController`.
 
     Attributes:
-        energy_resolution: Largest excess of the energy that came in, due to late torques and lost samples [J].
+        energy_resolution: Most by which the energy that came in may exceed the booked energy, because torques came late
+            or samples were lost [J].
     """
 
     parameters_type: ClassVar[type[Parameters]]
@@ -604,7 +604,7 @@ class SteppedGroup:
         self.reset()
 
     def _begin(self) -> tuple[Callable[..., GroupHold], Matrix, Buffer, Callable[[int], object]]:
-        """Begin a run; return step, rows of commands, h_i of each axis, and a function that voids a command."""
+        """Begin a run; return step function, commanded torques, h_i of each axis, and a function to zero a command."""
         memory, fixed = with_quick_fields(self.kernel.memory(*self._fixed)), map(with_quick_fields, self._fixed)
         step, commands = partial(self.kernel.step, *fixed, self.kernel.state(), memory), memory.group.commands
         return step, commands.torques, memory.group.ended.interactions, partial(send_nothing, commands)
@@ -618,7 +618,7 @@ class SteppedGroup:
         self._started = False
 
     def lasted(self, periods: float) -> None:
-        """Count skipped SYNCs as lost samples: only the total displacement of all holds is known.
+        """Treat skipped SYNCs as lost samples: only the total displacement of all holds is known.
 
         Args:
             periods: Length of the hold that the next `step` ends [sample times].

@@ -1,5 +1,6 @@
-"""`guarded` for a group: the network keeps the state of its model, and the energy account limits all torques together.
+"""The algorithm `guarded` for a group of axes: one energy account limits all torques of the group together.
 
+The network advances its own state by the measured motion; only the torques are limited.
 On one axis with a spring and a damper it equals `passivity.guarded` to rounding. On several axes the account is scalar.
 Efforts are compared in the norm in which every axis has its own damping cap, |f|^2 = sum(f_i^2 / cap_i), and are scaled
 together, so that a limited force keeps its direction. They are requested as far as the account covers them, and sent as
@@ -148,9 +149,9 @@ def _refuse_keys_of_one_axis(parameters: guarded.GuardedParameters) -> None:
     push, pull = parameters.hand_push or 0.0, parameters.hand_force or 0.0
     if push > pull:
         raise ParameterError(
-            f"guarded group: got hand_push {push:g}, expected none above hand_force ({pull:g}); for a group no way out "
-            f"of a contact is known, so hand_force counts along every torque: declare hand_force {push:g}, or leave "
-            "out hand_push"
+            f"guarded group: got hand_push {push:g}, expected at most hand_force ({pull:g}); a group cannot tell which "
+            "direction leads out of a contact, so it assumes hand_force in every direction: declare hand_force "
+            f"{push:g}, or leave out hand_push"
         )
     for key in ("earned_energy", "drag"):
         if value := getattr(parameters, key):
@@ -195,7 +196,7 @@ def step(
     positions: Buffer,
     torques_applied: Buffer,
 ) -> GroupHold:
-    """Account for the hold that ended; see `canhaptic.kernels.Kernel`."""
+    """Book the hold that ended, and compute the next torques; see `canhaptic.kernels.Kernel`."""
     group, motion, ended, commands = state.group, state.group.motion, memory.group.ended, memory.group.commands
     run = Run(settings, state, memory)  # not by `new`: compiled, no function returns a record
     if not group.started:
@@ -245,9 +246,8 @@ def begin(world: group_kernel.GroupModel, run: GuardedRun, positions: Buffer) ->
 def end(world: group_kernel.GroupModel, run: GuardedRun, missed: int) -> tuple[float, float, float]:
     """Book the holds that ended; return the energy that a mover supplied, and bounds of the account's error [J].
 
-    The bounds are the largest shortfall, which is subtracted from the booked energy, and the largest excess. The
-    mover's motion keeps the pose at which it was first computed: with another pose of the same hold less could be
-    booked than was certified.
+    The bounds are the largest shortfall, which is subtracted from the booked energy, and the largest excess. The motion
+    of a mover is booked as it was certified, at the same pose: another pose of the same hold could book less energy.
     """
     settings, state, memory = run
     ended, account, limits = memory.group.ended, memory.account, settings.account.apart
@@ -274,7 +274,7 @@ def end(world: group_kernel.GroupModel, run: GuardedRun, missed: int) -> tuple[f
 
 
 def write_passed(world: group_kernel.GroupModel, run: GuardedRun, hold: int, holds: int) -> None:
-    """Write the mover's motion in one of the holds that ended, in motor coordinates [rad or m]."""
+    """Store the mover's motion in one of the holds that ended, in motor coordinates [rad or m]."""
     settings, state, memory = run
     motion, account = memory.group.motion, memory.account
     if hold < settings.account.apart.holds:
@@ -285,11 +285,11 @@ def write_passed(world: group_kernel.GroupModel, run: GuardedRun, hold: int, hol
 
 
 def book(run: GuardedRun, at: Accounting, h_i: float, h_pas: float, lost: float) -> tuple[float, float, float, float]:
-    """Book one hold into stored energy and surplus; return (h_r, deficit, leak, paid) [J].
+    """Book one hold into stored energy and surplus; return (h_r, deficit, leak, paid) of `EnergyBalance` [J].
 
     Args:
         run: Run of the group; its state is changed.
-        at: Its account.
+        at: Account of the group at this SYNC.
         h_i: Interaction energy of the hold, supplied energy included [J].
         h_pas: Energy taken by the modulated damper [J].
         lost: Energy that the network's dissipators took [J]; negative values count as 0.
@@ -306,7 +306,7 @@ def book(run: GuardedRun, at: Accounting, h_i: float, h_pas: float, lost: float)
 
 
 def branch_of(state: GuardedGroupState, h_i: float, leak: float, deficit: float) -> int:
-    """Return the branch of the account by which a hold was booked."""
+    """Return which case of the energy account a hold was booked by, as the value of a `Branch`."""
     if deficit > 0.0:
         return _DEPLETED
     if state.group.motion.engaged:
@@ -315,7 +315,7 @@ def branch_of(state: GuardedGroupState, h_i: float, leak: float, deficit: float)
 
 
 def render(world: group_kernel.GroupModel, run: GuardedRun, at: Accounting) -> tuple[float, int]:
-    """Send the torques for the next free hold; return the damping rendered along the motion, and the certificate."""
+    """Compute the torques of the next free hold; return the damping rendered along the motion, and the certificate."""
     settings, state, memory = run
     group, commands, request = state.group, memory.group.commands, memory.request
     place = group.oldest
@@ -344,9 +344,9 @@ def render(world: group_kernel.GroupModel, run: GuardedRun, at: Accounting) -> t
 
 
 def write_request(world: group_kernel.GroupModel, run: GuardedRun, under_way: QueuedTorques) -> float:
-    """Write the efforts that the network requests at the predicted motor positions; return as `write_efforts`.
+    """Compute the efforts that the network requests at the predicted motor positions; return as `write_efforts`.
 
-    If masses move inside the network, nothing is predicted: they and the motors continue as in the last hold.
+    If masses move inside the network, the prediction is that they and the motors move on as in the last hold.
     """
     settings, state, memory = run
     loop, motion, followed, request = settings.loop.motion, state.group.motion, memory.group.motion, memory.request
@@ -376,7 +376,7 @@ def write_request(world: group_kernel.GroupModel, run: GuardedRun, under_way: Qu
 
 
 def split(run: GuardedRun, place: int, most: float, energy: float, certificate: int) -> int:
-    """Set a command to a common share of the requested torques or to inward torques first, whichever renders more.
+    """Set a command to a common share of the requested torques, or to those of `inward_first` if they render more.
 
     Returns:
         Certificate of the command.
@@ -395,9 +395,9 @@ def split(run: GuardedRun, place: int, most: float, energy: float, certificate: 
 
 
 def within_limits(run: GuardedRun) -> float:
-    """Largest share of the requested torques, up to 1, that no limiter reduces: see `drive.profile.limiter`.
+    """Return the largest share, up to 1, of the requested torques that no limiter cuts; see `drive.profile.limiter`.
 
-    Reducing one axis after all were certified together would turn the torque of the group.
+    A cut of one axis, after all were certified together, would change the direction of the group's torque.
     """
     settings, state, memory = run
     loop, torques, most = settings.loop, memory.torques, 1.0
@@ -415,7 +415,7 @@ def within_limits(run: GuardedRun) -> float:
 
 
 def certify(run: GuardedRun, at: Accounting, energy: float, most: float, covered: bool) -> tuple[float, int]:
-    """Write the torques to send; return their share of the requested ones, and the certificate."""
+    """Scale the requested torques to what the certificates permit; return the share sent, and its certificate."""
     torques, sent = run.memory.torques, run.memory.sent
     if not acts(torques):
         for i in range(len(sent)):
@@ -448,9 +448,9 @@ def acts(torques: Buffer) -> bool:
 
 
 def put_on_grid(run: GuardedRun, at: Accounting, energy: float, factor: float) -> float:
-    """Write torques rounded towards 0 to the drives' quanta, and certified as such; return their share.
+    """Round the torques to send towards 0 to the drives' quanta, and certify them again; return their share.
 
-    Rounding a single axis is safe; rounding several turns the force a little, so that it is certified again.
+    Rounding a single axis is safe; rounding several changes the direction of the force a little.
     """
     sent = run.memory.sent
     for _ in range(_GRID_TRIES):
@@ -469,7 +469,7 @@ def put_on_grid(run: GuardedRun, at: Accounting, energy: float, factor: float) -
 
 
 def write_dampers(run: GuardedRun, share: float) -> float:
-    """Write the efforts of the network's damper and of the modulated damper (eq. 19); return the damping rendered."""
+    """Compute the efforts of the network's damper and the modulated damper (eq. 19); return the damping rendered."""
     settings, state, memory = run
     request, damper, modulated, h_dis = memory.request, memory.damper, memory.modulated, state.account.h_dis
     square = along = extra = 0.0
@@ -489,7 +489,7 @@ def write_dampers(run: GuardedRun, share: float) -> float:
 
 
 def shares_of_request(run: GuardedRun, internal_speed: float, energy: float) -> tuple[float, float, float, bool]:
-    """Return the shares of spring, lead and damper to render, and whether the account covers all of them."""
+    """Return the shares of springs, their predicted change (lead) and dampers to render, and if all are covered."""
     settings, _, memory = run
     request, caps = memory.request, settings.loop.caps
     size, lead_size = capped_norm(request.spring, caps), capped_norm(request.lead, caps)
@@ -527,7 +527,7 @@ def shares_of_request(run: GuardedRun, internal_speed: float, energy: float) -> 
 
 
 def permitted_square(run: GuardedRun, size: float, energy: float) -> float:
-    """Return the square of the share of the springs that the account covers; may be above 1."""
+    """Return the square of the share of the spring efforts that the energy covers; may be above 1."""
     settings, state, memory = run
     request, account = memory.request, state.account
     if size == 0.0:
@@ -555,7 +555,7 @@ def permitted_square(run: GuardedRun, size: float, energy: float) -> float:
 
 
 def capped_norm(efforts: Buffer, caps: Buffer) -> float:
-    """Return the norm of efforts in which every axis has its own damping cap."""
+    """Return the norm of efforts, weighted by the damping cap of each axis: sqrt(sum(f_i^2 / cap_i))."""
     total = 0.0
     for i in range(len(efforts)):
         total += efforts[i] * efforts[i] / caps[i]

@@ -154,9 +154,9 @@ class Damper(Parameters):
     corner: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] = 1e-3
     """Flow f_c below which Coulomb friction fades, so that a sampled one does not chatter."""
     states: Mapping[int, float] = Field(default_factory=dict)
-    """Row a: the coefficient of each state, by its index."""
+    """Row a of the damper's flow a . e + b . u: the coefficient of each state, by its index."""
     ports: Mapping[int, float] = Field(default_factory=dict)
-    """Row b: the coefficient of each port, by its index."""
+    """Row b of the damper's flow a . e + b . u: the coefficient of each port, by its index."""
     beside: int | None = None
     """Index of a storage in parallel: the damper has its flow, and acts only while that storage is engaged."""
 
@@ -252,10 +252,10 @@ class UserFunctions:
     """
 
     def __init__(self, storages: Sequence[Any], structure_at: StructureFunction | None) -> None:
-        """Take the user-defined storages of a network.
+        """Check and store the user-defined storages of a network.
 
         Raises:
-            ParameterError: A gradient is not that of its energy, or an energy is below 0.
+            ParameterError: A gradient does not match its energy, or an energy is below 0.
         """
         self.structure_at, first = structure_at, 0
         self._placed: list[_Placed] = []
@@ -286,7 +286,7 @@ class UserFunctions:
         return sum(float(s.energy(list(state[at : at + s.size]))) for at, s in self._placed)
 
     def add_gradient(self, state: Buffer, efforts: Buffer) -> None:
-        """Add dH/dx."""
+        """Add dH/dx at the state to the efforts."""
         for at, storage in self._placed:
             for i, value in enumerate(storage.gradient(list(state[at : at + storage.size]))):
                 efforts[at + i] += float(value)
@@ -309,7 +309,7 @@ class UserFunctions:
                 efforts[at + i] += value
 
     def add_slopes(self, mobility: Matrix, jacobian: Matrix) -> None:
-        """Add mobility times half the Hessian at the middle, by differences of the gradient."""
+        """Add to a Jacobian the mobility times half the Hessian at mid-step, by finite differences of the gradient."""
         for (at, storage), middle in self._at:
             size, base = storage.size, storage.gradient(middle)
             for j in range(size):
@@ -320,7 +320,7 @@ class UserFunctions:
                     slopes[at + j] += 0.5 * sum(row[at + i] * column[i] for i in range(size))
 
     def add_change(self, direction: Buffer, changes: Buffer) -> None:
-        """Add half the Hessian at the middle times a direction, by one difference of the gradient."""
+        """Add half the Hessian at mid-step times a direction, by one finite difference of the gradient."""
         for (at, storage), middle in self._at:
             way = list(direction[at : at + storage.size])
             length = sum(abs(d) for d in way)
@@ -336,10 +336,11 @@ Functions: TypeAlias = NoFunctions | UserFunctions
 
 
 def check_gradient(storage: UserEnergy) -> None:
-    """Compare a gradient with differences of its energy near 0.
+    """Compare a gradient with finite differences of its energy near 0.
 
     Raises:
-        ParameterError: They differ by more than the error of differences, or the energy is negative or not finite.
+        ParameterError: They differ by more than the error of the finite differences, or the energy is negative or not
+            finite.
     """
     chance = np.random.default_rng(0)
     for scale in (1e-3, 1e-1):
@@ -496,11 +497,12 @@ class Network:
             dissipators: Dissipators; their indices count states and ports from 0.
             gain: g, one row for each state, one column for each port.
             structure: J, skew, or a function of the state that returns it; None for zero.
-            origin: x(0) over the ports' coordinates at the first sample, shaped as `gain`. None: states that only the
-                ports move begin where `gain` puts them (a wall is where it is), all others at 0 (at rest, unstrained).
+            origin: Matrix that gives x(0) from the ports' coordinates at the first sample, shaped as `gain`. None:
+                `gain` for states that only the ports move (a wall keeps its place), 0 for all others (at rest,
+                unstrained).
 
         Raises:
-            ParameterError: Dimensions do not fit, J is not skew, an index is out of range, or a gradient is not that of
+            ParameterError: Dimensions do not fit, J is not skew, an index is out of range, or a gradient does not match
                 its energy.
         """
         self.states = n = sum(states_of(storage) for storage in storages)
@@ -589,7 +591,7 @@ class Network:
         )  # fmt: skip
 
     def _rows_of(self, damper: Damper, structure: _Rows, gain: _Rows) -> tuple[list[float], list[float]]:
-        """Return the rows a and b of a damper; for one in parallel to a storage, the rows of that storage's flow."""
+        """Return the rows a and b of a damper's flow, which in parallel to a storage is the flow of the storage."""
         where = damper.beside
         if where is not None:
             if not 0 <= where < self.states:
@@ -692,7 +694,7 @@ def solve_linear(matrix: Matrix, right: Buffer) -> bool:
 
 
 def _eliminate(matrix: Matrix, right: Buffer, column: int) -> None:
-    """Take a column out of all rows below its diagonal."""
+    """Eliminate a column from all rows below its diagonal."""
     n, above = len(right), matrix[column]
     for index in range(column + 1, n):
         row = matrix[index]

@@ -65,7 +65,7 @@ def new_workspace(states: int, dissipators: int) -> Workspace:
 
 
 class NetworkModel(Protocol):
-    """What has a network: `network.Network`, or the model of a group."""
+    """Interface to the numbers and functions of a network, as `network.Network` and the model of a group have it."""
 
     @property
     def tables(self) -> NetworkTables:
@@ -86,7 +86,7 @@ class NetworkSample(NamedTuple):
 
 
 def drive(tables: NetworkTables, state: Buffer, displacement: Buffer, room: Workspace) -> None:
-    """Write g dc, and the engaged share of the motion for every dissipator in parallel to a storage."""
+    """Compute the state change by the ports, g dc, and the share of the motion in which each dissipator is engaged."""
     driven, step = room.driven, room.step
     for i in range(len(driven)):
         driven[i] = dot(tables.gain[i], displacement)
@@ -108,7 +108,7 @@ def engaged_share(tables: NetworkTables, index: int, value: float, change: float
 
 
 def dissipate(tables: NetworkTables, displacement: Buffer, sample_time: float, room: Workspace) -> None:
-    """Write flow, effort and slope of every dissipator at the efforts of the step."""
+    """Compute flow, effort, and slope of effort over flow of every dissipator, at the storages' efforts in the step."""
     efforts = room.efforts
     for j in range(len(room.flows)):
         flow = dot(tables.on_ports[j], displacement) / sample_time
@@ -130,7 +130,7 @@ def dissipate(tables: NetworkTables, displacement: Buffer, sample_time: float, r
 
 
 def write_losses(model: NetworkModel, sample: NetworkSample) -> None:
-    """Write the efforts of the step, and the resulting flow and effort of every dissipator."""
+    """Compute the storages' efforts in the step, and the resulting flow and effort of every dissipator."""
     tables, state, room = model.tables, sample.state, sample.room
     discrete_gradient(tables, state, room.step, room.efforts, room.slopes)
     if tables.by_functions:
@@ -139,7 +139,7 @@ def write_losses(model: NetworkModel, sample: NetworkSample) -> None:
 
 
 def evaluate(model: NetworkModel, sample: NetworkSample) -> float:
-    """Write the residual of the equation at `room.step`; return its largest entry over the size of its terms.
+    """Compute the residual of the module's equation at `room.step`; return its largest entry relative to its terms.
 
     The result is infinite if an entry is not finite.
     """
@@ -170,7 +170,7 @@ def evaluate(model: NetworkModel, sample: NetworkSample) -> float:
 
 
 def linearise(model: NetworkModel, sample: NetworkSample) -> None:
-    """Write the Jacobian of the equation, I + T (R' - J) de/ds."""
+    """Compute the Jacobian of the module's equation by s, I + T (R' - J) de/ds."""
     tables, sample_time, room = model.tables, sample.sample_time, sample.room
     n = len(room.step)
     mobility, jacobian = room.mobility, room.jacobian
@@ -215,24 +215,24 @@ def _add_product(left: Matrix, right: Matrix, into: Matrix) -> None:
 _EVALUATIONS: Final = 60
 """Most evaluations of the equation in one sample."""
 _BY_RESIDUAL: Final = 18
-"""Evaluations after which a residual that falls step by step has not fallen enough."""
+"""Evaluations after which Newton's method is replaced by the search by power (see the module)."""
 _CLOSE: Final = 4e-16
-"""Rounding, as a part of the terms of the equation."""
+"""Residual, relative to the terms of the equation, at which a solution is exact to rounding."""
 _FLOOR: Final = 1e-11
-"""Below it a residual that falls no more is rounding: forces of very stiff springs cancel."""
+"""Relative residual below which one that falls no more is taken as rounding: forces of very stiff springs cancel."""
 _ROUNDING: Final = 1e-14
-"""Below it the residual need not fall any more."""
+"""Relative residual below which a Newton step is accepted even if the residual does not fall."""
 _HALVINGS: Final = 8
 """Most halvings of a Newton step while the residual does not fall; the shortest step is then taken."""
 _LEAST_SCALE: Final = 1e-3
-"""Added to the root of a stiffness, for states that it leaves without a scale."""
+"""Added to the square root of the stiffness that scales a state's residual, which may be 0."""
 _STEEP: Final = 0.9
-"""Share of the power at the start of a step: if more is left at its end, a longer step follows."""
+"""Ratio of the power at the end of a step to the power at its start: above it, a longer step follows."""
 _LONGER: Final = 3.0
 _LEVEL: Final = 0.5
-"""Share of the power at the start of a step: if no more is left at its end, the step is accepted."""
+"""Ratio of the power at the end of a step to the power at its start: up to it, the step is accepted."""
 _INSIDE: Final = 0.1
-"""Fraction of an interval, at either end, in which no further point is tried."""
+"""Fraction of the interval that brackets the solution, at either end, in which no further point is tried."""
 
 
 def advance(model: NetworkModel, sample: NetworkSample) -> int:
@@ -246,7 +246,7 @@ def advance(model: NetworkModel, sample: NetworkSample) -> int:
 
 
 def _by_residual(model: NetworkModel, sample: NetworkSample) -> int:
-    """Take Newton steps while the residual falls; return the evaluations, negative if it stops before a solution."""
+    """Solve by Newton's method while the residual falls; return the evaluations, negative if it found no solution."""
     room, worst, evaluations = sample.room, evaluate(model, sample), 1
     while worst > _CLOSE:
         before, merit = worst, _merit_of(room)
@@ -265,7 +265,7 @@ def _by_residual(model: NetworkModel, sample: NetworkSample) -> int:
 
 
 def _merit_of(room: Workspace) -> float:
-    """Return the size of the residual in the scale of the sample."""
+    """Return the squared norm of the residual, each entry multiplied by its scale."""
     total = 0.0
     for i in range(len(room.residual)):
         part = room.residual[i] * room.scale[i]
@@ -288,9 +288,9 @@ def _descend(model: NetworkModel, sample: NetworkSample, before: float) -> tuple
 
 
 def by_power(model: NetworkModel, sample: NetworkSample, spent: int) -> int:
-    """Search for the solution by the power of a step, once the residual has stopped falling (see the module).
+    """Search for the solution where the power r . de of a step vanishes, if Newton's method stalls (see the module).
 
-    The first step is a full one: after it the equations without forces hold, and the power is the forces' power.
+    The first step is a full Newton step: after it the equations without forces hold, and only forces have power.
 
     Args:
         model: The network.
@@ -320,7 +320,7 @@ def by_power(model: NetworkModel, sample: NetworkSample, spent: int) -> int:
 
 
 def _aim(model: NetworkModel, sample: NetworkSample) -> float:
-    """Write Newton's direction and the change of the efforts along it; return the power, 0 without a direction."""
+    """Compute Newton's direction and the change of efforts along it; return the power r . de, 0 if there is none."""
     tables, room = model.tables, sample.room
     n = len(room.step)
     linearise(model, sample)
@@ -340,13 +340,13 @@ def _aim(model: NetworkModel, sample: NetworkSample) -> float:
 
 
 def _go_down(model: NetworkModel, sample: NetworkSample, power: float, left: int) -> tuple[float, int]:
-    """Step along the direction towards a level point of the power; return (residual, evaluations).
+    """Search along the direction for a step at which the power is small; return (residual, evaluations).
 
     Args:
         model: The network.
         sample: The sample; `direction` and `weights` of its workspace give the direction.
-        power: Power at the start of the step; > 0 where `left` is more than one.
-        left: Evaluations left; with one the whole step is taken.
+        power: Power r . de at the start of the step; > 0 if `left` is more than 1.
+        left: Evaluations left; 1: the whole step is accepted.
     """
     room = sample.room
     for i in range(len(room.step)):
@@ -372,7 +372,7 @@ def _go_down(model: NetworkModel, sample: NetworkSample, power: float, left: int
 
 
 def rest_on_ports(model: NetworkModel, sample: NetworkSample) -> None:
-    """Take s = g dc where no solution was found: internal states rest in this sample, and no energy is created."""
+    """Fall back to s = g dc if no solution was found: only the ports move the states, and no energy is created."""
     room = sample.room
     for i in range(len(room.step)):
         room.step[i] = room.driven[i]
@@ -467,7 +467,7 @@ def propose(
 
 
 def place_state(tables: NetworkTables, memory: NetworkMemory, coordinates: Buffer, into: Buffer) -> None:
-    """Write the state of a network that only its ports move from their positions, so that rounding does not add up."""
+    """Compute the state of a network without masses from the ports' coordinates, so that rounding does not add up."""
     for i in range(len(into)):
         row, total = tables.gain[i], memory.begun[i]
         for j in range(len(coordinates)):
@@ -476,7 +476,7 @@ def place_state(tables: NetworkTables, memory: NetworkMemory, coordinates: Buffe
 
 
 def settle_network(model: NetworkModel, network: NetworkState, memory: NetworkMemory) -> None:
-    """Update energy and engagement of a network from its state."""
+    """Update the stored energy of a network, and whether it is in contact, from its state."""
     tables = model.tables
     energy, engaged = stored_energy(tables, memory.state), tables.always
     if tables.by_functions:
@@ -492,14 +492,14 @@ def settle_network(model: NetworkModel, network: NetworkState, memory: NetworkMe
 def springs(
     model: NetworkModel, memory: NetworkMemory, lead: float, holds: int, way: Buffer, spring: Buffer, added: Buffer
 ) -> None:
-    """Write the present efforts of the storages at the ports, and their change by a predicted motion.
+    """Compute the storages' present efforts at the ports, and the change of these efforts by a predicted motion.
 
-    No effort is predicted for a wall that is not engaged.
+    A wall that is not in contact now has no predicted effort.
 
     Args:
         model: The network.
         memory: Buffers of the network.
-        lead: Holds of prediction, in which the network's own motion continues as in the last step.
+        lead: Length of the prediction [holds]; the network's own motion continues as in the last step.
         holds: Number of holds that the last step spanned.
         way: Predicted motion of the ports [m or rad].
         spring: Receives the efforts, (ports,).
@@ -530,14 +530,14 @@ def springs(
 def dampers(
     tables: NetworkTables, memory: NetworkMemory, displacement: Buffer, elapsed: float, state: Buffer, efforts: Buffer
 ) -> None:
-    """Write the efforts of the dissipators at the ports for a given motion; call it before `springs`.
+    """Compute the efforts of the dissipators at the ports for a given motion; call it before `springs`.
 
     Args:
         tables: The network.
         memory: Buffers of the network.
         displacement: Motion of the ports [m or rad].
         elapsed: Duration of that motion [s].
-        state: State that determines the engaged storages, (states,).
+        state: State that determines which storages are engaged, (states,).
         efforts: Receives the efforts, (ports,).
     """
     room = memory.room
@@ -561,7 +561,7 @@ def dampers(
 
 
 def internal_motion(tables: NetworkTables, room: Workspace) -> float:
-    """Return how far the storages at the ports moved by themselves in the last sample, as a norm [m or rad]."""
+    """Return how far the storages at the ports moved relative to the ports in the last sample, as a norm [m or rad]."""
     total = 0.0
     if tables.moving:
         for i in range(len(room.step)):
@@ -576,7 +576,7 @@ def internal_motion(tables: NetworkTables, room: Workspace) -> float:
 
 
 def share_inside(tables: NetworkTables, room: Workspace, after: Buffer) -> float:
-    """Return the largest share of the last sample, which ended at `after`, for which any storage was engaged."""
+    """Return the largest share of the last sample, ending at the state `after`, in which a storage was engaged."""
     largest = 0.0
     for i in tables.edged:
         changed = room.step[i]

@@ -45,7 +45,7 @@ class Box(Surface):
 
 
 class BoxInside(NamedTuple):
-    """Distance from the nearest face of a box; inside it is continuous, and the nearest face changes at ridges."""
+    """Distance from the nearest face of a box; continuous inside it, with a kink where the nearest face changes."""
 
     lower: Buffer
     upper: Buffer

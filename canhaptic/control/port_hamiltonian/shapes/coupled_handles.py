@@ -9,7 +9,7 @@ from canhaptic.units import Coordinates, Parameters, quantity
 
 
 class CoupledHandles(Parameters):
-    """The first half of task space is handle 1, the second half handle 2; extension = p1 - scale p2 - offset.
+    """Two coupled handles, each half of the task coordinates p1, p2; the spring's extension is p1 - scale p2 - offset.
 
     Forces scale as motion does, F2 = scale F1: any other ratio would generate power.
     """
@@ -17,7 +17,7 @@ class CoupledHandles(Parameters):
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
     """Stiffness of the spring between the handles."""
     hardening: Annotated[float, quantity("N/m^3", "N*m/rad^3", ge=0.0, le=1e15)] = 0.0
-    """Its cubic coefficient k3."""
+    """Cubic coefficient k3 of that spring."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
     """Damping coefficient between the handles."""
     scale: Annotated[float, quantity("1", gt=0.0, le=1e3)] = 1.0

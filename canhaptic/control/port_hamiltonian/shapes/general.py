@@ -22,11 +22,11 @@ class General(Parameters):
     gain: _Rows
     """g, one row for each state, one column for each port."""
     origin: _Rows | None = None
-    """x(0) over the ports' first coordinates; None: walls at their positions, masses at rest."""
+    """Matrix that gives x(0) from the ports' first coordinates; None: walls at their positions, masses at rest."""
     ports: _Rows | None = None
-    """Rows of the ports over task space; None: one port for each of its coordinates."""
+    """Matrix from task coordinates to ports, a row for each port; None: one port for each task coordinate."""
     offset: Coordinates | None = None
-    """Subtracted from the ports' coordinates; None: zeros."""
+    """Offset subtracted from the ports' coordinates; None: zeros."""
 
     @model_validator(mode="after")
     def _fits(self) -> "General":

@@ -1,4 +1,4 @@
-"""From task space to the ports of a network: coordinates whose increments move the ports, and their gradients.
+"""Map from task space to the ports of a network: coordinates whose increments move the ports, and their gradients.
 
 A contact with a surface has one coordinate: the distance from it, negative inside the material. Its increment is exact
 for any curvature; the force acts along its gradient at the start of the hold, and the account, which is computed from
@@ -43,7 +43,7 @@ class Geometry(Protocol):
 
 
 class Mover(NamedTuple):
-    """A prescribed motion w(t) = half (1 - cos(rate t)), subtracted from each coordinate; its energy is accounted."""
+    """A prescribed motion w(t) = half (1 - cos(rate t)), subtracted from each port coordinate; its energy is booked."""
 
     half: float = 0.0  # 0: nothing moves [m or rad]
     rate: float = 0.0  # [rad/s]
@@ -66,7 +66,7 @@ class Rendered(NamedTuple):
 
 
 class LinearGeometry(NamedTuple):
-    """Ports with the coordinates A p - offset."""
+    """Geometry of ports with the coordinates A p - offset, p the position in task space."""
 
     matrix: Matrix  # A, one row for each port
     offset: Buffer  # [m or rad]
@@ -137,7 +137,7 @@ class Surface(Parameters):
         )
 
     def behind(self, geometry: Geometry, mover: Mover = STILL) -> Rendered:
-        """Return the material behind a surface given by its distance."""
+        """Return the material, with the geometry that measures the distance from its surface, and with the mover."""
         return Rendered(self.network(), geometry, mover)
 
 
@@ -156,7 +156,7 @@ def unit_vector(owner: str, name: str, vector: Sequence[float], dimensions: int)
 
 
 def radial(row: Buffer, radius: float, sign: float) -> float:
-    """Return the distance from a round surface [m or rad]; replaces the offset from centre or axis by its gradient.
+    """Return the distance from a round surface [m or rad], and replace `row` by the gradient of that distance.
 
     Args:
         row: Offset from the centre, or from the nearest point of the axis [m or rad]; the gradient afterwards.

@@ -8,7 +8,7 @@ from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import Coordinates, Numbers, quantity
 
 _ON_THE_LINE: Final = 1e-12
-"""Part of the radius within which a position is on the line."""
+"""Distance from the line, as a fraction of the radius, within which a position counts as on the line."""
 
 
 class Tube(Surface):
