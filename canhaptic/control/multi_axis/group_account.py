@@ -211,7 +211,7 @@ def norms_of(axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, 
         memory: Buffers of the account.
         under_way: Queued torques, which act before W.
         torques: Requested torques W of the next free hold, (axes,) [N*m or N].
-        size: Share of W that is sent at l = 1.
+        size: Share of W that corresponds to l = 1.
     """
     total = added = 0.0
     for i in range(len(torques)):
@@ -225,7 +225,7 @@ def norms_of(axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, 
 
 
 def reach_of(axes: AxisLimits, memory: AccountMemory, i: int, sign: float, hold: int, norm: float) -> float:
-    """Return X of (2): how far an axis may move while older torques act in a hold, the next being 1 [rad or m]."""
+    """Return X of (2): how far an axis may move under older torques in a hold, counted from 1 = next [rad or m]."""
     timing = axes.timing
     share, step, before = timing.share[i], timing.roots[i] * norm, hold - 1
     start = sign * memory.displacement[i] + axes.counts[i] + memory.position_uncertainty[i]
@@ -248,7 +248,7 @@ def given_late(
         memory: Buffers of the account; `now` is the range of acting torques at the SYNC where the hold begins.
         held: Torques of the hold, (axes,) [N*m or N]; the share fixed + l size of them is sent.
         fixed: 1 if they are sent in full for every l, else 0.
-        size: 0 if `fixed` is 1, else the share of them that is sent at l = 1.
+        size: 0 if `fixed` is 1, else the share of them that corresponds to l = 1.
         hold: Index of the hold from now, the next being 1.
         norms: Bound on the norms of the acting torques and of the hand.
         end: Whether to bound the hold after that one instead: all that the torques still give out if none follows.
@@ -277,14 +277,14 @@ def given_late(
 def share_of_late(
     axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer, size: float
 ) -> LateShare:
-    """Return a bound on the energy that older torques give out from now on, as a function of the sent share of W.
+    """Return a bound on the energy older torques give out from now on, as a function of the sent share of new torques.
 
     Args:
         axes: Properties of the motor axes.
         memory: Buffers of the account; `now` is changed.
         under_way: Queued torques, which act before W.
         torques: Requested torques W, (axes,).
-        size: Share of W that is sent at l = 1.
+        size: Share of W that corresponds to l = 1.
     """
     norms = norms_of(axes, memory, under_way, torques, size)
     copy_range(axes, memory, True)
@@ -307,7 +307,7 @@ def share_of_late(
 
 
 def given_in_debt(axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, torques: Buffer) -> LateShare:
-    """Return a bound on the energy that sending l W adds in debt, beyond the l base + l^2 gain of its own hold."""
+    """Return a bound on the energy that a share l of the new torques W adds, beyond l base + l^2 gain; for a debt."""
     norms, full, cross = norms_of(axes, memory, under_way, torques, 1.0), 0.0, 0.0
     highest, lowest = memory.now.highest, memory.now.lowest
     none = response_to_late(axes, torques, highest, lowest, memory.nothing, axes.during)
@@ -327,7 +327,7 @@ def given_in_debt(axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorq
 
 
 def older_size(axes: AxisLimits, memory: AccountMemory, torques: Buffer) -> float:
-    """Return the norm |f|_P of the older torques at the SYNC of W, divided by the norm of W."""
+    """Return the norm |f|_P of the older torques at the SYNC of the new torques W, divided by the norm of W."""
     older = size = 0.0
     for i in range(len(torques)):
         most = max(memory.now.highest[i], -memory.now.lowest[i])
@@ -402,7 +402,7 @@ def doubt_of_late_gap(
 
 
 def older_needs(axes: AxisLimits, memory: AccountMemory) -> tuple[float, float]:
-    """Return the energy to reserve for older torques of the last SYNC: by device damping, and by hand speed [J]."""
+    """Return the energy to reserve for older torques of the last SYNC, by device damping and by hand speed [J]."""
     damped = paths = 0.0
     if axes.timing.is_ideal:
         return damped, paths
@@ -718,8 +718,8 @@ def by_hand_force(at: Accounting, torques: Buffer, energy: float, moved: float) 
 def share_beyond(energy: float, base: float, gain: float, late: LateShare, size: float) -> float:
     """Return the largest share, up to `size`, of new torques that the energy covers in addition to older torques.
 
-    `late` is the bound for older torques if `size` is sent at l = 1; its constant is at most `energy`. `base` and
-    `gain` are those of the unscaled torques.
+    `late` is the bound for older torques, its l = 1 the share `size`; its constant is at most `energy`. `base` and
+    `gain` are those of all new torques.
     """
     start, more = size * base + late.linear, max(0.0, size * size * gain + late.square)
     return size * min(1.0, hand_force_bound(energy - late.constant, start, more))

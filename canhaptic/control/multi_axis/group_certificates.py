@@ -193,7 +193,7 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
 
 
 def _response_to(torques: Buffer, acting: Buffer, response: Buffer) -> float:
-    """Return the most by which acting torques can raise W . D, for any inertia not below the declared one [J]."""
+    """Return the most by which acting torques can raise the work W . D, for any inertia not below the declared [J]."""
     product = first = second = 0.0
     for i in range(len(response)):
         gain = response[i]
@@ -207,7 +207,7 @@ def _response_to(torques: Buffer, acting: Buffer, response: Buffer) -> float:
 def response_to_late(
     axes: AxisLimits, torques: Buffer, highest: Buffer, lowest: Buffer, held: Buffer, response: Buffer
 ) -> float:
-    """Return the most by which older torques in a hold can raise W . D, beyond the effect of its own torques [J].
+    """Return the most by which older torques can raise the work W . D of a hold, beyond the torques held in it [J].
 
     Args:
         axes: Properties of the motor axes.
@@ -238,7 +238,7 @@ def pass_range(axes: AxisLimits, highest: Buffer, lowest: Buffer, held: Buffer) 
 
 
 def _hand_term(axes: AxisLimits, torques: Buffer) -> float:
-    """Return the most by which the hand can raise W . D in one hold [J]."""
+    """Return the most by which the hand can raise the work W . D of the torques W in one hold [J]."""
     total = 0.0
     for i in range(len(axes.before)):
         total += torques[i] * (axes.before[i] + axes.during[i]) * torques[i]
@@ -246,7 +246,7 @@ def _hand_term(axes: AxisLimits, torques: Buffer) -> float:
 
 
 def along_last(axes: AxisLimits, torques: Buffer, displacement: Buffer, position_uncertainty: Buffer) -> float:
-    """Return the largest W . D_0 for a displacement D_0 known up to encoder counts and `position_uncertainty` [J]."""
+    """Return the largest work W . D_0, with D_0 known up to encoder counts and `position_uncertainty` [J]."""
     total = 0.0
     for i in range(len(axes.counts)):
         along = torques[i] * displacement[i]
@@ -255,7 +255,7 @@ def along_last(axes: AxisLimits, torques: Buffer, displacement: Buffer, position
 
 
 def _raised_by_friction(axes: AxisLimits, torques: Buffer, displacement: Buffer) -> float:
-    """Return by how much friction can raise W . D_0 in one hold, slowing axes that move inward [J], >= 0."""
+    """Return by how much friction can raise the work W . D_0, slowing axes that move against W, in a hold [J], >= 0."""
     total = 0.0
     for i in range(len(axes.lost)):
         along = torques[i] * displacement[i] + abs(torques[i]) * axes.counts[i]
@@ -275,7 +275,7 @@ def base_of(
     axes: AxisLimits, torques: Buffer, displacement: Buffer, bound: float, last: Buffer, sent: Matrix, first: int,
     under_way: int, range_of: Acting,
 ) -> float:  # fmt: skip
-    """Return `base` of l W . D <= l base + l^2 gain: the most that W . D can be without the effect of W itself [J].
+    """Return `base` of l W . D <= l base + l^2 gain: the work W . D at most, without the effect of W itself [J].
 
     W acts after the queued torques. In every hold friction acts on what is left of D_0, axis by axis, because the sum
     over axes that move inward and outward gives no bound. The responses to forces are bounded without friction.
@@ -321,7 +321,7 @@ def base_of(
 
 
 def _stretched(total: float, growth: float) -> float:
-    """Return the largest W . D in the next hold, which may be longer or shorter by the factor `growth` [J]."""
+    """Return the largest work W . D in the next hold, which may be longer or shorter by the factor `growth` [J]."""
     return total * growth if total > 0.0 else total / growth
 
 
@@ -334,7 +334,7 @@ def taken_by_mover(torques: Buffer, moved: Buffer) -> float:
 
 
 def gain_of(axes: AxisLimits, torques: Buffer) -> float:
-    """Return `gain` of l W . D <= l base + l^2 gain: how much the torques W themselves raise W . D [J]."""
+    """Return `gain` of l W . D <= l base + l^2 gain: how much the torques W raise their own work W . D [J]."""
     total = 0.0
     for i in range(len(axes.during)):
         total += torques[i] * axes.during[i] * torques[i]
@@ -422,7 +422,7 @@ def per_axis_memory(limits: PerAxisLimits) -> PerAxisMemory:
 
 
 def write_parabolas(memory: PerAxisMemory, place: int, old: float, new: float, base: float, slope: float) -> int:
-    """Store two energies, parabolas in l, over a motion base + slope l: of an old torque, and of l times a new one."""
+    """Store the energies of an old torque and of l times a new one over a motion base + slope l, as parabolas in l."""
     if old > 0.0:
         memory.constant[place], memory.linear[place], memory.square[place] = old * base, old * slope, 0.0
         place += 1

@@ -107,7 +107,7 @@ def test_a_scene_at_its_defaults_sends_the_same_frames_on_an_axis_and_in_a_group
 @pytest.mark.parametrize(
     ("own", "words"),
     [
-        ({"hand_push": 20.0}, "got hand_push 20, expected none above hand_force .0.; .* leave out hand_push"),
+        ({"hand_push": 20.0}, "got hand_push 20, expected at most hand_force .0.; .* leave out hand_push"),
         ({"earned_energy": 5e-3}, "got earned_energy 0.005, expected 0; .* leave it out"),
         ({"earned_energy": 5e-3, "drag": 0.2}, "got earned_energy"),
         ({"drag": 0.2}, "got drag 0.2, expected 0; .* leave it out"),
