@@ -205,7 +205,7 @@ class GroupedControllers:
 
     @property
     def programs(self) -> list[tuple[int, Any]]:
-        """Axes whose torques a program requests, and their controllers."""
+        """Axes whose torques the user's program requests, and the controllers of these axes."""
         return [(axis, controller) for axis, controller in self._singles if hasattr(controller, "ask")]
 
     def lasted(self, periods: int) -> None:

@@ -363,7 +363,7 @@ def _check_loops(kinematics: Kinematics, loops: tuple[LoopProperties, ...]) -> N
     """Require one loop for each motor axis, all with one sample time and delay.
 
     Raises:
-        ParameterError: Otherwise.
+        ParameterError: A loop is missing or in excess, or the loops differ in sample time or delay.
     """
     if len(loops) != kinematics.axes:
         raise ParameterError(
@@ -460,7 +460,7 @@ def next_place(commands: GroupCommands, place: int) -> int:
 
 
 def take_applied(commands: GroupCommands, place: int, applied: Buffer) -> None:
-    """Replace a command's torques by the applied ones, and scale its efforts by applied over sent torque."""
+    """Replace a command's torques by the applied ones, and scale its efforts by the ratio of applied to sent torque."""
     torques, sent, along = commands.torques[place], 0.0, 0.0
     for i in range(len(applied)):
         torque = torques[i]

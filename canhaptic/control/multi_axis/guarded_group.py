@@ -231,7 +231,7 @@ def step(
 
 
 def begin(world: group_kernel.GroupModel, run: GuardedRun, positions: Buffer) -> None:
-    """Start at the first positions, at rest."""
+    """Start a run at the first positions, at rest."""
     settings, state, memory = run
     group, motion, loop = state.group, memory.group.motion, settings.loop.motion
     group.started = True
@@ -306,7 +306,7 @@ def book(run: GuardedRun, at: Accounting, h_i: float, h_pas: float, lost: float)
 
 
 def branch_of(state: GuardedGroupState, h_i: float, leak: float, deficit: float) -> int:
-    """Return which case of the energy account a hold was booked by, as the value of a `Branch`."""
+    """Return the value of the `Branch` (case of the account's formula) by which a hold was booked."""
     if deficit > 0.0:
         return _DEPLETED
     if state.group.motion.engaged:
@@ -344,7 +344,7 @@ def render(world: group_kernel.GroupModel, run: GuardedRun, at: Accounting) -> t
 
 
 def write_request(world: group_kernel.GroupModel, run: GuardedRun, under_way: QueuedTorques) -> float:
-    """Compute the efforts that the network requests at the predicted motor positions; return as `write_efforts`.
+    """Compute the efforts that the network requests at the predicted motor positions; return as `write_efforts` does.
 
     If masses move inside the network, the prediction is that they and the motors move on as in the last hold.
     """

@@ -108,7 +108,7 @@ def engaged_share(tables: NetworkTables, index: int, value: float, change: float
 
 
 def dissipate(tables: NetworkTables, displacement: Buffer, sample_time: float, room: Workspace) -> None:
-    """Compute flow, effort, and slope of effort over flow of every dissipator, at the storages' efforts in the step."""
+    """Compute flow, effort and d effort / d flow of every dissipator, at the storages' efforts in the step."""
     efforts = room.efforts
     for j in range(len(room.flows)):
         flow = dot(tables.on_ports[j], displacement) / sample_time
@@ -409,7 +409,7 @@ def network_memory(tables: NetworkTables) -> NetworkMemory:
 
 
 def begin_network(model: NetworkModel, network: NetworkState, memory: NetworkMemory, coordinates: Buffer) -> None:
-    """Start at given coordinates of the ports: walls at their positions, masses at rest."""
+    """Start a network at given coordinates of its ports: walls at their positions, masses at rest."""
     for j in range(len(coordinates)):
         memory.first[j] = coordinates[j]
     for i in range(len(memory.state)):
@@ -423,7 +423,7 @@ def advance_network(
     model: NetworkModel, network: NetworkState, memory: NetworkMemory, coordinates: Buffer, displacement: Buffer,
     elapsed: float,
 ) -> bool:  # fmt: skip
-    """Advance by one motion of the ports; return False if no solution was found: then only the ports moved the state.
+    """Advance a network by one motion of its ports; return False if unsolved: then only the ports moved the state.
 
     Args:
         model: The network.
@@ -530,7 +530,7 @@ def springs(
 def dampers(
     tables: NetworkTables, memory: NetworkMemory, displacement: Buffer, elapsed: float, state: Buffer, efforts: Buffer
 ) -> None:
-    """Compute the efforts of the dissipators at the ports for a given motion; call it before `springs`.
+    """Compute the dissipators' efforts at the ports for a given motion; call it before `springs` overwrites its buffer.
 
     Args:
         tables: The network.
