@@ -81,7 +81,7 @@ IDEAL: Final = Accuracy()
 
 
 class AxisMeter:
-    """Accumulates the uncertainty and the device's dissipation, hold by hold.
+    """Accumulates, hold by hold, the uncertainty of an axis's booked energy and the least dissipation of its device.
 
     Args:
         accuracy: Accuracy of the axis.
@@ -122,7 +122,7 @@ class AxisMeter:
         return self.accuracy.device_damping is not None or self.accuracy.device_friction is not None
 
     def leave_open(self, torque: float, time: int, booked: float) -> None:
-        """Add the uncertainty of holds with unknown torques; call it after `take` of the hold that booked them.
+        """Add the energy uncertainty of holds with unknown torques; call it after the `take` that booked these holds.
 
         Args:
             torque: Largest difference of these torques from the booked one [N or N*m].
@@ -138,7 +138,7 @@ class AxisMeter:
             self.resolution += energy
 
     def take(self, position: float, torque: float, deadline: float, touches: bool) -> None:
-        """Add the uncertainty and dissipation of a booked hold.
+        """Add the energy uncertainty of a booked hold, and the least dissipation of the device in it.
 
         Args:
             position: Position at the end of the hold [m or rad].
@@ -177,7 +177,7 @@ class AxisMeter:
             self.watch.take(position, torque, int(self._booked_at), self.asked)
 
     def _path_to(self, position: float) -> float:
-        """Return the least path of the axis to a position [m or rad]; see the module."""
+        """Return the least distance that the axis has moved to be measured at a position [m or rad]; see the module."""
         low, high = self._lazy
         lowest, highest = position - self.accuracy.position, position + self.accuracy.position
         if lowest > high:
@@ -209,7 +209,7 @@ class AxisMeter:
 
 
 class SilentMeter(AxisMeter):
-    """Meter of an admittance display: its algorithm itself subtracts the uncertainty of its sensors.
+    """Meter that adds no uncertainty, for an admittance display: its algorithm itself subtracts that of its sensors.
 
     Args:
         felt: Fit of the apparent mass; None if the display renders no mass.

@@ -36,7 +36,7 @@ def add(running: RunningSum, term: float) -> float:
 
 
 class Branch(IntEnum):
-    """Rule that booked the hold."""
+    """Case of the energy account by which a hold was booked."""
 
     FREE = 0  # no contact, nothing stored, no torque
     START = 1  # contact begins
@@ -50,7 +50,7 @@ class Branch(IntEnum):
 
 
 class Certificate(IntEnum):
-    """Certificate that bounded the torque of the next hold, by its number in the logs."""
+    """Proof of no generated energy that bounded the torque of the next hold, by its number in the logs."""
 
     EXACT = 0  # no bound was active
     DEVICE_DAMPING = 1  # by what the device dissipates, in dry friction too: for every hand
@@ -73,7 +73,7 @@ WEAKEST_LAST: Final = (
     *(Certificate.HAND_FORCE, Certificate.HAND_SPEED, Certificate.VELOCITY_LOOP),
     *(Certificate.LARGEST_HAND_FORCE, Certificate.DECLARED_HAND, Certificate.NONE),
 )
-"""The certificates in order of what they promise, the weakest last."""
+"""The certificates in order of the strength of their promise, the weakest last."""
 RANKS: Final = tuple(WEAKEST_LAST.index(certificate) for certificate in Certificate)
 """Place of each certificate in `WEAKEST_LAST`."""
 
@@ -103,13 +103,13 @@ class EnergyBalance(NamedTuple):
 
 
 OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value, Branch.HELD.value, Branch.GROUP.value)
-"""Branches that do not count as contact; a prolonged hold (HELD) is booked and counted with the next."""
+"""Values of `Branch` that do not count as contact; a prolonged hold (HELD) is booked and counted with the next."""
 
 AT_REST: Final = EnergyBalance(*(0.0,) * 11, Branch.FREE.value, 0.0, Certificate.EXACT.value, 0.0)
 """The balance of the first call after a reset: nothing held, nothing stored."""
 
 
 def residual(balance: EnergyBalance, stored_before: float) -> float:
-    """Return the residual of one step in the identity of the stored energy [J]; see the module."""
+    """Return the error of one step in the identity of the stored energy [J], 0 but for rounding; see the module."""
     flows_out = (balance.h_s - stored_before) + balance.h_r - balance.h_i - balance.gen + balance.h_pas
     return flows_out - balance.deficit + balance.leak

@@ -34,10 +34,10 @@ class DamperVelocity(Parameters):
     """Longest window of `windowed`."""
 
     def window_tolerance(self, encoder_count: float) -> float:
-        """Return the tolerance of the window [m or rad]; 0 for `last`.
+        """Return how far samples may lie from the line through their window [m or rad]; 0 for `last`.
 
         Raises:
-            ParameterError: `windowed` without an encoder count.
+            ParameterError: `velocity` is `windowed`, but the encoder count is not declared.
         """
         if self.velocity == "last":
             return 0.0
@@ -66,7 +66,7 @@ class VelocityWindow:
 
 
 def restart(window: VelocityWindow, ring: Buffer, position: float) -> None:
-    """Restart at a position [m or rad], at rest."""
+    """Restart the window with one sample, a position [m or rad], and velocity 0."""
     for place in range(len(ring)):
         ring[place] = position
     window.newest = window.length = 0
@@ -106,7 +106,7 @@ def update(window: VelocityWindow, ring: Buffer, tolerance: float, sample_time: 
 
 
 def search(window: VelocityWindow, ring: Buffer, tolerance: float, furthest: int) -> None:
-    """Set the window to the longest one that a line fits, of at most `furthest` samples, and its interval of slopes."""
+    """Set the window to the longest that a line fits, of at most `furthest` samples, and the interval of its slopes."""
     newest = window.newest  # an index below 0 wraps, as the ring does
     position, least, most, length = ring[newest], -inf, inf, 0
     for distance in range(1, max(1, furthest) + 1):

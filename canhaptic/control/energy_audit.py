@@ -21,7 +21,8 @@ class EnergyAudit:
         groups: Axes that render together.
 
     Attributes:
-        least: Least true sum of h_i after any hold, of each axis, then of each group with its movers [J].
+        least: Least true sum of h_i after any hold, of each axis, then of each group, the energy from movers of its
+            walls included [J].
         least_at_handle: The same, including what friction and bearings have dissipated [J].
         interaction: True sum of h_i, per axis and group [J].
         dissipated: Energy dissipated by friction and bearings, per axis and group [J].
@@ -36,7 +37,7 @@ class EnergyAudit:
         self._groups = [(axes + place, group) for place, group in enumerate(groups)]
 
     def compare(self, ledgers: Sequence[Ledger], truths: Sequence[Truth], balances: Sequence[EnergyBalance]) -> None:
-        """Compare the true energies at a SYNC with the ledgers, after they have taken its balances.
+        """Compare the true energies at a SYNC with the ledgers, to which the balances of that SYNC were already added.
 
         Args:
             ledgers: Ledger of each axis.

@@ -1,4 +1,4 @@
-"""Check of a run against the declared dry friction of its device, by encoder and torque.
+"""Check of a run against the declared dry friction of its device, from measured positions and torques.
 
 Over two stretches of time T_1 and T_2 of a motion one way, s = 1 or -1, with w(t) rising from 0 to 1 over the first and
 falling over the second, the equation of motion m a = tau + u - s F gives by parts, for the mean speeds v_1 and v_2,
@@ -70,7 +70,7 @@ class FrictionWatch:
         self._now, self._before = _Stretch(), _Stretch()
 
     def take(self, position: float, torque: float, deadline: int, asked: float) -> None:
-        """Add a hold; after a gap restart the comparison.
+        """Add a hold to the comparison; after lost samples or skipped SYNCs restart it.
 
         Args:
             position: Position at the end of the hold [m or rad].
@@ -101,7 +101,7 @@ class FrictionWatch:
             self._before, self._now, self._taken = now, _Stretch(), 0
 
     def _compare(self, first: _Stretch, second: _Stretch) -> None:
-        """Compare two consecutive stretches with the same number of holds."""
+        """Compare the gain of speed between two stretches of equal length with the declarations; update `excess`."""
         way, of = second.way, self._declared
         if way == 0.0 or first.way != way:
             return

@@ -1,4 +1,4 @@
-"""Sums of a port's energy account over a run, and an independent limit on the energy that it gives out."""
+"""Sums of the energy account of a port (an axis or a group) over a run, and an independent limit on its energy loss."""
 
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -17,13 +17,13 @@ class EnergyLossMeter:
     Args:
         name: Name of the port.
         axes: Indices of its axes in the rig.
-        limit: Energy that may be given out beyond the allowance [J].
-        allowance: Declared energy that may be given out [J].
+        limit: Energy that may be returned to the user beyond the allowance [J].
+        allowance: Declared energy that may be returned beyond what was received [J].
         damping: Certain damping of the device, one value per axis [N*s/m or N*m*s/rad].
         sample_time: Sample time [s].
 
     Attributes:
-        energy: Energy received so far; negative where more was given out [J].
+        energy: Energy received so far; negative if more was returned [J].
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class EnergyLossMeter:
         self._booked_at = -1
 
     def take(self, samples: Sequence[Sample], deadline: int) -> bool:
-        """Count the hold that ended; return whether more was given out than allowed.
+        """Add the energy of the hold that ended; return whether more energy than allowed was returned to the user.
 
         Args:
             samples: Samples of the whole rig. Holds of this port without a fresh sample are counted with the next one.
@@ -128,7 +128,7 @@ class LedgerSummary(NamedTuple):
 
 
 class Ledger:
-    """The compensated sums of a run: one `add` per cycle, and a `summary` at any time.
+    """Sums of a port's energy account over a run, free of rounding drift: one `add` per cycle, a `summary` at any time.
 
     Attributes:
         interaction: Sum of h_i so far [J] (eq. 3).
@@ -186,7 +186,7 @@ class Ledger:
             self._least_margin_cycle, self._least_margin_deadline = cycle, deadline
 
     def summary(self) -> LedgerSummary:
-        """Return the account so far."""
+        """Return the sums of the account so far."""
         energy_in = self._in.value
         recovered, generated, leaked, paid, deficit = (total.value for total in self._corrections)
         return LedgerSummary(

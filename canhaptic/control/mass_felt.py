@@ -56,7 +56,7 @@ class MassFelt:
         self._sums = [0.0] * 16  # products of speed, 1, acceleration and force
 
     def take(self, position: float, torque: float, deadline: int) -> None:
-        """Add a sample; after a gap begin a new stretch.
+        """Add a sample to the fit; after lost samples or skipped SYNCs begin a new stretch.
 
         Args:
             position: Position at the SYNC [m or rad].
@@ -77,7 +77,7 @@ class MassFelt:
         self._deadline, self._taken = deadline, self._taken + 1
 
     def _end(self, position: float) -> None:
-        """End a stretch at a position [m or rad], and add the pair with the one before to the sums."""
+        """End a stretch at a position [m or rad]; add it, paired with the stretch before, to the sums of the fit."""
         start, before, moved = self._start, self._before, position - self._start
         mean, near = start + (self._way + 0.5 * moved) / self._holds, abs(moved) + self.asked.count
         is_free = min(start, position) - near > self.asked.low and max(start, position) + near < self.asked.high

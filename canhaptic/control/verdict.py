@@ -26,22 +26,22 @@ from canhaptic.control.balance import Certificate
 Verdict = Literal["yes", "no", "in doubt"]
 """Whether a port was passive; "in doubt" if the uncertain energy decides."""
 Headline = Literal["yes", "no", "in doubt", "nothing rendered", "no contact", "dry run"]
-"""Displayed word of a port: the verdict of its simulated plant, else of its account, or why there is none."""
+"""Displayed result of a port: the verdict by its simulated plant, else by its account, or why there is no verdict."""
 
 PASSIVE_TOLERANCE: Final = 1e-6
 """Energy below zero that still counts as zero if the resolution is not known: an allowance for encoder counts [J]."""
 ROUNDING: Final = 1e-9
 """Energy below zero that still counts as zero if the resolution is known: an allowance for rounding [J]."""
 ACTIVE_AT_MOTOR: Final = 1
-"""Bit of the column `active`: the sum at the motor fell below the allowance for certain."""
+"""Bit of the log column `active`: the energy received at the motor certainly fell below minus the allowance."""
 ACTIVE_AT_HANDLE: Final = 2
-"""Bit of the column `active`: the sum at the handle fell below the allowance for certain."""
+"""Bit of the log column `active`: the energy received at the handle certainly fell below minus the allowance."""
 NOT_CHECKED: Final = "not checked"
-"""Value of `hold` without a hands-off test of the hold in which the torques act."""
+"""Value of `hold` if no hands-off test has found the hold in which the torques act."""
 _LARGEST_DOUBT: Final = 0.1
-"""Largest resolution, over the energy received, for a yes by certificate."""
+"""Largest energy uncertainty, as a share of the energy received, for a "yes" by certificate."""
 _SMALLEST_DOUBT: Final = 1e-5
-"""Resolution that permits a yes by certificate for any energy received [J]."""
+"""Energy uncertainty that permits a "yes" by certificate however little energy was received [J]."""
 _LEAST_RENDERED: Final = 0.1
 """Part of the requested torque in contact below which nothing counts as rendered."""
 _SUSPECTS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -53,11 +53,11 @@ _SUSPECTS: Final[Mapping[str, tuple[str, ...]]] = {
     "largest_hand_force": ("largest_hand_force",),
     "declared_hand": ("hand_stiffness", "hand_mass"),
 }
-"""Declarations behind each certificate, the likeliest to be wrong first."""
+"""Declared properties on which each certificate relies, the likeliest to be wrong first."""
 NO_PULL: Final = "moving mass, hand never pulls"
-"""Declarations behind the certificate by hand force where that force is 0, in words."""
+"""Text for the properties on which the hand-force certificate relies if the declared hand force is 0."""
 _OF_EVERY_TORQUE: Final = ("current_lag", "torque_window", "delay")
-"""Declarations behind the account itself, whichever the certificate."""
+"""Declared properties on which the energy account itself relies, with any certificate."""
 
 
 class Extremes(TypedDict):
@@ -75,7 +75,7 @@ class SurplusEnergy(TypedDict):
 
 
 class LeastMargin(TypedDict):
-    """The least margin (eq. 4) and its time."""
+    """The least margin, sum(h_i) - sum(h_r) (eq. 4), and its time."""
 
     value: float  # [J]
     cycle: int  # index of the SYNC
@@ -178,7 +178,7 @@ def passive_verdict(
     has_open_hold: bool = False, allowance: float = 0.0, is_estimated: bool = False, certain: float | None = None,
     books_least: bool = False,
 ) -> tuple[Verdict, str]:  # fmt: skip
-    """Return whether a sum of energy stayed at or above minus the allowance, with the reason; see the module.
+    """Return whether the energy received stayed at or above minus the allowance, with the reason; see the module.
 
     Args:
         least: Least value of the sum after any hold, as booked [J].
@@ -211,7 +211,7 @@ def passive_verdict(
 
 
 def _too_coarse(resolution: float, energy_in: float) -> str:
-    """Return why a resolution [J] is too coarse, as the depth of a contact in encoder counts; see the module."""
+    """Return why an energy uncertainty [J] is too large for a verdict, as contact depth in encoder counts."""
     deep, needed = 2.0 * energy_in / resolution, 2.0 / _LARGEST_DOUBT
     return f"the contact acts as if {deep:.2g} counts deep, {needed:.0f} needed"
 
@@ -335,9 +335,9 @@ def headline(account: PortResult) -> Headline:
 
 
 def _is_silent(account: PortResult, contact: ContactHolds) -> bool:
-    """Return whether less than a tenth of the requested efforts, or else of the damping, was rendered.
+    """Return whether less than a tenth of the requested efforts was rendered; if none is known, of the damping.
 
-    Where the request is unknown, as for a group or an admittance display: whether no torque acted at all.
+    If both are unknown, as for a group or an admittance display: whether no torque acted at all.
     """
     if contact.get("asked"):
         return contact["sent"] < _LEAST_RENDERED * contact["asked"]
@@ -348,7 +348,7 @@ def _is_silent(account: PortResult, contact: ContactHolds) -> bool:
 
 
 def claim_nothing(account: PortResult) -> None:
-    """Remove from a port's account what only a sent torque can prove: certificates and rendered shares.
+    """Remove certificates and rendered shares from the account of a dry run, which sent no torque to prove them.
 
     Args:
         account: Account of the port; changed.

@@ -42,7 +42,7 @@ new: Final = tuple.__new__
 
 
 def list_of_zeros(length: int) -> Buffer:
-    """Return a buffer for kernels that Python runs."""
+    """Return a list of zeros, the form of a buffer for kernels that Python runs."""
     return [0.0] * length
 
 

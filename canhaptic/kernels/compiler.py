@@ -80,7 +80,7 @@ _Found = TypeVar("_Found")
 
 
 class NotKeptError(Exception):
-    """Machine code is not on disk, and compiling is not allowed now."""
+    """Raised if machine code is not on disk while compiling is forbidden (`only_kept`)."""
 
 
 _may_compile = True
@@ -101,7 +101,7 @@ def only_kept() -> Iterator[None]:
 
 
 def if_kept(run: Callable[..., _Found], *arguments: object) -> _Found | None:
-    """Result of a function; None if the machine code of one of its kernels is not on disk."""
+    """Call a function without compiling; return its result, or None if machine code of a kernel is not on disk."""
     with suppress(NotKeptError), only_kept():
         return run(*arguments)
     return None
@@ -291,7 +291,7 @@ class _Library(codegen.JITCodeLibrary):
 
 @contextmanager
 def _linked() -> Iterator[None]:
-    """Within the context, functions compiled for another are only linked into it.
+    """Within the context, link a function that only kernels call into its caller, without machine code of its own.
 
     Python's cyclic garbage collection is off: it takes a tenth of the time.
     """
@@ -309,7 +309,7 @@ def _linked() -> Iterator[None]:
 
 @cache
 def _installed() -> bool:
-    """Let numba make its libraries of this kind; return whether its version is known."""
+    """Let numba create `_Library` objects for compiled functions; return whether its version is supported."""
     if not _KNOWN[0] <= tuple(map(int, numba.__version__.split(".")[:2])) < _KNOWN[1]:
         return False
     owner = cpu_target.target_context.codegen()
@@ -322,7 +322,7 @@ _waiting: Final[dict[str, object]] = {}
 
 
 def _set_environment(owner: Numba) -> Callable[[str, object], None]:
-    """Numba's `set_env`, where a function without machine code waits for that of a caller."""
+    """Return a `set_env` for numba that defers a function without machine code until a caller has some."""
     of_numba = owner.set_env
 
     def set_env(name: str, environment: object) -> None:
@@ -335,7 +335,7 @@ def _set_environment(owner: Numba) -> Callable[[str, object], None]:
 
 
 def _set_environments(owner: Numba) -> None:
-    """Give machine code that was made the environments of the functions in it."""
+    """Set the deferred environments of all functions whose machine code exists by now."""
     for name in [name for name in _waiting if owner._engine.is_symbol_defined(name)]:  # noqa: SLF001
         owner.set_env(name, _waiting.pop(name))
 
@@ -399,7 +399,7 @@ def compiled(
 
 
 def _link(made: Numba) -> None:
-    """Make a function compile with its callees linked in."""
+    """Change a compiled function so that its callees are linked into its machine code."""
     of_numba = made._compile_for_args  # noqa: SLF001
 
     def compile_for(*args: object, **named: object) -> object:
@@ -450,12 +450,12 @@ class _Compiling(Binding):
         return made
 
     def constant(self, name: str, value: object) -> object:
-        """Value of a constant that a function names, which is added to the sources."""
+        """Add a constant that a function names to the sources; return its value."""
         self.sources.append(f"{name}={value!r}")
         return value
 
     def of(self, name: str, value: object) -> object:
-        """Replacement of a function or class; the content of a class is added to the sources."""
+        """Return the compiled replacement of a function or class; the content of a class is added to the sources."""
         if value in self._known:
             return self._known[value]
         if isinstance(value, type):
@@ -523,7 +523,7 @@ _TUPLE_TYPES: Final[dict[tuple[type, tuple[str, ...]], type]] = {}
 
 
 def tuple_type(twin: object) -> Any:
-    """Return a NamedTuple type with the numbers and methods of a plain object; a field that is None counts as one."""
+    """Return a NamedTuple type with the numbers and methods of a plain object; None counts as a number."""
     kind = type(twin)
     values = {name: value for base in reversed(kind.__mro__) for name, value in vars(base).items()} | vars(twin)
     numbers = [name for name, value in values.items() if value is None or isinstance(value, int | float)]

@@ -18,10 +18,10 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
 class Binding:
-    """Copies of functions with global names bound to replacements, each copied once.
+    """Copies functions, each once, and binds global names in the copies to replacements.
 
     Args:
-        instead: Replacements by function reached, or by global name.
+        instead: Function or global name that a copied function uses -> its replacement.
         wrap: Makes the object to which the name of a reached function is bound.
         known: Replacements of functions that are not inspected.
     """
@@ -49,18 +49,18 @@ class Binding:
         return self.of(name, self._instead.get(value, value)) if callable(value) else self.constant(name, value)
 
     def constant(self, name: str, value: object) -> object:
-        """Value of a constant that a function names."""
+        """Return the value to bind to a constant that a function names."""
         return value
 
     def of(self, name: str, value: object) -> object:
-        """Replacement of a function or class."""
+        """Return the object to bind to a function or class that a function names."""
         if value not in self._known:
             self._known[value] = self._wrap(self.rebound(value)) if isinstance(value, FunctionType) else value
         return self._known[value]
 
 
 def bound(function: _Function, instead: Mapping[object, object]) -> _Function:
-    """A kernel for Python, with some of the functions that it reaches replaced.
+    """Return a copy of a kernel, to run in Python, with some of the functions that it reaches replaced.
 
     Args:
         function: The kernel.
@@ -70,11 +70,11 @@ def bound(function: _Function, instead: Mapping[object, object]) -> _Function:
 
 
 def filled(function: _Function, **places: Callable[..., object]) -> _Function:
-    """A kernel with its placeholders filled; the names in those functions are resolved when it runs.
+    """Return a copy of a kernel that calls given functions in place of its placeholder functions.
 
     Args:
         function: The kernel.
-        places: Name of a placeholder that it calls itself -> the function in its place.
+        places: Name of a placeholder that the kernel itself calls -> the function to call instead.
 
     Raises:
         ParameterError: A function takes another number of arguments than its place.
@@ -102,7 +102,7 @@ Records = NDArray[np.void]
 _Kind: TypeAlias = np.dtype[np.generic]
 _Value = TypeVar("_Value")
 _ARRAYS: Final[dict[object, type[np.generic]]] = {Buffer: np.float64, Matrix: np.float64, Indices: np.int64}
-"""Annotation of a field that holds buffers -> its numbers."""
+"""Annotation of a field that holds a buffer -> type of the buffer's numbers."""
 
 
 _NUMBER: Final = (float, int, np.generic)

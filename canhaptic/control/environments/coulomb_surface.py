@@ -13,7 +13,7 @@ class CoulombSurface(LinearSpring):
     """
 
     friction: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)]
-    """Effort at which it slides."""
+    """Friction force at which the surface slides."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)]
     """Stiffness of the bristle before it slides."""
 

@@ -1,4 +1,4 @@
-"""Detents: resting positions at a regular pitch, with the effort of a sine between them."""
+"""Detents: resting positions at a regular pitch, with a sinusoidal effort between them."""
 
 import math
 from typing import Annotated, ClassVar
@@ -27,7 +27,7 @@ class Detents(Everywhere, Parameters):
     linear_stiffness: ClassVar[None] = None
 
     def contact(self, position: float) -> int:
-        """Return an odd number for every stretch between two resting positions, 0 exactly on one."""
+        """Return the contact zone: an odd number for every stretch between two resting positions, 0 exactly on one."""
         turns = (position - self.position) / self.pitch
         whole = math.floor(turns)
         return 2 * whole + 1 if turns != whole else 0
@@ -38,12 +38,12 @@ class Detents(Everywhere, Parameters):
         return offset - round(offset / self.pitch) * self.pitch
 
     def admissible(self, state: float, true: float) -> float:
-        """Return the state, moved by whole pitches to the one nearest the true state, and limited to its stretch."""
+        """Return the state, shifted by whole pitches to be nearest the true state, and limited to the same stretch."""
         nearest = state - round((state - true) / self.pitch) * self.pitch
         return min(max(nearest, 0.0), self.pitch) if true >= 0.0 else max(min(nearest, 0.0), -self.pitch)
 
     def one_way(self, position: float) -> tuple[float, float]:
-        """Return the ends of the flank around a position: a resting position and a crest [m or rad]."""
+        """Return the interval in which the effort does not reverse: from a resting position to a crest [m or rad]."""
         half = 0.5 * self.pitch
         begin = self.position + math.floor((position - self.position) / half) * half
         return begin, (begin + half if position > begin else begin)
@@ -58,7 +58,7 @@ class Detents(Everywhere, Parameters):
         return self.peak * math.sin(2.0 * math.pi * state / self.pitch)
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Return the state on the same flank of the crest as `like`; the crest if no state stores that much."""
+        """Return the state that stores an energy, on the flank of the state `like`; the crest if none stores it."""
         crest = self.peak * self.pitch / math.pi
         if energy <= 0.0 or crest == 0.0:
             state = 0.0

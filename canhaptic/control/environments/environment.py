@@ -73,9 +73,9 @@ class Environment(Protocol):
         """Return the gradient of the stored energy at a state [N or N*m]."""
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Return the state [m or rad] that stores `energy` [J] on the branch on which the state `like` lies.
+        """Return the state [m or rad] that stores `energy` [J], on the same side of state 0 as the state `like`.
 
-        Returns the nearest state where no state stores that much.
+        If none stores that much: the state that comes nearest. A periodic storage stays on the flank of `like`.
         """
 
     def relaxed(self, state: float, sample_time: float) -> float:
@@ -113,14 +113,14 @@ _Environment = TypeVar("_Environment")
 
 
 class _Form(NamedTuple):
-    """Members that a model's classes add to `Parameters`, as a plain class."""
+    """A parameter model as a plain class: the members that its classes add to `Parameters`."""
 
     plain: Any  # class with the methods and the values of the class
     derived: Mapping[str, Callable[[Any], Any]]  # properties
 
 
 def plain(environment: _Environment) -> _Environment:
-    """Return a plain object with the same methods and numbers; what is no parameter model is returned unchanged."""
+    """Return a parameter model as a plain object with its methods and numbers, any other object unchanged."""
     kind: Any = type(environment)
     if _form_of(kind) is None or getattr(environment, "__pydantic_private__", None):
         return environment
@@ -185,7 +185,7 @@ class Everywhere:
         return 1
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Return the motion since the start [m or rad], before any relaxation."""
+        """Return the displacement since the first position [m or rad], before any relaxation."""
         return previous + displacement
 
     def admissible(self, state: float, true: float) -> float:
@@ -268,7 +268,7 @@ class LinearSpring(Everywhere, Parameters):
         return self.stiffness * state
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Return sqrt(2 H / k) with the sign of `like`; eq. 18 prints the positive root, but contact has x < 0."""
+        """Return the state that stores H: sqrt(2 H / k) with the sign of `like` (eq. 18 prints only the positive)."""
         if self.stiffness == 0.0:
             return 0.0
         return copysign(sqrt(2.0 * energy / self.stiffness) if energy > 0.0 else 0.0, like)

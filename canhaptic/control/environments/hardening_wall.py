@@ -32,7 +32,7 @@ class HardeningWall(OneSided):
         return state * (self.stiffness + self.hardening * state * state)
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Return the state with the sign of `like`: x^2 = 4 H / (k + sqrt(k^2 + 4 k3 H)), without cancellation."""
+        """Return the state that stores H [J], with the sign of `like`: x^2 = 4 H / (k + sqrt(k^2 + 4 k3 H))."""
         if energy <= 0.0:
             return 0.0
         below = self.stiffness + math.sqrt(self.stiffness * self.stiffness + 4.0 * self.hardening * energy)

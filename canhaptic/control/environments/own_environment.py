@@ -31,7 +31,7 @@ _MOST_STEPS: Final = 100  # of the root finder; bisection alone ends within 64
 _SMALLEST: Final = 1e-9  # [m or rad] first state that is tried
 _DOUBLINGS: Final = 60
 _NO_FORCE: Final = 1e-9
-"""Force that may be rounding, such as a sine at pi [N or N*m]."""
+"""Largest force that counts as a rounding error of 0, such as a sine at pi [N or N*m]."""
 _SLOPE_ROUNDING: Final = 1e-14
 _TRIED: Final = tuple(10.0 ** (power / 16) for power in range(-80, 1))
 """Sizes of states at which the direction of a force is checked when a scene is loaded: 10 um to 1 m or rad."""
@@ -61,7 +61,7 @@ class OwnEnvironment(Everywhere, Parameters):
     position: Annotated[float, quantity("m", "rad")] = 0.0
     """Where the state is 0: the resting position, or the surface."""
     side: Literal["both", "below", "above"] = "both"
-    """Where it acts: everywhere, or, like a wall, only below or above its position."""
+    """Where the force acts: everywhere, or, as in a wall, only below or above its position."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e7)] = 0.0
     """Damping coefficient; the damper acts in contact only."""
 
@@ -100,9 +100,9 @@ class OwnEnvironment(Everywhere, Parameters):
         return slope
 
     def surfaces(self) -> Sequence[float]:
-        """Return the positions where contact begins or ends [m or rad], for the continuous environment.
+        """Return the positions where contact begins or ends [m or rad], to simulate the continuous environment.
 
-        A class that overrides `contact` or `true_state` must override this as well, or has no continuous reference.
+        A class that overrides `contact` or `true_state` must override this as well, or it cannot be simulated so.
         """
         return () if self.side == "both" else (self.position,)
 
@@ -120,7 +120,7 @@ class OwnEnvironment(Everywhere, Parameters):
         return state if self.side == "both" else kept_on_side(state, true)
 
     def one_way(self, position: float) -> tuple[float, float]:
-        """Return the interval on the side of state 0 on which a position lies [m or rad]."""
+        """Return the interval of positions on one side of state 0, where the force does not reverse [m or rad]."""
         if position == self.position:
             return position, position
         return (-math.inf, self.position) if position < self.position else (self.position, math.inf)
@@ -143,7 +143,7 @@ def _words_of(state: float, force: float) -> str:
 
 
 class _TurnedError(OwnCodeError):
-    """A force that does not point back to state 0."""
+    """Raised for an environment whose force does not point back to state 0."""
 
 
 def _turned(method: Callable[[float], float], state: float, force: float) -> OwnCodeError:

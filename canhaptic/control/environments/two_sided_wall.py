@@ -38,7 +38,7 @@ class TwoSidedWall(LinearSpring):
         return kept_on_side(state, true)
 
     def one_way(self, position: float) -> tuple[float, float]:
-        """Return the interval inside the wall at a position [m or rad]; an empty one between the walls."""
+        """Return all positions of the wall in which a position lies [m or rad]; an empty interval between the walls."""
         if position < self.lower:
             return -math.inf, self.lower
         return (self.upper, math.inf) if position > self.upper else (position, position)

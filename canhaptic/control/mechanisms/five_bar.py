@@ -13,7 +13,7 @@ _WORKSPACE, _SINGULAR = Limit.WORKSPACE.value, Limit.SINGULAR.value
 
 
 class FiveBarMap(NamedTuple):
-    """Map of two motors and four links; see `FiveBar` and `KinematicsKernel`."""
+    """Kinematic map of two motors and four links; see `FiveBar` and `KinematicsKernel`."""
 
     base: float
     proximal_1: float
@@ -25,7 +25,7 @@ class FiveBarMap(NamedTuple):
     box: WorkspaceBox
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Write position and Jacobian of the handle, and return the limit."""
+        """Compute position and Jacobian of the handle into the buffers; return whether a limit is reached (`Limit`)."""
         l1, l2, l3, l4 = self.proximal_1, self.proximal_2, self.distal_1, self.distal_2
         ax, ay = l1 * math.cos(positions[0]), l1 * math.sin(positions[0])  # of the elbows, from their motors
         bx, by = l2 * math.cos(positions[1]), l2 * math.sin(positions[1])
@@ -90,6 +90,6 @@ class FiveBar(FromMechanism, Parameters):
         return self
 
     def mechanism(self) -> FiveBarMap:
-        """Return the map for the kernels."""
+        """Return the kinematic map that the kernels call."""
         box = workspace_box(self.workspace_lower, self.workspace_upper, 2)
         return FiveBarMap(self.base, *self.proximal, *self.distal, self.assembly == "down", self.least_sine, box)

@@ -36,10 +36,10 @@ class Pose(NamedTuple):
 
 
 class KinematicsKernel(Protocol):
-    """Interface of a mechanism to the kernels; a NamedTuple of numbers and buffers where it can be compiled."""
+    """Mechanism as the functions of the cycle call it; a NamedTuple of numbers and buffers if it can be compiled."""
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Write the pose of the mechanism and return its limit.
+        """Compute the pose of the mechanism into `place` and `jacobian`; return whether a limit is reached (`Limit`).
 
         Args:
             positions: Positions of the motor axes [rad or m], (axes,).
@@ -64,10 +64,10 @@ class Kinematics(Protocol):
 
 
 class FromMechanism:
-    """Base of a mechanism written as a kernel; it also has `axes` and `dimensions`, see `Kinematics`."""
+    """Base of a mechanism whose pose the kernels compute; it also has `axes` and `dimensions`, see `Kinematics`."""
 
     def mechanism(self) -> KinematicsKernel:
-        """Return the mechanism with the interface of the kernels."""
+        """Return the kinematic map that the kernels call."""
         raise NotImplementedError
 
     def pose(self, positions: Sequence[float]) -> Pose:
@@ -79,12 +79,12 @@ class FromMechanism:
 
 
 class PoseAsked(NamedTuple):
-    """A mechanism whose pose Python computes, with the interface of the kernels; see `KinematicsKernel`."""
+    """Adapter through which the kernels call a mechanism that has only a Python `pose`; see `KinematicsKernel`."""
 
     kinematics: Kinematics
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Write the pose that the mechanism computes, and return its limit."""
+        """Copy the pose that the mechanism computes into the buffers; return the limit reached (`Limit`)."""
         pose = self.kinematics.pose(positions)
         if not pose.limit:
             place[:] = pose.position
@@ -94,19 +94,19 @@ class PoseAsked(NamedTuple):
 
 
 def mechanism_of(kinematics: Kinematics) -> KinematicsKernel:
-    """Return a mechanism with the interface of the kernels."""
+    """Return the object through which the kernels call a mechanism."""
     return kinematics.mechanism() if isinstance(kinematics, FromMechanism) else PoseAsked(kinematics)
 
 
 class WorkspaceBox(NamedTuple):
-    """Edges of a workspace in task space; an edge that is not limited is empty."""
+    """Lower and upper limits of the task coordinates [m or rad]; an empty buffer: no limit."""
 
     lower: Buffer
     upper: Buffer
 
 
 def workspace_box(lower: Sequence[float] | None, upper: Sequence[float] | None, dimensions: int) -> WorkspaceBox:
-    """Return the edges of a workspace.
+    """Return the limits of a workspace as buffers.
 
     Raises:
         ValueError: The number of entries differs from `dimensions`, or a lower edge is not below the upper one.
@@ -122,7 +122,7 @@ def workspace_box(lower: Sequence[float] | None, upper: Sequence[float] | None, 
 
 
 def is_outside(box: WorkspaceBox, place: Buffer) -> bool:
-    """Return True where a position is outside the workspace."""
+    """Return whether a position in task space is outside the workspace."""
     for i in range(len(box.lower)):
         if place[i] < box.lower[i]:
             return True
@@ -171,7 +171,7 @@ class IdentityMap(NamedTuple):
     axes: int
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Write the positions and a unit Jacobian."""
+        """Copy the positions into the buffer, with a unit Jacobian; return that no limit is reached."""
         for i in range(self.axes):
             place[i] = positions[i]
             jacobian[i][i] = 1.0
@@ -190,7 +190,7 @@ class Identity(FromMechanism, Parameters):
         return self.axes
 
     def mechanism(self) -> IdentityMap:
-        """Return the map."""
+        """Return the kinematic map that the kernels call."""
         return IdentityMap(self.axes)
 
 
@@ -225,7 +225,7 @@ class UserFunction:
         self._forward, self._jacobian, self._limit = forward, jacobian, limit
 
     def pose(self, positions: Sequence[float]) -> Pose:
-        """Pose by the user's functions; a value that is not finite is a singular pose."""
+        """Return the pose that the user's functions give; a value that is not finite counts as a singular pose."""
         limit = 0 if self._limit is None else int(self._limit(positions))
         if limit:
             return Pose((), (), limit)

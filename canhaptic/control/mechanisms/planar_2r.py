@@ -13,7 +13,7 @@ _WORKSPACE, _SINGULAR = Limit.WORKSPACE.value, Limit.SINGULAR.value
 
 
 class LinkMap(NamedTuple):
-    """Map of two links; see `Planar2R` and `KinematicsKernel`."""
+    """Kinematic map of an arm with two links; see `Planar2R` and `KinematicsKernel`."""
 
     first: float
     second: float
@@ -24,7 +24,7 @@ class LinkMap(NamedTuple):
     box: WorkspaceBox
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Write position and Jacobian of the handle, and return the limit."""
+        """Compute position and Jacobian of the handle into the buffers; return whether a limit is reached (`Limit`)."""
         a = positions[0]
         b = a + positions[1] if self.relative else positions[1]
         if not abs(math.sin(b - a)) >= self.least_sine:
@@ -67,6 +67,6 @@ class Planar2R(FromMechanism, Parameters):
         return self
 
     def mechanism(self) -> LinkMap:
-        """Return the map for the kernels."""
+        """Return the kinematic map that the kernels call."""
         box = workspace_box(self.workspace_lower, self.workspace_upper, 2)
         return LinkMap(self.first, self.second, *self.base, self.elbow == "relative", self.least_sine, box)

@@ -21,7 +21,7 @@ class LinearMap(NamedTuple):
     box: WorkspaceBox
 
     def locate(self, positions: Buffer, place: Buffer, jacobian: Matrix) -> int:
-        """Write A q + offset and A, and return the limit."""
+        """Compute A q + offset and the Jacobian A into the buffers; return whether a limit is reached (`Limit`)."""
         for i in range(len(place)):
             row, into, total = self.matrix[i], jacobian[i], self.offset[i]
             for j in range(len(row)):
@@ -74,7 +74,7 @@ class Transmission(FromMechanism, Parameters):
         return len(self.matrix)
 
     def mechanism(self) -> LinearMap:
-        """Return the map for the kernels."""
+        """Return the kinematic map that the kernels call."""
         offset = self.offset or (0.0,) * len(self.matrix)
         box = workspace_box(self.workspace_lower, self.workspace_upper, len(self.matrix))
         return LinearMap([list(row) for row in self.matrix], list(offset), box)

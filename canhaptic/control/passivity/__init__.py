@@ -19,7 +19,7 @@ LITERATURE: Final[dict[str, str]] = {
     "energy_tank": f"{_RIVALS}.energy_tank:EnergyTank",
     "ultimate_passivity": f"{_RIVALS}.ultimate_passivity:UltimatePassivity",
 }
-"""Algorithms of other authors, for comparison, in the form of `ALGORITHMS`; none has a proven bound on its torque."""
+"""Algorithms of other authors, for comparison, listed as in `ALGORITHMS`; none has a proven bound on its torque."""
 
 ALGORITHMS: Final[dict[str, str]] = {
     "unprotected": f"{_HERE}.unprotected:Unprotected",
@@ -44,7 +44,8 @@ def build_controller(
         algorithm_name: A name of `ALGORITHMS`.
         parameters: The algorithm's own `parameters_type`; None for its defaults.
         loop: Sample time, delay and other properties of the loop.
-        hold_dither: Amplitude of the random sign sequence that `guarded` adds [N or N*m]; None: no sequence.
+        hold_dither: Amplitude of the random torques that `guarded` adds to test in which hold its torques act
+                [N or N*m]; None: no test.
 
     Raises:
         ParameterError: Unknown name, parameters of another algorithm, or a missing value that the algorithm needs.

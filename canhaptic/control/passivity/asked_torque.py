@@ -1,11 +1,12 @@
-"""Guard of the torques that a user's program requests: an energy tank within the certificates of `guarded`.
+"""Limiter of the torques that a user's program requests, with an energy tank and the certificates of `guarded`.
 
 The energy that a program stores is unknown, so nothing is rendered, predicted or dissipated here. The tank is the
-account: it holds the energy received and not yet given back, up to `earned_energy` if that is set. The declared
-certificates bound each torque by it, as in `guarded`; a larger torque is reduced, any other is sent as requested.
-Device dissipation beyond the need of the requested torque is discarded, as in `guarded`.
+account: it holds the energy received and not yet returned to the user, up to `earned_energy` if that is set. From this
+energy the certificates (proofs from declared properties of hand and device, see `guarded`) give a bound for each
+torque. A larger requested torque is reduced to the bound, any other is sent unchanged. Device dissipation beyond the
+need of the requested torque is discarded, as in `guarded`.
 
-A program without a guard has an account but no certificate.
+A program without this limiter has an account but no certificate.
 """
 
 from dataclasses import dataclass
@@ -29,15 +30,15 @@ _FREE, _EXACT = Branch.FREE.value, Branch.EXACT.value
 _EXIT, _DEPLETED = Branch.EXIT.value, Branch.DEPLETED.value
 _NOT_BOUND = Certificate.EXACT.value
 _LONGEST_WINDOW = 0.02
-"""Longest window of the velocity that a program reads [s]."""
+"""Longest window of the velocity estimate that a program can read [s]."""
 
 
 class Program(FreeSpace):
-    """A user's program in place of an environment; its behaviour is unknown."""
+    """A user's program that computes torques, in place of an environment; how it computes them is unknown."""
 
 
 class AskedEffort(StoresNothing):
-    """The program as an environment, whose effort is the same at every position and stores nothing.
+    """The program in the form of an environment: the requested torque at every position, and no stored energy.
 
     Attributes:
         asked: Requested torque [N or N*m].
@@ -49,7 +50,7 @@ class AskedEffort(StoresNothing):
         self.asked = 0.0
 
     def true_state(self, position: float, displacement: float, previous: float) -> float:
-        """Return 0."""
+        """Return 0 [m or rad]: a program has no storage with a displacement."""
         return 0.0
 
     def effort(self, state: float) -> float:
@@ -69,7 +70,7 @@ AskedRun: TypeAlias = Run[guarded.GuardedSettings, AskedState, guarded.Memory]
 
 
 def step(environment: AskedEffort, run: AskedRun, position: float, torque_applied: float) -> EnergyBalance:
-    """Account for the hold that ended; see `Controller.step`."""
+    """Book the hold that ended, and compute the next torque; see `Controller.step`."""
     settings, state, memory = run.settings, run.state, run.memory
     axis = state.axis
     if not axis.started:
@@ -93,12 +94,12 @@ def step(environment: AskedEffort, run: AskedRun, position: float, torque_applie
 
 
 def granted(run: AskedRun, asked: float, moved: float) -> tuple[float, int]:
-    """Return the part of a requested torque, not 0, that is permitted [N or N*m], and the certificate that limits it.
+    """Return a requested torque, reduced to what the certificates permit [N or N*m], and the certificate's number.
 
     Args:
         run: Run of the axis.
-        asked: Requested torque [N or N*m].
-        moved: Displacement in a hold [m or rad].
+        asked: Requested torque, not 0 [N or N*m].
+        moved: Mean displacement per hold since the last position [m or rad].
     """
     settings, state = run.settings, run.state
     bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
@@ -115,7 +116,7 @@ def granted(run: AskedRun, asked: float, moved: float) -> tuple[float, int]:
 
 
 class _Asks(SteppedController):
-    """A controller whose torque is requested before each step."""
+    """Controller of a user's program, which requests a torque before each step."""
 
     def __init__(self, parameters: Parameters, loop: LoopProperties) -> None:
         self._effort = AskedEffort()
@@ -134,11 +135,11 @@ class _Asks(SteppedController):
         self._effort.asked = torque
 
     def velocity(self, position: float, periods: int) -> float:
-        """Add a position to the adaptive window of the velocity, and return the velocity there [m/s or rad/s].
+        """Add a position to the window of the velocity estimate, and return the velocity [m/s or rad/s].
 
         Args:
             position: Position at this SYNC [m or rad].
-            periods: Sample times since the last position taken; 0: it is the first.
+            periods: Sample times since the position added before; 0: this is the first.
         """
         window, positions = self._window, self._positions
         if periods == 1:
@@ -153,7 +154,9 @@ class _Asks(SteppedController):
 def _settings_of(
     environment: AskedEffort, parameters: guarded.GuardedParameters, loop: LoopProperties
 ) -> guarded.GuardedSettings:  # fmt: skip
-    """Return the constants of a run whose torque may reverse at any SYNC: the hand's push counts in both directions.
+    """Return the settings of `guarded` for a program, whose torque may reverse at any SYNC.
+
+    The hand is therefore assumed to apply the larger of `hand_force` and `hand_push` in both directions.
 
     Args:
         environment: The program.
@@ -167,7 +170,7 @@ def _settings_of(
 
 
 class GuardedProgram(_Asks, guarded.Guarded):
-    """Sends a program's torques as far as the certificates permit."""
+    """Controller that sends a program's torques, reduced to what the certificates permit."""
 
     parameters_type = guarded.GuardedParameters
     kernel = Kernel(_settings_of, AskedState, guarded.memory_of, step)
@@ -183,7 +186,7 @@ class GuardedProgram(_Asks, guarded.Guarded):
 
 
 class UnguardedProgram(_Asks):
-    """Sends a program's torques without a guard."""
+    """Controller that sends a program's torques without any certificate."""
 
     parameters_type = Unprotected.parameters_type
     kernel = Unprotected.kernel

@@ -13,7 +13,8 @@ class LoopProperties(Parameters):
     sample_time: Annotated[float, quantity("s", ge=1e-6, le=1.0)]
     """Time T from SYNC to SYNC."""
     delay: Annotated[int, quantity("count", ge=0, le=16)] = 0
-    """Whole holds from the computation of a torque to the hold in which it acts: 0 event RPDO, 1 synchronous."""
+    """Whole holds from the computation of a torque to the hold in which it acts: 0 for event-driven RPDOs, 1 for
+    synchronous ones."""
     moving_mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0)] | None = None
     """Lower bound of the inertia rigid with the encoder."""
     device_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] | None = None
@@ -51,15 +52,15 @@ class LoopProperties(Parameters):
 
     @property
     def brakes(self) -> bool:
-        """Whether any certain dissipation of the device is declared."""
+        """Whether a lower bound of the device's damping or dry friction is declared."""
         return self.device_damping is not None or self.device_friction is not None
 
     @property
     def timing(self) -> HoldTiming:
-        """Declared timing of every hold.
+        """Bounds of a hold's length and of the time until a new torque acts, from the declared properties.
 
         Raises:
-            ParameterError: The window is as long as a hold.
+            ParameterError: The torque window is as long as a hold.
         """
         return hold_timing(
             self.sample_time, self.sync_jitter or 0.0, self.torque_window or 0.0, self.current_lag or 0.0
@@ -67,7 +68,7 @@ class LoopProperties(Parameters):
 
 
 class Controller(Protocol):
-    """A passivity algorithm with its environment. Not shared between axes."""
+    """A passivity algorithm of one axis, with the environment that it renders."""
 
     def reset(self) -> None:
         """Clear the state: zero stored energy, no queued torque, no last position."""
@@ -80,9 +81,9 @@ class Controller(Protocol):
         """
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Book the hold that just ended and return the account with the torque for the next free hold.
+        """Book the energy of the hold that just ended, and return its balance with the torque to send next.
 
-        The first call after `reset` only takes the position: its balance is all zero.
+        The first call after `reset` only stores the position: its balance is all zero.
 
         Args:
             position: Axis position at this SYNC [m or rad].

@@ -2,28 +2,31 @@
 
 **Rendering.** The environment is rendered at its true state, predicted to the hold in which the torque acts. If the
 torque has the value of the middle of its hold, a spring absorbs and gives back as much energy as a continuous one. If
-it has the value of the start, the spring gives out k D^2 / 2 too much in every hold: this is the energy that a sampled
-wall creates. Predicting a quarter of a hold further calms a spring without a damper. The damper uses the predicted
-velocity too.
+it has the value of the start, the spring returns k D^2 / 2 too much in every hold: this is the energy that a sampled
+wall creates. Predicting a quarter of a hold further damps the oscillation of a spring without a damper. The damper uses
+the predicted velocity too.
 
-**Account.** It is (8) with the damper between port and ground: h_r = f_d D, with f_d the damper effort inside the
-torque that was applied, never negative, never more than the queued torques leave. Nothing is created at the start of
-contact: the stored energy begins at zero, and pushing in fills it. What the account does not cover is not rendered:
+**Account.** It is eq. 8 with the damper between port and ground: it dissipates h_r = f_d D in a hold of displacement D,
+with f_d the damper's part of the applied torque. h_r is never negative, and never uses energy that the queued torques
+need. No energy is created at the start of contact: the stored energy begins at zero, and pushing in fills it. What the
+account does not cover is not rendered:
 
 * the spring effort is limited to that of a spring with the energy in the account and the largest certified stiffness;
 * beyond it, only while moving inward, a damper brings in the missing energy, all of it stored; and a spring whose
   account is short is predicted as if no torque slowed the axis down;
-* the torque stays below what all declared certificates together permit (`certified_torque`): that is the proof.
+* the torque stays below what all certificates together permit (`certified_torque`). A certificate is a proof, from
+  declared properties of hand or device, that the torques sent cannot return more energy than the account holds.
 
 Energy received beyond what is stored (from a drag in free motion, or a wall left behind), or dissipated by the device,
 is kept for later contacts up to `earned_energy`. From zero energy no torque begins below an inward speed of
 (1 + delay) F_h T / m: a hand of F_h could turn every slower motion outward before the torque ends, so that energy would
 come out first. Only certain dissipation of the device allows a slower start.
 
-**Promise.** For every user without exception, sum(h_i) >= 0 admits no torque at all: a larger promise relies on a known
+**Promise.** sum(h_i) >= 0 for every user without exception admits no torque at all: any torque relies on a known
 property of the hand or of the device. A hand force of 0 is the usual setting. It covers every hand that does not pull
-the axis along the torque, and does not mean "never active". If stiffness or damping cannot be rendered, the environment
-gets softer and the balance shows it: `certificate` is not EXACT, or `damping_rendered` is below the requested damping.
+the axis along the torque, and promises nothing for another hand. If stiffness or damping cannot be rendered, the
+environment gets softer and the balance shows it: `certificate` is not EXACT, or `damping_rendered` is below the
+requested damping.
 
 **Prediction.** A model of the moving mass predicts the axis to the hold in which the next torque acts. With v the
 velocity at the last SYNC, f_1 ... f_n the queued torques and w the rest of the force on the mass,
@@ -73,20 +76,20 @@ from canhaptic.kernels import Buffer, Kernel, MakeBuffer, Run, new
 from canhaptic.units import Parameters, quantity
 
 PREDICTION_HOLDS: Final = 0.75
-"""Prediction beyond the delay [holds]: 0.5 is the middle of the hold, and a larger value calms a spring."""
+"""Time of prediction beyond the delay [holds]: 0.5 is the middle of the hold; more damps a spring's oscillation."""
 _LEARNT: Final = 0.0625
-"""Share of a prediction error that corrects the force of the hand in a hold."""
+"""Share of the error of a predicted displacement that corrects the estimated force on the axis, once per hold."""
 _RISE_LEARNT: Final = _LEARNT * _LEARNT / 4.0
-"""The same for its rate of change."""
+"""Share of that error that corrects the rate of change of the estimated force, once per hold."""
 _QUIET: Final = 0.25
-"""Share of a prediction error that corrects the velocity, if encoder counts can explain the error."""
+"""Share of that error that corrects the estimated velocity, if the encoder's resolution can explain the error."""
 _COUNTS: Final = 4.0
-"""Largest prediction error that encoder counts can explain [counts]."""
+"""Largest prediction error that the encoder's resolution can explain [counts]."""
 
 
 @dataclass(frozen=True, slots=True)
 class PredictionSettings:
-    """Constants of the prediction."""
+    """Constants of the motion prediction, fixed for a run."""
 
     gain: float  # T^2 / m: displacement per hold that a torque adds in one [m/N or rad/(N*m)]; 0: mass not known
     lost: float  # 1 - e^(-b T / m): share of a motion that certain damping of the device takes in a hold
@@ -105,11 +108,11 @@ class PredictedMotion:
 
 
 def prediction_settings(loop: LoopProperties, beyond: float) -> PredictionSettings:
-    """Return the constants of the prediction.
+    """Return the constants of the motion prediction.
 
     Args:
-        loop: Properties of the loop; without a moving mass torques are left out of the prediction.
-        beyond: Additional holds of prediction after the queued ones.
+        loop: Properties of the loop; if its moving mass is not declared, the prediction ignores the torques.
+        beyond: Time to predict beyond the hold of the last queued torque [holds].
     """
     mass, noise = loop.moving_mass, _COUNTS * loop.encoder_count
     if mass is None:
@@ -119,7 +122,7 @@ def prediction_settings(loop: LoopProperties, beyond: float) -> PredictionSettin
 
 
 def observe(settings: PredictionSettings, motion: PredictedMotion, displacement: float, torque: float) -> None:
-    """Correct the motion by the hold that ended: its displacement [m or rad] and its torque [N or N*m]."""
+    """Correct the estimated motion, given displacement [m or rad] and torque [N or N*m] of the hold that ended."""
     gain, step, noise = settings.gain, motion.step, settings.noise
     push = gain * torque + motion.push - settings.lost * step
     error = displacement - step - 0.5 * push
@@ -131,21 +134,21 @@ def observe(settings: PredictionSettings, motion: PredictedMotion, displacement:
 
 
 def observe_mean(motion: PredictedMotion, displacement: float) -> None:
-    """Set the velocity to the mean displacement per hold [m or rad], after holds without their own positions."""
+    """Set the estimated velocity to the mean displacement per hold [m or rad], after lost samples or skipped SYNCs."""
     motion.step = displacement
 
 
 def predicted(
     settings: PredictionSettings, motion: PredictedMotion, torques: Buffer, first: int, travel: float
 ) -> tuple[float, float]:
-    """Return the displacement predicted for the hold of the next torque, and the motion per hold there [m or rad].
+    """Predict the displacement until the next torque acts, and the displacement per hold at that time [m or rad].
 
     Args:
-        settings: Constants of the run.
+        settings: Constants of the prediction.
         motion: Motion at the last SYNC.
-        torques: Ring of torques, queued ones included [N or N*m].
+        torques: Ring buffer of the sent torques, the queued ones included [N or N*m].
         first: Index of the torque that acts first; negative indices wrap.
-        travel: Present motion per hold [m or rad], used for motions that a coarse encoder does not resolve.
+        travel: Measured displacement per hold [m or rad], used for motions too slow for the encoder's resolution.
     """
     way, step, gain, lost, rest = 0.0, motion.step, settings.gain, settings.lost, motion.push
     for place in range(first, first + settings.delay):
@@ -160,9 +163,9 @@ def predicted(
 
 
 _LONGEST_WINDOW: Final = 0.02
-"""Longest window of the velocity from a coarse encoder [s]."""
+"""Longest window of the velocity estimate from an encoder with counts [s]."""
 _NO_CAP: Final = 1e12
-"""Cap of the damping when the moving mass is unknown [N*s/m, N*m*s/rad]: finite, so that at rest it gives no force."""
+"""Limit of the damping if the moving mass is unknown [N*s/m, N*m*s/rad]: finite, so that it gives no force at rest."""
 
 _LARGEST: Final = 1e9  # [N or N*m]
 
@@ -175,7 +178,7 @@ class GuardedParameters(Parameters):
 
     hand_force: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = 0.0
     """Largest force with which the hand pulls out of the contact, along the torque of the environment at the handle.
-    In a group, on each motor axis along any torque, Coriolis forces included. None: the certificate is not used."""
+    In a group, on each motor axis along any torque, Coriolis forces included. None: no torque relies on it."""
     hand_push: Annotated[float, quantity("N", "N*m", ge=0.0)] | None = None
     """Largest force with which the hand pushes into the contact, against the torque of the environment. It certifies a
     damper's torque that pulls the handle back while it leaves the contact. None: not known, and the hand force
@@ -186,13 +189,14 @@ class GuardedParameters(Parameters):
     """Largest speed of the hand; in a group, of every motor axis. None: the certificate is not used. As the only
     certificate it permits torque only with an energy allowance."""
     energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
-    """Energy that may be given out before any came in: the promise becomes sum(h_i) >= -energy_allowance."""
+    """Energy that may be returned to the user beyond what was received: the promise becomes
+    sum(h_i) >= -energy_allowance."""
     earned_energy: Annotated[float, quantity("J", ge=0.0)] | None = None
     """Largest energy kept for later contacts, so that a contact under a hand force starts at any speed: energy received
     beyond what is stored, or dissipated by the device. sum(h_i) stays >= 0. None: as much as the environment needs for
-    that, by the hand's force, and none in a group; 0: none."""
+    that under the declared `hand_force`; in a group, none. 0: no energy is kept."""
     drag: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
-    """Largest drag in free motion, while less than `earned_energy` is stored; 0: none. In free motion too, the hand has
+    """Largest braking force in free motion, until `earned_energy` is stored; 0: none. In free motion too, the hand has
     to pull away from the environment with no more than `hand_force`."""
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
@@ -235,7 +239,8 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
     """Return the constants of `guarded` on one axis.
 
     Raises:
-        ParameterError: The declared properties certify no torque, or a drag has no energy to earn.
+        ParameterError: No torque can be certified from the declared properties, or `drag` is set without an
+            `earned_energy` to collect.
     """
     of_loop, outside = _settings_of_loop(parameters, loop), outside_of(environment)
     response, turns = of_loop.declared.response, of_loop.declared.by_hand_force and not outside
@@ -254,7 +259,7 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
 
 @lru_cache(maxsize=4)
 def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> GuardedSettings:
-    """Return the settings that do not depend on the environment; cached, because a sweep needs them for every scene.
+    """Return the settings that do not depend on the environment; cached, because a sweep needs them in every run.
 
     Raises:
         ParameterError: The declared properties certify no torque.
@@ -292,13 +297,14 @@ def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> Gu
 def kept_for_contacts(
     environment: Environment, parameters: GuardedParameters, loop: LoopProperties, response: DisplacementResponse
 ) -> float:
-    """Return the energy that is kept for later contacts [J]; see `start_energy`.
+    """Return the most energy that the account keeps to start later contacts [J]; see `start_energy`.
 
-    If the environment is not a spring, or is stiffer than half the stiffness that the certificate permits at the
-    largest force, it is the energy for that half. This allows any contact up to a push of half the hand's pull.
+    If not declared, it is the energy for a spring of the environment's stiffness. A stiffness above half of what the
+    certificate permits at the largest force, or an environment that is no spring, counts as that half. This allows any
+    contact up to a push of half the hand's pull.
 
     Raises:
-        ParameterError: A drag has no energy to earn.
+        ParameterError: `drag` is set, but the energy kept is 0.
     """
     kept, stiffness = parameters.earned_energy, environment.linear_stiffness
     if kept is None and response is not scalar_bounds.NO_RESPONSE and response.hand > 0.0 and stiffness != 0.0:
@@ -323,7 +329,7 @@ def _require_certifiable(parameters: GuardedParameters, loop: LoopProperties, *,
 
 
 def declared_of(parameters: GuardedParameters, loop: LoopProperties, response: DisplacementResponse) -> Declared:
-    """Return the declared properties behind the certificates."""
+    """Return the declared properties of loop, device and hand from which the certificates are computed."""
     timing, by_hand_force = loop.timing, response is not scalar_bounds.NO_RESPONSE
     damping, friction, speed = loop.device_damping or 0.0, loop.device_friction or 0.0, parameters.hand_speed or 0.0
     return Declared(
@@ -334,7 +340,7 @@ def declared_of(parameters: GuardedParameters, loop: LoopProperties, response: D
 
 
 def calm_stiffness_of(loop: LoopProperties) -> float:
-    """Return the largest stiffness that this rate renders without oscillation [N/m or N*m/rad]."""
+    """Return the largest stiffness that the sample rate renders without oscillation [N/m or N*m/rad]."""
     if loop.moving_mass is None:
         return _NO_CAP
     ideal = scalar_bounds.displacement_response(loop.sample_time, loop.moving_mass, 0.0, 0.0, 0.0, 0.0, loop.timing)
@@ -343,7 +349,7 @@ def calm_stiffness_of(loop: LoopProperties) -> float:
 
 
 def hand_response(parameters: GuardedParameters, loop: LoopProperties) -> DisplacementResponse:
-    """Return the response of the hand-force certificate; `NO_RESPONSE` if that is not declared.
+    """Return the worst displacement by torques and hand in a hold; `NO_RESPONSE` if mass or hand force is not declared.
 
     Raises:
         ParameterError: The damping of the device has no upper bound.
@@ -367,7 +373,7 @@ def hand_response(parameters: GuardedParameters, loop: LoopProperties) -> Displa
 
 
 _FADE: Final = 0.8
-"""Share of the device's past dissipation that still counts after another hold out of contact."""
+"""Factor by which the usable energy from the device's past dissipation decreases in each hold out of contact."""
 
 
 @dataclass(slots=True)
@@ -384,7 +390,7 @@ class GuardedState:
 
 
 class Memory(NamedTuple):
-    """Buffers of `guarded` on one axis: of the common axis, and of the torque bound."""
+    """Buffers of `guarded` on one axis: those of every algorithm, and those of the torque bound."""
 
     axis: stepped.AxisMemory
     bound: BoundMemory
@@ -401,7 +407,7 @@ def memory_of(settings: GuardedSettings, make_buffer: MakeBuffer) -> Memory:
 
 
 def end(run: GuardedRun, position: float, torque_applied: float) -> tuple[float, float, float, float]:
-    """End a hold; return (displacement, damper effort, modulated effort, uncertain energy)."""
+    """Update motion and torque bound after a hold; return its displacement, both damper efforts, uncertain energy."""
     settings, state, memory = run.settings, run.state, run.memory
     declared, bound, axis, commands = settings.declared, state.bound, state.axis, memory.axis.commands
     displacement, count, oldest = position - axis.position, declared.encoder_count, axis.oldest
@@ -428,7 +434,7 @@ def end(run: GuardedRun, position: float, torque_applied: float) -> tuple[float,
 
 
 def end_several(run: GuardedRun, displacement: float, torque_applied: float) -> float:
-    """End several holds of which only the last has a sample; return the uncertain energy [J]."""
+    """Update motion and torque bound after holds with lost samples; return the uncertain energy of these holds [J]."""
     settings, state, memory = run.settings, run.state, run.memory
     axis, commands, holds = state.axis, memory.axis.commands, state.axis.missed + 1
     largest, apart = abs(torque_applied), 0.0
@@ -444,21 +450,22 @@ def end_several(run: GuardedRun, displacement: float, torque_applied: float) -> 
 
 
 def restart_at_mean(settings: GuardedSettings, axis: stepped.Axis, memory: stepped.AxisMemory, moved: float) -> None:
-    """Restart the window of the velocity at the mean velocity of some holds, `moved` in each [m or rad]."""
+    """Restart the window of the velocity estimate; the velocity is `moved` per hold [m or rad]."""
     if settings.longest_window:
         restart(axis.window, memory.samples, axis.position)
         axis.window.velocity = moved / settings.sample_time
 
 
 def book(run: GuardedRun, h_i: float, h_pas: float, damped: float, ceiling: float) -> tuple[float, float, float, float]:
-    """Book one hold into stored energy and surplus; return (h_r, deficit, leak, paid) [J].
+    """Book one hold as stored and surplus energy; return (h_r, deficit, leak, paid) [J], see `EnergyBalance`.
 
     Args:
         run: Run of the axis; its state is changed.
         h_i: Interaction energy of the hold [J].
         h_pas: Energy taken by the modulated damper [J].
         damped: Damper effort inside the applied torque times the displacement [J].
-        ceiling: Energy that the environment stores at its true state [J]; at most `earned_energy` more is kept.
+        ceiling: Energy that the environment stores at its true state [J]; the account keeps at most `earned_energy`
+            more than this.
     """
     settings, state, slack = run.settings, run.state, 0.0
     axis = state.axis
@@ -479,7 +486,7 @@ def book(run: GuardedRun, h_i: float, h_pas: float, damped: float, ceiling: floa
 def relax(
     environment: Environment, run: GuardedRun, true: float, ceiling: float, holds: float
 ) -> tuple[float, float, float]:
-    """Return (state, energy there, energy dissipated) after internal relaxation for some holds [m or rad, J, J]."""
+    """Relax the environment over some holds; return (state, energy there, energy dissipated) [m or rad, J, J]."""
     relaxed, state = environment.relaxed(true, holds * run.settings.sample_time), run.state
     left = environment.stored_energy(relaxed)
     lost = min(state.h_s, max(0.0, ceiling - left))
@@ -492,25 +499,25 @@ _NOT_BOUND, _BY_FORCE = Certificate.EXACT.value, Certificate.HAND_FORCE.value
 _BY_DAMPING, _BY_FRICTION = Certificate.DEVICE_DAMPING.value, Certificate.DEVICE_FRICTION.value
 _BY_SPEED = Certificate.HAND_SPEED.value
 _DRAG_SHARE: Final = 0.5
-"""Damping of the drag near rest, over the largest one that does not ripple."""
+"""Damping of the drag near rest, as a share of the largest one under which a free mass does not oscillate."""
 
 
 def render(
     environment: Environment, run: GuardedRun, true: float, spring: float, ceiling: float, travel: float, inside: float,
     moved: float, same: bool,
 ) -> tuple[float, float, float, float, int]:  # fmt: skip
-    """Return (torque for the next free hold, damper effort, modulated effort, damping rendered, certificate).
+    """Compute the next torque in contact; return (torque, damper effort, modulated effort, damping, certificate).
 
     Args:
         environment: Environment rendered.
         run: Run of the axis.
-        true: State of the storage [m or rad].
+        true: True state: displacement of the environment's storage [m or rad].
         spring: Spring effort at that state [N or N*m].
-        ceiling: Energy stored at that state [J].
-        travel: Motion of the storage in a hold [m or rad].
-        inside: Motion of the axis in contact, in a hold [m or rad].
-        moved: Motion of the axis in a hold [m or rad].
-        same: Whether the hold before was in the same contact zone.
+        ceiling: Energy that the environment stores at that state [J].
+        travel: Change of the storage's displacement per hold [m or rad].
+        inside: Displacement of the axis per hold, only the part inside the contact [m or rad].
+        moved: Displacement of the axis per hold [m or rad].
+        same: Whether the axis was in the same contact zone at the last position.
     """
     settings, state, queued = run.settings, run.state, run.memory.bound.under_way
     bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
@@ -550,13 +557,13 @@ def render(
 
 
 def permitted_size(run: GuardedRun, torque: float, energy: float, moved: float) -> tuple[float, int]:
-    """Return the size that limits and certificates permit for a torque [N or N*m], and its certificate.
+    """Return the size of a torque, reduced to what limiter and certificates permit [N or N*m], and the certificate.
 
     Args:
         run: Run of the axis.
         torque: Requested torque, not 0 [N or N*m].
-        energy: Energy budget [J].
-        moved: Displacement in a hold [m or rad].
+        energy: Energy that the account holds for it [J].
+        moved: Displacement per hold [m or rad].
     """
     settings, state, memory = run.settings, run.state, run.memory
     sign, size = (1.0, torque) if torque > 0.0 else (-1.0, -torque)
@@ -578,10 +585,10 @@ def permitted_size(run: GuardedRun, torque: float, energy: float, moved: float) 
 
 
 def certain_energy(state: GuardedState, energy: float) -> float:
-    """Return the part of an energy that the next torques may give out, with an encoder of finite resolution [J].
+    """Return the energy that the next torques may return to the user, less what the encoder leaves uncertain [J].
 
-    Energy that was dissipated or leaked cannot be given out again, but it covers the uncertainty of the encoder: (4)
-    holds for the booked energy, (3) for the true energy.
+    Energy that was dissipated or leaked is not available for torques, but it covers the uncertainty first: eq. 4 holds
+    for the booked energy, eq. 3 for the true energy.
     """
     lacking = state.bound.uncertainty - state.unrecovered
     return energy - lacking if lacking > 0.0 else energy
@@ -590,12 +597,13 @@ def certain_energy(state: GuardedState, energy: float) -> float:
 def within_limits(settings: GuardedSettings, newest: float, sign: float, moved: float) -> float:
     """Return the largest torque along `sign` that the limiter permits [N or N*m]; see `drive.profile.limiter`.
 
-    A certified torque that the limiter reduced would absorb less energy than the next torque relies on.
+    The bound is computed before the torque is certified: a certified torque that the limiter then reduced would absorb
+    less energy than the next torque relies on.
 
     Args:
         settings: Constants of the run.
         newest: Torque sent last [N or N*m].
-        sign: 1 or -1.
+        sign: Direction of the torque, 1 or -1.
         moved: Displacement in the last sample time [m or rad].
     """
     most = settings.torque_limit
@@ -614,7 +622,7 @@ def efforts(
     run: GuardedRun, true: float, spring: float, lead: float, ahead: float, velocity: float, energy: float,
     ceiling: float,
 ) -> tuple[float, float, float, bool]:  # fmt: skip
-    """Return the efforts of spring, prediction and damper [N or N*m], and whether the account covers all of them."""
+    """Limit spring, prediction and damper efforts [N or N*m] to the account; return them, and whether it covers all."""
     settings, bound = run.settings, run.state.bound
     damper, size, speed = settings.damping * velocity, abs(spring), abs(velocity)
     room, led = settings.cap * speed, settings.calm * abs(ahead)
@@ -648,7 +656,7 @@ def efforts(
 def soft_and_further(
     settings: GuardedSettings, bound: TorqueBound, size: float, depth: float, energy: float
 ) -> tuple[float, float]:
-    """Return the effort of the spring that dry friction sustains, and the largest effort beyond it [N or N*m].
+    """Return the spring effort that device friction sustains, and the most that the energy covers beyond it [N or N*m].
 
     The energy of that spring is reserved for it, so that a wall gets softer but never vanishes. The rest of the energy
     covers further efforts, and the energy that one count leaves uncertain when they rise and fall. If less than half of
@@ -658,7 +666,7 @@ def soft_and_further(
         settings: Constants of the run.
         bound: State of the torque bound.
         size: Requested effort [N or N*m].
-        depth: Size of the true state [m or rad].
+        depth: Penetration into the contact, the size of the true state [m or rad].
         energy: Energy budget [J].
     """
     count, calm = settings.declared.encoder_count, settings.calm_stiffness or settings.damped_stiffness
@@ -675,11 +683,11 @@ def soft_and_further(
 def energy_permitted(
     settings: GuardedSettings, bound: TorqueBound, whole: float, energy: float, ceiling: float
 ) -> float:
-    """Return the square of the largest effort of a spring that the account covers [N^2 or N^2*m^2].
+    """Return the square of the largest spring effort that the energy account covers [N^2 or N^2*m^2].
 
     Args:
         settings: Constants of the run.
-        bound: State of the torque bound; device dissipation beyond the need of the efforts is discarded.
+        bound: State of the torque bound; its device dissipation is reduced to what the efforts need.
         whole: All efforts together [N or N*m].
         energy: Energy budget [J].
         ceiling: Energy stored at the true state [J].
@@ -698,7 +706,7 @@ def energy_permitted(
 
 
 def drag(run: GuardedRun, moved: float) -> tuple[float, int]:
-    """Return the torque out of contact [N or N*m] and its certificate: a drag until `earned_energy` is stored.
+    """Return the torque out of contact [N or N*m] and its certificate: it brakes until `earned_energy` is stored.
 
     Args:
         run: Run of the axis.
@@ -730,7 +738,7 @@ _EXIT = Branch.EXIT.value
 
 
 def step(environment: Environment, run: GuardedRun, position: float, torque_applied: float) -> EnergyBalance:
-    """Account for the hold that ended; see `Controller.step`."""
+    """Book the hold that ended, and compute the next torque; see `Controller.step`."""
     settings, state, memory = run.settings, run.state, run.memory
     zone_before, axis = state.zone, state.axis
     state.zone = zone = environment.contact(position)
@@ -780,9 +788,9 @@ def start(run: GuardedRun, position: float) -> EnergyBalance:
 
 
 def take_stretch(environment: Any, settings: GuardedSettings, bound: TorqueBound, position: float, true: float) -> None:
-    """Store the interval around a position [m or rad] in which the effort keeps its direction, and the way out of it.
+    """Store the interval around a position [m or rad] in which the effort does not reverse, and the direction out.
 
-    If `knows_turns` is set, the environment has `one_way`.
+    If `knows_turns` is set, the environment must have `one_way`; otherwise the interval is empty.
     """
     bound.out = bound.above = bound.below = 0.0
     effort = environment.effort(true) if settings.knows_turns and environment.contact(position) else 0.0
@@ -794,16 +802,16 @@ def take_stretch(environment: Any, settings: GuardedSettings, bound: TorqueBound
 def motion_inside(
     environment: Environment, run: GuardedRun, travel: float, displacement: float, holds: float, true: float, same: bool
 ) -> tuple[float, float]:
-    """Return the motion of storage and damper in a hold [m or rad], smoothed if the encoder is coarse.
+    """Return the displacements per hold of storage and damper [m or rad], from the velocity window if the axis has one.
 
     Args:
         environment: Environment rendered.
-        run: Run of the axis, after its motion.
-        travel: Motion of the storage in a hold, if it was in the same contact zone before [m or rad].
+        run: Run of the axis, updated to its new position.
+        travel: Change of the storage's displacement per hold; used only if `same` [m or rad].
         displacement: Displacement since the last position [m or rad].
-        holds: Number of holds since then.
-        true: State of the storage [m or rad].
-        same: Whether the hold before was in the same contact zone.
+        holds: Number of holds since the last position.
+        true: True state: displacement of the storage [m or rad].
+        same: Whether the axis was in the same contact zone at the last position.
     """
     inside = displacement / holds
     if not same:
@@ -816,7 +824,7 @@ def motion_inside(
 
 
 class Guarded(stepped.SteppedController):
-    """Renders an environment as far as the certificates permit."""
+    """Controller that renders an environment with torques no larger than the certificates permit."""
 
     parameters_type: ClassVar[type[Parameters]] = GuardedParameters
     kernel: ClassVar[Kernel] = Kernel(settings_of, GuardedState, memory_of, step)
@@ -835,13 +843,13 @@ class Guarded(stepped.SteppedController):
 
     @property
     def energy_resolution(self) -> float:
-        """Uncertainty of the sum of h_i due to late torques and lost samples [J]; its lower end is booked."""
+        """Width of the uncertainty of sum(h_i) due to late torques and lost samples [J]; its lower bound is booked."""
         resolution: float = self._state.bound.resolution
         return resolution
 
     def sample_lost(self) -> EnergyBalance:
         """Repeat the last command at a SYNC without a position; see `Controller.sample_lost`.
 
-        The next `step` books the displacement of all these holds with the torque read back, less the uncertainty.
+        The next `step` books the displacement of all these holds times the torque read back, less the uncertain energy.
         """
         return super().sample_lost()._replace(damping_rendered=0.0, certificate=_NOT_BOUND)

@@ -39,7 +39,7 @@ LATE: Final = "acts a hold late, run canhaptic commission"
 
 
 class HoldWatch:
-    """Correlates the motion with the random signs of the torques.
+    """Test of the hold in which torques act: correlates the motion with the random signs of the torques.
 
     Args:
         delay: Declared whole holds between the computation of a torque and the hold in which it acts.
@@ -58,13 +58,13 @@ class HoldWatch:
         self.begin_anew()
 
     def begin_anew(self) -> None:
-        """Restart the sequences of positions and signs, but keep the sums, as after a lost sample."""
+        """Restart the sequences of positions and signs after a lost sample, but keep the sums of the correlations."""
         self._signs = [0] * (self._delay + 3)  # newest first: of the torques computed one, two, ... samples ago
         self._before = self._last = 0.0
         self._positions = 0  # in a row
 
     def take(self, position: float, sign: int) -> None:
-        """Add a position and the sign of the torque computed from it, and test when it is due.
+        """Add a position and the sign of the torque computed from it; test the drive when enough signs were added.
 
         Args:
             position: Position at a SYNC [m or rad].
@@ -99,7 +99,7 @@ class HoldWatch:
 
 
 class DitheredGuarded(Guarded):
-    """`guarded` with a random sign in every torque in contact; certified until the test contradicts the declared hold.
+    """`guarded` with random steps in its torques in contact; certified until their test contradicts the declared hold.
 
     The signs follow from the first position, so that a log of the run recomputes and replays them.
 
@@ -107,7 +107,7 @@ class DitheredGuarded(Guarded):
         environment: Environment to render.
         parameters: Parameters of `guarded`.
         loop: Properties of the loop.
-        amplitude: Size a of the sequence [N or N*m].
+        amplitude: Amplitude a of the random steps [N or N*m].
     """
 
     def __init__(
@@ -134,11 +134,11 @@ class DitheredGuarded(Guarded):
 
     @property
     def energy_resolution(self) -> float:
-        """Resolution of `guarded`; after a contradiction, plus all energy that the torques could have exchanged [J]."""
+        """Energy uncertainty of `guarded`; after a contradiction, plus all energy that torques could exchange [J]."""
         return super().energy_resolution + (self._open if self._watch.found else 0.0)
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Account for the hold that ended; see `Controller.step`."""
+        """Book the hold that ended, and compute the next torque; see `Controller.step`."""
         axis, watch = self._axis, self._watch
         if axis.missed or axis.lasted > 1.0:
             watch.begin_anew()
@@ -159,7 +159,7 @@ class DitheredGuarded(Guarded):
         return balance._replace(certificate=_NONE) if watch.found else balance
 
     def _lowered(self, balance: EnergyBalance) -> EnergyBalance:
-        """Return the balance with a torque 2 a nearer to zero; the queued command is changed too."""
+        """Reduce the torque of a balance, and its queued command, by twice the amplitude; return the new balance."""
         torque, quantum, steps = balance.torque, self._settings.quantum, self._steps
         down = -self._down if torque < 0.0 else self._down
         lowered = (round(torque / quantum) - (steps if torque > 0.0 else -steps)) * quantum if steps else torque - down
@@ -170,6 +170,6 @@ class DitheredGuarded(Guarded):
         return balance._replace(torque=lowered, damping_rendered=balance.damping_rendered * share)
 
     def sample_lost(self) -> EnergyBalance:
-        """Repeat the last command with its sign; see `Guarded.sample_lost`."""
+        """Repeat the last command, its random step included; see `Guarded.sample_lost`."""
         balance = super().sample_lost()
         return balance._replace(certificate=_NONE) if self._watch.found else balance

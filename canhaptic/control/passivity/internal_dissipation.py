@@ -1,8 +1,8 @@
 """`internal_dissipation`: the paper's algorithm, whose state change balances stored and dissipated energy (eq. 8).
 
-Flow of one step (Fig. 6): out of contact it is free, or an exit. In contact without stored energy it is deadlocked
-until a first-order start (eq. 14). Otherwise the exact solution (eqs. 15-17) is used, or the approximate one (eq. 18)
-if there is none. Surplus energy is recovered by the modulated damper (eq. 19).
+Flow of one step (Fig. 6): out of contact the axis is free, or a contact has just ended. In contact without stored
+energy the axis is deadlocked (no torque) until a first-order start (eq. 14). Otherwise the exact solution (eqs. 15-17)
+is used, or the approximate one (eq. 18) if there is none. Surplus energy is recovered by the modulated damper (eq. 19).
 
 Departures from the printed equations, and their reasons:
 
@@ -10,7 +10,7 @@ Departures from the printed equations, and their reasons:
 - eq. 16 is solved for the root nearest zero: the printed one or, when sticking, the other (below).
 - eq. 15 uses the damper effort inside the torque that was applied in the hold. Without delay this is the printed
   effort; with delay the printed one is unstable.
-- a motion that reverses would make H_R of eq. 15 negative, a damper that gives out energy: the balance is then solved
+- a motion that reverses would make H_R of eq. 15 negative, a damper that generates energy: the balance is then solved
   without H_R.
 - eq. 14 takes the velocity from the displacement, and starts only when the user pushes inward: switched on deep inside
   a wall, x / T is not a velocity. A store emptied in contact is the same deadlock and restarts in the same way.
@@ -19,8 +19,8 @@ Departures from the printed equations, and their reasons:
 
 Kept as printed: every start creates k x^2 / 2, and the state creeps away from the true penetration under tremor.
 
-`a_priori_dissipation` shares this step; it has its own `touch` and `exchange`, which change the state in a hold. Each
-rule moves the storage and returns its account of the hold.
+`a_priori_dissipation` shares this step, but has its own `touch` and `exchange`. Such a function changes the state of
+the storage for one hold, and returns the energies of the hold.
 
 **Solution of eq. 8** for the state change: closed for a linear spring, iterative in a bracket for any other. Eq. 16
 prints dx = (-b - sqrt(b^2 - 4 a c)) / 2 a. That loses all digits if k or the displacement is small, divides by zero at
@@ -75,7 +75,7 @@ def _product_error(a: float, b: float, product: float) -> float:
 
 
 def solve_balance(stiffness: float, effort: float, energy: float, displacement: float) -> float:
-    """Return the root nearest zero of k dx^2 / 2 + b dx = H [m or rad], or NaN if it has no real root.
+    """Return the state change dx with k dx^2 / 2 + b dx = H, the root nearest zero [m or rad]; NaN if none is real.
 
     Args:
         stiffness: k >= 0 [N/m or N*m/rad].
@@ -107,19 +107,19 @@ class Balance(NamedTuple):
 
 
 def gain(environment: Environment, old: Balance, change: float) -> float:
-    """Return the energy that a state change [m or rad] takes up, stored and dissipated [J]."""
+    """Return the energy that storage and damper absorb in a state change [m or rad], stored and dissipated [J]."""
     return environment.stored_energy(old.state + change) - old.stored + old.damper * change
 
 
 def slope(environment: Environment, old: Balance, change: float) -> float:
-    """Return the derivative of `gain` [N or N*m]."""
+    """Return the derivative of `gain` by the state change [N or N*m]."""
     return environment.effort(old.state + change) + old.damper
 
 
 def solve_balance_nonlinear(
     environment: Environment, old: Balance, energy: float, limit: float, tolerance: float
 ) -> float:
-    """Return the root nearest zero of gain(dx) = H [m or rad] for a nonlinear storage, or NaN if there is none.
+    """Return the state change dx of a nonlinear storage with gain(dx) = H, the root nearest zero [m or rad], or NaN.
 
     The direction follows from the signs of H and of the slope at 0. In that direction the root is bracketed by the
     limit, or by the point where the slope reverses. At most 80 Newton steps find it, with bisection if a step leaves
@@ -130,7 +130,7 @@ def solve_balance_nonlinear(
         old: Previous state.
         energy: H, energy received by the model [J].
         limit: Largest state change to consider [m or rad]; its sign decides if no effort opposes motion at first.
-            If more was received than the limit takes up, the result is the limit, and the caller leaks the rest.
+            If more was received than the limit absorbs, the result is the limit, and the caller books the rest as leak.
         tolerance: Rounding error of `gain` [J], at which the iteration ends.
     """
     if energy == 0.0 or limit == 0.0:
@@ -146,7 +146,7 @@ def solve_balance_nonlinear(
 
 
 def _turning_point(environment: Environment, old: Balance, far: float) -> float:
-    """Return the last state change before the slope changes sign between 0 and `far` [m or rad]."""
+    """Return the state change, between 0 and `far`, up to which `slope` keeps its sign [m or rad]."""
     near, rising = 0.0, slope(environment, old, 0.0) > 0.0
     for _ in range(_ITERATIONS):
         middle = 0.5 * (near + far)
@@ -160,7 +160,7 @@ def _turning_point(environment: Environment, old: Balance, far: float) -> float:
 
 
 def _newton(environment: Environment, old: Balance, energy: float, far: float, tolerance: float) -> float:
-    """Return the root between 0 and `far` [m or rad]; |gain| rises from 0 to at least |H| between them."""
+    """Return the root of gain(dx) = H between 0 and `far` [m or rad], where |gain| rises from 0 to at least |H|."""
     effort = slope(environment, old, 0.0)
     near, gain_far = 0.0, gain(environment, old, far)
     guess = energy / effort if effort != 0.0 else far
@@ -190,7 +190,7 @@ def _newton(environment: Environment, old: Balance, energy: float, far: float, t
 
 
 def _between(near: float, far: float, energy: float, gain_far: float) -> float:
-    """Return the middle of the bracket or, while it begins at 0, the root of a parabola through its ends [m or rad].
+    """Return the next estimate of the root [m or rad]: the bracket's middle or, if it begins at 0, a parabola's root.
 
     Halving alone would take too many steps from a motion of a millimetre to the root of a vanishing energy.
     """
@@ -208,7 +208,7 @@ UNTOUCHED: Final = HoldAccount(Branch.FREE.value, 0.0, 0.0, 0.0, 0.0)
 
 @dataclass(slots=True)
 class Storage:
-    """Rendered state of one environment with its velocity and energy, and the state of the continuous environment."""
+    """Rendered state of an environment, its velocity and energy, and the state of the continuous environment."""
 
     zone: int = 0  # of contact, 0 out of contact
     true: float = 0.0  # state of the continuous environment [m or rad]
@@ -218,7 +218,7 @@ class Storage:
 
 
 def empty(storage: Storage) -> None:
-    """Deadlock the storage: no energy, no velocity, and no torque until the user pushes inward."""
+    """Empty the storage: no energy, no velocity, and so no torque until the user pushes inward (deadlock)."""
     storage.state = storage.velocity = storage.h_s = 0.0
 
 
@@ -228,7 +228,7 @@ def is_deadlocked(storage: Storage) -> bool:
 
 
 def follow(environment: Environment, storage: Storage, position: float, displacement: float, elapsed: float) -> bool:
-    """Update contact zone and true state over a hold of given time [s]; return whether the zone changed in it."""
+    """Update contact zone and true state to the end of a hold of `elapsed` [s]; return whether the zone changed."""
     zone = environment.contact(position)
     changed = zone != storage.zone
     storage.zone = zone
@@ -239,7 +239,7 @@ def follow(environment: Environment, storage: Storage, position: float, displace
 
 
 def pushed_inward(environment: Environment, storage: Storage, displacement: float) -> bool:
-    """Return whether the motion [m or rad] stores energy, or the environment has no effort to store it with."""
+    """Return whether the motion [m or rad] is against the environment's torque or, if that is 0, not zero."""
     effort = environment.effort(storage.true)
     return effort * displacement > 0.0 or (effort == 0.0 and displacement != 0.0)
 
@@ -250,12 +250,12 @@ def entered_by(environment: Environment, storage: Storage, displacement: float) 
 
 
 def start(environment: Environment, storage: Storage, change: float, elapsed: float, h_m: float) -> HoldAccount:
-    """Start a contact to first order (eq. 14): set the state to the true one, and create the energy for it.
+    """Start a contact to first order (eq. 14): set the state to the true one, and book the energy missing as created.
 
     Args:
         environment: The rendered environment.
         storage: Storage; its state is updated.
-        change: State change from which the velocity is taken [m or rad].
+        change: State change from which the velocity is computed [m or rad].
         elapsed: Time of the hold [s].
         h_m: Energy received in this hold [J].
     """
@@ -278,7 +278,7 @@ def move(
         elapsed: Time of the hold [s].
         h_r: Energy that the damper dissipates in this change [J].
         h_m: Energy received [J].
-        limited: Whether the change may take up less than was received; the remainder leaks.
+        limited: Whether the change may absorb less energy than was received; the remainder is booked as leak.
     """
     before = storage.h_s
     moved = storage.state + change
@@ -292,13 +292,13 @@ def move(
 def approximate(
     environment: Environment, storage: Storage, elapsed: float, dissipation: float, h_m: float
 ) -> HoldAccount:
-    """Dissipate a given energy, as far as it is available, and set the state of the remaining energy (eqs. 6, 7, 18).
+    """Dissipate a given energy, as far as it is available, and set the state that stores the rest (eqs. 6, 7, 18).
 
     Args:
         environment: The rendered environment.
         storage: Storage; its state is updated.
         elapsed: Time of the hold [s].
-        dissipation: T d v^2 with the velocity inside the torque of this hold [J].
+        dissipation: Energy to dissipate: T d v^2, with d v the damper's part of the applied torque [J].
         h_m: Energy received [J].
     """
     available = storage.h_s + h_m
@@ -315,7 +315,7 @@ def approximate(
 
 
 def relax(environment: Environment, storage: Storage, state: float, h_s: float, elapsed: float, h_r: float) -> float:
-    """Store a state and its energy after one hold of relaxation; return h_r with the relaxation's dissipation [J]."""
+    """Relax a state over one hold, and store it with its energy; return h_r plus the energy so dissipated [J]."""
     if environment.relaxes:
         strained = h_s
         state = environment.relaxed(state, elapsed)
@@ -326,13 +326,13 @@ def relax(environment: Environment, storage: Storage, state: float, h_s: float, 
 
 
 def rest_of(available: float, used: float) -> float:
-    """Return the remainder of an energy [J]; rounding errors count as 0."""
+    """Return the available energy less the used energy [J]; 0 if that is negative or a rounding error."""
     rest = available - used
     return rest if rest > _ROUNDING * available else 0.0
 
 
 def leave(storage: Storage, account: HoldAccount) -> HoldAccount:
-    """Return the account of a contact's last hold as an exit, in which all stored energy is leaked."""
+    """Empty the storage at the end of a contact; return the last hold's account, with the stored energy as leak."""
     _, h_r, gen, deficit, leak = account
     leak += storage.h_s
     empty(storage)
@@ -340,7 +340,7 @@ def leave(storage: Storage, account: HoldAccount) -> HoldAccount:
 
 
 class StoredModelParameters(DamperVelocity):
-    """Parameters of an algorithm with a stored state: velocity of the damper, and recovery of the surplus."""
+    """Parameters of an algorithm whose storage has a state of its own: damper velocity, and removal of the surplus."""
 
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
@@ -348,7 +348,7 @@ class StoredModelParameters(DamperVelocity):
 
 @dataclass(frozen=True, slots=True)
 class StoredModelSettings:
-    """Constants of an algorithm with a stored state during a run."""
+    """Constants, during a run, of an algorithm whose storage has a state of its own."""
 
     given: Any  # parameters of the algorithm; a kernel reads their numbers alone
     cap: float  # of the damping [N*s/m or N*m*s/rad]
@@ -360,7 +360,7 @@ class StoredModelSettings:
 
 @dataclass(slots=True)
 class StoredModelState:
-    """State of an algorithm with a stored state, kept from SYNC to SYNC; an algorithm adds its own fields."""
+    """State, from SYNC to SYNC, of an algorithm whose storage has a state of its own; an algorithm adds its fields."""
 
     axis: stepped.Axis = field(default_factory=stepped.Axis)
     storage: Storage = field(default_factory=Storage)
@@ -373,10 +373,10 @@ StoredModelRun: TypeAlias = Run[StoredModelSettings, Any, stepped.HoldMemory]
 def stored_model_settings(
     environment: Environment, parameters: StoredModelParameters, loop: LoopProperties
 ) -> StoredModelSettings:
-    """Return the constants of an algorithm with a stored state.
+    """Return the constants of an algorithm whose storage has a state of its own.
 
     Raises:
-        ParameterError: A windowed velocity without an encoder count.
+        ParameterError: `velocity` is `windowed`, but the encoder count is not declared.
     """
     cap = damping_cap(loop.delay, loop.moving_mass, loop.sample_time)
     stiffness = environment.linear_stiffness
@@ -391,12 +391,12 @@ def stored_model_settings(
 
 
 def dissipation(settings: StoredModelSettings, hold: Hold) -> float:
-    """Return T d v^2 of a hold with the velocity inside the torque that was applied in it [J] (eqs. 6, 18)."""
+    """Return the damper's dissipation in a hold, T d v^2, with d v its part of the applied torque [J] (eqs. 6, 18)."""
     return hold.elapsed * (hold.damper * hold.damper) / settings.damping if settings.damping != 0.0 else 0.0
 
 
 def step(environment: Environment, run: StoredModelRun, position: float, torque_applied: float) -> EnergyBalance:
-    """Account for the hold that ended; see `Controller.step`."""
+    """Book the hold that ended, and compute the next torque; see `Controller.step`."""
     settings, state, memory = run.settings, run.state, run.memory.axis
     axis, storage = state.axis, state.storage
     if not axis.started:
@@ -416,13 +416,13 @@ def step(environment: Environment, run: StoredModelRun, position: float, torque_
 
 
 def close(environment: Environment, run: StoredModelRun, hold: Hold, account: HoldAccount) -> EnergyBalance:
-    """Send spring, damper and the modulated damper of eq. 19, and return the balance of the hold.
+    """Queue a command of spring, damper and modulated damper (eq. 19), and return the balance of the hold that ended.
 
     Args:
         environment: The rendered environment.
-        run: Run of the algorithm, its storage after the hold.
-        hold: The hold as it was opened.
-        account: Account of the hold by the algorithm.
+        run: Run of the algorithm; its storage is already updated to the end of the hold.
+        hold: The hold that ended, from `open_hold`.
+        account: Energies of the hold as the algorithm booked them.
     """
     settings, storage = run.settings, run.state.storage
     state, h_s = storage.state, storage.h_s
@@ -458,7 +458,7 @@ class InternalDissipationState(StoredModelState):
 def touch(
     environment: Environment, settings: StoredModelSettings, state: InternalDissipationState, hold: Hold, entered: bool
 ) -> HoldAccount:
-    """Account for a hold that ended in contact.
+    """Update the storage after a hold that ended in contact; return the energies of the hold.
 
     After a start no torque acts until `delay` more holds have ended. Until then no energy can be exchanged, and the
     first-order approximation continues.
@@ -475,7 +475,7 @@ def touch(
 
 
 def exchange(environment: Environment, settings: StoredModelSettings, storage: Storage, hold: Hold) -> HoldAccount:
-    """Change the state by the solution of eq. 8, or by eq. 18 if there is none; return the account of the hold."""
+    """Update the state by the solution of eq. 8, or by eq. 18 if there is none; return the energies of the hold."""
     damper, h_m = hold.damper, hold.h_i - hold.h_pas
     change = solve(environment, settings, storage, hold.displacement, damper, h_m)
     if damper * change < 0.0:
@@ -496,7 +496,7 @@ def solve(
     environment: Environment, settings: StoredModelSettings, storage: Storage, displacement: float, damper: float,
     h_m: float,
 ) -> float:  # fmt: skip
-    """Return the state change of eq. 8 [m or rad], or NaN (eq. 17)."""
+    """Return the state change that solves eq. 8 [m or rad]; NaN if there is no real solution (eq. 17)."""
     if settings.is_linear:
         stiffness = settings.stiffness
         return solve_balance(stiffness, stiffness * storage.state + damper, h_m, displacement)

@@ -1,10 +1,10 @@
 """`passivity_observer`: passivity observer and controller (PO/PC) of ref. [9] in exact sampled form.
 
 The observer sums the interaction energy (eq. 2), which is exact for a held torque and needs no velocity estimate.
-While the sum is negative, so that more energy came out than went in, the passivity controller adds a damper that would
-recover the shortfall in one hold like the last. It enforces eq. 3, but not the dissipation of the model (eq. 4): as
-sec. II of the paper says, a spring and damper that creates energy may feel like a spring alone before the controller
-acts.
+While the sum is negative, so that more energy came out than went in, the passivity controller adds a damper that
+recovers the shortfall if the next displacement equals the last. It enforces eq. 3, but not the dissipation of the model
+(eq. 4): as sec. II of the paper says, a spring and damper that creates energy may feel like a spring alone before the
+controller acts.
 """
 
 from dataclasses import dataclass, field
@@ -24,7 +24,7 @@ from canhaptic.units import quantity
 
 
 class PassivityObserverParameters(DamperVelocity):
-    """Velocity of the damper, and the limit of the passivity controller."""
+    """Velocity estimate of the model's damper, and largest damping of the passivity controller."""
 
     damping_limit: Annotated[float, quantity("N*s/m", "N*m*s/rad", gt=0.0)] | None = None
     """Largest damping of the passivity controller. None: the cap by moving mass, delay and sample time. One of the two
@@ -41,7 +41,7 @@ class ObserverState(unprotected.SampledState):
 def observer_settings(
     algorithm: str, environment: Environment, parameters: PassivityObserverParameters, loop: LoopProperties
 ) -> unprotected.SampledSettings[Any]:
-    """Return the constants of a run of an algorithm with a passivity controller, with the limit of its damping.
+    """Return the constants of an algorithm with a passivity controller, the limit of its damping included.
 
     Raises:
         ParameterError: Neither `damping_limit` nor the moving mass is known.
@@ -59,7 +59,7 @@ def observer_settings(
 
 
 def respond(run: unprotected.SampledRun[PassivityObserverParameters, ObserverState], hold: Hold, asked: Asked) -> Reply:
-    """Add a damper while more energy came out than went in."""
+    """Return the model's efforts, with a damper added while more energy came out than went in."""
     observed = add(run.state.observed, hold.h_i)
     extra = controlling_damping(run.settings.limit, observed, hold) if asked.touches else 0.0
     effort = extra * hold.displacement / hold.elapsed
@@ -67,7 +67,7 @@ def respond(run: unprotected.SampledRun[PassivityObserverParameters, ObserverSta
 
 
 def controlling_damping(limit: float, missing: float, hold: Hold) -> float:
-    """Return the damping [N*s/m or N*m*s/rad] that recovers an energy shortfall [J] in one hold like the last."""
+    """Return the damping [N*s/m or N*m*s/rad] that recovers a negative energy sum in one more hold like the last."""
     displacement = hold.displacement
     if missing >= 0.0 or displacement == 0.0:
         return 0.0
@@ -75,7 +75,7 @@ def controlling_damping(limit: float, missing: float, hold: Hold) -> float:
 
 
 class PassivityObserver(SteppedController):
-    """Time-domain passivity control around the sampled environment."""
+    """Controller that adds time-domain passivity control to the sampled environment."""
 
     parameters_type = PassivityObserverParameters
     kernel = unprotected.sampled_kernel(respond, ObserverState, partial(observer_settings, "passivity_observer"))

@@ -1,9 +1,9 @@
-"""Common parts of passivity algorithms: a kernel with its state in the cycle, queued commands, account of one hold.
+"""Common parts of one-axis passivity algorithms: the controller that steps a kernel, queued commands, energy of a hold.
 
 With a delay of n samples, n + 1 commands are queued when a new one is computed (a synchronous RPDO delays by one).
-The damper and modulated efforts of a command are stored with it, so that each hold is booked with the efforts inside
-the torque that was applied in it. Booked with the newest efforts instead, the velocity of the paper's algorithm has a
-pole at -1.618 for a delay of one sample.
+The damper and modulated efforts of a command are stored with it, so that each hold is booked with those parts of the
+torque that was applied in it. If it were booked with the newest efforts instead, the velocity of the paper's algorithm
+would have a pole at -1.618 for a delay of one sample.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from canhaptic.kernels import Buffer, Kernel, MakeBuffer, Run, list_of_zeros, ne
 from canhaptic.units import Parameters
 
 _WHOLE: Final = 2.0**53
-"""Floating-point numbers from here on are whole."""
+"""From this size on, every floating-point number is whole."""
 
 
 class Commands(NamedTuple):
@@ -36,7 +36,7 @@ class Commands(NamedTuple):
 
 
 def send(commands: Commands, oldest: int, torque: float, damper: float, modulated: float) -> int:
-    """Replace the command whose hold ended by a new one; return the index of the oldest command left."""
+    """Queue a command in place of the one whose hold ended; return the index of the command whose hold ends next."""
     commands.torques[oldest] = torque
     commands.dampers[oldest] = damper
     commands.modulated[oldest] = modulated
@@ -45,18 +45,18 @@ def send(commands: Commands, oldest: int, torque: float, damper: float, modulate
 
 
 def repeat(commands: Commands, oldest: int) -> int:
-    """Queue the last command again, as the drive repeats it without a new one; return the index like `send`."""
+    """Queue the newest command again, because a drive without a new one repeats it; return the index as `send` does."""
     newest = oldest - 1
     return send(commands, oldest, commands.torques[newest], commands.dampers[newest], commands.modulated[newest])
 
 
 def clipped(torque: float, torque_limit: float) -> float:
-    """Return a sent torque, clipped to the limit of limiter and drive [N or N*m]."""
+    """Return a torque, clipped to the largest size that limiter and drive let act [N or N*m]."""
     return min(max(torque, -torque_limit), torque_limit)
 
 
 def towards_zero(torque: float, quantum: float) -> float:
-    """Return a torque rounded towards 0 to the quanta of a drive [N or N*m]; a quantum of 0 is ideal."""
+    """Return a torque rounded towards 0 to a multiple of the drive's quantum [N or N*m]; a quantum of 0 is ideal."""
     if quantum == 0.0:
         return torque
     steps = torque / quantum
@@ -64,9 +64,9 @@ def towards_zero(torque: float, quantum: float) -> float:
 
 
 def efforts_inside(commands: Commands, oldest: int, torque_applied: float) -> tuple[float, float]:
-    """Return the damper and modulated efforts inside the torque that was applied in the hold that ended [N or N*m].
+    """Return the parts of the applied torque that are due to damper and modulated damper [N or N*m].
 
-    A clipped torque scales both in proportion.
+    If less than the sent torque was applied, both parts are reduced in proportion.
     """
     torque, damper, modulated = commands.torques[oldest], commands.dampers[oldest], commands.modulated[oldest]
     if torque_applied != torque and (damper != 0.0 or modulated != 0.0):
@@ -78,14 +78,14 @@ def efforts_inside(commands: Commands, oldest: int, torque_applied: float) -> tu
 def settle(
     h_s: float, surplus: float, lost: float, ceiling: float, slack: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Return (h_s, surplus, h_r, deficit, leak, paid) after a hold [J].
+    """Book dissipation, deficit and leak of a hold; return (h_s, surplus, h_r, deficit, leak, paid) [J].
 
     Args:
         h_s: Stored energy with the energy of the hold; below 0 it is a deficit.
         surplus: Energy still to be dissipated.
         lost: Energy that the model dissipates; negative values count as 0.
         ceiling: Energy that the model stores at its true state; the stored energy is limited to it.
-        slack: Part of `h_s` that the certificates of the queued torques do not need; the rest must be kept.
+        slack: Part of `h_s` that the certificates of the queued torques do not need, so that it may be removed.
     """
     h_r = deficit = leak = paid = 0.0
     if lost > 0.0 and slack > 0.0:
@@ -164,22 +164,22 @@ class SteppedController:
         )
 
     def _command_unseen(self) -> float:
-        """Return the command of a SYNC without a sample: the last one."""
+        """Count a lost sample, and return the command of its SYNC: the last command again."""
         self._axis.missed += 1
         return self._last.torque
 
     def lasted(self, periods: float) -> None:
-        """Set the length of the hold that ends at the next `step` [sample times]: more than 1 after skipped SYNCs."""
+        """Lengthen the hold that ends at the next `step` to `periods` sample times, because SYNCs were skipped."""
         self._axis.lasted += periods - 1.0
 
     def withhold(self) -> None:
-        """Replace the command of the last `step` by no torque, because a dry run does not send it."""
+        """Replace the command of the last `step` by zero torque in the queue, because a dry run does not send it."""
         commands = getattr(getattr(self._memory, "axis", None), "commands", None)
         if commands is not None:  # own code may keep none
             send(commands, self._axis.oldest - 1, 0.0, 0.0, 0.0)
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Account for the hold that ended; see `Controller.step`."""
+        """Book the hold that ended, and compute the next torque; see `Controller.step`."""
         if not isfinite(position - self._axis.position + torque_applied):
             effort, command, sensors, _ = self.wording
             self.reset()
@@ -201,7 +201,7 @@ class SteppedController:
 
 @dataclass(frozen=True, slots=True)
 class HoldSettings:
-    """Constants of the account of a hold."""
+    """Constants for booking the energy of a hold."""
 
     sample_time: float  # [s]
     delay: int  # whole holds between computation and action
@@ -213,7 +213,7 @@ class HoldSettings:
 
 @dataclass(slots=True)
 class Axis:
-    """Surplus, position and commands of one axis between two SYNCs."""
+    """State of one axis between two SYNCs: position, surplus energy, lost samples, place in the command queue."""
 
     started: bool = False
     position: float = 0.0  # [m or rad]
@@ -226,14 +226,14 @@ class Axis:
 
 
 class AxisMemory(NamedTuple):
-    """Buffers of one axis: window of the velocity, and queued commands."""
+    """Buffers of one axis: window of the velocity estimate, and queued commands."""
 
     samples: Buffer  # of the velocity's window [m or rad]
     commands: Commands
 
 
 class Hold(NamedTuple):
-    """One completed hold; the efforts are parts of the applied torque."""
+    """One completed hold: motion, energy and the parts of the torque applied in it."""
 
     displacement: float  # [m or rad]
     damper: float  # effort of the model's damper [N or N*m]
@@ -246,7 +246,7 @@ class Hold(NamedTuple):
 
 
 class HoldAccount(NamedTuple):
-    """Account of one hold by an algorithm; energies in [J]."""
+    """Energies of one hold as an algorithm books them [J], by the names of `EnergyBalance`."""
 
     branch: int
     h_r: float
@@ -256,10 +256,10 @@ class HoldAccount(NamedTuple):
 
 
 def hold_settings(parameters: DamperVelocity, loop: LoopProperties, certificate: Certificate) -> HoldSettings:
-    """Return the constants of the account of every hold of a run.
+    """Return the constants for booking the energy of a run's holds.
 
     Raises:
-        ParameterError: A windowed velocity without an encoder count.
+        ParameterError: `velocity` is `windowed`, but the encoder count is not declared.
     """
     tolerance = parameters.window_tolerance(loop.encoder_count)
     longest = parameters.longest_window(loop.sample_time) if tolerance else 0
@@ -268,10 +268,10 @@ def hold_settings(parameters: DamperVelocity, loop: LoopProperties, certificate:
 
 
 def axis_memory(delay: int, longest_window: int, make_buffer: MakeBuffer) -> AxisMemory:
-    """Return the buffers of one axis: window of the velocity, and queued commands.
+    """Return the buffers of one axis: window of the velocity estimate, and queued commands.
 
     Args:
-        delay: Whole holds between computation and action.
+        delay: Whole holds from the computation of a torque to the hold in which it acts.
         longest_window: Longest window of the velocity, in samples; 0 without one.
         make_buffer: Constructor of a buffer, list or array.
     """
@@ -281,31 +281,31 @@ def axis_memory(delay: int, longest_window: int, make_buffer: MakeBuffer) -> Axi
 
 
 class HoldMemory(NamedTuple):
-    """Buffers of one axis, and of its algorithm."""
+    """Buffers of one axis, and the buffer of its algorithm."""
 
     axis: AxisMemory
     own: Buffer  # of the algorithm
 
 
 def hold_memory(settings: Any, make_buffer: MakeBuffer, own: int = 0) -> HoldMemory:
-    """Return the buffers of one axis, by `settings.hold`, and one of length `own` for its algorithm."""
+    """Return the buffers of one axis, sized by `settings.hold`, and one of length `own` for its algorithm."""
     axis = axis_memory(settings.hold.delay, settings.hold.longest_window, make_buffer)
     return HoldMemory(axis, make_buffer(own))
 
 
 def begin(axis: Axis, memory: AxisMemory, position: float) -> None:
-    """Start an axis at its first position [m or rad]."""
+    """Set an axis to its first position [m or rad], with no surplus energy and no lost samples."""
     axis.started, axis.position, axis.missed, axis.lasted, axis.h_dis = True, position, 0, 1.0, 0.0
     if len(memory.samples) > 0:
         restart(axis.window, memory.samples, position)
 
 
 def open_hold(settings: HoldSettings, axis: Axis, memory: AxisMemory, position: float, torque_applied: float) -> Hold:
-    """Move an axis to the position at a SYNC, and return the hold that ended there.
+    """Compute motion and interaction energy of the hold that ended at a SYNC, and store the new position.
 
     Args:
         settings: Constants of the run.
-        axis: The axis; changed.
+        axis: State of the axis; changed.
         memory: Buffers of the axis.
         position: Position at the end of the hold [m or rad].
         torque_applied: Torque applied in the hold [N or N*m].
@@ -330,11 +330,11 @@ def open_hold(settings: HoldSettings, axis: Axis, memory: AxisMemory, position: 
 def let_samples_pass(
     axis: Axis, commands: Commands, displacement: float, torque_applied: float, torque_limit: float
 ) -> float:
-    """Account for lost samples; return the largest error of torque applied times displacement [J].
+    """Advance the command queue over lost samples; return the largest error of the energy booked for these holds [J].
 
-    The axis may have moved out and back within the holds, so that its excursion exceeds the displacement. It is taken
-    as the displacement plus the motion of the hold before, once for every lost hold. While SYNCs were skipped, any
-    torque of the gap may have acted.
+    Booked is one torque times one displacement for all of them. But the axis may have moved out and back, so that its
+    excursion exceeds the displacement. The excursion is assumed to be the displacement plus the motion of the hold
+    before, once for every lost hold. While SYNCs were skipped, any torque of the gap may have acted.
 
     Args:
         axis: The axis; its count of missing samples is cleared.
@@ -358,12 +358,12 @@ def close_hold(
     run: Run[Any, Any, HoldMemory], hold: Hold, account: HoldAccount, efforts: tuple[float, float, float],
     rendered: float, state: float, h_s: float,
 ) -> EnergyBalance:  # fmt: skip
-    """Queue a command of given efforts (spring, damper, modulated) and return the balance of the hold.
+    """Queue a command of given efforts (spring, damper, modulated) and return the balance of the hold that ended.
 
     Args:
         run: Run of the algorithm; surplus and commands of its axis are updated.
-        hold: The hold as it was opened.
-        account: Account of the hold by the algorithm.
+        hold: The hold that ended, from `open_hold`.
+        account: Energies of the hold as the algorithm booked them.
         efforts: Parts of the command [N or N*m].
         rendered: Total damping inside the command [N*s/m or N*m*s/rad].
         state: Displacement of the storage [m or rad].
@@ -384,7 +384,7 @@ def close_hold(
 
 
 def surplus_after(axis: Axis, hold: Hold, account: HoldAccount) -> tuple[float, float]:
-    """Return the surplus after a hold, and the part of the leak that reduced it [J]."""
+    """Return the surplus energy after a hold, and the part of the hold's leak that reduced it [J]."""
     _, _, gen, deficit, leak = account
     surplus = axis.h_dis + gen + deficit - hold.h_pas
     paid = min(leak, surplus) if leak > 0.0 and surplus > 0.0 else 0.0

@@ -1,8 +1,8 @@
-"""`unprotected`: the sampled environment without protection, and the step of every algorithm that modifies it.
+"""`unprotected`: the sampled environment without protection, and the step of every algorithm that modifies its efforts.
 
 State and velocity of the model come directly from the position, as in most haptic loops, and sampling creates energy.
-It is booked as `gen`, energy lost by sampling as `leak`, so that the account is balanced. Other algorithms change the
-efforts of this model. Each consists of a parameter model, a state beyond the common one of an axis, and one function
+Energy created is booked as `gen`, energy lost as `leak`, so that the account is balanced. Other algorithms change the
+efforts of this model. Each consists of a parameter model, a state in addition to that of the axis, and one function
 `respond`, from which `sampled_kernel` makes the kernel::
 
     class Limp(SteppedController):
@@ -38,7 +38,7 @@ class SampledModel:
 
 
 class Asked(NamedTuple):
-    """Result of the sampled environment for one hold, and the efforts it requests for the next."""
+    """Dissipation of the sampled environment in one hold, and the efforts that it requests for the next."""
 
     branch: int
     h_r: float  # [J]
@@ -49,13 +49,15 @@ class Asked(NamedTuple):
 
 
 def follow(environment: Environment, model: SampledModel, position: float, hold: Hold) -> Asked:
-    """Move the true state over one hold; return the dissipation and the efforts for the next. `settle` must follow.
+    """Update the true state to the end of a hold; return the dissipation in it and the efforts for the next hold.
+
+    Call `settle` afterwards.
 
     Args:
         environment: The sampled environment.
         model: Model; its true state is updated.
         position: Position at the end of the hold [m or rad].
-        hold: The hold as it was opened.
+        hold: The hold that ended, from `open_hold`.
     """
     before, displacement, damper = model.true, hold.displacement, hold.damper
     zone, zone_before = environment.contact(position), model.zone
@@ -82,12 +84,12 @@ def follow(environment: Environment, model: SampledModel, position: float, hold:
 
 
 def settle(environment: Environment, model: SampledModel, share: float, h_m: float, h_r: float) -> tuple[float, float]:
-    """Store the state that is rendered and close the account; return (gen, leak) [J].
+    """Set the rendered state and its energy; return the energy that sampling created or lost, (gen, leak) [J].
 
     Args:
         environment: The sampled environment.
         model: Model; its rendered state is updated.
-        share: Part of the model's effort that is rendered in the next hold, 0..1.
+        share: Rendered state over true state, 0..1.
         h_m: Energy the model received in this hold [J].
         h_r: Energy dissipated in it [J].
     """
@@ -100,7 +102,7 @@ def settle(environment: Environment, model: SampledModel, share: float, h_m: flo
 
 @dataclass(frozen=True, slots=True)
 class SampledSettings(Generic[GivenT]):
-    """Constants of an algorithm that samples its environment, during a run."""
+    """Constants, during a run, of an algorithm that modifies the efforts of the sampled environment."""
 
     given: GivenT  # parameters of the algorithm; a kernel reads their numbers alone
     limit: float  # of the damping or force that the algorithm adds; infinite: none
@@ -109,7 +111,7 @@ class SampledSettings(Generic[GivenT]):
 
 @dataclass(slots=True)
 class SampledState:
-    """State of a sampled environment, kept from SYNC to SYNC; an algorithm adds its own fields."""
+    """State of axis and sampled environment, kept from SYNC to SYNC; an algorithm adds its own fields."""
 
     axis: Axis = field(default_factory=Axis)
     model: SampledModel = field(default_factory=SampledModel)
@@ -120,7 +122,7 @@ SampledRun: TypeAlias = Run[SampledSettings[GivenT], StateT, stepped.HoldMemory]
 
 
 class Reply(NamedTuple):
-    """Answer of an algorithm to the model's efforts: the efforts of the next command."""
+    """Efforts of the next command, after an algorithm has modified those of the model."""
 
     stored: float  # share of the model's state whose energy counts as stored, 0..1
     spring: float  # [N or N*m]
@@ -132,10 +134,10 @@ class Reply(NamedTuple):
 def sampled_settings(
     environment: Environment, parameters: DamperVelocity, loop: LoopProperties, limit: float = inf
 ) -> SampledSettings[Any]:
-    """Return the constants of an algorithm that samples its environment.
+    """Return the constants of an algorithm that modifies the efforts of the sampled environment.
 
     Raises:
-        ParameterError: A windowed velocity without an encoder count.
+        ParameterError: `velocity` is `windowed`, but the encoder count is not declared.
     """
     return SampledSettings(plain(parameters), limit, stepped.hold_settings(parameters, loop, Certificate.NONE))
 
@@ -151,7 +153,7 @@ def respond(run: SampledRun[Any, Any], hold: Hold, asked: Asked) -> Reply:
 def step(
     environment: Environment, run: SampledRun[Any, SampledState], position: float, torque_applied: float
 ) -> EnergyBalance:
-    """Account for the hold that ended; see `Controller.step`."""
+    """Book the hold that ended, and compute the next torque; see `Controller.step`."""
     state, memory, settings = run.state, run.memory.axis, run.settings.hold
     axis, model = state.axis, state.model
     if not axis.started:
@@ -174,13 +176,13 @@ def sampled_kernel(
     settings: Callable[..., SampledSettings[Any]] = sampled_settings,
     kept: Callable[[SampledSettings[Any]], int] = lambda _settings: 0,
 ) -> Kernel:
-    """Return the kernel of an algorithm that samples its environment.
+    """Return the kernel of an algorithm that modifies the efforts of the sampled environment.
 
     Args:
         respond_as: Function of the algorithm that replaces `respond`.
         state: Factory of the state at rest.
         settings: (environment, parameters, loop) -> constants of a run.
-        kept: Length of the algorithm's own buffer.
+        kept: Constants of the run -> length of the algorithm's own buffer.
     """
 
     def memory_of(made: SampledSettings[Any], make_buffer: MakeBuffer) -> stepped.HoldMemory:
@@ -190,7 +192,7 @@ def sampled_kernel(
 
 
 class Unprotected(stepped.SteppedController):
-    """The sampled environment without protection: torque = -effort(x) - d v."""
+    """Controller that renders the sampled environment without protection: torque = -effort(x) - d v."""
 
     parameters_type = DamperVelocity
     kernel = sampled_kernel(respond)
