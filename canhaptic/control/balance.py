@@ -50,7 +50,7 @@ class Branch(IntEnum):
 
 
 class Certificate(IntEnum):
-    """Proof of no generated energy that bounded the torque of the next hold, by its number in the logs."""
+    """Proof of passivity (certificate) that bounded the torque of the next hold, by its number in the logs."""
 
     EXACT = 0  # no bound was active
     DEVICE_DAMPING = 1  # by what the device dissipates, in dry friction too: for every hand

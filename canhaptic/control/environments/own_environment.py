@@ -102,7 +102,7 @@ class OwnEnvironment(Everywhere, Parameters):
     def surfaces(self) -> Sequence[float]:
         """Return the positions where contact begins or ends [m or rad], to simulate the continuous environment.
 
-        A class that overrides `contact` or `true_state` must override this as well, or it cannot be simulated so.
+        A class that overrides `contact` or `true_state` must override this as well, or has no continuous reference.
         """
         return () if self.side == "both" else (self.position,)
 
@@ -120,7 +120,7 @@ class OwnEnvironment(Everywhere, Parameters):
         return state if self.side == "both" else kept_on_side(state, true)
 
     def one_way(self, position: float) -> tuple[float, float]:
-        """Return the interval of positions on one side of state 0, where the force does not reverse [m or rad]."""
+        """Return all positions on the same side of state 0 as a position: there the force does not reverse [m or rad]."""
         if position == self.position:
             return position, position
         return (-math.inf, self.position) if position < self.position else (self.position, math.inf)

@@ -15,7 +15,7 @@ account does not cover is not rendered:
 * beyond it, only while moving inward, a damper brings in the missing energy, all of it stored; and a spring whose
   account is short is predicted as if no torque slowed the axis down;
 * the torque stays below what all certificates together permit (`certified_torque`). A certificate is a proof, from
-  declared properties of hand or device, that the torques sent cannot return more energy than the account holds.
+  declared properties of hand or device, that the torques sent keep the promise below.
 
 Energy received beyond what is stored (from a drag in free motion, or a wall left behind), or dissipated by the device,
 is kept for later contacts up to `earned_energy`. From zero energy no torque begins below an inward speed of
@@ -112,7 +112,7 @@ def prediction_settings(loop: LoopProperties, beyond: float) -> PredictionSettin
 
     Args:
         loop: Properties of the loop; if its moving mass is not declared, the prediction ignores the torques.
-        beyond: Time to predict beyond the hold of the last queued torque [holds].
+        beyond: Time to predict after the holds of the queued torques [holds].
     """
     mass, noise = loop.moving_mass, _COUNTS * loop.encoder_count
     if mass is None:

@@ -112,7 +112,7 @@ def gain(environment: Environment, old: Balance, change: float) -> float:
 
 
 def slope(environment: Environment, old: Balance, change: float) -> float:
-    """Return the derivative of `gain` by the state change [N or N*m]."""
+    """Return the derivative of `gain` with respect to the state change [N or N*m]."""
     return environment.effort(old.state + change) + old.damper
 
 
