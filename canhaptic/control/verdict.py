@@ -178,7 +178,7 @@ def passive_verdict(
     has_open_hold: bool = False, allowance: float = 0.0, is_estimated: bool = False, certain: float | None = None,
     books_least: bool = False,
 ) -> tuple[Verdict, str]:  # fmt: skip
-    """Return whether the sum of energy received stayed at or above minus the allowance, with the reason; see the module.
+    """Return whether a sum of energy received stayed at or above minus the allowance, with the reason.
 
     Args:
         least: Least value of the sum after any hold, as booked [J].

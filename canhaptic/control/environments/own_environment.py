@@ -120,7 +120,7 @@ class OwnEnvironment(Everywhere, Parameters):
         return state if self.side == "both" else kept_on_side(state, true)
 
     def one_way(self, position: float) -> tuple[float, float]:
-        """Return all positions on the same side of state 0 as a position: there the force does not reverse [m or rad]."""
+        """Return the interval on a position's side of state 0, in which the force does not reverse [m or rad]."""
         if position == self.position:
             return position, position
         return (-math.inf, self.position) if position < self.position else (self.position, math.inf)
