@@ -22,7 +22,7 @@ DISPLAY_ENVIRONMENTS: Final[dict[str, str]] = {
     "virtual_mass": f"{_HERE}.admittance_environment:AdmittanceMass",
     "cup_and_ball": f"{_HERE}.cup_and_ball:CupAndBall",
 }
-"""Name in a scene -> "module:Class"; the class is the parameter model and the environment in one."""
+"""Environments of one display: name in a scene -> "module:Class", which is parameter model and environment in one."""
 
 DISPLAY_ALGORITHMS: Final[dict[str, str]] = {
     "unprotected": f"{_HERE}.unprotected_admittance:UnprotectedAdmittance",
@@ -32,7 +32,10 @@ DISPLAY_ALGORITHMS: Final[dict[str, str]] = {
     "ultimately_passive": f"{_RIVALS}.ultimately_passive_admittance:UltimatelyPassiveAdmittance",
     "guarded": f"{_HERE}.guarded_admittance:GuardedAdmittance",
 }
-"""Name in a scene -> "module:Class". Every class has `parameters_type` and takes (environment, parameters, loop)."""
+"""Algorithms of one display: name in a scene -> "module:Class".
+
+Every class has `parameters_type` and takes (environment, parameters, loop).
+"""
 
 
 DISPLAY_NETWORKS: Final[dict[str, str]] = {
@@ -40,7 +43,7 @@ DISPLAY_NETWORKS: Final[dict[str, str]] = {
     "guided_path": f"{_HERE}.group_environment:PathMass",
     "cup_and_ball": f"{_HERE}.group_environment:GroupCupAndBall",
 }
-"""Environments of several displays, in the same form."""
+"""Environments that several displays render together, in the form of `DISPLAY_ENVIRONMENTS`."""
 
 DISPLAY_GROUP_ALGORITHMS: Final[dict[str, str]] = {
     "unprotected": f"{_HERE}.admittance_group:UnprotectedAdmittanceGroup",
@@ -48,7 +51,10 @@ DISPLAY_GROUP_ALGORITHMS: Final[dict[str, str]] = {
     "energy_tank": f"{_RIVALS}.tank_admittance:TankAdmittanceGroup",
     "guarded": f"{_HERE}.admittance_group:GuardedAdmittanceGroup",
 }
-"""Algorithms for several displays, in the same form; a class takes (environment, parameters, properties of each)."""
+"""Algorithms of several displays, in the form of `DISPLAY_ALGORITHMS`.
+
+A class takes (environment, parameters, properties of each display).
+"""
 
 
 def build_display_controller(
@@ -59,7 +65,7 @@ def build_display_controller(
     Args:
         environment: Environment to render.
         algorithm_name: A name of `DISPLAY_ALGORITHMS`.
-        parameters: The algorithm's own `parameters_type`; None for its defaults.
+        parameters: Instance of the algorithm's `parameters_type`; None for its defaults.
         properties: Declared properties of loop, sensor and limits.
 
     Raises:
@@ -74,12 +80,12 @@ def build_display_group(
     environment: Any, algorithm_name: str, parameters: "Parameters", properties: "Sequence[AdmittanceProperties]",
     kinematics: "Kinematics | None" = None,
 ) -> "GroupController":  # fmt: skip
-    """Return the controller of several admittance displays with one account, at rest.
+    """Return the controller of several admittance displays with a common energy account, at rest.
 
     Args:
         environment: Environment to render, a class of `DISPLAY_NETWORKS`.
         algorithm_name: A name of `DISPLAY_GROUP_ALGORITHMS`.
-        parameters: The algorithm's own `parameters_type`.
+        parameters: Instance of the algorithm's `parameters_type`.
         properties: Declared properties of each axis.
         kinematics: Map between the axes and task space; None if the axes are the task coordinates.
 

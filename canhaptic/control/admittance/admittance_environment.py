@@ -1,4 +1,4 @@
-"""Environments of an admittance display, the axis on which one is rendered, and the base of its controllers.
+"""Environments of one admittance display, the axis that renders them, and the base class of its controllers.
 
 An environment answers a force with a velocity; its walls limit the position. Commands change at SYNCs only. An
 environment with its own states follows the command that was sent, which limits and certificates may have reduced.
@@ -32,7 +32,7 @@ class AdmittanceEnvironment(Parameters):
 
     display: ClassVar[Literal["admittance"]] = "admittance"
     states: ClassVar[int] = 0
-    """Number of states kept from SYNC to SYNC: the list `inner` of its methods, initially 0."""
+    """Number of internal states kept from SYNC to SYNC; in the methods they are the list `inner`, initially 0."""
 
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """Damping to ground."""
@@ -65,7 +65,7 @@ class AdmittanceEnvironment(Parameters):
         raise NotImplementedError
 
     def go_along(self, inner: Buffer, before: float, speed: float, time: float) -> None:
-        """Advance the states by a hold at a speed; `before` is the speed of the previous hold [m/s or rad/s]."""
+        """Advance the internal states by a hold at a speed; `before` is that of the previous hold [m/s or rad/s]."""
 
     def stored(self, inner: Buffer, speed: float, position: float) -> float:
         """Return the stored energy [J]."""
@@ -77,11 +77,11 @@ class AdmittanceEnvironment(Parameters):
 
 
 _BACK: Final = 0.125
-"""Share of the distance beyond a position limit that a command takes back during one hold plus the drive's lag."""
+"""Fraction of the distance beyond a position limit that a command corrects during one hold plus the drive's lag."""
 
 
 class Commands(list[float]):
-    """Ring buffer of the commands sent [m/s or rad/s].
+    """Ring buffer of the velocity commands sent [m/s or rad/s].
 
     Args:
         kept: Length of the ring buffer.
@@ -103,7 +103,7 @@ class Commands(list[float]):
         self[self.newest] = self.speed = speed
 
     def sent(self, age: int) -> float:
-        """Return a command [m/s or rad/s]; age 0 is the newest."""
+        """Return the command sent `age` SYNCs before the newest [m/s or rad/s]."""
         return self[self.newest - age]
 
 
@@ -127,7 +127,7 @@ class AdmittanceAxis:
         self.port, self.commands = Port(self.properties), Commands(kept)
 
     def begin(self, position: float, force: float) -> None:
-        """Start the account at the first position [m or rad] and force [N or N*m]."""
+        """Start the energy account at the first position [m or rad] and force [N or N*m]."""
         self.port.begin(position, force)
 
     def limited(self, request: float, position: float, velocity: float) -> float:
@@ -156,7 +156,7 @@ class AdmittanceAxis:
         return high if request > high else request
 
     def whole(self, speed: float) -> float:
-        """Round a command towards zero to whole quanta [m/s or rad/s]."""
+        """Round a command towards zero to a multiple of the drive's command resolution [m/s or rad/s]."""
         quantum = self.properties.speed_quantum
         if quantum == 0.0 or speed in (inf, -inf):
             return speed
@@ -175,7 +175,7 @@ class AdmittanceMass(AdmittanceEnvironment):
 
     @property
     def inertia(self) -> float:
-        """The mass [kg or kg*m^2]."""
+        """Virtual mass [kg or kg*m^2]."""
         return self.mass
 
     def speed_after(self, inner: Buffer, speed: float, force: float, position: float, time: float) -> float:
@@ -202,7 +202,7 @@ class AdmittanceMass(AdmittanceEnvironment):
 
 
 class AdmittanceController(SteppedController):
-    """Base class of an admittance algorithm on one axis, which implements `_account`."""
+    """Base class of admittance algorithms on one axis; a subclass implements `_account`."""
 
     _environment: AdmittanceEnvironment
     _display: AdmittanceAxis
@@ -216,7 +216,7 @@ class AdmittanceController(SteppedController):
     def __init__(
         self, environment: AdmittanceEnvironment, parameters: Parameters, properties: AdmittanceProperties
     ) -> None:
-        """Prepare a run with parameters of `parameters_type`.
+        """Set up the controller at rest; `parameters` is an instance of `parameters_type`.
 
         Raises:
             ParameterError: A property that the algorithm needs is unknown.
@@ -237,10 +237,13 @@ class AdmittanceController(SteppedController):
         return AdmittanceAxis(self._environment, self._properties, self._properties.delay + 1)
 
     def _account(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Account for the hold that ended; see `Controller.step`. `torque_applied` is minus the force of the sensor."""
+        """Book the energy of the hold that ended and send the next command; see `Controller.step`.
+
+        `torque_applied` is minus the force of the sensor.
+        """
         raise NotImplementedError
 
     @property
     def energy_resolution(self) -> float:
-        """Uncertainty of the sum of h_i [J]; the account books its lower end."""
+        """Width of the range that contains the energy received so far [J]; the account books its lower end."""
         return 2.0 * self._display.port.doubt

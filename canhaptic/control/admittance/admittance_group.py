@@ -1,4 +1,4 @@
-"""Algorithms for several admittance displays with one account: `unprotected`, `passivity_observer` and `guarded`.
+"""Algorithms for admittance displays with a common energy account: `unprotected`, `passivity_observer` and `guarded`.
 
 Energy that entered at one axis may leave at another. Without a certificate, energy created by sampling, drives and the
 uncertainty of the account is booked as `gen`, energy lost by them as `leak`, as on one axis
@@ -35,7 +35,7 @@ _Axis = TypeVar("_Axis", bound=AdmittanceAxis)
 
 
 class AdmittanceGroup(ABC, Generic[_Axis]):
-    """Base class of a `GroupController` of displays; an algorithm implements `_answer`.
+    """Base class of the controllers (`GroupController`) of several displays; a subclass implements `_answer`.
 
     Args:
         environment: Environment to render.
@@ -67,7 +67,7 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
 
     @abstractmethod
     def _begun(self, environment: AdmittanceEnvironment, properties: AdmittanceProperties) -> _Axis:
-        """Return an axis at rest."""
+        """Return the account and commands of one axis, at rest."""
 
     def reset(self) -> None:
         """Return to the initial state; see `GroupController`."""
@@ -77,7 +77,7 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
 
     @property
     def energy_resolution(self) -> float:
-        """Uncertainty of the sum of h_i of all axes [J]; its lower end is booked."""
+        """Width of the range that contains the energy received on all axes [J]; the account books its lower end."""
         return 2.0 * sum(axis.port.doubt for axis in self._each)
 
     def sample_lost(self) -> GroupBalance:
@@ -92,16 +92,16 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
         return GroupBalance(speeds, AT_REST._replace(h_s=last.h_s, h_dis=last.h_dis, branch=Branch.HELD.value), speeds)
 
     def _own(self) -> _Vector:
-        """Return the speeds of the environment in the last commands [m/s or rad/s]."""
+        """Return the last commands without speeds that the algorithm added to dissipate energy [m/s or rad/s]."""
         return [axis.commands.speed for axis in self._each]
 
     def _miss(self) -> None:
-        """Account for a hold that ended without a sample."""
+        """Update the state for a hold that ended without a sample."""
         for axis in self._each:
             axis.port.missed += 1
 
     def lasted(self, periods: float) -> None:
-        """Count skipped SYNCs as lost samples, during which the commands kept acting."""
+        """Treat skipped SYNCs as lost samples, during which the last commands continued to act."""
         skipped, own = (round(periods) - 1) * self._started, self._own()
         for axis in self._each:
             axis.port.missed += skipped
@@ -109,7 +109,10 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
             self._environment.go_along(self._inner, own, own, self._time)
 
     def step(self, positions: Sequence[float], torques_applied: Sequence[float]) -> GroupBalance:
-        """Account for the hold that ended; see `GroupController`. `torques_applied` are minus the forces."""
+        """Book the hold that ended and send the next commands; see `GroupController`.
+
+        `torques_applied` are minus the forces of the sensors.
+        """
         values = (*positions, *torques_applied)
         if not len(positions) == len(torques_applied) == self.axes or not isfinite(sum(values)):
             self.reset()
@@ -129,11 +132,11 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
 
     @abstractmethod
     def _answer(self, positions: Sequence[float], forces: list[float]) -> GroupBalance:
-        """Book the hold that ended, send the next commands and return the account of both."""
+        """Book the hold that ended, send the next commands and return both with the energy balance."""
 
 
 class UnprotectedAdmittanceGroup(AdmittanceGroup[AdmittanceAxis]):
-    """An environment on several axes without protection."""
+    """Controller that renders an environment on several axes and does nothing to stay passive."""
 
     parameters_type: ClassVar[type[Parameters]] = NothingToChoose
 
@@ -146,7 +149,7 @@ class UnprotectedAdmittanceGroup(AdmittanceGroup[AdmittanceAxis]):
         self._slips, self._energy = [0.0] * self.axes, self._begin()
 
     def _begin(self) -> float:
-        """Return the initial energy of the observer or tank [J]."""
+        """Return the initial energy of a subclass's observer or tank [J]."""
         return 0.0
 
     def _own(self) -> _Vector:
@@ -178,11 +181,11 @@ class UnprotectedAdmittanceGroup(AdmittanceGroup[AdmittanceAxis]):
         """Add the energy of the hold that ended, force times commanded velocity, to the observed energy [J]."""
 
     def _protected(self, request: _Vector, forces: _Vector) -> tuple[_Vector, _Vector]:
-        """Return the speeds of the environment, and additional speeds that dissipate energy [m/s or rad/s]."""
+        """Return the requested speeds, limited by the algorithm, and added speeds that dissipate [m/s or rad/s]."""
         return request, [0.0] * self.axes
 
     def _closed(self, holds: list[BookedHold], h_pas: float, before: _Vector, positions: _Vector) -> GroupBalance:
-        """Return the commands with the account of the hold."""
+        """Return the commands with the energy balance of the hold that ended."""
         environment, energy = self._environment, sum(hold.energy for hold in holds)
         commands = tuple(axis.commands.speed for axis in self._each)
         h_s, h_r = environment.stored(self._inner, self._own(), positions), environment.lost(before, holds[0].elapsed)
@@ -198,7 +201,7 @@ class UnprotectedAdmittanceGroup(AdmittanceGroup[AdmittanceAxis]):
 
 
 class ObservedAdmittanceGroup(UnprotectedAdmittanceGroup):
-    """An unprotected group with a slip along the force while the observed energy is below zero."""
+    """Passivity observer on several axes: adds velocity along the force (slip) while its energy is below zero."""
 
     def _observe(self, energy: float) -> None:
         self._energy += energy
@@ -216,7 +219,7 @@ _CLOSE: Final = 0.999  # of the budget used: near enough
 
 
 class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
-    """An environment on several axes, with the certificate of their velocity loops."""
+    """Controller of an environment on several axes, whose commands the drives' velocity loops certify."""
 
     parameters_type: ClassVar[type[Parameters]] = GuardedAdmittanceParameters
     _parameters: GuardedAdmittanceParameters
@@ -256,7 +259,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         self._let_pass([axis.unseen() for axis in self._each])
 
     def lasted(self, periods: float) -> None:
-        """Account for skipped SYNCs: no command was sent, and the queued ones acted longer."""
+        """Update margin and states for skipped SYNCs: no command was sent, and the queued ones acted longer."""
         skipped = round(periods) - 1
         if not self._started:
             return
@@ -269,7 +272,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         self._watch_limit()
 
     def _let_pass(self, changes: Sequence[float]) -> None:
-        """Account for a hold without a sample, by lower bounds on the change of the margin on each axis [J]."""
+        """Update the margin for a hold without a sample, with a lower bound on its change for each axis [J]."""
         for axis in self._each:
             axis.let_pass()
         self._fall(changes)
@@ -295,7 +298,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         return GroupBalance(commands, account, tuple(hold.energy + apart for hold in holds))
 
     def _take(self, positions: Sequence[float], forces: Sequence[float]) -> tuple[list[BookedHold], float]:
-        """Book the hold that ended on every axis and bring the margin up to date; return (holds, h_i [J])."""
+        """Book the hold that ended on every axis and update the margin; return the holds and received energy [J]."""
         taken = [
             axis.take(position, force) for axis, position, force in zip(self._each, positions, forces, strict=True)
         ]
@@ -315,7 +318,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         return holds, proved - free
 
     def _require_agreement(self, holds: Sequence[BookedHold], forces: Sequence[float], *, is_first: bool) -> None:
-        """Compare the force of every axis with its motion.
+        """Check that the measured force of every axis agrees with its motion.
 
         Raises:
             ForceContradictedError: A force contradicts the motion.
@@ -332,7 +335,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
             axis.fall(change)
 
     def _send(self, request: Sequence[float]) -> int:
-        """Send the largest certified part of the requested speeds; return the certificate that reduced it."""
+        """Send the requested speeds, scaled by the largest certified factor; return the certificate that limits it."""
         for axis, speed in zip(self._each, request, strict=True):
             axis.commands.send(speed)
         budget, used = self._margin.known + self._allowance, sum(axis.used() for axis in self._each)
@@ -353,13 +356,13 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         return Certificate.VELOCITY_LOOP.value
 
     def _used_at(self, request: Sequence[float], part: float) -> float:
-        """Make a part of the requested speeds the newest commands; return the loss of all queued commands [J]."""
+        """Make `part` times the request the newest commands; return the margin that all queued ones can use up [J]."""
         for axis, speed in zip(self._each, request, strict=True):
             axis.commands[axis.commands.newest] = axis.commands.speed = axis.whole(part * speed)
         return sum(axis.used() for axis in self._each)
 
     def _watch_limit(self) -> None:
-        """End the certificate if a drive with an integral may reach its torque limit."""
+        """Withdraw the certificate if a drive with an integral may reach its torque limit."""
         for axis in self._each:
             if axis.loop.integral > 0.0 and not self._is_unsure:
                 self._is_unsure = axis.loop.may_limit(axis.drive, axis.commands.speed, axis.port.missed)
@@ -367,7 +370,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
     def _settle(
         self, h_i: float, before: _Vector, velocities: Sequence[float], positions: _Vector, certificate: int
     ) -> EnergyBalance:
-        """Dissipate and leak the energy that neither environment nor drives can give back; return the account."""
+        """Write off energy that neither environment nor drives can return to the hand; return the energy balance."""
         environment, under_way = self._environment, sum(axis.used() for axis in self._each)
         speeds, carried, inner = self._own(), under_way, self._inner
         for axis, velocity in zip(self._each, velocities, strict=True):

@@ -1,6 +1,8 @@
-"""Certificates of an admittance display that rely on a declared hand, and its stability border without a guard.
+"""Largest certified commands of an admittance display for a hand of declared force or impedance.
 
-All are for a drive without an integral, whose torque must not reach its limit (`VelocityLoop.may_limit`).
+A certificate is a proof that a command gives out no more energy than the display may. `damping_border` is the stability
+limit without certificates. All certificates here are for a drive without an integral, whose torque must not reach its
+limit (`VelocityLoop.may_limit`).
 
 **Hand declared by its impedance** (`DeclaredHand`):
 
@@ -71,28 +73,28 @@ from canhaptic.control.environments.environment import plain
 
 
 class LargestForce(NamedTuple):
-    """Certificate for a hand of bounded force at a drive without an integral."""
+    """Largest certified speed for a hand of bounded force, at a drive without an integral."""
 
     force: float  # f [N or N*m]
     loop: VelocityLoop
 
     def reserve(self, speed: float) -> float:
-        """Return G, the energy that the hand can take from a largest possible speed [J]."""
+        """Return G, the most energy that the hand can take by braking the handle from `speed` to rest [J]."""
         gain = self.loop.gain_least
         rest = speed - self.force / gain * log1p(gain * speed / self.force)
         return self.force * self.loop.mass / gain * rest
 
     def lost(self, commands: Commands) -> float:
-        """Return the largest loss of E - G in the hold that ended [J]."""
+        """Return the most by which E - G, the energy received less `reserve`, fell in the hold that ended [J]."""
         square = largest_square(commands, self.loop.delay, self.loop.delay + self.loop.losses)
         return self.force * self.loop.sample_time * sqrt(square)
 
     def fastest(self, commands: Commands, budget: float) -> float:
-        """Return the largest speed that may be commanded now [m/s or rad/s].
+        """Return the largest speed that an energy budget [J] permits as the next command [m/s or rad/s].
 
-        If RPDOs may be lost, the largest command that may act in a hold counts. A new command larger than all others
-        counts in all its holds. A smaller one counts in its last hold only, in which it is at most as large as the one
-        before.
+        If RPDOs may be lost, each hold is charged with the largest command that may act in it. A new command larger
+        than all others is charged in all its holds. A smaller one is charged in its last hold only, in which it is at
+        most as large as the command before.
         """
         left = budget / (self.force * self.loop.sample_time)
         for age in range(self.loop.delay):
@@ -108,7 +110,7 @@ class LargestForce(NamedTuple):
         return max(0.0, min(left, last))
 
     def used(self, commands: Commands) -> float:
-        """Return the largest loss of E - G by the commands that can still act, the newest included [J]."""
+        """Return the most by which commands that can still act, the newest included, can reduce E - G [J]."""
         total = 0.0
         for age in range(1, self.loop.delay + 1):
             total += sqrt(largest_square(commands, age, age + self.loop.losses))
@@ -119,11 +121,11 @@ class LargestForce(NamedTuple):
 
 _STEPS: Final = 5  # of the search for the largest speed; each halves the remaining gap at least
 _OF_COMMANDS, _OF_WAY = 0.3125, 2.5
-"""(x + y)^2 / 4 <= 0.3125 x^2 + 1.25 y^2, and (y + z)^2 <= 2 y^2 + 2 z^2."""
+"""Factors that bound squares of sums: (x + y)^2 / 4 <= 0.3125 x^2 + 1.25 y^2, and (y + z)^2 <= 2 y^2 + 2 z^2."""
 
 
 class HeardForce(NamedTuple):
-    """A received force with the hold at whose end it was measured."""
+    """A force reading, and the hold at whose end it was measured."""
 
     energy: float  # E there, at least [J]
     moved: float  # in that hold [m or rad]
@@ -134,15 +136,16 @@ class HeardForce(NamedTuple):
 
 
 class DeclaredHand:
-    """Certificate for a hand declared by its impedance, with its state at the SYNC of the last received force.
+    """Largest certified speed for a hand declared by its impedance; keeps the state at the SYNC of the last force.
 
     Args:
-        given: Declared properties: K_e, w, N and B of the hand, f_d and d_d of the drive.
+        given: Declared stiffness K_e, speed w, mass N and damping B of the hand, friction f_d and damping d_d of the
+            drive.
         loop: Velocity loop of the drive.
         properties: Properties of drive and sensor.
 
     Attributes:
-        known: Lower bound of A [J].
+        known: Lower bound of the margin A, the energy received less M s^2 / 2 [J].
         holds: Number of holds from the SYNC of the last force to the one at which a new command acts.
     """
 
@@ -163,14 +166,14 @@ class DeclaredHand:
         self.up_with_mass = self.down_with_mass = -inf  # least F + N a, and -(F + N a)
 
     def go_on(self, command: float) -> None:
-        """Advance g by the hold that ended, under the command that acted in it [m/s or rad/s]."""
+        """Advance g, the velocity due to commands alone, by the hold in which `command` acted [m/s or rad/s]."""
         self.speed = command + (self.speed - command) * self.decay
         self.place = self.place + 1 if self.place + 1 < len(self.speeds) else 0
         self.speeds[self.place] = self.speed
         self.waiting += 1
 
     def hear(self, heard: HeardForce) -> None:
-        """Update A and the hand force with the force received for an earlier SYNC."""
+        """Update the bounds on the margin A and on the hand's force with a reading that belongs to an earlier SYNC."""
         samples, begin, loop, port = self.waiting, self.before, self.loop, self.port
         self.waiting = 0
         self.before = self.speeds[self.place + 1 - len(self.speeds)]
@@ -191,7 +194,7 @@ class DeclaredHand:
         self.down, self.down_with_mass = self._forces(heard, -1.0, error)
 
     def _gained(self, heard: HeardForce, begin: float) -> float:
-        """Return the least change of A in a hold by (1), with half of c s^2 reserved for D [J]; -inf with a filter."""
+        """Return the least change of the margin A in a hold, by (1) [J]; -inf with a filter. Half of c s^2 covers D."""
         loop, port, end = self.loop, self.port, self.before
         if port.lag > 0.0:
             return -inf
@@ -213,7 +216,7 @@ class DeclaredHand:
         return mean * way + 0.5 * loop.gain_least * added * added / time - doubt
 
     def _forces(self, heard: HeardForce, sign: float, error: float) -> tuple[float, float]:
-        """Return the least force in a direction at the SYNC: F of a hand without mass, and F + N a [N or N*m].
+        """Return the least hand force in a direction: F without, and F + N a with the hand's mass [N or N*m].
 
         A mean force belongs to the whole hold: by its end the spring may have lost K_e times half the displacement, and
         the arm may have moved. The mean acceleration follows from the drive.
@@ -234,11 +237,11 @@ class DeclaredHand:
         return along - alone, along - late + self.given.hand_mass * push
 
     def _square(self, lead: float) -> float:
-        """Return the integral of (r - g)^2 over a hold that begins with this lead [m^2/s or rad^2/s]."""
+        """Return the integral of (r - g)^2 over a hold that begins with r - g = `lead` [m^2/s or rad^2/s]."""
         return 0.5 * self.lag * lead * lead * (1.0 - self.decay * self.decay)
 
     def loss(self, commands: Sequence[float], newest: int, speed: float) -> float:
-        """Return the largest decrease of A at any time, by the queued commands and a new one [J].
+        """Return the most by which the queued commands and a new one can reduce the margin A at any time [J].
 
         Args:
             commands: Ring buffer of the commands sent.
@@ -310,13 +313,16 @@ class DeclaredHand:
         return abs(fits)
 
     def used(self, commands: Commands) -> float:
-        """Return the largest energy that the queued commands, the newest included, can take out [J]; inf if unknown."""
+        """Return the most by which all queued commands can reduce the margin A [J]; infinite if no bound is known."""
         if self.waiting > 0 or self.up == -inf:
             return inf
         return self.loss(commands, commands.newest - 1, commands[commands.newest])
 
     def lightest(self, speed: float) -> float:
-        """Return the smallest virtual mass that keeps its speed with such a hand and no force [kg or kg*m^2]."""
+        """Return the smallest virtual mass whose kinetic energy covers the loss at a constant speed [kg or kg*m^2].
+
+        The declared hand exerts no force at first.
+        """
         steady = copy(self)
         steady.before = steady.slowest = steady.fastest = speed
         steady.up = steady.down = steady.up_with_mass = steady.down_with_mass = 0.0

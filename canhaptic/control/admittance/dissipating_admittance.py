@@ -19,7 +19,7 @@ from canhaptic.errors import ParameterError
 
 
 def next_speed(environment: AdmittanceMass, time: float, speed: float, impulse: float, risen: float) -> float:
-    """Return the root that keeps the sign of the speed [m/s or rad/s]; 0 if there is none.
+    """Return the next speed by the energy balance, without a reversal [m/s or rad/s]; 0 without a solution.
 
     Args:
         environment: Virtual mass and damper.

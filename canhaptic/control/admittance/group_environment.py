@@ -39,14 +39,14 @@ class GroupEnvironment(Parameters):
 
     display: ClassVar[Literal["admittance"]] = "admittance"
     states: ClassVar[int] = 0
-    """Number of states kept for each axis from SYNC to SYNC: the rows of `inner` of its methods, zeros at first."""
+    """Number of internal states per axis, kept from SYNC to SYNC: in the methods a row of `inner`, initially zeros."""
 
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """Damping to ground, in every direction."""
     lower: Coordinates = ()
-    """Walls below, one for each axis [m or rad]; empty: none."""
+    """Position of the lower wall of each axis [m or rad]; empty: no walls."""
     upper: Coordinates = ()
-    """Walls above, one for each axis [m or rad]; empty: none."""
+    """Position of the upper wall of each axis [m or rad]; empty: no walls."""
 
     @model_validator(mode="after")
     def _walls_leave_room(self) -> Self:
@@ -55,10 +55,10 @@ class GroupEnvironment(Parameters):
         return self
 
     def require(self, axes: int) -> None:
-        """Check that the walls fit a number of axes.
+        """Check that there is one wall for each axis, or none.
 
         Raises:
-            ParameterError: The number of walls differs.
+            ParameterError: The numbers of walls and axes differ.
         """
         for name, walls in (("lower", self.lower), ("upper", self.upper)):
             if walls and len(walls) != axes:
@@ -67,16 +67,16 @@ class GroupEnvironment(Parameters):
                 )
 
     def walls_of(self, axis: int) -> dict[str, float]:
-        """Return the walls of one axis, by their names in an environment of one axis."""
+        """Return the wall positions of one axis, keyed by the parameter names of `AdmittanceEnvironment`."""
         walls = {"lower_wall": self.lower, "upper_wall": self.upper}
         return {name: at[axis] for name, at in walls.items() if at}
 
     def of_axis(self, axis: int) -> AdmittanceEnvironment:
-        """Return damper and walls of one axis."""
+        """Return an environment of one axis with the damper and the walls of that axis."""
         return AdmittanceEnvironment(damping=self.damping, **self.walls_of(axis))
 
     def speeds_after(self, inner: _Inner, speeds: _Vector, forces: _Vector, positions: _Vector, time: float) -> _Vector:
-        """Speeds after another hold under the forces of the hand [m/s or rad/s].
+        """Return the speeds after another hold under the forces of the hand [m/s or rad/s].
 
         Args:
             inner: States of the environment, a row for each axis.
@@ -88,10 +88,10 @@ class GroupEnvironment(Parameters):
         raise NotImplementedError
 
     def go_along(self, inner: _Inner, before: _Vector, speeds: _Vector, time: float) -> None:
-        """Advance the states by a hold at given speeds; `before` are those of the previous hold [m/s or rad/s]."""
+        """Advance the internal states by a hold at given speeds; `before` are the previous speeds [m/s or rad/s]."""
 
     def stored(self, inner: _Inner, speeds: _Vector, positions: _Vector) -> float:
-        """Stored energy [J]."""
+        """Return the stored energy [J]."""
         raise NotImplementedError
 
     def lost(self, speeds: _Vector, time: float) -> float:
@@ -107,16 +107,16 @@ class GroupMass(GroupEnvironment):
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)] = 0.0
     """Stiffness of a spring to ground, in every direction."""
     rest: Coordinates = ()
-    """Where that spring is at rest, one coordinate for each axis [m or rad]; empty: zeros."""
+    """Position at which the spring exerts no force, one coordinate for each axis [m or rad]; empty: zeros."""
 
     def require(self, axes: int) -> None:
-        """Check the fit with the number of axes; see `GroupEnvironment`."""
+        """Check `rest` and the walls against the number of axes; see `GroupEnvironment`."""
         super().require(axes)
         if self.rest and len(self.rest) != axes:
             raise ParameterError(f"rest: got {len(self.rest)} coordinates, expected one for each of the {axes} axes")
 
     def of_axis(self, axis: int) -> AdmittanceMass:
-        """Return the mass on one axis, with its spring and walls."""
+        """Return an environment of one axis with the mass, its spring and the walls of that axis."""
         rest = self.rest[axis] if self.rest else 0.0
         spring = {"stiffness": self.stiffness, "rest": rest}
         return AdmittanceMass(mass=self.mass, damping=self.damping, **spring, **self.walls_of(axis))
@@ -127,7 +127,7 @@ class GroupMass(GroupEnvironment):
         return [(self.mass * speed + time * push) / whole for speed, push in zip(speeds, pushes, strict=True)]
 
     def pushes(self, forces: _Vector, positions: _Vector) -> _Vector:
-        """Return the forces of hand and spring on the mass [N or N*m]."""
+        """Return the sum of hand force and spring force on the mass, axis by axis [N or N*m]."""
         if not self.stiffness:
             return forces
         return [force - self.stiffness * d for force, d in zip(forces, self._stretches(positions), strict=True)]
@@ -146,7 +146,7 @@ class GroupMass(GroupEnvironment):
 
 
 class GroupCupAndBall(GroupEnvironment):
-    """`cup_and_ball`: one cup that moves in every direction, in each of which a ball of its own swings."""
+    """`cup_and_ball`: one cup that moves along all axes, with a separate ball that swings along each of them."""
 
     states: ClassVar[int] = 3  # as those of `CupAndBall`
 
@@ -169,7 +169,7 @@ class GroupCupAndBall(GroupEnvironment):
         return [self._alone.speed_after(*of, time) for of in each]
 
     def go_along(self, inner: _Inner, before: _Vector, speeds: _Vector, time: float) -> None:
-        """Let each ball take the change of speed, then swing for a hold."""
+        """Apply the change of the cup's speed to each ball, and let it swing for a hold."""
         for of in zip(inner, before, speeds, strict=True):
             self._alone.go_along(*of, time)
 
@@ -185,7 +185,7 @@ class PathMass(GroupMass):
     """
 
     points: tuple[Coordinates, ...]
-    """Corners [m or rad], two at least, one coordinate for each axis."""
+    """Corner points of the path, at least two, with one coordinate for each axis [m or rad]."""
     closed: bool = False
     """Whether a segment connects the last point to the first."""
     return_time: Annotated[float, quantity("s", gt=0.0, le=10.0)] = 0.1
@@ -204,7 +204,7 @@ class PathMass(GroupMass):
         return (*self.points, self.points[0]) if self.closed else self.points
 
     def require(self, axes: int) -> None:
-        """Check that the path fits a number of axes; see `GroupEnvironment`."""
+        """Check that every point has one coordinate for each axis; see `GroupEnvironment`."""
         super().require(axes)
         if len(self.points[0]) != axes:
             raise ParameterError(
@@ -275,10 +275,10 @@ class TaskEnvironment:
         self.damping, self.states = environment.damping, environment.states
 
     def require(self, axes: int) -> None:
-        """Check that kinematics and walls fit a number of motor axes.
+        """Check kinematics and walls against the number of motor axes.
 
         Raises:
-            ParameterError: The numbers differ.
+            ParameterError: Their number of axes differs.
         """
         if axes != self._kinematics.axes:
             raise ParameterError(f"kinematics: has {self._kinematics.axes} motor axes, expected {axes} as in the group")
@@ -314,12 +314,12 @@ class TaskEnvironment:
         return found
 
     def go_along(self, inner: _Inner, before: _Vector, speeds: _Vector, time: float) -> None:
-        """Advance the states by a hold at speeds of the motors; they rest where nothing is rendered."""
+        """Advance the states by a hold at given motor speeds; no change in a pose where nothing is rendered."""
         if self._jacobian:
             self._environment.go_along(inner, _times(self._jacobian, before), _times(self._jacobian, speeds), time)
 
     def stored(self, inner: _Inner, speeds: _Vector, positions: _Vector) -> float:
-        """Return the energy at speeds of the motors [J]; 0 where nothing is rendered."""
+        """Return the energy stored at given motor speeds [J]; 0 in a pose where nothing is rendered."""
         if not self._jacobian:
             return 0.0
         return self._environment.stored(inner, _times(self._jacobian, speeds), self._place)

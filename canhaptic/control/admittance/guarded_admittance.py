@@ -68,7 +68,7 @@ from canhaptic.units import Parameters
 
 
 class LateMargin:
-    """Lower bound of the margin W, with ring buffers over the SYNCs whose forces have not arrived.
+    """Lower bound of the margin W, the energy that may still be given out; keeps its history for late forces.
 
     Args:
         latency: Delay of a force in samples.
@@ -85,7 +85,7 @@ class LateMargin:
         self.changes, self.before = [0.0] * (latency + 1), [0.0] * (latency + 1)
 
     def fall(self, change: float, taken: float) -> None:
-        """Apply the change of W in the hold that ended, and record the energy withdrawn from the account so far [J]."""
+        """Add the change of W in the hold that ended; `taken` is all energy withdrawn from the account so far [J]."""
         self.known += change
         if len(self.changes) > 1:  # otherwise no force comes late
             self.place = self.oldest()
@@ -98,7 +98,7 @@ class LateMargin:
         return then if then < len(self.changes) else 0
 
     def known_then(self, known: float) -> float:
-        """Return a present bound less the changes since the SYNC of the received force [J]."""
+        """Convert a bound at this SYNC to the earlier SYNC at which the received force was measured [J]."""
         then = self.oldest()
         for place, change in enumerate(self.changes):
             if place != then:
@@ -106,7 +106,7 @@ class LateMargin:
         return known
 
     def rise(self, then: int, value: float, taken: float) -> None:
-        """Raise the bound to the value of W that the force proves for the index `then` [J]."""
+        """Raise the bound on W if the force proves more: at least `value` at the SYNC of index `then` [J]."""
         if then != self.place:
             for place, change in enumerate(self.changes):
                 if place != then:
@@ -118,7 +118,7 @@ class LateMargin:
 
 
 ROUNDING: Final = 1e-9
-"""Largest difference of two sums of the same energy [J]."""
+"""Largest difference by rounding between two sums of the same energy [J]."""
 
 
 _HALF: Final = 0.03  # H [s]
@@ -126,7 +126,7 @@ _FEWEST: Final = 8  # holds in it
 
 
 class MovedHold(NamedTuple):
-    """Motion and command of a hold, by encoder and commands."""
+    """Measured motion and velocity command of one hold."""
 
     moved: float  # [m or rad]
     command: float  # that acted [m/s or rad/s]
@@ -135,7 +135,7 @@ class MovedHold(NamedTuple):
 
 
 class Disagreement(NamedTuple):
-    """A mean force that the motion does not allow [N or N*m]."""
+    """Mean of the measured force, outside the range that the motion allows [N or N*m]."""
 
     shown: float
     low: float
@@ -197,14 +197,14 @@ class MomentumCheck:
         self.begin(0.0, 0.0, 0.0)
 
     def begin(self, position: float, force: float, lead: float) -> None:
-        """Restart at a first sample, or after a lost one."""
+        """Restart the check at the first sample, or at the first one after lost samples."""
         self._memory = _Memory(position, force, 0.0, lead, filling=_Half(position))
 
     def take(self, hold: MovedHold, force: float) -> Disagreement | None:
         """Add the hold that ended and the received force; return a disagreement, or None.
 
         Args:
-            hold: The hold by encoder and commands.
+            hold: Motion and command of the hold that ended.
             force: Measured force [N or N*m]; it belongs to a hold `latency` samples ago.
         """
         memory = self._memory
@@ -222,7 +222,7 @@ class MomentumCheck:
         return self._compared(first, second)
 
     def _add(self, hold: MovedHold, force: float) -> None:
-        """Add a hold to the half that is being filled."""
+        """Add a hold to the half of the triangular weight that is being filled."""
         memory, port = self._memory, self._port
         time = port.sample_time
         half, velocity = memory.filling, hold.moved / time
@@ -256,7 +256,7 @@ class MomentumCheck:
         return force + change * port.lag / port.sample_time, doubt
 
     def _compared(self, first: _Half, second: _Half) -> Disagreement | None:
-        """Compare the means over the whole triangular weight; return a disagreement, or None."""
+        """Compare measured and expected mean force over the triangular weight; return a disagreement, or None."""
         holds, loop = self._holds, self._loop
         halves = zip(first.rising, second.sums, second.rising, strict=True)
         force, slip, lead, loose = [(rising + whole - falling) / holds for rising, whole, falling in halves]
@@ -274,7 +274,7 @@ class MomentumCheck:
         return Disagreement(force, low - margin, high + margin, 2.0 * self._half)
 
     def _margin(self, first: _Half, second: _Half) -> float:
-        """Return the largest permitted difference of the means, without the uncertainty of each hold [N or N*m]."""
+        """Return the largest permitted difference of the mean forces, without each hold's uncertainty [N or N*m]."""
         port, loop, half = self._port, self._loop, self._half
         time = port.sample_time
         turned = time * time / (6.0 * half)
@@ -313,8 +313,9 @@ class GuardedAxis(AdmittanceAxis):
         loop: Declared velocity loop of the drive.
         drive: Motion of the drive.
         leads: Lead of the drive at each SYNC whose force has not arrived [m or rad].
-        by_encoder: Lower bound of E - V by encoder and commands alone [J].
-        by_force: Upper bound of E by the force [J].
+        by_encoder: Lower bound, by encoder and commands alone, of E - V: energy received less what the drive can
+            return [J].
+        by_force: Upper bound of the energy E received, by the force [J].
 
     Raises:
         ParameterError: Losses or a hand are declared that the proof does not cover for this drive.
@@ -361,19 +362,19 @@ class GuardedAxis(AdmittanceAxis):
         return 0.0 if self.port.missed else -self.used()
 
     def change_of_skip(self, skipped: int) -> tuple[float, float]:
-        """Return the change of the margin in the first and in each further hold of skipped SYNCs [J]."""
+        """Return lower bounds on the margin's change in the first and in each further hold of skipped SYNCs [J]."""
         if self.loop.integral > 0.0:
             return -self.loop.loss_of_skip(self.drive.lead, self.commands, skipped), 0.0
         lost = -self.loop.lost_unseen(self.commands)
         return lost, lost
 
     def let_pass(self) -> None:
-        """Count a hold without a sample."""
+        """Advance the drive's lead by a hold without a sample, and count the lost sample."""
         self.drive.lead += self.acted()
         self.port.missed += 1
 
     def fall(self, change: float) -> None:
-        """Apply a lower bound on the change of E - V in the hold that ended [J], and record the lead of this SYNC."""
+        """Add a lower bound on the change of E - V in the hold that ended [J], and record the drive's lead."""
         self.by_encoder += change
         self._margin.fall(change, 0.0)
         self.leads[self._margin.place] = self.drive.lead
@@ -383,7 +384,7 @@ class GuardedAxis(AdmittanceAxis):
 
         Args:
             of: Name of the sensor.
-            hold: The hold as it was booked.
+            hold: Result of booking the hold that ended.
             force: Received force [N or N*m].
             is_first: Whether samples were lost before this one.
         """
@@ -407,7 +408,7 @@ class GuardedAxis(AdmittanceAxis):
         return "" if found is None else found.text(of)
 
     def used(self) -> float:
-        """Return the largest loss of the margin by all queued commands [J]."""
+        """Return the most margin that all queued commands together can use up [J]."""
         return self.loop.loss_under_way(self.drive.lead, self.commands)
 
     def acted(self) -> float:
@@ -415,7 +416,7 @@ class GuardedAxis(AdmittanceAxis):
         return self.commands.sent(self.loop.delay) * self.properties.sample_time
 
     def reserve(self, speed: float) -> float:
-        """Return the largest V at a largest speed [J]."""
+        """Return V, the most energy that the hand can take from the drive at speeds up to `speed` [J]."""
         return self.loop.reserve(self.drive.lead, speed)
 
 
@@ -426,7 +427,7 @@ _BY_DECLARED = Certificate.DECLARED_HAND.value
 
 
 class GuardedAdmittance(AdmittanceController):
-    """A virtual mass with the certificate of the drive's velocity loop."""
+    """Controller of a virtual mass whose every command is certified, by default by the drive's velocity loop."""
 
     parameters_type: ClassVar[type[Parameters]] = GuardedAdmittanceParameters
     _display: GuardedAxis
@@ -460,7 +461,7 @@ class GuardedAdmittance(AdmittanceController):
         self._is_unsure = self._display.loop.integral > 0.0 and self._properties.jitter > 0.0
 
     def _account(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Account for the hold that ended; see `Controller.step`.
+        """Book the energy of the hold that ended and send the next command; see `Controller.step`.
 
         Raises:
             ForceContradictedError: The force sensor contradicts the encoder.
@@ -511,9 +512,9 @@ class GuardedAdmittance(AdmittanceController):
         return sign * most, certificate
 
     def _watch_limit(self) -> None:
-        """End the certificates that a torque at its limit voids, if the newest command may bring it there.
+        """Withdraw certificates that are void at the torque limit, if the newest command may drive the torque there.
 
-        Without an integral, the velocity loop alone may certify all queued commands; then no certificate ends.
+        Without an integral, the velocity loop alone may certify all queued commands; then none is withdrawn.
         """
         display = self._display
         loop, drive, speed = display.loop, display.drive, self._commands.speed
@@ -527,7 +528,7 @@ class GuardedAdmittance(AdmittanceController):
             self._is_unsure = under_way > self._margin.known + self._allowance
 
     def _command_unseen(self) -> float:
-        """Handle a SYNC without a sample; return the command [m/s or rad/s].
+        """Send the command of a SYNC without a sample, and return it [m/s or rad/s].
 
         Without an integral the last command continues as long as it is certified for any motion in the hold. With an
         integral the command is 0 at once, and the largest loss of all queued commands is deducted.
@@ -548,7 +549,7 @@ class GuardedAdmittance(AdmittanceController):
         return balance._replace(certificate=_NONE) if self._is_unsure else balance
 
     def lasted(self, periods: float) -> None:
-        """Account for skipped SYNCs: no command was sent, and the queued one acted longer."""
+        """Update margins and states for skipped SYNCs: no command was sent, and the queued one acted longer."""
         display, speed = self._display, self._commands.speed
         if not display.port.started:
             return
@@ -561,12 +562,12 @@ class GuardedAdmittance(AdmittanceController):
         self._watch_limit()
 
     def _let_pass(self, change: float) -> None:
-        """Account for a hold without a sample, by a lower bound on the change of the margin [J]."""
+        """Update the margins for a hold without a sample, with a lower bound on their change [J]."""
         self._display.let_pass()
         self._fall(change)
 
     def _take(self, position: float, force: float) -> tuple[BookedHold, float]:
-        """Book the hold that ended and update the margins; return it and h_i [J]."""
+        """Book the hold that ended and update the margins; return the hold and the energy received [J]."""
         display, at_limit = self._display, self._limited > 0
         port, origin, heard = display.port, display.port.origin, display.port.force
         hold, change = display.take(position, force)
@@ -593,7 +594,7 @@ class GuardedAdmittance(AdmittanceController):
         return hold, proved - free
 
     def _fall(self, change: float) -> None:
-        """Update the margins for the hold that ended, and record the state of this SYNC for its force."""
+        """Update the margins for the hold that ended, and record the state at this SYNC for a force that comes late."""
         display, commands = self._display, self._commands
         display.fall(change)
         self._margin.fall(change, self._taken)
@@ -606,7 +607,7 @@ class GuardedAdmittance(AdmittanceController):
             self._declared.go_on(commands.sent(display.loop.delay))
 
     def _settle(self, h_i: float, before: float, speed: float) -> tuple[float, float, float, float, float]:
-        """Dissipate and leak the energy that neither mass nor drive can give back.
+        """Write off energy that neither virtual mass nor drive can return to the hand, as dissipated or leaked.
 
         Args:
             h_i: Energy received in the hold [J].

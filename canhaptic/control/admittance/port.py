@@ -36,22 +36,22 @@ class AdmittanceProperties(Parameters):
     delay: Annotated[int, quantity("count", ge=0, le=16)] = 1
     """Whole holds between the computation of a command and the hold in which it acts."""
     sampling: Literal["point", "mean", "impulse"] = "point"
-    """Meaning of one force: `point`: value at a SYNC; `mean`: mean since the SYNC before; `impulse`: mean since the
-    last force that arrived."""
+    """Meaning of one force reading: `point`: value at a SYNC; `mean`: mean since the SYNC before; `impulse`: mean since
+    the last reading that arrived."""
     latency: Annotated[int, quantity("count", ge=0, le=16)] = 0
-    """Delay of a force in whole samples."""
+    """Delay of a force reading in whole samples."""
     filter: Annotated[float, quantity("Hz", ge=0.0, le=1e6)] = 0.0
     """Corner frequency of the sensor's first-order filter; 0: no filter."""
     force_slew: Annotated[float, quantity("N/s", "N*m/s", gt=0.0)]
     """Upper bound of the rate of change of the force."""
     handle_acceleration: Annotated[float, quantity("m/s^2", "rad/s^2", gt=0.0)]
-    """Upper bound of the acceleration of the mass with the encoder."""
+    """Upper bound of the acceleration of the mass to which the encoder is fixed."""
     force_error: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
-    """Upper bound of the error of one force: offset after the tare, drift, noise and quantization."""
+    """Upper bound of the error of one force reading: offset after the tare, drift, noise and quantization."""
     encoder_count: Annotated[float, quantity("m", "rad", ge=0.0)] = 0.0
     """Displacement of one encoder count; 0 for an ideal encoder."""
     speed_quantum: Annotated[float, quantity("m/s", "rad/s", ge=0.0)] = 0.0
-    """Smallest step of the command; 0: any."""
+    """Resolution of the velocity command; 0: ideal."""
     speed_limit: Annotated[float, quantity("m/s", "rad/s", gt=0.0)]
     """Largest speed that may be commanded."""
     acceleration_limit: Annotated[float, quantity("m/s^2", "rad/s^2", gt=0.0)]
@@ -70,12 +70,12 @@ class AdmittanceProperties(Parameters):
 
     @property
     def is_mean(self) -> bool:
-        """Whether a force is the mean over a hold instead of the value at the SYNC."""
+        """Whether a force reading is the mean over a hold instead of the value at the SYNC."""
         return self.sampling != "point"
 
     @property
     def is_impulse(self) -> bool:
-        """Whether the mean covers the time since the last received force, even if others were lost in it."""
+        """Whether a force reading is the mean since the last received one, even if others between them were lost."""
         return self.sampling == "impulse"
 
     @property
@@ -118,11 +118,11 @@ class Port:
         self.positions = [position] * (self.settings.latency + 1)
 
     def reopen(self) -> None:
-        """Keep the encoder's error at the last booked SYNC charged: another proof replaces the booked energy there."""
+        """Do not refund the encoder's error at the last booked SYNC: another proof replaces the booked energy there."""
         self.mean = 0.0
 
     def book(self, position: float, force: float) -> BookedHold:
-        """Book the hold to which the received force belongs.
+        """Book the energy of the hold to which the received force belongs.
 
         Args:
             position: Position at this SYNC [m or rad].
@@ -151,7 +151,7 @@ class Port:
         self.positions[self.newest] = position
 
     def _energy(self, moved: float, force: float, samples: int) -> tuple[float, float, float]:
-        """Return the least energy received [J], the largest speed at the end [m/s or rad/s], the most energy [J]."""
+        """Return least energy received [J], largest speed at the end [m/s or rad/s] and most energy received [J]."""
         settings = self.settings
         length, way = samples * settings.sample_time * (1.0 + settings.jitter), abs(moved)
         shortest = samples * settings.sample_time * (1.0 - settings.jitter)

@@ -15,7 +15,7 @@ _EXACT, _FREE, _NONE = Branch.EXACT.value, Branch.FREE.value, Certificate.NONE.v
 
 
 class NothingToChoose(Parameters):
-    """Empty parameters, for an admittance algorithm that has none."""
+    """Parameter model of the admittance algorithms that have no parameters."""
 
 
 class SampledHold(NamedTuple):
@@ -30,7 +30,7 @@ class SampledHold(NamedTuple):
 
 
 class UnprotectedAdmittance(AdmittanceController):
-    """The virtual mass without protection."""
+    """Controller that renders a virtual mass and does nothing to stay passive."""
 
     parameters_type: ClassVar[type[Parameters]] = NothingToChoose
 
@@ -42,11 +42,11 @@ class UnprotectedAdmittance(AdmittanceController):
         self._created = 0.0  # by sampling in the last hold; below 0 it was lost [J]
 
     def first_energy(self, position: float) -> float:
-        """Return the energy with which the algorithm starts at the first position [J]."""
+        """Return the initial value of the algorithm's own energy variable, at the first position [J]."""
         return 0.0
 
     def respond(self, hold: SampledHold) -> tuple[float, float, float]:
-        """Return the parts of the next command, and the energy that the last one dissipated.
+        """Return speed and added speed of the next command, and the energy that the last added speed dissipated.
 
         Returns:
             Speed of the mass [m/s or rad/s], additional speed that dissipates energy [m/s or rad/s], and the energy
@@ -81,7 +81,7 @@ class UnprotectedAdmittance(AdmittanceController):
         ))  # fmt: skip
 
     def lasted(self, periods: float) -> None:
-        """Count skipped SYNCs as lost samples, during which the command kept acting."""
+        """Treat skipped SYNCs as lost samples, during which the last command continued to act."""
         if self._axis.started:
             skipped, own = round(periods) - 1, self._commands.speed - self._slip
             self._axis.missed += skipped
@@ -89,7 +89,7 @@ class UnprotectedAdmittance(AdmittanceController):
                 self._environment.go_along(self._inner, own, own, self._time)
 
     def _command_unseen(self) -> float:
-        """Return the command of a SYNC without a sample: 0."""
+        """Send and return the command of a SYNC without a sample: 0."""
         before, self._slip = self._commands.speed - self._slip, 0.0
         self._commands.send(0.0)
         self._environment.go_along(self._inner, before, 0.0, self._time)

@@ -44,7 +44,7 @@ class LoopState:
 
 
 def _within(commands: Commands, speed: float, own: int, losses: int) -> float:
-    """Return the speed, reduced to be the largest command in exactly `own` of its holds; 0 if that is impossible."""
+    """Reduce a new command to be the largest that may act in exactly `own` of its holds; 0 if that is impossible."""
     first = losses + 1 - own  # the first hold in which it is to be the largest
     if first < losses and speed * speed < largest_square(commands, 0, losses - 1 - first):
         return 0.0
@@ -63,7 +63,7 @@ def largest_square(commands: Commands, newest: int, oldest: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class VelocityLoop:
-    """Declared bounds of a drive's velocity loop, and the certificate that follows from them."""
+    """Declared bounds of a drive's velocity loop, and the largest commands that are certified by them."""
 
     sample_time: float  # the longest hold [s]
     delay: int
@@ -79,7 +79,7 @@ class VelocityLoop:
     evenness: float = 1.0  # the shortest hold, as a part of the longest
 
     def reserve(self, lead: float, speed: float) -> float:
-        """Return the largest V at a largest speed [J]."""
+        """Return V, the most energy that the hand can take from the drive at speeds up to `speed` [J]."""
         value = 0.5 * self.mass * speed * speed
         if self.integral > 0.0:
             stretch = abs(lead) + self.count
@@ -87,7 +87,7 @@ class VelocityLoop:
         return value
 
     def may_limit(self, loop: LoopState, command: float, missed: int) -> bool:
-        """Return whether the torque may reach its limit while a command acts, which voids certificates by braking.
+        """Return whether the torque may reach its limit while a command acts, which voids proofs by braking torque.
 
         Args:
             loop: Known velocity and lead; the lead does not include the displacement since the last sample.
@@ -104,7 +104,7 @@ class VelocityLoop:
         return torque >= self.torque_limit
 
     def gained(self, lead: float, commands: Commands, moved: float) -> float:
-        """Return the least change of W over the hold that ended, by encoder and commands [J].
+        """Return the least change of the margin W = E - V over the hold that ended, by encoder and commands [J].
 
         Args:
             lead: Lead at the beginning of the hold [m or rad].
@@ -119,12 +119,14 @@ class VelocityLoop:
         return least
 
     def lost_unseen(self, commands: Commands) -> float:
-        """Return the largest loss of W in a hold without a sample, for a drive without an integral [J]."""
+        """Return the most by which the margin W falls in a hold without a sample, if the drive has no integral [J]."""
         square = largest_square(commands, self.delay, self.delay + self.losses)
         return 0.25 * self.gain * self.sample_time * square
 
     def _by_damping(self, command: float, moved: float) -> float:
-        """Return the least c D (D / T - r), with D known to one count and c within its range [J].
+        """Return the least change of the margin W by the loop's proportional gain c in a hold [J]: c D (D / T - r).
+
+        D is known to one count, and c lies within its declared range.
 
         A torque at its limit F corresponds to a gain between F / abs(v - r) and c, which may change within the hold.
         The integral of v^2 - r v is then multiplied by the smallest such gain, and its negative part, at most
@@ -146,7 +148,7 @@ class VelocityLoop:
         return (self.gain_least if power > 0.0 else self.gain) * power
 
     def _gained_with_integral(self, lead: float, command: float, moved: float) -> float:
-        """Return the least change of W over the hold for a drive with an integral, of which no RPDO may be lost [J].
+        """Return the least change of the margin W over the hold for a drive with an integral, if no RPDO is lost [J].
 
         Minimum over v(t) with int v = D of int [c v^2 - c r v - f_I r], f_I = f_0 + k (r t - x):
         c D (D / T - r) - f_0 r T - k r^2 T^2 / 2 + k r D T / 2 - k^2 r^2 T^3 / 48c.
@@ -160,13 +162,13 @@ class VelocityLoop:
         return change - gain * gain * command * command * time * time * time / (48.0 * least)
 
     def _turned(self, lead: float, way: float) -> float:
-        """Return the largest f_0 R for a commanded displacement R [J]."""
+        """Return the largest f_0 R, the integral's force times a commanded displacement R [J]."""
         product = lead * way
         share = self.integral if product > 0.0 else self.integral_least
         return share * product + self.integral * self.count * abs(way)
 
     def sequence_loss(self, lead: float, commands: Commands, holds: int, oldest: int) -> float:
-        """Return the largest loss of W over `holds` consecutive commands, the first of age `oldest` [J]."""
+        """Return the most by which W falls over `holds` consecutive commands, the first of age `oldest` [J]."""
         time, way, squares, shifts = self.sample_time, 0.0, 0.0, 0.0
         newest = commands.newest - oldest + holds - 1
         for place in range(newest, newest - holds, -1):  # from the last to the first; below 0 it wraps
@@ -182,7 +184,7 @@ class VelocityLoop:
         return loss
 
     def fastest(self, lead: float, commands: Commands, budget: float, sign: float) -> float:
-        """Return the largest speed in a direction that may be commanded now [m/s or rad/s].
+        """Return the largest speed in a direction that is certified as the next command [m/s or rad/s].
 
         Args:
             lead: Lead at this SYNC [m or rad].
@@ -207,7 +209,7 @@ class VelocityLoop:
         return hand_force_bound(room, line, square) if line * line + 4.0 * square * room > 0.0 else 0.0
 
     def _fastest_by_damping(self, commands: Commands, budget: float) -> float:
-        """Return the largest speed for a drive without an integral, whose loss is c T / 4 times the sum of squares.
+        """Return `fastest` for a drive without an integral, whose margin falls by c T / 4 times the sum of squares.
 
         Up to `losses` RPDOs in a row may be lost, so that in each queued hold the largest command that may act counts.
         The new command may act in 1 + losses holds; in the first of them a larger older command may act instead.
@@ -233,7 +235,7 @@ class VelocityLoop:
         return best
 
     def loss_under_way(self, lead: float, commands: Commands) -> float:
-        """Return the largest loss of W by the commands that can still act, the newest included, at any SYNC [J]."""
+        """Return the most by which commands that can still act, the newest included, reduce W up to any SYNC [J]."""
         total, oldest = 0.0, self.delay
         if self.integral > 0.0:
             return max(0.0, *(self.sequence_loss(lead, commands, holds, oldest) for holds in range(1, oldest + 2)))
@@ -249,7 +251,7 @@ class VelocityLoop:
         return 0.25 * self.gain * self.sample_time * total
 
     def loss_of_skip(self, lead: float, commands: Commands, skipped: int) -> float:
-        """Return the largest loss of W by all queued commands if SYNCs are skipped and the oldest acts longer [J]."""
+        """Return the most by which all queued commands reduce W if SYNCs are skipped and the oldest acts longer [J]."""
         holds = [self.delay] * skipped + [*range(self.delay, -1, -1)]
         acting = Commands(len(holds))
         for age in holds:
@@ -267,9 +269,9 @@ class GuardedAdmittanceParameters(Parameters):
     integral_gain: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e12)] = 0.0
     """Upper bound of the loop's integral gain; of a position loop: its gain times `loop_gain`. 0: no integral."""
     spread: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.2
-    """The gains are at least (1 - spread) times the declared ones; so is the mass if `drive_friction` is declared."""
+    """The gains are at least (1 - spread) times the declared bounds; so is the mass if `drive_friction` is declared."""
     energy_allowance: Annotated[float, quantity("J", ge=0.0)] = 0.0
-    """Energy that may be given out before any came in: the promise becomes E >= -energy_allowance."""
+    """Energy that the display may give out beyond what it received: the promise becomes E >= -energy_allowance."""
     max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Largest number of consecutive cycles without a new command at the drive that the certificate covers; only for a
     drive without an integral."""
@@ -298,7 +300,7 @@ class GuardedAdmittanceParameters(Parameters):
 
 
 def loop_settings(parameters: GuardedAdmittanceParameters, properties: AdmittanceProperties) -> VelocityLoop:
-    """Return the declared velocity loop, with the longest duration of a hold, at which its bounds are the worst.
+    """Return the declared bounds of the velocity loop, for the longest duration of a hold, at which they are worst.
 
     Raises:
         ParameterError: Losses or a hand are declared with an integral, or the declaration of a hand is incomplete.

@@ -1,1 +1,1 @@
-"""Upper bounds on the torque of the next hold, each with its proof."""
+"""Certificates: upper bounds on the torque of the next hold, each with a proof that no energy is generated."""

@@ -1,6 +1,7 @@
-"""Largest torque of the next hold by all certificates together, and the energy reserved for the queued torques.
+"""Largest torque of one axis that is certified for the next hold, and the energy reserved for the queued torques.
 
-The certificates of one axis are combined: the declared hand bounds the displacement, and the device dissipates energy.
+A certificate is a proof that up to some torque the axis generates no energy. All certificates are combined: the
+declared hand bounds the displacement, and the device dissipates energy.
 
 The budget is the energy received and the device's certain dissipation, S = E + sum((b/T) D_i^2 + f_c |D_i|); with
 neither b nor f_c declared it is E. A hold with a torque f >= 0 and a displacement D along it takes from S
@@ -95,7 +96,7 @@ from canhaptic.control.certificates.scalar_bounds import WINDOW, hand_force_boun
 from canhaptic.kernels import Buffer, MakeBuffer, new
 
 _WHOLE: Final = 1.0 - 1e-9
-"""Share of a count from which a displacement counts as at least one; the margin is for rounding."""
+"""Fraction of an encoder count from which a displacement is a full count; below 1 only to allow for rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +120,7 @@ class Declared:
 
 @dataclass(slots=True)
 class TorqueBound:
-    """State of the certificates of one axis: the hold that ended, and the uncertainty of the energy."""
+    """Measured state from which the next torque is bounded: the hold that ended, and the uncertainty of the energy."""
 
     displacement: float = 0.0  # [m or rad]
     torque: float = 0.0  # [N or N*m]
@@ -147,7 +148,7 @@ class TorqueBound:
 
 
 class BoundMemory(NamedTuple):
-    """Ring buffers of the torque bound; changed in place."""
+    """Ring buffers of past displacements and torques from which the next torque is bounded; changed in place."""
 
     displacements: Buffer  # of the last holds, a ring of `WINDOW` [m or rad]
     torques: Buffer  # held in them; where torques come late, what counts along + [N or N*m]
@@ -156,23 +157,23 @@ class BoundMemory(NamedTuple):
 
 
 def bound_memory(declared: Declared, under_way: Buffer, make_buffer: MakeBuffer) -> BoundMemory:
-    """Return the buffers of the torque bound of an axis with a ring of queued torques."""
+    """Return new ring buffers for an axis's torque bound; the queued torques stay in the given ring `under_way`."""
     window = WINDOW if declared.encoder_count > 0.0 else 0
     against = window if declared.late > 0.0 else 0
     return BoundMemory(make_buffer(window), make_buffer(window), make_buffer(against), under_way)
 
 
 def look_for_turn(declared: Declared, bound: TorqueBound, memory: BoundMemory, moved: float, holds: float) -> None:
-    """Set `bound.turns` if any hold that matters for the next torque may contain a reversal of the effort.
+    """Set `bound.turns` if the environment's force may change direction in a hold that affects the next torque's bound.
 
-    At a reversal the way out of one contact is the way into another, so that the larger of the hand's pull and push
-    counts in both directions. The hold that ended matters, because its forces still affect the next displacement; so do
-    those up to the end of the next torque, and one more. The result of the previous SYNC counts for the hold that
-    ended: a hand that went beyond a crest and came back within the hold leaves no trace in the positions.
+    At such a reversal the way out of one contact is the way into another, so that the larger of the hand's pull and
+    push is used in both directions. The hold that ended matters, because its forces still affect the next displacement;
+    so do all holds up to one after that of the next torque. For the hold that ended, the result of the previous SYNC
+    is used too: a hand that went beyond a crest and came back within the hold leaves no trace in the positions.
 
     Args:
         declared: Declared properties of axis and hand.
-        bound: State of the axis's torque bound, with the interval of constant direction; changed.
+        bound: State of the axis's torque bound, with the interval in which the force keeps its direction; changed.
         memory: Buffers of the bound.
         moved: Displacement since the last position [m or rad].
         holds: Number of holds since then.
@@ -186,7 +187,7 @@ def look_for_turn(declared: Declared, bound: TorqueBound, memory: BoundMemory, m
 
 
 def reaches_turn(declared: Declared, bound: TorqueBound, memory: BoundMemory, torque: float) -> bool:
-    """Return whether the axis can reach a reversal of the effort while the next torque acts, or one hold later."""
+    """Return whether the axis can reach a place where the force reverses, up to one hold after the next torque's."""
     up = down = 0.0
     for place in range(len(memory.under_way)):
         up, down = max(up, memory.under_way[place]), min(down, memory.under_way[place])
@@ -195,7 +196,7 @@ def reaches_turn(declared: Declared, bound: TorqueBound, memory: BoundMemory, to
 
 
 def reach(declared: Declared, bound: TorqueBound, sign: float, torque: float) -> float:
-    """Return the largest distance along `sign` up to the end of the hold after the next torque [m or rad].
+    """Return how far the axis can move along `sign` by the end of the hold after the next torque's [m or rad].
 
     The given torque along `sign` [N or N*m] is assumed in every hold, with the hand's pull or push in that direction.
     """
@@ -209,14 +210,14 @@ def reach(declared: Declared, bound: TorqueBound, sign: float, torque: float) ->
 
 
 def hand_along(declared: Declared, bound: TorqueBound, sign: float) -> float:
-    """Return the displacement by the hand in two holds along `sign` [m or rad]: by its pull outward, or push inward."""
+    """Return what the hand's pull (outward) or push (inward) adds at most to a displacement along `sign` [m or rad]."""
     if sign * bound.out < 0.0 or bound.turns:
         return declared.response.push
     return declared.response.hand
 
 
 def acted(declared: Declared, bound: TorqueBound, sign: float) -> float:
-    """Return the torque along `sign` that counts as held in the hold that ended [N or N*m]."""
+    """Return the constant torque along `sign` that moves the axis at least as far as the last hold's [N or N*m]."""
     if declared.late > 0.0:
         return bound.most if sign > 0.0 else -bound.least
     return sign * bound.torque
@@ -225,10 +226,10 @@ def acted(declared: Declared, bound: TorqueBound, sign: float) -> float:
 def end_hold(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, displacement: float, torque: float, lasted: float = 1.0
 ) -> float:
-    """Update the bound by the hold that ended: displacement [m or rad], torque [N or N*m], length [sample times].
+    """Update the torque bound with a hold's displacement [m or rad], torque [N or N*m] and length [sample times].
 
     Returns:
-        Largest excess of the booked over the received energy, because the torque came late [J].
+        Largest amount by which the booked energy may exceed the received energy, because the torque acted late [J].
     """
     count, late, doubt = declared.encoder_count, declared.late, 0.0
     if declared.damping:
@@ -260,18 +261,18 @@ def end_hold(
 
 
 def dissipate(bound: TorqueBound, energy: float) -> None:
-    """Add an energy [J] that the device certainly dissipated."""
+    """Add energy that the device certainly dissipated to what the certificates may use [J]."""
     bound.dissipated += energy
     bound.certain += energy
 
 
 def for_any(bound: TorqueBound) -> float:
-    """Return the energy that the device dissipated, less the uncertainty for an arbitrary hand [J]."""
+    """Return the device's dissipation that a certificate for an arbitrary hand may use, less uncertainty [J]."""
     return min(bound.certain, bound.dissipated)
 
 
 def pass_within_count(bound: TorqueBound, count: float, friction: float, displacement: float, torque: float) -> None:
-    """Add the dissipation by dry friction in a hold, less the uncertainty of a coarse encoder; see G in the module.
+    """Add what dry friction dissipated in a hold, less the energy error of one encoder count; see G in the module.
 
     Args:
         bound: State of the axis's torque bound; changed.
@@ -297,7 +298,7 @@ def pass_within_count(bound: TorqueBound, count: float, friction: float, displac
 
 
 def shorten(declared: Declared, bound: TorqueBound, lasted: float) -> None:
-    """Reduce a hold that was longer than T to its last sample time, from which the next displacements are bounded.
+    """Scale the stored displacement of a hold longer than T to one sample time, to bound the next displacements.
 
     The axis is assumed to move at the mean speed of the whole hold; the possible difference is kept as an uncertainty.
 
@@ -323,7 +324,7 @@ def shorten(declared: Declared, bound: TorqueBound, lasted: float) -> None:
 
 
 def take_late(declared: Declared, bound: TorqueBound, torque: float) -> None:
-    """Store the torque of the hold that ended, and the range of older torques that acted in it [N or N*m]."""
+    """Store the range of torques that acted in the hold that ended, and of those that act at its end [N or N*m]."""
     above, below = bound.highest - torque, torque - bound.lowest
     counts, left = declared.response.late, declared.left
     bound.most = bound.highest = bound.least = bound.lowest = torque
@@ -338,7 +339,7 @@ def take_late(declared: Declared, bound: TorqueBound, torque: float) -> None:
 def doubt_of_late(
     declared: Declared, bound: TorqueBound, displacement: float, torque: float, lasted: float = 1.0
 ) -> float:
-    """Return the largest excess of the booked over the received energy in a hold whose torque came late [J].
+    """Return by how much the booked energy may exceed the received energy in a hold whose torque acted late [J].
 
     See `scalar_bounds`. The bound of the hand's force is used only in the direction out of the contact. Without it, and
     without a hand speed, no motion inside a hold is bounded. The promise at the handle, by damping and dry friction of
@@ -385,7 +386,7 @@ def doubt_of_late(
 def reach_of_late(
     declared: Declared, bound: TorqueBound, sign: float, displacement: float, torque: float, lasted: float
 ) -> tuple[float, float]:
-    """Return the largest motion under older torques in the hold that ended, along `sign` and against it [m or rad].
+    """Return how far the axis can have moved under older torques in a hold, along `sign` and against it [m or rad].
 
     In a hold of n sample times torque and hand have n times as long to move the axis away and back to the measured
     position, so that the way back grows n times; s of `scalar_bounds` grows at most to 1 + 2 n times its excess over 1
@@ -417,7 +418,7 @@ def end_gap(
     declared: Declared, bound: TorqueBound, displacement: float, torque: float, holds: int, largest: float,
     apart: float,
 ) -> float:  # fmt: skip
-    """Book several holds with only their total displacement known; return the uncertainty of their energy [J].
+    """Update the torque bound with holds of which only the total displacement is known; return their energy error [J].
 
     The torque of the last hold was read back. In the others any torque sent may have acted, or the one before them if
     commands may be lost. The energy is wrong by at most the difference of the torques times the excursion in each hold.
@@ -430,8 +431,8 @@ def end_gap(
         displacement: Total displacement [m or rad].
         torque: Torque held in the last hold [N or N*m].
         holds: Number of holds.
-        largest: Largest size of the torques sent for them [N or N*m].
-        apart: Largest difference of one of those torques from the last [N or N*m].
+        largest: Largest magnitude of the torques sent for these holds [N or N*m].
+        apart: Largest difference between one of these torques and the last [N or N*m].
     """
     count, missed, damped = declared.encoder_count, holds - 1, 0.0
     if declared.losses:
@@ -465,7 +466,7 @@ def end_gap(
 
 
 def spread_of_gap(bound: TorqueBound, torque: float, apart: float) -> float:
-    """Widen the range of acting torques to all that may have acted in lost holds; return its width [N or N*m].
+    """Widen the stored torque range to all that may have acted in holds without samples; return its width [N or N*m].
 
     A late torque u is at every instant a mean of torques in this range, which includes the torque f read back. By
     parts, the energy is wrong by the integral of (u - f) dx = [(u - f)(x - x_end)] - integral of (x - x_end) du. This
@@ -474,7 +475,7 @@ def spread_of_gap(bound: TorqueBound, torque: float, apart: float) -> float:
     Args:
         bound: State of the axis's torque bound; changed.
         torque: Torque held in the last hold [N or N*m].
-        apart: Largest difference of a sent torque from it [N or N*m].
+        apart: Largest difference between a torque sent for these holds and `torque` [N or N*m].
     """
     high = max(torque + apart, bound.torque, bound.highest)
     low = min(torque - apart, bound.torque, bound.lowest)
@@ -484,9 +485,9 @@ def spread_of_gap(bound: TorqueBound, torque: float, apart: float) -> float:
 
 
 def excursion_unseen(declared: Declared, bound: TorqueBound, displacement: float, holds: int, largest: float) -> float:
-    """Return the largest excursion of the axis by the hand within several holds [m or rad]; see `end_gap`.
+    """Return how far the axis can have moved away within several holds without samples [m or rad]; see `end_gap`.
 
-    It also sets `bound.position_uncertainty` to the uncertainty of the last displacement.
+    `bound.position_uncertainty` is set to the uncertainty of the last displacement.
     """
     response, further = declared.response, 1.0
     hand = response.push if response.push < inf else response.hand
@@ -501,13 +502,13 @@ def excursion_unseen(declared: Declared, bound: TorqueBound, displacement: float
 
 
 class Dissipated(Protocol):
-    """Energy that the device certainly dissipated, less what was discarded [J]."""
+    """State with the energy that the device certainly dissipated, less what was discarded [J]."""
 
     dissipated: float
 
 
 def keep(bound: Dissipated, energy: float, enough: float) -> None:
-    """Discard the device's dissipation that, added to `energy`, exceeds `enough` [J].
+    """Limit the stored dissipation of the device, so that it raises the budget `energy` to at most `enough` [J].
 
     Otherwise a contact could vibrate on energy that the device dissipated long ago.
     """
@@ -516,10 +517,10 @@ def keep(bound: Dissipated, energy: float, enough: float) -> None:
 
 
 def outward(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> float:
-    """Return the largest displacement along `sign` in the hold that ended [m or rad].
+    """Return the largest displacement along `sign` that is possible in the hold that ended [m or rad].
 
-    The displacement is known to one count, the mean over j holds to count / j. Hand and torques have a bound for the
-    difference of the last displacement from the mean; the smallest of the resulting bounds is returned.
+    The encoder gives the displacement to one count, and the mean over j holds to count / j. The forces of hand and
+    torques bound how far the last displacement is from the mean; the smallest of the resulting bounds is returned.
     """
     if bound.kept < 2:  # of an ideal encoder none is kept
         return sign * bound.displacement + declared.encoder_count + bound.position_uncertainty
@@ -534,7 +535,7 @@ def outward(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: f
 
 
 def outward_by_windows(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> float:
-    """Return the smallest of the bounds by the mean over the last 1, 2, 3, ... holds [m or rad]; see `outward`."""
+    """Return the smallest bound on the last displacement by means over 1, 2, ... holds [m or rad]; see `outward`."""
     response, count = declared.response, declared.encoder_count
     lost, enough, more = 1.0 - response.retained, 2.0 * count, response.growth - 1.0
     torques = memory.against if declared.late > 0.0 and sign < 0.0 else memory.torques
@@ -564,7 +565,7 @@ def outward_by_windows(declared: Declared, bound: TorqueBound, memory: BoundMemo
 
 
 def taken(declared: Declared, torque: float, reach: float) -> float:
-    """Return the largest energy that a torque takes out in a hold, less the dissipation of the device in it: (1) [J].
+    """Return the most that a torque can take from the budget in a hold, net of the device's dissipation in it: (1) [J].
 
     Args:
         declared: Declared properties of axis and hand.
@@ -587,10 +588,10 @@ def taken(declared: Declared, torque: float, reach: float) -> float:
 def taken_along(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, speed: float
 ) -> tuple[float, float]:
-    """Return the energy that the queued torques along `sign` take out together [J], and the base of the next torque.
+    """Return what the queued torques along `sign` can take from the budget [J], and the next displacement (base).
 
-    First the axis may still move inward, later outward, so that at any time they have taken out at most this energy, or
-    0. The base is the largest displacement in the next hold without a torque [m or rad], infinite for an unknown hand.
+    First the axis may still move inward, later outward, so that at any time they have taken at most this energy, or 0.
+    The base is the largest displacement in the next hold without a torque [m or rad], infinite for an unknown hand.
     `speed` is the largest speed of the hand [m/s or rad/s]; 0: not used.
     """
     response, torques, first = declared.response, memory.under_way, bound.first
@@ -616,7 +617,7 @@ def taken_along(
 
 
 def free_in_sum(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
-    """Return the part of `energy`, with the device's dissipation, that the queued torques do not need [J]."""
+    """Return `energy` plus the device's dissipation, less what the queued torques can take from it, >= 0 [J]."""
     free = energy + bound.dissipated
     if declared.delay:
         pushes = pulls = False
@@ -633,7 +634,9 @@ def free_in_sum(declared: Declared, bound: TorqueBound, memory: BoundMemory, ene
 def largest_in_sum(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
 ) -> tuple[float, float, float]:
-    """Return the largest torque along `sign` [N or N*m]: by all certificates, for any hand, and without the hand speed.
+    """Return the largest certified torques along `sign`: by all certificates, for any hand, without the hand speed.
+
+    All three are in [N or N*m].
 
     Args:
         declared: Declared properties of axis and hand.
@@ -665,7 +668,7 @@ def largest_in_sum(
 def left_under_way(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float
 ) -> tuple[float, float]:
-    """Return the energy that the queued torques leave [J], and the base of `taken_along` [m or rad]."""
+    """Return the budget that the queued torques leave [J], and the next displacement (base of `taken_along`)."""
     given, base = taken_along(declared, bound, memory, sign, speed)
     energy -= given
     for place in range(bound.first, bound.first + declared.delay):
@@ -676,14 +679,14 @@ def left_under_way(
 
 
 def for_any_hand(declared: Declared, budget: float) -> float:
-    """Return the largest torque for an arbitrary hand, by the device's dissipation alone [N or N*m]."""
+    """Return the largest torque that a budget [J] and the device's dissipation permit for any hand [N or N*m]."""
     if budget <= 0.0:
         return declared.friction
     return declared.friction + sqrt(4.0 * declared.damping / declared.sample_time * budget)
 
 
 def by_reach(declared: Declared, budget: float, base: float, for_all: float) -> float:
-    """Return the largest torque by the reach of the hand force [N or N*m]; 0 if the reach is infinite."""
+    """Return the largest torque permitted by how far the hand's force can move the axis [N or N*m]; 0 if unbounded."""
     if base == inf:
         return 0.0
     friction, gain = declared.friction, declared.response.during
@@ -716,11 +719,13 @@ class LateMotion(NamedTuple):
 
 
 def by_reach_of_late(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Return the largest part n of a torque above `friction` [N or N*m], by bound A, or by B if friction is not 0.
+    """Return by how much the next torque may exceed `friction` if torques act late [N or N*m]: n of bound A or B.
+
+    Bound A is used if `friction` is 0, else bound B.
 
     Args:
         declared: Declared properties of axis and hand.
-        hand: Displacement by the hand [m or rad].
+        hand: Displacement due to the hand's largest force [m or rad].
         motion: Motion in the last queued hold.
         friction: Dry friction, which covers the rest of every torque [N or N*m].
         energy: Energy budget [J].
@@ -737,10 +742,10 @@ def by_reach_of_late(declared: Declared, hand: float, motion: LateMotion, fricti
 def own_share(
     declared: Declared, hand: float, motion: LateMotion, friction: float
 ) -> tuple[float, float, float, float]:
-    """Return start and gain of the energy n (start + gain n) that a torque takes by itself, its base and its late part.
+    """Return (start, gain, base, late), so that torque n by itself takes n (start + gain n) from the budget.
 
-    It takes n D + (n - l) x and its tail n X, with D = base + during F the displacement in its hold and F = n + f_c.
-    An outward displacement adds to the tail; `start` leaves this part out.
+    It takes n D + (n - l) x and its tail n X, with D = base + during F the displacement in its hold, F = n + f_c and
+    x = late. An outward displacement adds to the tail; `start` leaves this part out.
     """
     response, displacement = declared.response, motion.displacement
     base = next_displacement(displacement, motion.counted, 0.0, response, hand) + response.during * friction
@@ -751,7 +756,7 @@ def own_share(
 
 
 def takes_in(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Return the largest n of a torque that absorbs energy by itself, for a budget below zero [N or N*m].
+    """Return the n of `by_reach_of_late` for a budget below zero: the torque by itself must absorb energy [N or N*m].
 
     Older torques push the axis while it acts, with a share of `late` in its hold and `left` after it. For n below
     -start / gain the axis moves inward in the hold, so that this motion adds nothing to the tail.
@@ -764,7 +769,7 @@ def takes_in(declared: Declared, hand: float, motion: LateMotion, friction: floa
 
 
 def above_older(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Return the largest n, assumed not to be below the older torques; arguments as for `by_reach_of_late`."""
+    """Return the n of `by_reach_of_late` if the next torque is not below the older ones; same arguments."""
     start, gain, base, late = own_share(declared, hand, motion, friction)
     energy += max(0.0, motion.lowest - friction) * late
     share = declared.response.share
@@ -773,11 +778,11 @@ def above_older(declared: Declared, hand: float, motion: LateMotion, friction: f
 
 
 def below_older(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Return the largest n, assumed to be below the older torques.
+    """Return the n of `by_reach_of_late` if the next torque is below the older ones; same arguments.
 
     With g the largest older part above f_c, it takes n D + (g - n) X_0 + (n - l) x and the tail G X, where
     D = base + during (late g + (1 - late) F), G = c g + (1 - c) n, and (n - l) x is at most n x (g - l) / g.
-    All is convex in n and joins `above_older` at n = g. Arguments as for `by_reach_of_late`.
+    All terms are convex in n and equal those of `above_older` at n = g.
     """
     response, left = declared.response, declared.left
     displacement, before, highest, lowest = motion
@@ -802,12 +807,11 @@ def below_older(declared: Declared, hand: float, motion: LateMotion, friction: f
 
 
 def if_held_on(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Return the largest n of a torque that may act in 1, 2, ... holds until another arrives.
+    """Return the n of `by_reach_of_late` if lost frames may let the torque act in several holds; same arguments.
 
     With D_i the displacements in them, g the older torques above f_c and X as in `scalar_bounds`, it takes n sum(D_i) +
     g X_1 + c g sum(X_i) + n x and its tail (n + c g) X; each X_i after the first is at most that of the sum of all
-    outward displacements. If the new torque is lost, the older ones stay; they were certified for this. Arguments as
-    for `by_reach_of_late`.
+    outward displacements. If the new torque is lost, the older ones stay; they were certified for this.
     """
     response, left = declared.response, declared.left
     displacement, before, highest, _ = motion
@@ -833,18 +837,19 @@ def if_held_on(declared: Declared, hand: float, motion: LateMotion, friction: fl
 def sum_of_displacements(
     response: scalar_bounds.DisplacementResponse, base: float, gain: float, hand: float, friction: float, holds: int
 ) -> tuple[float, float, float]:
-    """Return the sum of the displacements over several holds of one torque, as a function of the torque.
+    """Return the largest total displacement over several holds of one torque, as a linear function of the torque.
 
     Args:
         response: Displacement response of the axis.
         base: Displacement in the first hold without the torque [m or rad].
         gain: Displacement in the first hold per unit torque.
-        hand: Displacement by the hand in two holds [m or rad].
+        hand: Displacement due to the hand's largest force in two holds [m or rad].
         friction: Largest increase of an inward displacement in a hold by friction [m or rad].
         holds: Number of holds.
 
     Returns:
-        (sum without the torque [m or rad], its gain [m/N or rad/(N*m)], outward part of the first [m or rad]).
+        (Sum without the torque [m or rad], increase of the sum per torque [m/N or rad/(N*m)], sum without the torque
+        and without inward displacements [m or rad]).
     """
     start, more, ahead = base, gain, max(0.0, base)
     for _ in range(1, holds):
@@ -865,11 +870,11 @@ _ANY, _SENT, _HELD_ON = 0, 1, 2
 def pass_hold(
     declared: Declared, hand: float, speed: float, motion: LateMotion, most: float, least: float
 ) -> tuple[LateMotion, float]:
-    """Return the motion in the next hold, and the largest energy taken out, less the device's dissipation [J].
+    """Return the largest motion in the next hold, and the most its torques take from the budget, net of losses [J].
 
     Args:
         declared: Declared properties of axis and hand.
-        hand: Displacement by the hand [m or rad]; infinite: unknown.
+        hand: Displacement due to the hand's largest force [m or rad]; infinite: unknown.
         speed: Speed of the hand; 0: unknown [m/s or rad/s].
         motion: Motion in the hold before.
         most: Largest torque along `sign` that may be held in the next hold, >= 0 [N or N*m].
@@ -892,9 +897,9 @@ def pass_hold(
 def taken_in_hold(
     declared: Declared, hand: float, speed: float, motion: LateMotion, most: float, least: float, following: float
 ) -> float:
-    """Return the least of bounds A to D of a hold [J].
+    """Return the most that a hold's torques can take from the budget: the least of bounds A to D in the module [J].
 
-    `following` is its displacement [m or rad]; the other arguments are those of `pass_hold`.
+    `following` is the displacement in the hold [m or rad]; the other arguments are those of `pass_hold`.
     """
     friction, hold, late, taken = declared.friction, declared.sample_time, declared.late, inf
     net = most - friction if most > friction else 0.0
@@ -918,7 +923,7 @@ def taken_in_hold(
 def along_reach(
     declared: Declared, motion: LateMotion, friction: float, most: float, least: float, following: float, reach: float
 ) -> float:
-    """Return the most energy that torques give out in a hold [J]: bound A, or B if friction is not 0."""
+    """Return the most that a hold's torques can take from the budget [J]: bound A, or B if friction is not 0."""
     most, least = max(0.0, most - friction), max(0.0, least - friction)
     highest, lowest = motion.highest - friction, max(0.0, motion.lowest - friction)
     taken = (most if following > 0.0 else least) * following
@@ -930,7 +935,7 @@ def along_reach(
 
 
 def tail_of(declared: Declared, hand: float, speed: float, motion: LateMotion) -> float:
-    """Return the most energy that the torques take out after the last hold [J]."""
+    """Return the most that late torques, which still act after the last hold, can take from the budget [J]."""
     net = motion.highest - declared.friction
     if declared.late == 0.0 or net <= 0.0:
         return 0.0
@@ -943,9 +948,9 @@ def tail_of(declared: Declared, hand: float, speed: float, motion: LateMotion) -
 
 
 def may_act(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, hold: int) -> float:
-    """Return the largest torque along `sign` that may act in a hold, 1 being the next [N or N*m], >= 0.
+    """Return the largest torque along `sign` that may act in a future hold [N or N*m], >= 0; hold 1 is the next.
 
-    Any torque sent may act for as many further holds as losses are declared.
+    If frames are lost, a torque acts longer: by at most as many holds as losses are declared.
     """
     most = 0.0
     for place in range(max(0, hold - declared.losses), min(hold, declared.delay) + 1):
@@ -956,7 +961,7 @@ def may_act(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: f
 
 
 def smallest_acting(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, hold: int) -> float:
-    """Return the smallest torque along `sign` that may act in a hold, 1 being the next [N or N*m], >= 0."""
+    """Return the smallest torque along `sign` that may act in a future hold [N or N*m], >= 0; hold 1 is the next."""
     least = inf
     for place in range(max(0, hold - declared.losses), min(hold, declared.delay) + 1):
         least = min(least, sign * (memory.under_way[bound.first + place - 1] if place else bound.torque))
@@ -966,7 +971,9 @@ def smallest_acting(declared: Declared, bound: TorqueBound, memory: BoundMemory,
 def taken_under_way(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, speed: float, holds: int, which: int
 ) -> tuple[float, float, LateMotion]:
-    """Return the energy that queued torques along `sign` take out [J], the worst with tail [J], and the last motion.
+    """Return what queued torques along `sign` can take from the budget [J], the most at any time [J], the last motion.
+
+    The second value includes torques that still act after the last hold.
 
     Args:
         declared: Declared properties of axis and hand.
@@ -975,7 +982,7 @@ def taken_under_way(
         sign: 1 or -1.
         speed: Largest speed of the hand; 0: not used [m/s or rad/s].
         holds: Number of holds in which they act.
-        which: `_ANY`: any torque that may act. `_SENT` or `_HELD_ON`: in the next hold the one sent, or the one before.
+        which: Torques assumed: `_ANY`: any that may act; `_SENT`, `_HELD_ON`: next the one sent, or the one before it.
     """
     hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
     highest, lowest = (bound.highest, bound.lowest) if sign > 0.0 else (-bound.lowest, -bound.highest)
@@ -995,7 +1002,7 @@ def taken_under_way(
 
 
 def for_every_hand(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float, holds: int) -> float:
-    """Return the energy left after all queued torques, for an arbitrary hand [J].
+    """Return the budget `energy` less what the queued torques can give to an arbitrary hand [J].
 
     The integral of (u - f_c)+^2 is at most the sum of n_k^2 (T + theta), because u is a mean of the torques.
     """
@@ -1012,7 +1019,7 @@ def for_every_hand(declared: Declared, bound: TorqueBound, memory: BoundMemory, 
 
 
 def free_of_late(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
-    """Return the part of `energy`, with the device's dissipation, that the queued torques do not need [J]."""
+    """Return the energy of `free_in_sum` [J] if torques come late or frames may be lost."""
     holds, known = declared.delay + declared.losses, energy + bound.dissipated
     free = 0.0
     if declared.by_hand_force or declared.hand_speed > 0.0:
@@ -1046,7 +1053,7 @@ def largest_of_late(
 def largest_of_known(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float
 ) -> float:
-    """Return the largest torque along `sign` for a hand of bounded force, speed, or both [N or N*m].
+    """Return the largest certified torque along `sign` for a hand of bounded force, speed, or both [N or N*m].
 
     Args:
         declared: Declared properties of axis and hand.
@@ -1068,9 +1075,9 @@ def largest_of_known(
 def largest_after(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float, which: int
 ) -> float:
-    """Return the largest torque of `largest_of_known` after the queued torques named by `which`.
+    """Return the largest torque of `largest_of_known` if the queued torques named by `which` act before it [N or N*m].
 
-    `energy` is the budget less the energy that opposing torques take [J].
+    `energy` is the budget less what torques in the other direction can take from it [J].
     """
     given, _, motion = taken_under_way(declared, bound, memory, sign, speed, declared.delay, which)
     budget, friction, losses = energy - given, declared.friction, declared.losses
@@ -1091,7 +1098,7 @@ def largest_after(
 
 
 def free_energy(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
-    """Return the part of `energy` [J] that the certificates of the queued torques do not need."""
+    """Return the budget not reserved for queued torques [J]; `energy` leaves out the device's dissipation."""
     if declared.losses == 0 and declared.late == 0.0:
         return free_in_sum(declared, bound, memory, energy)
     return free_of_late(declared, bound, memory, energy)
@@ -1100,9 +1107,9 @@ def free_energy(declared: Declared, bound: TorqueBound, memory: BoundMemory, ene
 def largest_torques(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
 ) -> tuple[float, float, float]:
-    """Return the largest torque along `sign` [N or N*m]: by all certificates, for any hand, and without the hand speed.
+    """Return the largest certified torques along `sign`: by all certificates, for any hand, without the hand speed.
 
-    `energy` [J] is the budget, without the device's dissipation.
+    All three are in [N or N*m]. `energy` is the budget without the device's dissipation [J].
     """
     if declared.losses or declared.late > 0.0:
         return largest_of_late(declared, bound, memory, sign, energy)
@@ -1113,9 +1120,9 @@ def largest_torques(
 
 
 def by_hand_force(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float) -> float:
-    """Return the largest torque along `sign` [N or N*m] for a hand within its declared force.
+    """Return the largest certified torque along `sign` for a hand that keeps its declared force [N or N*m].
 
-    If no other property is declared, `largest_in_sum` gives the same torque. `energy` [J] is the budget.
+    If no other property is declared, `largest_in_sum` gives the same torque. `energy` is the budget [J].
     """
     response, before, hand = declared.response, sign * bound.torque, hand_along(declared, bound, sign)
     if hand == inf:  # the hand is unknown along it

@@ -1,8 +1,9 @@
-"""Bounds behind the certificates of one axis: how far it can move along a torque, and which torque that permits.
+"""How far one axis can move along a torque in a hold, and how large a torque an energy budget therefore permits.
 
-Only the torque of a hold and the displacement in it exchange energy (eq. 2), so every step has to bound how far the
-axis can move OUT (along the torque) while the torque cannot be changed. All formulas below are for a torque in the
-positive direction, and displacements are positive along it; the caller mirrors.
+The certificates (proofs that the axis generates no energy) of `certified_torque` use these bounds. Only the torque of a
+hold and the displacement in it exchange energy (eq. 2), so every step has to bound how far the axis can move OUT (along
+the torque) while the torque cannot be changed. All formulas below are for a torque in the positive direction, and
+displacements are positive along it; for the other direction the caller reverses the signs.
 
 **Hand force.** An axis m v' + b v = f(t) + u(t), f held constant in each hold, outward hand force u <= F_h, inward hand
 force without limit. With D_i the displacement in hold i and K the response of the displacement to a force,
@@ -133,7 +134,7 @@ class HoldTiming:
 
 
 def hold_timing(sample_time: float, jitter: float, window: float, lag: float) -> HoldTiming:
-    """Return the bounds of the timing of every hold.
+    """Return the shortest and longest hold, and how long and how much older torques act in a hold.
 
     Args:
         sample_time: T [s].
@@ -156,7 +157,7 @@ def hold_timing(sample_time: float, jitter: float, window: float, lag: float) ->
 
 @dataclass(frozen=True, slots=True)
 class DisplacementResponse:
-    """Worst response of the displacement in a hold, for one axis and hand (see the module)."""
+    """Largest displacement in a hold per torque, hand force and earlier displacement, for one axis (see the module)."""
 
     retained: float  # least share of an inward displacement that the next hold repeats, e^(-bT/m)
     before: float  # [m/N] per torque in the hold before
@@ -182,7 +183,7 @@ def displacement_response(
     sample_time: float, mass: float, hand_force: float, damping_least: float = 0.0, damping_most: float = 0.0,
     hand_push: float = math.inf, timing: HoldTiming | None = None, friction: tuple[float, float] = (0.0, math.inf),
 ) -> DisplacementResponse:  # fmt: skip
-    """Return the worst response of the displacement in a hold.
+    """Return the largest displacement in a hold per torque, hand force and previous displacement.
 
     With y = bT/m: during = (T^2/m) (y - 1 + e^-y) / y^2, before = (T^2/m) (1 - e^-y - y e^-y) / y^2, hand = F_h times
     their sum. `during` and the sum fall with m at fixed b; `before` does so only while every lag is below m/b, beyond
@@ -233,14 +234,14 @@ def displacement_response(
 def next_displacement(
     displacement: float, torque_before: float, torque: float, response: DisplacementResponse, hand: float
 ) -> float:
-    """Return the largest outward displacement [m or rad] in the hold that follows one of `displacement`.
+    """Return the largest outward displacement in a hold, from that in the hold before it and the torques [m or rad].
 
     Args:
         displacement: Largest outward displacement of the previous hold [m or rad].
         torque_before: Outward torque held in it [N or N*m]; an inward one counts as 0.
         torque: Outward torque of the hold to bound; 0 gives the base of `hand_force_bound`.
         response: Displacement response of the axis.
-        hand: Displacement by the hand in both holds [m or rad]: `response.hand`, or `response.push`.
+        hand: Displacement due to the hand's force in both holds [m or rad]: `response.hand`, or `response.push`.
     """
     if displacement < 0.0:
         displacement -= (1.0 - response.retained) * displacement
@@ -258,9 +259,9 @@ def next_displacement(
 def tail_reach(
     displacement: float, torque_before: float, torque: float, response: DisplacementResponse, hand: float
 ) -> float:
-    """Return the largest distance over which older torques may act in the hold after one of `displacement` [m or rad].
+    """Return the largest distance of the next hold over which older, late torques still act [m or rad].
 
-    X of equation (2); arguments as for `next_displacement`, `torque` is the largest that acts in the hold.
+    X of equation (2); arguments as for `next_displacement`, but `torque` is the largest that acts in the hold.
     """
     reach = response.tail_hand * hand + response.tail_during * torque
     if torque_before > 0.0:
@@ -287,7 +288,7 @@ def hand_force_bound(budget: float, base: float, gain: float) -> float:
 
 
 def renderable_by_hand_force(response: DisplacementResponse, delay: int, torque: float) -> float:
-    """Return the largest static stiffness [N/m or N*m/rad] that the hand-force certificate holds at a torque.
+    """Return the largest stiffness whose given torque at rest the hand-force certificate permits [N/m or N*m/rad].
 
     At rest every hold has the same torque F, and the stored energy F^2 / 2k must cover sum(F D_i) over the queued holds
     and the next one. Undamped: k <= (m / 2T^2) F / (F + F_h) at delay 0 and (m / 6T^2) F / (F + F_h) at delay 1.
@@ -297,22 +298,23 @@ def renderable_by_hand_force(response: DisplacementResponse, delay: int, torque:
 
 
 def renderable_by_device_damping(damping: float, sample_time: float, delay: int) -> float:
-    """Return the largest static stiffness [N/m or N*m/rad] that the device-damping certificate holds: 2b / T (1 + n).
+    """Return the largest stiffness that the device-damping certificate permits at rest [N/m or N*m/rad].
 
-    At rest F^2 (1 + delay) <= 4 b E / T with E = F^2 / 2k. Colgate's bound is the value for delay 0.
+    It is 2b / T (1 + delay): at rest F^2 (1 + delay) <= 4 b E / T with E = F^2 / 2k. Colgate's bound is the value for
+    delay 0.
     """
     return 2.0 * damping / (sample_time * (1 + delay))
 
 
 def renderable_by_hand_speed(speed: float, sample_time: float, delay: int, torque: float) -> float:
-    """Return the largest static stiffness [N/m or N*m/rad] that the hand-speed certificate holds at a torque."""
+    """Return the largest stiffness whose torque at rest the hand-speed certificate permits [N/m or N*m/rad]."""
     return torque / (2.0 * speed * sample_time * (1 + delay))
 
 
 def sustained_by_friction(friction: float, count: float) -> float:
-    """Return the stiffness [N/m or N*m/rad] up to which dry friction covers encoder quantization: f_c / count.
+    """Return the stiffness up to which dry friction dissipates what encoder quantization generates [N/m or N*m/rad].
 
-    0 with an ideal encoder, which has no quantization. See `certified_torque`.
+    It is f_c / count; 0 with an ideal encoder, which has no quantization. See `certified_torque`.
     """
     return friction / count if count > 0.0 else 0.0
 
@@ -322,7 +324,7 @@ WINDOW: Final = 32
 
 
 def start_speed(response: DisplacementResponse, sample_time: float, delay: int, count: float = 0.0) -> float:
-    """Return the inward speed [m/s or rad/s] above which a contact starts from zero energy.
+    """Return the speed into a wall above which a contact needs no energy stored beforehand [m/s or rad/s].
 
     It is (1 + delay) F_h T / m with an ideal encoder. Over j holds one count leaves the speed uncertain by
     count / (j T), and the hand can have added F_h T (j - 1) / 2m; at high rates the best j gives sqrt(2 count F_h / m)
@@ -337,7 +339,9 @@ _FIRST: Final = 1e-3  # [N or N*m]
 
 
 def start_energy(response: DisplacementResponse, delay: int, stiffness: float) -> float:
-    """Return the energy [J] that suffices to hold a contact of any speed; infinite if the stiffness is too large.
+    """Return the energy which, stored before a contact of any speed, permits to render the wall in full [J].
+
+    It is infinite if the stiffness is too large for any stored energy.
 
     Args:
         response: Displacement response of the axis, with the force of the hand.

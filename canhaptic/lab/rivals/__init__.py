@@ -1,1 +1,1 @@
-"""Algorithms for comparison; the tables of `canhaptic.control` name them."""
+"""Passivity algorithms of other authors, for comparison; the tables of `canhaptic.control` make them selectable."""

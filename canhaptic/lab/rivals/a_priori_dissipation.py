@@ -1,4 +1,4 @@
-"""`a_priori_dissipation`: the algorithm of ref. [12], dissipation fixed a priori (eqs. 5-7), with the same ledger.
+"""`a_priori_dissipation`: the algorithm of ref. [12], which fixes the dissipation of a hold in advance (eqs. 5-7).
 
 The energy to be dissipated in a hold is T d v^2 with the velocity computed before it; the rest of the stored
 and received energy gives the next state. Early in a contact this a-priori energy can exceed what the user has put in:
@@ -49,7 +49,7 @@ class APrioriDissipationParameters(StoredModelParameters):
     """Parameters that ref. [12] does not fix."""
 
     rearm: Literal["printed", "displacement"] = "printed"
-    """Velocity of a new start after the store emptied in contact: x / T (eq. 14, as printed), or the displacement's."""
+    """Velocity at a restart in contact without stored energy: `printed`: x / T (eq. 14), or from the displacement."""
 
     @property
     def rearms_as_printed(self) -> bool:
@@ -71,7 +71,7 @@ def touch(
     hold: Hold,
     entered: bool,
 ) -> HoldAccount:
-    """Account for a hold that ended in contact."""
+    """Book a hold that ended in contact: start the stored state if the contact is new or nothing is stored."""
     storage, displacement = state.storage, hold.displacement
     state.met = state.met or entered
     if entered or (is_deadlocked(storage) and pushed_inward(environment, storage, displacement)):
@@ -83,7 +83,7 @@ def touch(
 
 
 def exchange(environment: Environment, settings: StoredModelSettings, storage: Storage, hold: Hold) -> HoldAccount:
-    """Dissipate the energy that the velocity within this hold's torque demands (eqs. 6, 7)."""
+    """Book the dissipation at the velocity that the hold's torque contains, and store the remaining energy (eqs. 6, 7)."""
     account = approximate(environment, storage, hold.elapsed, dissipation(settings, hold), hold.h_i - hold.h_pas)
     if storage.h_s == 0.0:
         empty(storage)
@@ -91,7 +91,7 @@ def exchange(environment: Environment, settings: StoredModelSettings, storage: S
 
 
 class APrioriDissipation(SteppedController):
-    """The predecessor of the paper's algorithm for one axis."""
+    """Controller of one axis with the paper's predecessor algorithm, whose dissipation is fixed in advance."""
 
     parameters_type = APrioriDissipationParameters
     kernel = Kernel(

@@ -24,7 +24,7 @@ from canhaptic.units import quantity
 
 
 class AdaptiveReferenceParameters(passivity_observer.PassivityObserverParameters):
-    """Limits of the braking force, and the speed above which it acts."""
+    """Limits of the controller's damping, and the speed above which it acts."""
 
     least_speed: Annotated[float, quantity("m/s", "rad/s", ge=0.0, le=10.0)] = 0.002
     """Speed below which the damper is off; the default is that of the source."""
@@ -38,7 +38,7 @@ class _AdaptiveReferenceState(passivity_observer.ObserverState):
 
 
 def respond(run: SampledRun[AdaptiveReferenceParameters, _AdaptiveReferenceState], hold: Hold, asked: Asked) -> Reply:
-    """Add a damper while the energy observed is below its reference and the axis moves."""
+    """Add damping to the next command while the observed energy is below its reference and the axis moves."""
     state, settings, extra = run.state, run.settings, 0.0
     below = below_reference(state, add(state.observed, hold.h_i), hold.h_i)
     if asked.touches and abs(hold.velocity) > settings.given.least_speed:

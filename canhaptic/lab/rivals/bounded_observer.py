@@ -36,7 +36,7 @@ class BoundedObserverParameters(DamperVelocity):
     speed_offset: Annotated[float, quantity("m/s", "rad/s", gt=0.0, le=10.0)] = 0.01
     """Speed delta, which keeps the force bounded as the motion comes to rest."""
     integral_holds: Annotated[float, quantity("count", ge=1.0, le=1e6)] = 10.0
-    """Number n of holds over which the unrecovered energy is added to the force."""
+    """Number n of holds over which energy that the force has not yet dissipated is added to it."""
     force_limit: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)] | None = None
     """Largest force of the passivity controller; None: only the drive's limit applies."""
 
@@ -52,13 +52,13 @@ class _BoundedObserverState(ObserverState):
 def settings_of(
     environment: Environment, parameters: BoundedObserverParameters, loop: LoopProperties
 ) -> unprotected.SampledSettings[Any]:
-    """Constants of a run; the limit applies to the force."""
+    """Return the constants of a run; their limit is the largest force of the passivity controller [N or N*m]."""
     limit = inf if parameters.force_limit is None else parameters.force_limit
     return unprotected.sampled_settings(environment, parameters, loop, limit)
 
 
 def respond(run: SampledRun[BoundedObserverParameters, _BoundedObserverState], hold: Hold, asked: Asked) -> Reply:
-    """Add the force of the passivity controller."""
+    """Add the force of the passivity controller to the next command."""
     state, velocity, damping = run.state, hold.displacement / hold.elapsed, asked.damping
     observed, wanted = add(state.observed, hold.h_i), asked.spring + asked.damper
     state.force = force = controlling_force(run.settings, state, observed, hold, wanted) if asked.touches else 0.0

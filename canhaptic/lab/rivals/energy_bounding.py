@@ -26,7 +26,7 @@ from canhaptic.kernels import Buffer, new
 
 
 class EnergyBoundingParameters(DamperVelocity):
-    """Parameters of `energy_bounding`: the velocity of the damper; device damping is a property of the loop."""
+    """Parameters of `energy_bounding`: how the damper's velocity is measured. Device damping belongs to the loop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class _EnergyBoundingState(unprotected.SampledState):
 def settings_of(
     environment: Environment, parameters: EnergyBoundingParameters, loop: LoopProperties
 ) -> unprotected.SampledSettings[Device]:
-    """Constants of a run.
+    """Return the constants of a run.
 
     Raises:
         ParameterError: No device damping is declared.
@@ -69,7 +69,7 @@ def settings_of(
 
 
 def respond(run: SampledRun[Device, _EnergyBoundingState], hold: Hold, asked: Asked) -> Reply:
-    """Render as much of the model's torque as the bound allows."""
+    """Send the model's torque, reduced to the largest that the device's damping certainly dissipates."""
     state, device, wanted = run.state, run.settings.given, abs(asked.spring + asked.damper)
     energy = known_energy(device, run.settings.hold.sample_time, state, hold)
     stored = share = bounded_share(device, run.memory.axis.commands.torques, state.axis.oldest, energy, wanted)
@@ -79,7 +79,7 @@ def respond(run: SampledRun[Device, _EnergyBoundingState], hold: Hold, asked: As
 
 
 def known_energy(device: Device, sample_time: float, state: _EnergyBoundingState, hold: Hold) -> float:
-    """Book the hold that ended and return E_n minus the encoder's uncertainty [J]."""
+    """Book the hold that ended; return the energy received and dissipated, E_n, less the encoder's uncertainty [J]."""
     count, periods = device.count, hold.elapsed / sample_time
     moved = max(0.0, abs(hold.displacement) - count)
     booked = add(state.energy, hold.h_i + device.damping * (moved * moved) / (periods * device.longest))
@@ -89,7 +89,7 @@ def known_energy(device: Device, sample_time: float, state: _EnergyBoundingState
 
 
 def bounded_share(device: Device, torques: Buffer, oldest: int, energy: float, wanted: float) -> float:
-    """Return the fraction of a requested torque that is within the bound, 0..1.
+    """Return the largest fraction of a requested torque for which the device's dissipation suffices, 0..1.
 
     Args:
         device: Guaranteed properties of the device.
@@ -107,7 +107,7 @@ def bounded_share(device: Device, torques: Buffer, oldest: int, energy: float, w
 
 
 class EnergyBounding(SteppedController):
-    """The sampled environment, with a torque that the declared device damping bounds."""
+    """Controller that renders the environment with a torque bounded by the declared damping of the device."""
 
     parameters_type = EnergyBoundingParameters
     kernel = unprotected.sampled_kernel(respond, _EnergyBoundingState, settings_of)

@@ -1,4 +1,4 @@
-"""`energy_tank`: the spring in excess of a constant stiffness draws its energy from a tank, and is limited by it.
+"""`energy_tank`: stiffness beyond a constant value draws its energy from a tank, whose energy limits it.
 
 The force is K_c x + b x (K - K_c) + d v with 0 <= b <= 1. T is the energy in the tank: it grows by what the damper
 dissipates, while T is below `most_energy`, and by what the variable spring takes up, and falls by what that spring
@@ -30,13 +30,13 @@ class EnergyTankParameters(DamperVelocity):
     """Parameters of the constant spring and of the tank."""
 
     constant_stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)] = 0.0
-    """Constant stiffness K_c, rendered at every level of the tank."""
+    """Constant stiffness K_c, rendered even if the tank is empty."""
     initial_energy: Annotated[float, quantity("J", ge=0.0, le=1e3)] = 0.0
     """Initial energy of the tank, which the display may generate."""
     least_energy: Annotated[float, quantity("J", ge=0.0, le=1e3)] = 0.0
     """Energy of the tank below which nothing is taken out."""
     most_energy: Annotated[float, quantity("J", gt=0.0, le=1e3)] = 3.0
-    """Energy of the tank above which the damper does not fill it; the default is that of the source."""
+    """Energy in the tank from which on the damper's dissipation is not added; the default is that of the source."""
 
 
 @dataclass(slots=True)
@@ -47,7 +47,7 @@ class _EnergyTankState(SampledState):
 
 
 def respond(run: SampledRun[EnergyTankParameters, _EnergyTankState], hold: Hold, asked: Asked) -> Reply:
-    """Render the constant spring, and as much of the rest as the tank allows."""
+    """Send the force of the constant stiffness, and as much of the spring's remaining force as the tank supplies."""
     given, state, parts, spring = run.settings.given, run.state, run.memory.own, asked.spring
     place = state.axis.oldest
     fill(given, state, hold, part_applied(parts, place, hold.missed))
@@ -60,7 +60,7 @@ def respond(run: SampledRun[EnergyTankParameters, _EnergyTankState], hold: Hold,
 
 
 def part_applied(parts: Buffer, place: int, missed: int) -> float:
-    """Return the fraction of the variable spring in the command of the hold that ended, 0..1.
+    """Return the variable spring's fraction of the force that acted in the hold that ended, 0..1.
 
     After lost samples it is unknown which command acted, so that the whole spring counts; the drive repeated the newest
     command, which replaces those whose holds ended.
@@ -74,13 +74,13 @@ def part_applied(parts: Buffer, place: int, missed: int) -> float:
 
 
 def constant_force(stiffness: float, depth: float, spring: float) -> float:
-    """Return the force of the constant spring, not larger than the environment's [N or N*m]."""
+    """Return the force of the spring of constant stiffness, limited to the environment's force [N or N*m]."""
     force = stiffness * depth
     return force if abs(force) < abs(spring) else spring
 
 
 def fill(given: EnergyTankParameters, state: _EnergyTankState, hold: Hold, part: float) -> None:
-    """Add the energy that damper and variable spring absorbed in a hold (`part` of its force from the latter)."""
+    """Add to the tank what damper and variable spring absorbed in a hold; `part` of its force came from that spring."""
     state.brought += part * hold.h_i
     dissipated = hold.damper * hold.displacement
     if dissipated > 0.0 and given.initial_energy + state.brought < given.most_energy:
@@ -90,13 +90,13 @@ def fill(given: EnergyTankParameters, state: _EnergyTankState, hold: Hold, part:
 def allowed_share(
     given: EnergyTankParameters, state: _EnergyTankState, hold: Hold, variable: float, damper: float
 ) -> float:
-    """Return b, the part of the variable spring that the tank allows in the next hold, 0..1.
+    """Return b, the fraction of the variable spring's force that the tank's energy permits in the next hold, 0..1.
 
     Args:
         given: Parameters of the run.
         state: State of the axis.
         hold: The hold that ended; the next is assumed to move like it.
-        variable: Force of the whole variable spring [N or N*m].
+        variable: Force of the variable spring at b = 1 [N or N*m].
         damper: Force of the damper [N or N*m].
     """
     taken = -variable * hold.displacement
@@ -107,7 +107,7 @@ def allowed_share(
 
 
 class EnergyTank(SteppedController):
-    """The sampled environment, with a spring that is limited by the energy of a tank."""
+    """Controller that renders the environment with a spring force limited by the energy in a tank."""
 
     parameters_type = EnergyTankParameters
     kernel = sampled_kernel(respond, _EnergyTankState, kept=lambda settings: settings.hold.delay + 1)

@@ -1,4 +1,4 @@
-"""`force_augmentation`: successive force augmentation, a soft spring with an offset that grows from press to press.
+"""`force_augmentation`: successive force augmentation, a soft spring with a force offset that grows press by press.
 
 The first press renders the stiffness K of the environment. From the first release on, the force is that of a soft
 spring k, which sampling leaves passive, plus an offset: force = k x + o. While the hand presses and force / x is below
@@ -32,11 +32,11 @@ class ForceAugmentationParameters(DamperVelocity):
     feedback_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e9)] = 1200.0
     """Stiffness k of the soft spring."""
     increment: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e3)] = 0.001
-    """Change of the offset per hold, if the missing stiffness is at most `coarse`."""
+    """Change of the force offset per hold, if the rendered stiffness is at most `coarse` below the environment's."""
     reach: Annotated[float, quantity("m", "rad", ge=0.0, le=1.0)] = 1e-5
-    """Change of the offset per hold and per unit of missing stiffness, if more than `coarse` is missing."""
+    """Change of the force offset per hold and per missing stiffness, if more than `coarse` is missing."""
     coarse: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e9)] = 1000.0
-    """Missing stiffness above which `reach` applies instead of `increment`."""
+    """Missing stiffness above which the offset changes by `reach` instead of `increment`."""
 
 
 @dataclass(slots=True)
@@ -50,7 +50,7 @@ class _ForceAugmentationState(SampledState):
 
 
 def respond(run: SampledRun[ForceAugmentationParameters, _ForceAugmentationState], hold: Hold, asked: Asked) -> Reply:
-    """Render the soft spring and its offset; every contact begins without an offset."""
+    """Send the force of the soft spring plus its offset; every contact begins without an offset."""
     state, size = run.state, abs(asked.spring)
     if asked.branch == _START or not asked.touches:
         state.offset = state.depth = state.force = 0.0
@@ -62,13 +62,13 @@ def respond(run: SampledRun[ForceAugmentationParameters, _ForceAugmentationState
 def augmented_force(
     given: ForceAugmentationParameters, state: _ForceAugmentationState, depth: float, full: float
 ) -> float:
-    """Return the magnitude of the spring's force in the next command [N or N*m].
+    """Return the magnitude of the soft spring's force plus offset for the next command [N or N*m].
 
     Args:
         given: Parameters of the run.
-        state: State of the contact; changed.
+        state: State of the contact, with the offset; changed.
         depth: Depth in the environment, not below 0 [m or rad].
-        full: Magnitude of the environment's force there [N or N*m].
+        full: Magnitude of the environment's force at this depth [N or N*m].
     """
     if depth <= 0.0:
         return full
@@ -90,7 +90,7 @@ def augmented_force(
 
 
 class ForceAugmentation(SteppedController):
-    """The sampled environment, rendered by a soft spring and an offset."""
+    """Controller that renders the environment's spring by a soft spring and a force offset."""
 
     parameters_type = ForceAugmentationParameters
     kernel = sampled_kernel(respond, _ForceAugmentationState)

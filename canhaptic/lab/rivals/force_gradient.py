@@ -42,7 +42,7 @@ class _ForceGradientState(passivity_observer.ObserverState):
 
 
 def respond(run: SampledRun[ForceGradientParameters, _ForceGradientState], hold: Hold, asked: Asked) -> Reply:
-    """Change the force of the last command by the change of the model's force, and add a damper."""
+    """Send the last force plus the change of the model's force, and the damping of the passivity controller."""
     state, settings, wanted = run.state, run.settings, asked.spring + asked.damper
     observed, depth = add(state.observed, hold.h_i), state.model.true
     force = gradient_force(settings.given.least_force, state, wanted, depth)
@@ -72,7 +72,7 @@ def gradient_force(least_force: float, state: _ForceGradientState, wanted: float
 
 
 class ForceGradient(SteppedController):
-    """The sampled environment rendered by changes of its force, with a passivity controller."""
+    """Controller that renders the environment by changes of its force, with a passivity controller."""
 
     parameters_type = ForceGradientParameters
     kernel = sampled_kernel(respond, _ForceGradientState, partial(observer_settings, "force_gradient"))

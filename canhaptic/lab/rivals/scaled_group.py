@@ -1,4 +1,4 @@
-"""`step_scaling`: the paper's method on several axes, which scales the network's step to the energy of the hold.
+"""`step_scaling`: the paper's method on several axes, which scales the model's step to the energy received in a hold.
 
 The state x of the network stores received energy only. Of the step s of the model it takes the share l with
 
@@ -50,15 +50,15 @@ from canhaptic.kernels import Buffer, Kernel, Run, list_of_zeros, new
 from canhaptic.units import Parameters
 
 EVALUATIONS: Final = 60
-"""Largest number of evaluations of the energy in one balance."""
+"""Largest number of evaluations of the stored energy in the solution of one energy balance."""
 _PIECES: Final = 8
-"""Number of places along a step that are tried for the received energy if the end of the step takes up too little."""
+"""Number of points along a step that are tried if the end of the step stores less than the received energy."""
 FURTHEST: Final = 2.0
-"""Largest share of a step, in either direction; energy that needs more is booked as a remainder."""
+"""Largest factor by which a step is scaled, in either direction; energy beyond that is booked as a remainder."""
 
 
 class StepScaling(NamedTuple):
-    """Solution for the share of the step."""
+    """Solution of the energy balance: the factor (share) by which the model's step is scaled."""
 
     share: float
     found: bool  # False: nothing balances; `share` is where the most is given, or the end where the most is taken
@@ -66,7 +66,7 @@ class StepScaling(NamedTuple):
 
 
 class LineMemory(NamedTuple):
-    """A line of states x + l s, and its work arrays; shapes (states,)."""
+    """Line of states x + l s on which the energy balance is solved, and work arrays; shapes (states,)."""
 
     state: Buffer  # x
     step: Buffer  # s
@@ -76,14 +76,14 @@ class LineMemory(NamedTuple):
 
 
 def line_memory(states: int) -> LineMemory:
-    """Return empty buffers."""
+    """Return a line with zeros in all buffers."""
     return LineMemory(*[list_of_zeros(states) for _ in range(5)])
 
 
 def taken(
     tables: NetworkTables, functions: Functions, line: LineMemory, loss: float, share: float
 ) -> tuple[float, float]:
-    """Return the energy that a share of the step takes up, l L included, and its slope [J].
+    """Return the energy stored and dissipated by `share` l of the step, and its derivative by l [J].
 
     Without cancellation: H(x + l s) - H(x) = l s . e_dg(x, x + l s).
     """
@@ -107,7 +107,7 @@ def taken(
 
 
 def stiffness_along(tables: NetworkTables, line: LineMemory) -> float:
-    """Return s . H'' s [J] if the energy is quadratic along the line while its storages stay engaged, else -1."""
+    """Return s . H'' s, the curvature of the energy along the line [J]; -1 if the energy is not quadratic there."""
     total = 0.0
     if tables.by_functions:
         return -1.0
@@ -135,7 +135,9 @@ def stiffness_along(tables: NetworkTables, line: LineMemory) -> float:
 def solve_scale(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, limit: float
 ) -> StepScaling:
-    """Return the share l nearest 0, |l| <= limit, with H(x + l s) - H(x) + l L equal to a given energy.
+    """Return the share l of the step, nearest 0, that stores and dissipates a given energy.
+
+    It solves H(x + l s) - H(x) + l L = H_m with |l| <= limit.
 
     Args:
         tables: The network.
@@ -168,7 +170,7 @@ def search_scale(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, limit: float,
     tolerance: float,
 ) -> StepScaling:  # fmt: skip
-    """Solve `solve_scale` for an energy that is not quadratic; `tolerance` is its rounding [J]."""
+    """Solve the balance of `solve_scale` for an energy that is not quadratic; `tolerance` is its rounding [J]."""
     if abs(energy) <= tolerance:
         return new(StepScaling, (0.0, True, 0))
     slope = taken(tables, functions, line, loss, 0.0)[1]
@@ -188,7 +190,7 @@ def search_scale(
 def bracket_upwards(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, far: float
 ) -> tuple[float, bool, int]:
-    """Return a share up to `far` that absorbs at least an energy > 0, whether one was found, and the evaluations."""
+    """Return a share up to `far` that absorbs at least `energy` > 0, whether it was found, and evaluations made."""
     if taken(tables, functions, line, loss, far)[0] >= energy:
         return far, True, 1
     for piece in range(1, _PIECES):
@@ -201,10 +203,10 @@ def bracket_upwards(
 def bracket_downwards(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, far: float
 ) -> tuple[float, bool, int]:
-    """Return a share between 0 and the lowest point before `far` that releases at least -energy.
+    """Return a share between 0 and the energy minimum before `far` that releases at least -energy.
 
     Returns:
-        The share, or that with the largest release; whether it releases enough; the number of evaluations.
+        The share, or the one that releases most; whether it releases enough; the number of evaluations.
     """
     near, here, least, best, evaluations = 0.0, far, 0.0, 0.0, 0
     for _ in range(20):  # halving has the rest of the evaluations
@@ -228,7 +230,7 @@ def root_between(
     tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, tolerance: float,
     far: float, evaluations: int,
 ) -> StepScaling:  # fmt: skip
-    """Return the share between 0, which takes up too little of the energy, and `far`, which takes up enough."""
+    """Return the share between 0 and `far` that solves the balance; `far` absorbs or releases at least `energy`."""
     near, share, width = 0.0, far, abs(far)
     if energy > 0.0:
         slope = taken(tables, functions, line, loss, 0.0)[1]
@@ -262,7 +264,7 @@ _STATE_ROUNDING: Final = 1e-12  # of the energy at hand: below it a rest is roun
 
 
 class ScaledGroupParameters(Parameters):
-    """Free parameters of the algorithm."""
+    """Parameters of `step_scaling`."""
 
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
@@ -308,7 +310,7 @@ ScaledRun: TypeAlias = Run[ScaledSettings, ScaledState, ScaledMemory]
 
 
 def begin_state(world: GroupModel, run: ScaledRun) -> None:
-    """Begin at the first coordinates; strain there would store energy that no port supplied, and is released."""
+    """Set the state to the first coordinates, without strain: its energy would not have come from any port."""
     _, state, memory = run
     motion, followed = state.group.motion, memory.group.motion.network
     state.h_s, state.engaged, state.pace, state.blind, state.touched = 0.0, False, 0.0, 0, False
@@ -324,14 +326,14 @@ def begin_state(world: GroupModel, run: ScaledRun) -> None:
 
 
 def exchange(world: GroupModel, run: ScaledRun, h_m: float, damped: float, power: float) -> HoldAccount:
-    """Book a hold whose motion `group_kernel.move` has taken.
+    """Book the energy of a hold, after `group_kernel.move` advanced the motion, and update the stored state.
 
     Args:
         world: Network and kinematics of the group.
         run: Settings, state and memory of the group.
         h_m: Energy received by the model [J].
         damped: Damper efforts inside the torques applied, times the displacements [J].
-        power: The same efforts times the velocities they came from, times the hold (eq. 18) [J].
+        power: The same efforts, times the velocities from which they were computed and the hold's length (eq. 18) [J].
     """
     _, state, memory = run
     motion, followed = state.group.motion, memory.group.motion
@@ -353,9 +355,9 @@ def exchange(world: GroupModel, run: ScaledRun, h_m: float, damped: float, power
 
 
 def start(world: GroupModel, run: ScaledRun, h_m: float, entered: bool) -> HoldAccount:
-    """First-order start (eq. 14): the state is the model's, and the energy for it is created.
+    """Start a contact (eq. 14): set the state to the model's, and book the energy of that as generated.
 
-    After it the user feels no torque before `delay` more holds have ended; until then the start continues.
+    The user feels no torque until `delay` more holds have ended; until then the start continues.
     """
     settings, state, memory = run
     network, followed, model = state.group.motion.network, memory.group.motion.network, memory.model
@@ -370,14 +372,14 @@ def start(world: GroupModel, run: ScaledRun, h_m: float, entered: bool) -> HoldA
 
 
 def lay_line(memory: ScaledMemory, step: Buffer) -> None:
-    """Set the line that begins at the state and goes along a step."""
+    """Set the line on which the balance is solved: it begins at the state and goes along `step`."""
     line, state = memory.line, memory.group.motion.network.state
     for i in range(len(state)):
         line.state[i], line.step[i] = state[i], step[i]
 
 
 def balance(world: GroupModel, run: ScaledRun, h_m: float, damped: float, power: float) -> HoldAccount:
-    """Solve the scalar balance and take its step; without a solution, use eq. 18."""
+    """Scale the model's step by the energy balance and add it to the state; without a solution, use eq. 18."""
     _, state, memory = run
     tables, functions, line, before = world.tables, world.functions, memory.line, state.h_s
     step = memory.group.motion.network.room.step
@@ -438,7 +440,7 @@ def take(world: GroupModel, run: ScaledRun, share: float, step: Buffer) -> None:
 def settle_state(
     world: GroupModel, run: ScaledRun, branch: int, available: float, h_r: float, pace: float
 ) -> HoldAccount:
-    """Update the energy of the state; book its excess or shortfall."""
+    """Compute the energy of the new state; book its excess over the available energy as deficit, else a leak."""
     state, network = run.state, run.state.group.motion.network
     settle_network(world, network, run.memory.group.motion.network)
     state.h_s, state.pace = network.energy, pace
@@ -449,7 +451,7 @@ def settle_state(
 
 
 def leave(world: GroupModel, run: ScaledRun, account: HoldAccount, touching: bool, exchanged: bool) -> HoldAccount:
-    """Leak the energy of storages that the model no longer touches."""
+    """Empty the storages with which the model is no longer in contact, and book their energy as leak."""
     tables, state, motion = world.tables, run.state, run.state.group.motion
     followed, model = run.memory.group.motion.network, run.memory.model
     branch, h_r, gen, deficit, leak = account
@@ -471,7 +473,7 @@ def leave(world: GroupModel, run: ScaledRun, account: HoldAccount, touching: boo
 
 
 def write_model(world: GroupModel, run: ScaledRun) -> None:
-    """Write the state of the model: that at the ports, or for a moving network the state one whole step on."""
+    """Write the model's state to its buffer: from the ports, or for a network with motion, one whole step further."""
     followed, model = run.memory.group.motion.network, run.memory.model
     if world.tables.moving or not run.state.group.motion.located:
         for i in range(len(model)):
@@ -491,7 +493,7 @@ def touches(tables: NetworkTables, model: Buffer) -> bool:
 
 
 def is_pushed_inward(world: GroupModel, memory: ScaledMemory) -> bool:
-    """Return True when the step stores energy at the model's state, or when nothing opposes it there."""
+    """Return whether the step stores energy at the model's state, or moves there without any opposing effort."""
     tables, efforts, step = world.tables, memory.efforts, memory.group.motion.network.room.step
     gradient(tables, memory.model, efforts)
     if tables.by_functions:
@@ -505,7 +507,7 @@ def is_pushed_inward(world: GroupModel, memory: ScaledMemory) -> bool:
 
 
 def write_state_efforts(world: GroupModel, run: ScaledRun) -> float:
-    """Write the efforts of springs and dampers at motors and ports; return the energy of the dampers in a hold [J]."""
+    """Write the efforts of springs and dampers at motors and ports; return what the dampers dissipate in a hold [J]."""
     _, state, memory = run
     motion, followed, tables = state.group.motion, memory.group.motion, world.tables
     holds, ports, network = motion.holds, memory.ports, followed.network
@@ -529,7 +531,7 @@ def write_state_efforts(world: GroupModel, run: ScaledRun) -> float:
 def settings_of(
     world: GroupModel, parameters: ScaledGroupParameters, loops: tuple[LoopProperties, ...]
 ) -> ScaledSettings:
-    """Constants of a run."""
+    """Return the constants of a run."""
     return ScaledSettings(group_kernel.group_loop(world, loops), parameters.alpha)
 
 
@@ -548,7 +550,7 @@ def step(
     world: GroupModel, settings: ScaledSettings, state: ScaledState, memory: ScaledMemory, missed: int,
     positions: Buffer, torques_applied: Buffer,
 ) -> GroupHold:  # fmt: skip
-    """Account for the hold that ended; see `canhaptic.kernels.Kernel`."""
+    """Book the hold that ended and send the next torques; see `canhaptic.kernels.Kernel`."""
     group, motion, ended, loop = state.group, state.group.motion, memory.group.ended, settings.loop
     run = Run(settings, state, memory)  # not by `new`: compiled, no function returns a record
     if not group.started:
@@ -583,7 +585,7 @@ def step(
 
 
 def unsure_of(memory: ScaledMemory, ended: group_kernel.GroupHolds, missed: int) -> float:
-    """Largest error of the energy over lost holds, of which only the total displacement is known [J]."""
+    """Return the largest error of the energy over lost holds, of which only the total displacement is known [J]."""
     total = 0.0
     for i in range(len(ended.displacement)):
         moved, torque, apart = ended.displacement[i], ended.applied[i], 0.0
@@ -597,7 +599,7 @@ def unsure_of(memory: ScaledMemory, ended: group_kernel.GroupHolds, missed: int)
 
 
 def send(world: GroupModel, run: ScaledRun) -> float:
-    """Send the torques of the state, its dampers and the modulated damper; return the damping rendered."""
+    """Send the torques of springs, dampers and modulated damper at the stored state; return the damping rendered."""
     settings, state, memory = run
     group, commands, caps = state.group, memory.group.commands, settings.loop.caps
     place, displacement, elapsed = group.oldest, memory.group.ended.displacement, group.motion.elapsed
@@ -634,7 +636,7 @@ def send(world: GroupModel, run: ScaledRun) -> float:
 
 
 class ScaledGroup(group_kernel.SteppedGroup):
-    """A network whose state stores received energy only."""
+    """Controller of several axes that renders a network whose state stores received energy only."""
 
     parameters_type: ClassVar[type[Parameters]] = ScaledGroupParameters
     kernel: ClassVar[Kernel] = Kernel(settings_of, ScaledState, memory_of, step)

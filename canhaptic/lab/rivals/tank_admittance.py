@@ -32,7 +32,7 @@ class TankAdmittance(UnprotectedAdmittance):
         return self._given.initial
 
     def respond(self, hold: SampledHold) -> tuple[float, float, float]:
-        """Scale a command that would take more than the tank holds."""
+        """Update the tank and scale down a next speed that would take more energy than the tank holds."""
         request = hold.request
         self._energy = min(self._given.capacity, self._energy + hold.force * hold.before * hold.elapsed)
         taken = -hold.force * request * self._time

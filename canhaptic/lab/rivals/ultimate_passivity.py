@@ -25,16 +25,16 @@ from canhaptic.units import quantity
 
 
 class UltimatePassivityParameters(PassivityObserverParameters):
-    """Parameters: the two energy levels, the added damping, and the number of holds that count."""
+    """Parameters: the two energy levels, the added damping, and the number of holds over which energy is summed."""
 
     lower: Annotated[float, quantity("J", le=0.0, ge=-1e3)] = -0.01
-    """Energy at which the damping is switched on."""
+    """Observed energy at which the added damping is switched on."""
     upper: Annotated[float, quantity("J", ge=-1e3, le=1e3)] = 0.0
-    """Energy at which the damping is switched off; above `lower`."""
+    """Observed energy at which the added damping is switched off; above `lower`."""
     conservative_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 50.0
-    """Added damping; `damping_limit` or the cap of the loop bounds it."""
+    """Added damping; limited by `damping_limit` or, if that is not given, by the cap of the loop."""
     counted_holds: Annotated[int, quantity("count", ge=0, le=1_000_000_000)] = 0
-    """Number of holds after which the counted energy is reset to zero; 0: never."""
+    """Number of holds after which the observed energy is reset to zero; 0: never."""
 
     @model_validator(mode="after")
     def _upper_is_above_lower(self) -> Self:
@@ -53,7 +53,7 @@ class _UltimatePassivityState(SampledState):
 
 
 def respond(run: SampledRun[UltimatePassivityParameters, _UltimatePassivityState], hold: Hold, asked: Asked) -> Reply:
-    """Add the conservative damping between the two levels of energy."""
+    """Add the conservative damping to the next command if it is switched on by the observed energy."""
     settings, extra = run.settings, 0.0
     switch(settings.given, run.state, hold.h_i)
     if asked.touches and run.state.conservative:
@@ -62,7 +62,7 @@ def respond(run: SampledRun[UltimatePassivityParameters, _UltimatePassivityState
 
 
 def switch(given: UltimatePassivityParameters, state: _UltimatePassivityState, h_i: float) -> None:
-    """Count the energy of a hold [J] and choose the mode of the next."""
+    """Add the energy of a hold to the observed energy [J], and switch the added damping on or off."""
     state.energy += h_i
     state.holds += 1
     if state.holds == given.counted_holds:
@@ -74,7 +74,7 @@ def switch(given: UltimatePassivityParameters, state: _UltimatePassivityState, h
 
 
 class UltimatePassivity(SteppedController):
-    """The sampled environment, with damping added between two levels of observed energy."""
+    """Controller that renders the environment, with damping switched on and off at two levels of observed energy."""
 
     parameters_type = UltimatePassivityParameters
     kernel = sampled_kernel(respond, _UltimatePassivityState, partial(observer_settings, "ultimate_passivity"))

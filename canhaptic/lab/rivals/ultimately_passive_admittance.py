@@ -12,22 +12,22 @@ from canhaptic.units import Parameters, quantity
 
 
 class UltimatelyPassiveAdmittanceParameters(Parameters):
-    """Parameters of an admittance display: how fast the surplus is dissipated."""
+    """Parameters of `ultimately_passive`: how fast generated energy is dissipated."""
 
     alpha: Annotated[float, quantity("m/N/s/J", "rad/N/m/s/J", ge=0.0, le=1e6)] = 1.0
-    """Slip per force and per joule of surplus."""
+    """Slip (added velocity) per force and per joule of generated energy."""
     hand_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e8)] = 5000.0
     """Upper bound of the hand's stiffness, which limits the slip."""
 
 
 class UltimatelyPassiveAdmittance(UnprotectedAdmittance):
-    """A virtual mass whose surplus is dissipated gradually."""
+    """Controller of a virtual mass that dissipates generated energy gradually."""
 
     parameters_type = UltimatelyPassiveAdmittanceParameters
     _given: UltimatelyPassiveAdmittanceParameters
 
     def respond(self, hold: SampledHold) -> tuple[float, float, float]:
-        """Dissipate part of the surplus."""
+        """Return the next speed with a slip along the force that dissipates part of the generated energy."""
         h_pas = hold.force * self._slip * hold.elapsed
         self._energy = max(0.0, max(0.0, self._energy + self._created) - h_pas)
         most = 0.5 / (self._given.hand_stiffness * self._time)

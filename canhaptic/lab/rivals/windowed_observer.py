@@ -24,10 +24,10 @@ from canhaptic.units import quantity
 
 
 class WindowedObserverParameters(passivity_observer.PassivityObserverParameters):
-    """Limits of the passivity controller, and the window in which energy counts."""
+    """Limits of the passivity controller, and the number of holds over which energy is observed."""
 
     window: Annotated[int, quantity("count", ge=1, le=100_000)] = 30
-    """Length of the window, in holds; the default is that of the source."""
+    """Number of holds over which energy is observed; the default is that of the source."""
 
 
 @dataclass(slots=True)
@@ -42,7 +42,7 @@ _settings_of = partial(observer_settings, "windowed_observer")
 
 
 def respond(run: SampledRun[WindowedObserverParameters, _WindowedObserverState], hold: Hold, asked: Asked) -> Reply:
-    """Add a damper while more energy was drawn than received within the window."""
+    """Add damping to the next command while more energy was drawn than received within the window."""
     remember(run.state, run.memory.own, hold.h_i)
     extra = controlling_damping(run.settings.limit, run.state.energy, hold) if asked.touches else 0.0
     effort = extra * hold.displacement / hold.elapsed
@@ -50,7 +50,7 @@ def respond(run: SampledRun[WindowedObserverParameters, _WindowedObserverState],
 
 
 def remember(state: _WindowedObserverState, recent: Buffer, h_i: float) -> None:
-    """Add the energy of a hold [J] to the window, and forget the hold that leaves it."""
+    """Add the energy of a hold to the observed energy [J], and subtract that of the hold that leaves the window."""
     place = state.place
     leaving, recent[place] = recent[place], h_i
     state.place = place + 1 if place + 1 < len(recent) else 0
@@ -61,7 +61,7 @@ def remember(state: _WindowedObserverState, recent: Buffer, h_i: float) -> None:
 
 
 class WindowedObserver(SteppedController):
-    """Time-domain passivity control with a window around the sampled environment."""
+    """Controller that renders the environment with time-domain passivity control over a window of holds."""
 
     parameters_type = WindowedObserverParameters
     kernel = sampled_kernel(respond, _WindowedObserverState, _settings_of, lambda settings: settings.given.window)
