@@ -83,7 +83,7 @@ def touch(
 
 
 def exchange(environment: Environment, settings: StoredModelSettings, storage: Storage, hold: Hold) -> HoldAccount:
-    """Book the dissipation at the velocity that the hold's torque contains, and store the remaining energy (eqs. 6, 7)."""
+    """Book the dissipation at the velocity that the hold's torque contains, and store what is left (eqs. 6, 7)."""
     account = approximate(environment, storage, hold.elapsed, dissipation(settings, hold), hold.h_i - hold.h_pas)
     if storage.h_s == 0.0:
         empty(storage)
