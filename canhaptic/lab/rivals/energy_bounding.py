@@ -69,7 +69,7 @@ def settings_of(
 
 
 def respond(run: SampledRun[Device, _EnergyBoundingState], hold: Hold, asked: Asked) -> Reply:
-    """Send the model's torque, reduced to the largest that the device's damping certainly dissipates."""
+    """Send the model's torque, reduced so far that the device dissipates all energy that it may generate."""
     state, device, wanted = run.state, run.settings.given, abs(asked.spring + asked.damper)
     energy = known_energy(device, run.settings.hold.sample_time, state, hold)
     stored = share = bounded_share(device, run.memory.axis.commands.torques, state.axis.oldest, energy, wanted)
