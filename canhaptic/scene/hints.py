@@ -259,7 +259,8 @@ def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list
         given = loop.sample_time, loop.moving_mass, pull, least, most
         response = bounds.displacement_response(*given, timing=loop.timing)
         of_each = f" on each of {len(group)} axes" if len(group) > 1 else ""
-        text = f"hand force up to {hand_force:g}{of_each}{more}"
+        hand = f"hand force up to {hand_force:g}" if hand_force else "a hand that never pulls"
+        text = f"{hand}{of_each if hand_force else ''}{more}"
         held["hand force"] = bounds.renderable_by_hand_force(response, lag, torque), f"at the torque limit, {text}"
         hints += _felt_hints(axis, response, lag, text)
     if loop.device_damping and axis.passivity.name in _BY_DAMPING:
@@ -304,11 +305,11 @@ def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
     unit, (most, declared) = stiffness_unit(axis.parameters.unit), max(held)
     if declared == "hand force" and promise_of(axis.passivity.parameters).hand_force == 0.0:
         declared = NO_PULL
-    text = f"{axis.parameters.name}: guarantee rests on: {declared}; {most:.3g} {unit} at the torque limit"
+    text = f"{axis.parameters.name}: guarantee rests on: {declared}; walls up to {most:.3g} {unit} at the torque limit"
     bound = axis.loop.device_damping_bound
     if bound and axis.loop.device_damping is None:
         limit = bounds.renderable_by_device_damping(bound, axis.loop.sample_time, axis.loop.delay + _losses(axis))
-        text += f"; with device_damping measured: up to {limit:.3g} {unit} for every hand"
+        text += f"; up to {limit:.3g} {unit} for every hand once device_damping is measured"
     return text
 
 

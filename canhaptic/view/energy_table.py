@@ -150,7 +150,7 @@ _OF_GROUPS: Final = {"supplied": "input from moving surfaces", "unsure": "uncert
 _BRANCHES: Final = {
     "free": "cycles out of contact", "start": "cycles that began a contact", "exit": "cycles that ended a contact",
     "exact": "cycles with the energy balance solved", "fallback": "cycles without a solution of the balance",
-    "sticky": "cycles moving out, receiving energy", "depleted": "cycles limited by an empty energy budget",
+    "sticky": "cycles moving out while energy comes in", "depleted": "cycles limited by an empty energy budget",
     "held": "cycles without a new position",
 }  # fmt: skip
 """Name of a branch of the algorithm -> label of its row."""

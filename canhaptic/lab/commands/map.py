@@ -69,7 +69,9 @@ def _print(columns: list[list[Panel | None]], shares: list[str]) -> None:
     for column in columns:
         for panel in column:
             if isinstance(panel, Lines):
-                write_line(f" {panel.title}   {panel.note}\n   {panel.x_label}: {panel.y_label}")
+                write_line(f" {panel.title}\n   {panel.note}\n   {panel.y_label} at each {panel.x_label}:")
                 for line in panel.lines:
-                    points = "  ".join(f"{x:.4g}: {y:.4g}" for x, y in zip(line.x, line.y, strict=True))
+                    points = "  ".join(
+                        f"{x:.4g}: {f'{y:.4g}' if y == y else 'none'}" for x, y in zip(line.x, line.y, strict=True)
+                    )
                     write_line(f"   {line.label:<28} {points}")

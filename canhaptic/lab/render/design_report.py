@@ -70,7 +70,7 @@ def _felt(result: Row) -> list[RenderableType]:
     stiffness, effort = stiffness_unit(motion), effort_unit(motion)
     heads = (f"push [{effort}]", f"held [{stiffness}]", f"certified by hand force [{stiffness}]")
     table = Table(
-        f"largest wall within {100.0 * result['tolerance']:g} % at rest", heads,
+        f"stiffest wall rendered within {100.0 * result['tolerance']:g} %, hand at rest in it", heads,
         [[_short(wall[key]) for key in ("push", "held", "certified")] for wall in felt["walls"]], keys=0,
     )  # fmt: skip
     speed, start = f"{felt['speed']:g} {motion}/s", felt["start_speed"]

@@ -76,7 +76,7 @@ def price_lines(result: Row) -> list[str]:
     measured, loop = "computing time" if result["workload"] else "evaluations", _loop_prices(result)
     said = [f"plant: {measured} per period, and largest position error", *_price_lines(plant)]
     if loop:
-        said.append("loop: time of the control thread per cycle, and largest distance from the continuous axis")
+        said.append("loop: time of the control thread per cycle, and largest distance from the continuous-time loop")
     return [*said, *_price_lines(loop)]
 
 
@@ -154,7 +154,7 @@ def _loop_price(row: Row, result: Row, group: str) -> str:
     spent = row.get("control_thread_us")
     parts = [] if spent is None else [_time(spent)]
     if group == "sample rate":
-        parts.append(f"bus {100.0 * row['bus_load']:.0f} %{'' if row['bus_fits'] else ', does not fit'}")
+        parts.append(f"bus {100.0 * row['bus_load']:.0f} %{'' if row['bus_fits'] else ', cycle too long'}")
     stable = row["status"] == "ok"
     return ", ".join([*parts, length(row["position_error"], result["unit"]) if stable else str(row["status"])])
 
@@ -257,13 +257,13 @@ def _loop_advice(result: Row) -> str:
         given = max(0.0, row["energy_given_out"])
         out = f", gives out {si(given, 'J', 2)}" if given > PASSIVE_TOLERANCE else ""
         load = f"bus {100.0 * row['bus_load']:.0f} %"
-        nearer.append(f"{row['group']} {row['setting']} ({length(row['position_error'], unit)}, {load}{out})")
+        nearer.append(f"{row['group']}: {row['setting']} ({length(row['position_error'], unit)}, {load}{out})")
     if not nearer:
-        none = "no single change that fits the bus brings it clearly closer to the continuous axis"
+        none = "no single change that fits the bus brings it clearly closer to the continuous-time loop"
         return f"loop: {judged or none}"
     said = f"{judged}: " if judged else ""
     distance = length(base["position_error"], unit)
-    return f"loop: {said}{distance} from the continuous axis; closer with: {'; '.join(nearer[:_SHOWN])}"
+    return f"loop: {said}{distance} from the continuous-time loop; closer with {'; '.join(nearer[:_SHOWN])}"
 
 
 def _error(row: Row) -> float:
@@ -292,7 +292,7 @@ def accuracy_tables(result: Row, *, wide: bool = False) -> list[Table]:
                (*PLANT_HEADS, *(_WIDE_HEADS if wide else ())), rows, [row["pareto"] for row in plant]),
         _table(" order of the error in the step", ("method", "declared", "fitted"), orders),
         _table(" effects: what leaving one out does", EFFECT_HEADS, effects),
-        _table(" loop: largest difference from the continuous axis, one thing changed; !: the cycle does not fit",
+        _table(" loop: largest difference from the continuous-time loop, one thing changed; !: cycle too long",
                LOOP_HEADS, loop, [row["is_scene"] for row in result["loop"]]),
     ]  # fmt: skip
     return [table for table in found if table.rows]
