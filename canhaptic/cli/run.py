@@ -47,13 +47,13 @@ def execute(arguments: argparse.Namespace) -> int:
             write_note(f"  {text}")
         stack.callback(experiment.close, "interrupted")  # by then closed already, unless a second signal came
         result, error = _run(experiment, arguments.duration or scene.run.duration, stop)
+        _report(result, error, arguments)  # before the picture, whose disk may be full
         if error is None and arguments.png is not None and energy_log is not None:
             from canhaptic.logs.energy_reader import EnergyLog
             from canhaptic.view.run_picture import draw_energy
 
             with EnergyLog.open(energy_log) as log:
                 draw_energy(log, arguments.png)
-    _report(result, error, arguments)
     for name, texts in result.get("unrestored", {}).items() if scene.axes[0].simulation is None else ():
         write_note(f"  {name}: not put back in the drive: {'; '.join(texts)}")
     if error is not None:

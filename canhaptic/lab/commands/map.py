@@ -1,6 +1,7 @@
 """`canhaptic map FOLDER`: the largest wall stiffness, its rendered share, and the borders that theory predicts."""
 
 import argparse
+from math import isnan
 from typing import Final
 
 from canhaptic.cli.output import write_json, write_line, write_note
@@ -72,6 +73,6 @@ def _print(columns: list[list[Panel | None]], shares: list[str]) -> None:
                 write_line(f" {panel.title}\n   {panel.note}\n   {panel.y_label} at each {panel.x_label}:")
                 for line in panel.lines:
                     points = "  ".join(
-                        f"{x:.4g}: {f'{y:.4g}' if y == y else 'none'}" for x, y in zip(line.x, line.y, strict=True)
+                        f"{x:.4g}: {'none' if isnan(y) else f'{y:.4g}'}" for x, y in zip(line.x, line.y, strict=True)
                     )
                     write_line(f"   {line.label:<28} {points}")

@@ -133,7 +133,7 @@ def test_every_line_fits_80_columns_and_a_setting_starts_with_what_the_scene_has
     }  # fmt: skip
     lines = price_lines(result)
     assert lines[1] == "event bits\tnow 24: 1,100 us, 8.20 nm · 12: 610 us, 2.80 um"
-    assert lines[-1].startswith("sample rate\tnow 1 kHz: 14 us, bus 114 %, does not fit, 100 um · 2 kHz: 14 us")
+    assert lines[-1].startswith("sample rate\tnow 1 kHz: 14 us, bus 114 %, cycle too long, 100 um · 2 kHz: 14 us")
     shown = [part for line in lines for part in wrapped(line)]
     assert max(map(len, shown)) < 80
     assert not any(part.lstrip().startswith("·") for part in shown)
