@@ -445,7 +445,7 @@ def _first_below(log: EnergyLog, running: Array, start: int) -> int | None:
 
 
 def _port(log: EnergyLog, port_name: str, rows: slice) -> PortResult:
-    """Return the account of one port; columns are read one at a time: those of an hour would not fit in memory."""
+    """Return the account of one port, read a column at a time: an hour of all columns would not fit in memory."""
     port = log.ports[port_name]
 
     def column(name: str) -> Array:
@@ -466,7 +466,7 @@ def _port(log: EnergyLog, port_name: str, rows: slice) -> PortResult:
 
 
 def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> LedgerSummary:
-    """Return the sums of some rows, equal to those of a `Ledger` that takes one row at a time."""
+    """Return the sums over some rows; a `Ledger` that takes one row at a time gives equal sums."""
     h_i, h_r = column("h_i"), column("h_r")
     margin, margin_row = _least(_running(h_i - h_r))
     running = _running(h_i)

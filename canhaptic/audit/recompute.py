@@ -145,7 +145,7 @@ def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: boo
         allow_code: Whether program files that the scene names may run.
 
     Raises:
-        InputError: The scene cannot be read, is not that of the run, or names user code that has changed since.
+        InputError: The scene cannot be read, differs from the scene of the run, or names user code that has changed.
     """
     from canhaptic.scene.parts import build_axis_controllers, build_axis_groups
 
@@ -179,7 +179,7 @@ def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = F
         allow_code: Whether program files that the scene names may run.
 
     Raises:
-        InputError: The scene cannot be read, is not that of the run, or names user code that has changed since.
+        InputError: The scene cannot be read, differs from the scene of the run, or names user code that has changed.
     """
     from canhaptic.scene.load import load_scene
     from canhaptic.scene.old_forms import RELEASES, overrides_now

@@ -76,7 +76,7 @@ def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[tuple[int, list[S
             for axis in on_bus[place]:
                 axis.take(frame)
             continue
-        if place:  # the SYNC of the same index on another bus, right after that of the first
+        if place:  # the SYNC of the same index on another bus, sent right after the SYNC of the first bus
             continue
         if any(axis.has_left for axis in axes) and cycle >= 0:
             return

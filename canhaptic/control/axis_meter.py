@@ -222,7 +222,7 @@ class SilentMeter(AxisMeter):
         self.felt = felt
 
     def leave_open(self, torque: float, time: int, booked: float) -> None:
-        """Do nothing: the algorithm has subtracted this uncertainty."""
+        """Do nothing: the algorithm has subtracted the uncertainty of these holds from its own energy account."""
 
     def take(self, position: float, torque: float, deadline: float, touches: bool) -> None:
         """Store the position [m or rad], and add it with the force to the fit of the mass."""

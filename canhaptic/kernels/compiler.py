@@ -377,7 +377,7 @@ def compiled(
 
     Args:
         function: The kernel.
-        instead: Replacements by reached function or by global name.
+        instead: Maps a function that the kernel calls, or the name of a global, to its replacement.
         keep: Whether the machine code is stored on disk for the next process.
         parts: Classes whose methods the kernel calls without naming the class.
         calls: Functions that are called, because they are long and used in several places; every other function is

@@ -248,7 +248,9 @@ class EnergyLog:
         unknown = {*groups, *(axis for axes in groups.values() for axis in axes)} - set(self.ports)
         if unknown:
             absent = ", ".join(sorted(map(str, unknown)))
-            raise LogFormatError(f"{self.path}: a group names {absent}, without columns; the file is damaged")
+            raise LogFormatError(
+                f"{self.path}: a group of axes lists {absent}, but the log has no columns for it; the file is damaged"
+            )
         return groups
 
     @property

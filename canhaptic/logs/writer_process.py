@@ -78,7 +78,7 @@ class WriterProcess:
         job: Job of the writer (`canhaptic.logs.writer.make_sink`).
         shapes: The rings to share.
         on_failure: Called once, from another thread, with the reason when writing ends prematurely; records are then
-            dropped and counted at any pace.
+            dropped and counted at every pace.
 
     Attributes:
         rings: The rings, in the order of `shapes`.
@@ -122,7 +122,7 @@ class WriterProcess:
         return self._process.pid
 
     def insist(self, ring: Ring, record: Record) -> bool:
-        """Write one record as soon as the ring has room, at free pace; else count it as dropped and return False.
+        """Write one record. A full ring is waited for at free pace; at real pace the record is counted as dropped.
 
         Raises:
             LogStoppedError: The writer has failed, the ring is full, and there is no `on_failure` to call.
@@ -236,7 +236,7 @@ class BusLogWriter(WriterProcess):
         last: If above 0, nothing is written during a good run; after a bad end, the frames of this final period are
             written [s].
         on_failure: Called once, from another thread, with the reason when the log can no longer be written; frames are
-            then dropped and counted at any pace.
+            then dropped and counted at every pace.
 
     Raises:
         LogWriteError: The file cannot be created.
@@ -312,7 +312,7 @@ class EnergyLogWriter(WriterProcess):
         pace: "real" or "free".
         ring_rows: Capacity of the ring.
         on_failure: Called once, from another thread, with the reason when the log can no longer be written; cycles are
-            then dropped and counted at any pace.
+            then dropped and counted at every pace.
 
     Raises:
         LogWriteError: The file cannot be created.

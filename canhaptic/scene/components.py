@@ -205,7 +205,7 @@ class ComponentByDisplay(ComponentOf):
 
     Args:
         impedance: Table for an axis that takes motion and gives torque.
-        admittance: Table for an axis that takes force and gives velocity; its parameters have `admittance`.
+        admittance: Table for an axis that measures force and commands velocity.
     """
 
     def __init__(self, impedance: ComponentOf, admittance: ComponentOf) -> None:

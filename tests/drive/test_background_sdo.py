@@ -285,7 +285,7 @@ def test_it_is_refused_while_the_rig_does_not_run(bench: MakeBench) -> None:
 
 def test_it_is_refused_where_the_bus_has_no_room(bench: MakeBench) -> None:
     b = started(bench([axis(5), axis(6)], bus={"emcy_reserve": 0, "rate": 1150.0}))
-    with pytest.raises(SdoError, match=r"the bus has no room for SDO during the cycle; lower bus\.rate"):
+    with pytest.raises(SdoError, match=r"the bus has no time left for SDO during the cycle; lower bus\.rate"):
         b.rig.sdo(0).read(0x6502)
 
 
@@ -314,7 +314,7 @@ def test_too_many_requests_are_refused(bench: MakeBench) -> None:
     b = started(bench())
     for _ in range(1000):
         b.rig.sdo(0).read(0x6502)
-    with pytest.raises(SdoError, match="1000 requests wait already"):
+    with pytest.raises(SdoError, match="1000 requests are waiting already"):
         b.rig.sdo(0).read(0x6502)
 
 

@@ -65,7 +65,7 @@ class AdmittanceEnvironment(Parameters):
         raise NotImplementedError
 
     def go_along(self, inner: Buffer, before: float, speed: float, time: float) -> None:
-        """Advance the internal states by a hold at a speed; `before` is that of the previous hold [m/s or rad/s]."""
+        """Advance the internal states by one hold at `speed`, after a hold at speed `before` [m/s or rad/s]."""
 
     def stored(self, inner: Buffer, speed: float, position: float) -> float:
         """Return the stored energy [J]."""

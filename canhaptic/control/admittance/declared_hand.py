@@ -85,7 +85,7 @@ class LargestForce(NamedTuple):
         return self.force * self.loop.mass / gain * rest
 
     def lost(self, commands: Commands) -> float:
-        """Return the most by which E - G, the energy received less `reserve`, fell in the hold that ended [J]."""
+        """Return a bound on the fall of E - G, the energy received less `reserve`, in the hold that ended [J]."""
         square = largest_square(commands, self.loop.delay, self.loop.delay + self.loop.losses)
         return self.force * self.loop.sample_time * sqrt(square)
 
@@ -110,7 +110,7 @@ class LargestForce(NamedTuple):
         return max(0.0, min(left, last))
 
     def used(self, commands: Commands) -> float:
-        """Return the most by which commands that can still act, the newest included, can reduce E - G [J]."""
+        """Return a bound on how far the commands that can still act, with the newest, reduce E - G [J]."""
         total = 0.0
         for age in range(1, self.loop.delay + 1):
             total += sqrt(largest_square(commands, age, age + self.loop.losses))
@@ -241,7 +241,7 @@ class DeclaredHand:
         return 0.5 * self.lag * lead * lead * (1.0 - self.decay * self.decay)
 
     def loss(self, commands: Sequence[float], newest: int, speed: float) -> float:
-        """Return the most by which the queued commands and a new one can reduce the margin A at any time [J].
+        """Return a bound on how far the queued commands and a new one reduce the margin A at any time [J].
 
         Args:
             commands: Ring buffer of the commands sent.
@@ -313,7 +313,7 @@ class DeclaredHand:
         return abs(fits)
 
     def used(self, commands: Commands) -> float:
-        """Return the most by which all queued commands can reduce the margin A [J]; infinite if no bound is known."""
+        """Return a bound on how far all queued commands reduce the margin A [J]; infinite if none is known."""
         if self.waiting > 0 or self.up == -inf:
             return inf
         return self.loss(commands, commands.newest - 1, commands[commands.newest])

@@ -47,8 +47,8 @@ class DissipatingAdmittance(UnprotectedAdmittance):
     ) -> None:
         if not isinstance(environment, AdmittanceMass):
             raise ParameterError(
-                f"internal_dissipation: got {type(environment).__name__}, expected environment: virtual_mass; the "
-                "balance is solved for a virtual mass only; use guarded"
+                f"internal_dissipation: got {type(environment).__name__}, expected environment: virtual_mass; "
+                "the balance is solved for a virtual mass only; use the algorithm `guarded`"
             )
         super().__init__(environment, parameters, properties)
 

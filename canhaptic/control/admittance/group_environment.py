@@ -148,7 +148,7 @@ class GroupMass(GroupEnvironment):
 class GroupCupAndBall(GroupEnvironment):
     """`cup_and_ball`: one cup that moves along all axes, with a separate ball that swings along each of them."""
 
-    states: ClassVar[int] = 3  # as those of `CupAndBall`
+    states: ClassVar[int] = 3  # the same states as `CupAndBall`
 
     cup: Annotated[float, quantity("kg", gt=0.0, le=1e3)] = 2.4
     """Mass of the cup."""

@@ -39,8 +39,8 @@ count e, the means differ by at most
     + c (A T^2 / 6H + e / H) + k (e + A T^2 / 8) + 2 M e / H^2      and half the range of M, c and k times their terms;
 
 the terms in T^2 / 6H come from a weight that changes inside a hold. Point samples add the error of `port`. A SYNC
-that comes early or late by up to j T shifts a weight, which costs j T / H (2 max + total change) of the force, and c
-times that of the command. A constant offset o of the sensor gives out o times the distance moved until it is noticed,
+that comes early or late by up to j T shifts a weight, which costs j T / H (2 max + total change), of the force and c
+times of the command. A constant offset o of the sensor gives out o times the distance moved until it is noticed,
 and never more than o times the range between the position limits.
 If the friction of the drive is unknown, an offset of the sensor looks like a push of the hand. So nothing is compared
 without declared friction, nor if the torque of the drive may have been at its limit.

@@ -119,7 +119,7 @@ class VelocityLoop:
         return least
 
     def lost_unseen(self, commands: Commands) -> float:
-        """Return the most by which the margin W falls in a hold without a sample, if the drive has no integral [J]."""
+        """Return a bound on the fall of the margin W in a hold without a sample, if the drive has no integral [J]."""
         square = largest_square(commands, self.delay, self.delay + self.losses)
         return 0.25 * self.gain * self.sample_time * square
 
@@ -168,7 +168,7 @@ class VelocityLoop:
         return share * product + self.integral * self.count * abs(way)
 
     def sequence_loss(self, lead: float, commands: Commands, holds: int, oldest: int) -> float:
-        """Return the most by which W falls over `holds` consecutive commands, the first of age `oldest` [J]."""
+        """Return a bound on the fall of W over `holds` consecutive commands, the first of age `oldest` [J]."""
         time, way, squares, shifts = self.sample_time, 0.0, 0.0, 0.0
         newest = commands.newest - oldest + holds - 1
         for place in range(newest, newest - holds, -1):  # from the last to the first; below 0 it wraps
@@ -235,7 +235,7 @@ class VelocityLoop:
         return best
 
     def loss_under_way(self, lead: float, commands: Commands) -> float:
-        """Return the most by which commands that can still act, the newest included, reduce W up to any SYNC [J]."""
+        """Return a bound on how far the commands that can still act, with the newest, reduce W up to any SYNC [J]."""
         total, oldest = 0.0, self.delay
         if self.integral > 0.0:
             return max(0.0, *(self.sequence_loss(lead, commands, holds, oldest) for holds in range(1, oldest + 2)))

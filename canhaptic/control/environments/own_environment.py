@@ -190,7 +190,7 @@ _WORKS: Final[WeakKeyDictionary[OwnEnvironment, tuple[_Work, _Work]]] = WeakKeyD
 def integral(
     function: Callable[[float], float], end: float, start: float = 0.0, panels: list[tuple[float, float]] | None = None
 ) -> float:
-    """Return the integral of a function from `start` to `end`, to 1e-12 of the integral of its size.
+    """Return the integral of a function from `start` to `end`, to 1e-12 of the integral of its absolute value.
 
     `panels` receives the end of each panel that was not halved, and its integral.
 

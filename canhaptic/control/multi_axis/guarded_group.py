@@ -448,7 +448,7 @@ def acts(torques: Buffer) -> bool:
 
 
 def put_on_grid(run: GuardedRun, at: Accounting, energy: float, factor: float) -> float:
-    """Round the torques to send towards 0 to the drives' quanta, and certify them again; return their share.
+    """Round the torques towards 0 to the drives' quanta, certify them again, and return the share that remains.
 
     Rounding a single axis is safe; rounding several changes the direction of the force a little.
     """

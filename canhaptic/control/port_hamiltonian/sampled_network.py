@@ -170,7 +170,7 @@ def evaluate(model: NetworkModel, sample: NetworkSample) -> float:
 
 
 def linearise(model: NetworkModel, sample: NetworkSample) -> None:
-    """Compute the Jacobian of the module's equation by s, I + T (R' - J) de/ds."""
+    """Compute the Jacobian of the module's equation with respect to s: I + T (R' - J) de/ds."""
     tables, sample_time, room = model.tables, sample.sample_time, sample.room
     n = len(room.step)
     mobility, jacobian = room.mobility, room.jacobian

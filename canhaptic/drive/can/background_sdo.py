@@ -140,14 +140,16 @@ class SdoLine:
         """Queue a request.
 
         Raises:
-            SdoError: It cannot be served.
+            SdoError: The bus has no time left, the rig does not run, or too many requests are waiting.
         """
         if not self._has_room:
-            raise request.failure("the bus has no room for SDO during the cycle; lower bus.rate, or ask before start")
+            raise request.failure(
+                "the bus has no time left for SDO during the cycle; lower bus.rate, or send the request before start"
+            )
         if not self._is_open:
             raise request.failure("the rig is not running; SDO from another thread needs a running cycle")
         if len(self._waiting) >= _MOST_WAITING:
-            raise request.failure(f"{_MOST_WAITING} requests wait already; await some of them first")
+            raise request.failure(f"{_MOST_WAITING} requests are waiting already; await some of them first")
         with self._starting:  # between those who ask; the cycle never waits for it
             if not self._has_hander:  # the thread that hands results over, from the first request of a run on
                 self._has_hander = True

@@ -45,7 +45,7 @@ def listed(dictionary: Dictionary, index: int, subindex: int = 0) -> Variable | 
 
 
 def objection(dictionary: Dictionary, use: ObjectUse) -> str | None:
-    """Return why the dictionary does not allow a use, with the expected value; None where it does."""
+    """Return why an object of the dictionary is unfit for its use, with the expected value; None if it is fit."""
     variable = listed(dictionary, use.index, use.subindex)
     if variable is None:
         return "missing"

@@ -183,7 +183,7 @@ def compare(meter: Meter, position: float, torque: float, continuous_position: f
 
 
 def count_branch(meter: Meter, branch: int) -> None:
-    """Count a hold by its branch."""
+    """Add one hold to the counter of its branch, the case in which the algorithm computed the torque."""
     if branch == _FREE:
         meter.free += 1.0
     elif branch == _EXACT:

@@ -300,7 +300,7 @@ class ReferenceWinding:
         return float(p.resistance * ampere + p.inductance * change / p.back_emf + p.back_emf * state[VELOCITY])
 
     def apply(self, time: float, state: State, mode: str, forces: Floats, rates: Floats) -> None:
-        """Replace the rate of the torque while the voltage is clipped."""
+        """Set the rate of change of the torque to what the clipped voltage permits."""
         if mode != "free":
             p = self._limit
             rest = p.supply if mode == "high" else -p.supply

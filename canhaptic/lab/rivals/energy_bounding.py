@@ -26,7 +26,7 @@ from canhaptic.kernels import Buffer, new
 
 
 class EnergyBoundingParameters(DamperVelocity):
-    """Parameters of `energy_bounding`: how the damper's velocity is measured. Device damping belongs to the loop."""
+    """Parameters of `energy_bounding`: how the damper's velocity is measured. Device damping is set for the loop."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -269,12 +269,15 @@ class Plant(AutomatonClock):
             torques: Shape (n_holds,) [N or N*m].
 
         Raises:
-            ParameterError: The plant is inside a sample time.
+            ParameterError: The plant was stopped inside a sample time.
             EventLimitError: One sample time has more events than `accuracy.max_events`.
         """
         self.begin(0)
         if self._next_period < 0:
-            raise ParameterError(f"run: got a plant {self.tick % TICKS} ticks inside a sample time, expected 0")
+            raise ParameterError(
+                f"run: the plant is {self.tick % TICKS} of {TICKS} ticks into a sample time; "
+                "advance it to the next sample first"
+            )
         positions = np.empty(len(torques))
         for k, torque in enumerate(torques.tolist()):
             self.advance_to(self._next_period, torque)

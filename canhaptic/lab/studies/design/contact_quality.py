@@ -208,7 +208,7 @@ class LargestHeld(NamedTuple):
 
 
 def largest_held(bench: Bench, leaning: Leaning, softest: float, stiffest: float) -> LargestHeld:
-    """Return the largest stiffness that is held, and the number of softer walls that are not.
+    """Return the stiffest wall that withstands the push, and the number of softer walls that do not.
 
     Args:
         bench: Device and loop.
@@ -244,7 +244,7 @@ class SlowHand:
 
 
 class Entered(NamedTuple):
-    """Result of `enter`."""
+    """A slow hand's entry into a wall: the depth it reaches, the drag before it, and the energy."""
 
     depth: float  # mean, at rest [m or rad]
     drag: float  # largest |torque| before the surface [N or N*m]

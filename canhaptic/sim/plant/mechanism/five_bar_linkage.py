@@ -194,7 +194,7 @@ class HandForce:
 
 
 def force_of_hand(hand: TaskHand | None) -> HandForce:
-    """Return the parameters of a hand as numbers; zeros for None."""
+    """Return the parameters of a hand's force law as numbers; zeros without a hand."""
     if hand is None:
         return HandForce()
     swings = [(m.offset, m.amplitude, 2.0 * math.pi * m.frequency, m.phase) if m else (0.0,) * 4 for m in hand.motions]
