@@ -32,7 +32,7 @@ class BusParameters(Parameters):
     interface: PrintableText = "virtual"
     """python-can interface (`virtual`, `socketcan`, `udp_multicast`, ...)."""
     channel: PrintableText | int | None = None
-    """Channel of the interface; None: the interface's own choice, and a private one for `virtual`."""
+    """Channel of the interface; None: the default of python-can, for `virtual` a private channel."""
     bitrate: Annotated[int, quantity("bit/s", ge=10_000, le=1_000_000)] = 1_000_000
     """Bit rate of classic CAN; the bus budget is computed from it."""
     options: dict[str, Any] = Field(default_factory=dict)
@@ -46,7 +46,7 @@ class BusParameters(Parameters):
     heartbeat_period: Annotated[float, quantity("s", ge=1e-3, le=10.0)] = 0.02
     """Period of the heartbeats of drives and master; the master sends at the nearest SYNC."""
     heartbeat_timeout: Annotated[float, quantity("s", ge=5e-3, le=30.0)] = 0.1
-    """Silence after which either side counts the other as lost; at least three periods are always granted."""
+    """Heartbeat silence after which drive or master counts the other as lost; never less than three periods."""
     hold_cycles: Annotated[int, quantity("count", ge=0, le=1000)] = 2
     """Missed cycles for which the last torque is held."""
     stop_cycles: Annotated[int, quantity("count", ge=1, le=10_000)] = 20
@@ -73,12 +73,12 @@ class BusParameters(Parameters):
 
     @property
     def sample_time_ns(self) -> int:
-        """The sample time [ns], the one that every part of the package uses."""
+        """Sample time, rounded to whole nanoseconds [ns]; every part of the package uses this value."""
         return round(1e9 / self.rate)
 
     @property
     def sample_time(self) -> float:
-        """The sample time [s]: a whole number of nanoseconds."""
+        """Sample time [s], equal to `sample_time_ns`."""
         return self.sample_time_ns * 1e-9
 
     @property

@@ -79,7 +79,7 @@ class HomingDrive(ServoDrive):
         self._watched, self._expected = ENABLED_MASK | remote, ENABLED_VALUE | remote
 
     def fault(self, now: int) -> StopReason:
-        """Return the reason to stop; a jump to the new zero and the drive's own torque are none."""
+        """Return the reason to stop; neither a jump to the new zero nor the drive's own torque is a reason."""
         self._step, self._stale_holds = 0.0, 0
         return super().fault(now)
 
@@ -158,7 +158,7 @@ def home(drive: HomingDrive, stopped: Callable[[], bool]) -> tuple[int, int] | N
 
 
 def _await_home(rig: Rig, drive: HomingDrive, stopped: Callable[[], bool]) -> str | None:
-    """Start the homing, and return its problem; "" where the home was attained, None where it was stopped."""
+    """Start the homing; return "" once it is attained, None if it was stopped, else the problem in words."""
     order, rate = drive.order, drive.axis.counts_per_unit
     most = 2.0 * max(order.speeds) * rig.bus.sample_time + 2.0 / rate
     last, fast = _cycle(rig), 0

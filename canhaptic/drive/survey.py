@@ -43,7 +43,7 @@ _DISPLAY_KEYS: Final = (
     ("admittance.force.per_count, range, error, slew", "scale and limits of the sensor; canhaptic commission measures"),
     ("admittance.force.frozen_after", "SYNCs with one count after which the sensor counts as frozen"),
 )
-"""Keys that no dictionary supplies, of any axis (`_KEYS`) and of a display, with their meaning."""
+"""Keys that no dictionary supplies, with their meaning: of every axis (`_KEYS`), and further ones of a display."""
 
 
 def _analog_input(dictionary: ObjectDictionary) -> str | None:
@@ -250,7 +250,7 @@ def _judged(dictionary: ObjectDictionary, group: Group, finding: Finding, mode: 
 
 
 def _as_found(dictionary: ObjectDictionary, group: Group, finding: Finding) -> SurveyRow:
-    """Return the row of a finding as it is: a saved value does not change it."""
+    """Return the row of a finding that does not depend on the value saved in a DCF."""
     return SurveyRow(group, finding.item, _describe(dictionary, int(finding.item[:6], 16)), *finding[1:])
 
 

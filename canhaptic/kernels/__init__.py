@@ -84,11 +84,11 @@ class Run(NamedTuple, Generic[SettingsT, StateT, MemoryT]):
 
 
 class Kernel(NamedTuple):
-    """A passivity algorithm as four functions, whose arguments are those of one axis.
+    """A passivity algorithm as four functions; the comments give their arguments for one axis.
 
-    Those of a group are settings (world, parameters, loops), state (), memory (world, settings) and step (world,
-    settings, state, memory, samples lost before, positions, torques applied) -> `GroupHold`, with `world` its
-    `GroupModel`.
+    For a group with the `GroupModel` `world` they are settings(world, parameters, loops), state(),
+    memory(world, settings), and step(world, settings, state, memory, samples lost before, positions, torques applied)
+    -> `GroupHold`.
     """
 
     settings: Callable[..., Any]  # (environment, parameters, loop) -> constants of a run

@@ -53,7 +53,7 @@ _ROUNDING: Final = 1e-12  # [m or rad]
 _BETWEEN_EVENTS: Final = 2.5e-4
 """Step at the ends of which friction, stops and flanks are checked [s]."""
 _BETWEEN_SURFACES: Final = 2e-3
-"""The same where nothing but the environment switches: a handle crosses a surface and returns in no less [s]."""
+"""The same step if only the environment switches: a handle takes longer to cross a surface and return [s]."""
 _SURFACES: Final[dict[type, tuple[str, ...]]] = {
     SpringDamperWall: ("position",),
     HardeningWall: ("position",),
@@ -219,13 +219,13 @@ _FINEST: Final = 200_000
 """Longest time between two readings of the reference [ns]; at least two readings a hold."""
 _MOST_READINGS: Final = 400_000
 _TOLERANCE: Final = 1e-10
-"""Relative, of DOP853."""
+"""Relative tolerance of DOP853."""
 REST: Final = 0.02
 """Peak-to-peak motion, as a part of the whole travel, below which the reference counts as being at rest."""
 
 
 class ContinuousReference(NamedTuple):
-    """The continuous run."""
+    """Motion and torque of an axis in the continuous environment, with the grid of a sampled run."""
 
     position: Array  # at SYNC k, shape (n,) [m or rad]
     torque: Array  # mean over the hold that ended at SYNC k, shape (n,) [N or N*m]
@@ -278,16 +278,16 @@ def textbook_model(simulation: AxisSimulation, without: Callable[[str], bool] = 
 
 
 def readings_per_hold(sample_time_ns: int, cycles: int) -> int:
-    """Return the number of readings of the reference per hold [ns] in a run of some cycles."""
+    """Return how many times per hold the reference is read in a run of some cycles."""
     least = max(2, -(-sample_time_ns // _FINEST))
     least = min(least, max(2, _MOST_READINGS // max(1, cycles)))
     return next((n for n in range(least, 2 * least + 8) if sample_time_ns % n == 0), least)
 
 
 _TOLERANCES: Final = (1e-9, 1e-7)
-"""Relative, of the run and of the one that it is compared with."""
+"""Relative tolerances of the run, and of a coarser run whose distance from it estimates the error."""
 _BETWEEN_GUARDS: Final = (2.5e-4, 5e-4)
-"""Longest step where modes may change, of the run and of the one that it is compared with [s]."""
+"""Longest steps of the run and of the coarser run if modes may change [s]."""
 
 
 class ContinuousMotion(NamedTuple):
@@ -304,19 +304,19 @@ def group_model(scene: Scene) -> ReferenceGroup:
     """Equations of the plant of a scene's one group; the motors in the order of the group's axes.
 
     Raises:
-        InputError: There are none for it.
+        InputError: The plant has no equations.
     """
     (group,) = scene.groups
     of = mechanism_of_group(scene)
     if of is not None:
         if of.axes != group.axes:
-            raise InputError("the mechanism names its axes in another order than the group")
+            raise InputError("the mechanism lists the axes of the group in another order; use the same order")
         return mechanism_model(cast(MechanismParameters, of.mechanism.parameters), of.hand)
     simulations = [simulation_of(scene.axis(name)) for name in group.axes]
     try:
         models = [textbook_model(simulation) for simulation in simulations]
     except ParameterError as error:
-        raise InputError(f"a plant of the group has no equations here: {error}") from error
+        raise InputError(f"a plant of the group has no reference equations: {error}") from error
     return AxesModel(models, [simulation.plant.mass for simulation in simulations])
 
 
@@ -392,7 +392,8 @@ class _Coupled:
         world, velocities = self._world, self.model.velocities(motors)
         limit = world.mechanism.locate(self.model.positions(motors), self._place, self._jacobian)
         if limit != Limit.NONE:
-            raise InputError(f"at {time:g} s the mechanism is at its limit {Limit(limit).name.lower()}")
+            why = Limit(limit).name.lower()
+            raise InputError(f"at {time:g} s the mechanism is at its limit {why}; reduce the motion")
         world.geometry.measure(self._place, self._values, self._rows)
         for row, into in zip(self._rows, self._at_motors, strict=True):
             into[:] = [_dot(row, [line[i] for line in self._jacobian]) for i in range(self.axes)]

@@ -261,7 +261,7 @@ def end_hold(
 
 
 def dissipate(bound: TorqueBound, energy: float) -> None:
-    """Add energy that the device certainly dissipated to what the certificates may use [J]."""
+    """Add energy that the device certainly dissipated [J] to the budget of the certificates."""
     bound.dissipated += energy
     bound.certain += energy
 
@@ -324,7 +324,7 @@ def shorten(declared: Declared, bound: TorqueBound, lasted: float) -> None:
 
 
 def take_late(declared: Declared, bound: TorqueBound, torque: float) -> None:
-    """Store the range of torques that acted in the hold that ended, and of those that act at its end [N or N*m]."""
+    """Store the range of torques that acted in the last hold, and of those that still act at its end [N or N*m]."""
     above, below = bound.highest - torque, torque - bound.lowest
     counts, left = declared.response.late, declared.left
     bound.most = bound.highest = bound.least = bound.lowest = torque
@@ -590,7 +590,7 @@ def taken_along(
 ) -> tuple[float, float]:
     """Return what the queued torques along `sign` can take from the budget [J], and the next displacement (base).
 
-    First the axis may still move inward, later outward, so that at any time they have taken at most this energy, or 0.
+    The axis may still move inward before it moves outward: at any time they have taken at most this energy, or 0.
     The base is the largest displacement in the next hold without a torque [m or rad], infinite for an unknown hand.
     `speed` is the largest speed of the hand [m/s or rad/s]; 0: not used.
     """

@@ -272,7 +272,7 @@ def tail_reach(
 def hand_force_bound(budget: float, base: float, gain: float) -> float:
     """Return the largest torque F >= 0 [N or N*m] with F (base + gain F) <= budget; infinite if all satisfy it.
 
-    If none does (the budget is further below zero than an inward motion can bring in): the torque that brings in most.
+    If no torque does (the budget is too far below zero), the result is the torque that brings in most energy.
     For a group the torques are l W: base and gain belong to W, in [J], and the result is the share l.
 
     Args:
@@ -288,7 +288,7 @@ def hand_force_bound(budget: float, base: float, gain: float) -> float:
 
 
 def renderable_by_hand_force(response: DisplacementResponse, delay: int, torque: float) -> float:
-    """Return the largest stiffness whose given torque at rest the hand-force certificate permits [N/m or N*m/rad].
+    """Return the stiffest wall that may hold a given torque at rest by the hand-force certificate [N/m or N*m/rad].
 
     At rest every hold has the same torque F, and the stored energy F^2 / 2k must cover sum(F D_i) over the queued holds
     and the next one. Undamped: k <= (m / 2T^2) F / (F + F_h) at delay 0 and (m / 6T^2) F / (F + F_h) at delay 1.
@@ -298,7 +298,7 @@ def renderable_by_hand_force(response: DisplacementResponse, delay: int, torque:
 
 
 def renderable_by_device_damping(damping: float, sample_time: float, delay: int) -> float:
-    """Return the largest stiffness that the device-damping certificate permits at rest [N/m or N*m/rad].
+    """Return the stiffest wall that may hold a torque at rest by the device-damping certificate [N/m or N*m/rad].
 
     It is 2b / T (1 + delay): at rest F^2 (1 + delay) <= 4 b E / T with E = F^2 / 2k. Colgate's bound is the value for
     delay 0.
@@ -307,7 +307,7 @@ def renderable_by_device_damping(damping: float, sample_time: float, delay: int)
 
 
 def renderable_by_hand_speed(speed: float, sample_time: float, delay: int, torque: float) -> float:
-    """Return the largest stiffness whose torque at rest the hand-speed certificate permits [N/m or N*m/rad]."""
+    """Return the stiffest wall that may hold a given torque at rest by the hand-speed certificate [N/m or N*m/rad]."""
     return torque / (2.0 * speed * sample_time * (1 + delay))
 
 
@@ -339,7 +339,7 @@ _FIRST: Final = 1e-3  # [N or N*m]
 
 
 def start_energy(response: DisplacementResponse, delay: int, stiffness: float) -> float:
-    """Return the energy which, stored before a contact of any speed, permits to render the wall in full [J].
+    """Return the energy that must be stored before a contact, so that the wall is rendered in full at any speed [J].
 
     It is infinite if the stiffness is too large for any stored energy.
 

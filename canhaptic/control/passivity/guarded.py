@@ -407,7 +407,7 @@ def memory_of(settings: GuardedSettings, make_buffer: MakeBuffer) -> Memory:
 
 
 def end(run: GuardedRun, position: float, torque_applied: float) -> tuple[float, float, float, float]:
-    """Update motion and torque bound after a hold; return its displacement, both damper efforts, uncertain energy."""
+    """Update motion and torque bound after a hold; return displacement, damper, modulated effort, uncertain energy."""
     settings, state, memory = run.settings, run.state, run.memory
     declared, bound, axis, commands = settings.declared, state.bound, state.axis, memory.axis.commands
     displacement, count, oldest = position - axis.position, declared.encoder_count, axis.oldest
@@ -622,7 +622,7 @@ def efforts(
     run: GuardedRun, true: float, spring: float, lead: float, ahead: float, velocity: float, energy: float,
     ceiling: float,
 ) -> tuple[float, float, float, bool]:  # fmt: skip
-    """Limit spring, prediction and damper efforts [N or N*m] to the account; return them, and whether it covers all."""
+    """Limit spring, prediction and damper efforts [N or N*m] to the account; return them, and whether covered."""
     settings, bound = run.settings, run.state.bound
     damper, size, speed = settings.damping * velocity, abs(spring), abs(velocity)
     room, led = settings.cap * speed, settings.calm * abs(ahead)

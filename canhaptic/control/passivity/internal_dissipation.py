@@ -99,7 +99,7 @@ def solve_balance(stiffness: float, effort: float, energy: float, displacement: 
 
 
 class Balance(NamedTuple):
-    """A nonlinear storage before its state changes, and the damper in parallel."""
+    """A nonlinear storage in its old state, and the effort of the damper in parallel: the start of eq. 8."""
 
     state: float  # old one [m or rad]
     stored: float  # energy there [J]
@@ -391,7 +391,7 @@ def stored_model_settings(
 
 
 def dissipation(settings: StoredModelSettings, hold: Hold) -> float:
-    """Return the damper's dissipation in a hold, T d v^2, with d v its part of the applied torque [J] (eqs. 6, 18)."""
+    """Return the damper's dissipation in a hold, T d v^2, with d v its effort inside the torque [J] (eqs. 6, 18)."""
     return hold.elapsed * (hold.damper * hold.damper) / settings.damping if settings.damping != 0.0 else 0.0
 
 

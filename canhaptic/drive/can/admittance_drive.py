@@ -95,7 +95,7 @@ class AdmittanceDrive(ServoDrive):
         return take
 
     def part(self, bits: int) -> str:
-        """Return the names of the frames of a sample; the sensor's frame comes last."""
+        """Return the names of the frames of a sample whose bits are set; the last bit is the sensor's frame."""
         sensor, frames = self._sensor, super().part(bits)
         if sensor is None or not bits >> len(self.map.tpdos):
             return frames
@@ -118,7 +118,7 @@ class AdmittanceDrive(ServoDrive):
         return SdoChannel(self.link, self._sensor.node_id, self.dictionary, name, timeout)
 
     def leave_operational(self) -> None:
-        """Command NMT pre-operational, of the sensor too; raise LinkError."""
+        """Command NMT pre-operational to drive and sensor; raise LinkError."""
         self.command_sensor(od.NmtCommand.PRE_OPERATIONAL)
         super().leave_operational()
 
@@ -220,7 +220,7 @@ class AdmittanceBringUp(CanBringUp):
         self._write_unless_asked("quick stop", od.QUICK_STOP_OPTION, 2)  # along its ramp, then disabled
 
     def _write_unless_asked(self, step: str, index: int, value: int) -> None:
-        """Write an object that the drive has, unless the scene sets it."""
+        """Write an object if the drive has it and the scene does not set it."""
         drive = self._drive
         if is_writable(drive.dictionary, index, 0) and (index, 0) not in drive.axis.written_objects:
             self._write_confirmed(step, index, 0, value)
@@ -264,7 +264,7 @@ class AdmittanceBringUp(CanBringUp):
             raise self.refusal("force at rest", f"{shown:.4g} {unit} before the drive is enabled", wanted)
 
     def process_data(self) -> Confirmation:
-        """Confirmation by every TPDO after a SYNC, and by the frame of the sensor."""
+        """Confirmation that every TPDO and the frame of the sensor arrive after a SYNC."""
         wanted, node = super().process_data(), self._drive.display.force.node
         if node is None:
             return wanted

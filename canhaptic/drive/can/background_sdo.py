@@ -39,7 +39,7 @@ _OWNED: Final = (
     | set(range(od.RPDO_COMMUNICATION, od.TPDO_MAPPING + od.PDO_COUNT))
 )
 _OWNED_BY_DISPLAYS: Final = {od.QUICK_STOP_OPTION, od.QUICK_STOP_DECELERATION, *RAMPS}
-"""Objects owned with a display besides: its quick stop, and the ramps that alter its commands."""
+"""Further objects that only the cycle may write on an admittance display: quick stop, and ramps of its commands."""
 
 
 @dataclass(slots=True, eq=False)
@@ -108,7 +108,7 @@ class BackgroundSdo:
 
 def _checked(index: int, subindex: int) -> tuple[int, int]:
     if not (0 <= index <= 0xFFFF and 0 <= subindex <= 0xFF):
-        raise SdoError(f"object {index:#x}:{subindex:#x} does not exist, expected 0..0xFFFF, 0..0xFF", index, subindex)
+        raise SdoError(f"object {index:#x}:{subindex:#x} does not exist, expected 0..0xFFFF:0..0xFF", index, subindex)
     return index, subindex
 
 
@@ -185,7 +185,7 @@ class SdoLine:
         self._done.put(None)
 
     def step(self) -> None:
-        """Take an answer and send one frame at most; called after the RPDOs while `busy`."""
+        """Process an arrived answer, and send at most one frame; called after the RPDOs while `busy`."""
         request = self._under_way
         if request is not None:
             self._look(request)

@@ -4,7 +4,7 @@ A data frame of n bytes takes at most 47 + 8 n bits and floor((34 + 8 n - 1) / 4
 (Davis et al. 2007, eq. 1). One cycle holds SYNC, every TPDO, the host's latency, every RPDO, one blocking frame that
 had just begun, every heartbeat and the EMCY reserve.
 
-The drives of a bus are checked for distinct node IDs, and the COB-IDs named that only this master may send.
+The module also checks that the node IDs of a bus differ, and lists the COB-IDs that only this master may send.
 """
 
 from collections.abc import Sequence
@@ -125,7 +125,7 @@ def has_room_for_sdo(budget: BusBudget, bus: BusParameters) -> bool:
 
 
 def require_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
-    """Return the budget of a bus; raise where its cycle does not fit.
+    """Return the budget of a bus, or raise if its cycle does not fit.
 
     Raises:
         BusBudgetError: The cycle does not fit; the text shows the arithmetic and what would fit.
@@ -208,6 +208,6 @@ def budget_of(drives: Sequence[ServoDrive], bus: BusParameters) -> BusBudget:
         if sensor is not None and sensor.node_id is not None:
             if sensor.node_id in names:
                 text = f"{name}: admittance.force.node.node_id {sensor.node_id} is used by {names[sensor.node_id]}"
-                raise InputError(f"{text} on the same bus; give it its own")
+                raise InputError(f"{text} on the same bus; give the sensor another node ID")
             names[sensor.node_id] = f"the force sensor of {name}"
     return require_budget(drives[0].bus if drives else bus, [drive.map for drive in drives])

@@ -29,7 +29,7 @@ class Exchange:
         silence: Longest silence of the master that a drive tolerates [ns].
         beat_cycles: Sample times between heartbeats of the master.
         periods: Sample times between the last two SYNCs; more than 1 after a skip.
-        uneven: Deviation of the last hold from its sample times [ns].
+        uneven: Duration of the last hold minus its whole sample times [ns].
         skipped: Deadlines missed and skipped since `begin`.
         deadline: Deadline of the last SYNC [ns].
         woken: Time at which the wait for that SYNC ended [ns].
@@ -58,7 +58,7 @@ class Exchange:
         self.begin()
 
     def begin(self) -> None:
-        """Send the next SYNC at once and count from there."""
+        """Restart the schedule: the next SYNC is due now, and later deadlines count from it."""
         self.periods = 1
         self.uneven = self.skipped = 0
         self._is_whole, self._slowest = True, -1
@@ -116,7 +116,7 @@ class Exchange:
             raise failure
 
     def _allow(self, slowest: int) -> None:
-        """Set how slow an answer after a missing one may be, from the slowest undoubted answer so far [ns]."""
+        """Set the latest time of a TPDO after a missing one, from the slowest answer known to be its SYNC's [ns]."""
         self._slowest = slowest
         for _, window, _, _ in self._buses:
             window.latest = slowest + self._period // _MARGIN

@@ -22,7 +22,7 @@ _MOST_FRAMES_AT_ONCE: Final = 10_000  # a bus that delivers this many frames at 
 
 @dataclass(slots=True)
 class _LinkStatistics:
-    """Counts of a link since it was made. A received frame with a further count (late, short, ...) is not used."""
+    """Counts since the link was made. A received frame that is also counted as late, short or the like is not used."""
 
     duplicate: int = 0  # second TPDO for one SYNC
     echoed: int = 0  # our own frame, given back by the interface
@@ -70,7 +70,7 @@ class Link:
         self._handlers[can_id] = handler
 
     def unsubscribe(self, can_id: int) -> None:
-        """Count frames of this COB-ID as foreign again."""
+        """Remove the handler of this COB-ID; its frames then count as foreign."""
         self._handlers.pop(can_id, None)
 
     def send(self, can_id: int, data: bytes) -> int:
@@ -80,7 +80,7 @@ class Link:
             Timestamp of the frame in the bus log [ns].
 
         Raises:
-            LinkError: The interface refused it, at once and once more (a full queue, ENOBUFS, bus-off).
+            LinkError: The interface refused the frame twice (a full queue, ENOBUFS, bus-off).
         """
         message = DataFrame()
         message.timestamp = self._now() * 1e-9

@@ -1,7 +1,7 @@
 """LSS (CiA 305): gives a node ID to one node, selected by its identity or alone on the bus.
 
-Every service is one frame each way. Nodes are configured in NMT stopped; a new node ID counts from the next reset of
-the communication on, or, stored, from the next power-on.
+Every service is one frame each way. Nodes are configured in NMT stopped; a new node ID takes effect at the next
+communication reset and, once stored, at every power-on.
 """
 
 from collections.abc import Callable, Sequence
@@ -81,11 +81,11 @@ class LssMaster:
         return answers[0]
 
     def configure(self, node_id: int) -> None:
-        """Give the selected node a node ID; raise LinkError where it refuses."""
+        """Give the selected node a node ID; raise LinkError if it refuses."""
         self._confirm(_CONFIGURE_NODE_ID, bytes([node_id]))
 
     def store(self) -> None:
-        """Store the selected node's ID so that it survives power-off; raise LinkError where it refuses."""
+        """Store the selected node's ID so that it survives power-off; raise LinkError if it refuses."""
         self._confirm(_STORE)
 
     def _confirm(self, service: int, data: bytes = b"") -> None:

@@ -161,7 +161,7 @@ def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
     """Return the PDOs to use for one axis.
 
     Raises:
-        DictionaryError: No map carries the objects of cyclic torque; names the missing ones.
+        DictionaryError: No map carries the objects of cyclic torque; the text names the missing objects.
     """
     target = _TARGETS[axis.target]
     for needed in (_CONTROLWORD, target, _STATUSWORD, _POSITION):
@@ -466,7 +466,7 @@ def _watchdog(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParame
 
 
 def _sync_period(dictionary: ObjectDictionary) -> list[Finding]:
-    """Return a refusal where 0x1006 is listed and cannot be compared with the sample time; it may be missing."""
+    """Return a refusal if 0x1006 is listed but cannot be compared with the sample time; the object is optional."""
     variable = listed(dictionary, od.COMMUNICATION_CYCLE_PERIOD)
     if variable is None or not variable.readable:
         return []

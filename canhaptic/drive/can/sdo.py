@@ -1,8 +1,8 @@
 """SDO in the caller's thread: transfers pumped through the Link, with retries and errors that name the object.
 
 canopen's client waits on a queue that its Notifier thread fills. It never repeats a request, takes a late answer for
-that to the next request, aborts with index 0, and reads on for ever if an object has no end. Here the answer is pumped
-from the bus, an unanswered first request is repeated, and an answer for another object is counted as late and ignored.
+the next, aborts with index 0, and reads on for ever if an object has no end. Here the answer is pumped from the bus,
+an unanswered first request is repeated, and an answer for another object is counted as late and ignored.
 
 A transfer (CiA 301, 7.2.4.3) is a generator that knows no bus and no clock: it yields a request and receives its
 answer, until it returns the uploaded bytes.
@@ -127,7 +127,7 @@ ATTEMPTS: Final = 3
 
 
 class _NoAnswerError(Exception):
-    """The node said nothing."""
+    """No answer of the node arrived in time."""
 
 
 class SdoChannel:
@@ -161,7 +161,7 @@ class SdoChannel:
         self.listen()
 
     def listen(self) -> None:
-        """Receive the answers of the drive from now on, in place of the handler before."""
+        """Receive the answers of the drive from now on, in place of any earlier handler."""
         self._link.subscribe(SDO_RESPONSE_BASE + self._node_id, self._take)
 
     # --- frames -----------------------------------------------------------------------------------------------------
@@ -255,7 +255,7 @@ class SdoChannel:
         return self.decode(index, subindex, self._value_of("read", index, subindex, upload(index, subindex)))
 
     def probe(self, index: int, subindex: int = 0) -> int:
-        """Return the value of an object like `read`, but asks only once.
+        """Return the value of an object, like `read`, but send the request only once.
 
         Raises:
             SdoError: Aborted by the drive or not answered.

@@ -87,7 +87,7 @@ class ServoDrive(TorqueAxis):
         self.reset()
 
     def signature(self) -> str:
-        """Return an identifier of drive, serial number, process data and rate; a check of the hold is valid for one.
+        """Return a text that identifies drive, serial number, process data and rate: a hold test is valid for it only.
 
         Raises:
             SdoError: The drive does not answer.
@@ -143,7 +143,7 @@ class ServoDrive(TorqueAxis):
         self._pending = 0
 
     def part(self, bits: int) -> str:
-        """Return the names of the frames of a sample."""
+        """Return the names of the TPDOs of a sample whose bits are set."""
         return ", ".join(f"TPDO {plan.cob_id:#05x}" for n, plan in enumerate(self.map.tpdos) if bits >> n & 1)
 
     # --- out --------------------------------------------------------------------------------------------------------
@@ -259,7 +259,7 @@ class ServoDrive(TorqueAxis):
         self.window.pending -= 1
 
     def _count_surplus(self, bit: int, is_same: bool) -> None:
-        """Count a frame that came after the answer; after a missed SYNC it may have been the right one of the two."""
+        """Count a second frame for one SYNC; if the SYNC before was missed, either frame may be the right answer."""
         if self.is_complete and self.unheard and not is_same:
             self.uncommanded += 1
         if self.window.is_open:
@@ -371,13 +371,13 @@ class CanBringUp(BringUp):
             self._drive.command_nmt(od.NmtCommand.START)
 
     def operational(self) -> Confirmation:
-        """Confirmation by a heartbeat with OPERATIONAL."""
+        """Confirmation that a heartbeat shows OPERATIONAL."""
         drive, wanted = self._drive, "a heartbeat with OPERATIONAL"
         is_given, seen = lambda: drive.is_operational, lambda: _nmt_name(drive.nmt_state)
         return Confirmation("NMT operational", wanted, is_given, seen, self.command_operational)
 
     def process_data(self) -> Confirmation:
-        """Confirmation by every TPDO after a SYNC."""
+        """Confirmation that every TPDO arrives after a SYNC."""
         drive, wanted = self._drive, "every TPDO after a SYNC"
         is_given, seen = lambda: drive.is_complete, lambda: f"no {drive.culprit} of the right length"
         return Confirmation("PDO exchange", wanted, is_given, seen, lambda: None)

@@ -5,8 +5,8 @@ The start configures each drive, then sends SYNC, takes the drives to operationa
 The stop sends zero torque first, then disables the drives, then takes them to pre-operational. It asks each drive for a
 confirmation and does not rely on the bus: each part is tried even if bus or drive is failing, and what was not
 confirmed is returned as text. Values that the start wrote into a drive are restored, last written first, once the drive
-reports that it is disabled. A drive in a fault, or a silent one, is left as it is. Commands are no settings and stay at
-rest.
+reports that it is disabled. A drive in a fault, or a silent one, is left as it is. Objects that command motion are not
+restored: they stay at rest.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -209,7 +209,7 @@ _FEWEST_CYCLES: Final = 4  # a synchronous RPDO acts one SYNC later and shows in
 
 
 class Trust(Enum):
-    """Trust that RPDOs and SYNCs reach the drives."""
+    """How certain it is that RPDOs and SYNCs reach the drives."""
 
     FULL = "the operator stops a rig that is well"
     SOME = "something is wrong, but not with the link"
@@ -217,7 +217,7 @@ class Trust(Enum):
 
 
 def ramp_down(exchange: Exchange, duration: float) -> None:
-    """Ramp the torque of every axis linearly to zero, through the limiter; after setting its brake, if it has one.
+    """Ramp the torque of every axis linearly to zero, through the limiter; a brake that the host operates is set first.
 
     Args:
         exchange: Cyclic exchange of the rig.
@@ -385,7 +385,7 @@ def _restore(drive: TorqueAxis, problem: str = "") -> None:
     try:
         state = problem or drive.read_state().value
         if state != PowerState.SWITCH_ON_DISABLED.value:
-            raise SdoError(f"left as it is, the drive shows {state}", od.STATUSWORD, 0)
+            raise SdoError(f"not restored, because the drive shows {state}", od.STATUSWORD, 0)
         for change in reversed(changes):
             if change.before not in (None, change.after) and not _is_kept(drive, change):
                 _put_back(drive, change)

@@ -33,11 +33,11 @@ class ForceParameters(Parameters):
     per_count: Annotated[float, quantity("N", "N*m", ge=-1e6, le=1e6)]
     """Force of the hand towards +q per count (an impulse: N*s per count); negative for a sensor that counts down."""
     offset_counts: Annotated[float, quantity("count", ge=-2e9, le=2e9)] = 0.0
-    """Counts without a force."""
+    """Counts that the sensor shows at zero force."""
     range: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]
     """Largest force that the sensor can show; beyond it the rig stops."""
     sampling: Literal["point", "mean", "impulse"] = "point"
-    """Meaning of one value: the force at the SYNC, its mean since the last, or its integral, modulo its bits."""
+    """Quantity of one value: the force at the SYNC, its mean since the last SYNC, or its running integral (wraps)."""
     latency: Annotated[int, quantity("count", ge=0, le=16)] = 0
     """Delay of a value in whole SYNCs."""
     filter: Annotated[float, quantity("Hz", ge=0.0, le=1e6)] = 0.0
@@ -66,7 +66,7 @@ class ForceParameters(Parameters):
     @model_validator(mode="after")
     def _has_one_source(self) -> "ForceParameters":
         if (self.object is None) == (self.node is None):
-            raise ValueError("expected either object (in the drive) or node (of its own)")
+            raise ValueError("expected either object (a sensor in the drive) or node (a sensor with its own node)")
         if self.node is not None and (self.node.tare or self.node.real) and self.sampling == "impulse":
             key, why = ("tare", "has no zero to take") if self.node.tare else ("real", "wraps, as integers do")
             raise ValueError(f"node.{key}: got true with sampling: impulse, expected a force: a sum {why}")

@@ -79,7 +79,7 @@ class BringUp(ABC):
         """Command the state for configuring a drive; raise LinkError."""
 
     def _explain_absence(self) -> None:
-        """Raise StartError if the reason is found why the drive does not answer."""
+        """Look for the cause why the drive does not answer; raise StartError if one is found."""
         return
 
     @abstractmethod
@@ -118,7 +118,7 @@ class BringUp(ABC):
 
     @contextmanager
     def step(self, name: str, expected: str = "the drive to accept it") -> Iterator[None]:
-        """Turn an error inside into a StartError of this step."""
+        """Context of one step of the start, in which an error becomes a StartError with the name of the step."""
         try:
             yield
         except (SdoError, DictionaryError, LinkError) as error:

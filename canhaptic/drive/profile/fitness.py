@@ -348,7 +348,7 @@ def _max_torque_value(axis: TorqueAxisParameters) -> int | None:
 
 
 def _rated_torque_objection(dictionary: Dictionary, axis: TorqueAxisParameters) -> str | None:
-    """Return why 0x6076 cannot be read, or its type cannot hold the configured value; None where neither is so."""
+    """Return why 0x6076 cannot be read, or its type cannot hold the configured value; None if both are possible."""
     variable = listed(dictionary, od.RATED_TORQUE)
     text = objection(dictionary, ObjectUse(od.RATED_TORQUE, reads=True))
     if text is not None or variable is None or axis.rated_torque is None:

@@ -118,10 +118,10 @@ class TorqueLimiter:
 
 
 class DryRunLimiter(TorqueLimiter):
-    """The limiter of a dry run: nothing passes.
+    """The limiter of a dry run: every torque becomes 0.
 
     Attributes:
-        withheld: Largest torque that would have passed, each after a cycle without torque [N*m or N].
+        withheld: Largest torque that the limiter of a run would have permitted after a cycle of zero torque [N*m or N].
     """
 
     __slots__ = ("withheld",)

@@ -6,7 +6,7 @@ missed TPDOs in a row   0            normal: the controller's torque
                         1 .. hold    the last torque is held
                         .. stop      it ramps to zero, linearly
                         stop         the rig stops, reason TPDO_LOST
-everything below        at once      zero torque, the rig stops
+every other StopReason   at once      zero torque, the rig stops
 """
 
 import tomllib

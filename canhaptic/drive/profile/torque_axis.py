@@ -107,7 +107,7 @@ class TorqueAxis(ABC):
         answers: Whether the drive answered an SDO since the last start.
         left_out: Objects that the start skips, as the older master of a replayed run did.
         restores: Whether the stop restores values that the start wrote; False for the older master of a replayed run.
-        hold: Text on whether a hands-off test found in which hold its torques act; empty if no account asks.
+        hold: Result, in words, of the hands-off test in which hold its torques act; empty if no account needs it.
         unrestored: Objects that the stop did not restore, in words.
         outputs: Digital outputs of the drive (0x60FE:01) with the brake set.
         elsewhere: Writes to other nodes, whose objects are not restored.
@@ -402,7 +402,7 @@ class TorqueAxis(ABC):
         return drive_state(self.sdo.read(od.STATUSWORD))
 
     def watch_statusword(self) -> None:
-        """Watch more than the state from now on, once the rig is enabled.
+        """Watch bits 9, 11 and 12 of the statusword too from now on; called once the rig is enabled.
 
         A drive that shows that it follows its target (bit 12), or that the bus commands it (bit 9), must continue to do
         so. One whose torque is not read back must not begin to limit it (bit 11).

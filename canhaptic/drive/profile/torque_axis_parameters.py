@@ -75,8 +75,8 @@ class TorqueAxisParameters(Parameters):
     """Whether the TPDO of a SYNC carries the torque held before that SYNC or the one that begins with it."""
     hold_checked: PrintableText | None = None
     """Drive, firmware, process data and rate with which `canhaptic commission` found a torque to act in the declared
-    hold. None, or with another drive: the account says that its holds were not checked, and no certificate of a real
-    drive gives a yes."""
+    hold. None, or with another drive: the account says that its holds were not checked, and a real drive gets no
+    positive certificate."""
     check_hold: Literal["each_start"] | None = None
     """`each_start` tests before each run in which hold a torque acts: hands off, it moves the handle for some seconds
     by at most 20 mm or mrad, and refuses a drive that acts in another hold. None: only `canhaptic commission` tests."""

@@ -37,7 +37,7 @@ from canhaptic.sim.plant.propagator import flow_changes
 
 
 class NotBatchableError(InputError, NotImplementedError):
-    """A scene cannot run in a batch; run it one by one."""
+    """Raised if a scene cannot run in a batch; it can still be run by itself."""
 
 
 Numbers = Mapping[str, Any]
@@ -72,7 +72,7 @@ class BatchCase:
         return found
 
     def part(self, rows: slice) -> "BatchCase":
-        """Return some of the scenes."""
+        """Return the batch of some of its scenes, by their rows."""
         some: Any = (v if v is None or len(v) == 1 else v[rows] for v in self.linear or ())
         linear = self.linear and event_plant.LinearMotion(*some)
         numbers = {name: v[rows] if isinstance(v, np.ndarray) else v for name, v in self.numbers.items()}

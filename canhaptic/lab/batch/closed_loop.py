@@ -389,7 +389,7 @@ def acting(signals: Signals, temperature: float, torque: float) -> ActingTorque:
 
 
 def pass_frames(losses: Losses, place: CycleState, cycle: int) -> None:
-    """Draw which frames of a SYNC are lost, and record it in `place`."""
+    """Draw at random which frames of a SYNC are lost, and record the result in `place`."""
     if losses.to_drive:
         place.lost_to_drive = is_lost(losses, place.lost_to_drive, cycle * TICKS + 1)
         place.is_synced = not place.lost_to_drive
@@ -477,7 +477,7 @@ def answer(
     environment: Environment, run: AxisRun, loop: LoopSettings, meter: Meter, plant: LinearPlant, place: CycleState,
     true_position: float, cycle: int,
 ) -> bool:  # fmt: skip
-    """Read the encoder, step the controller and take the figures; return False if a number is not finite."""
+    """Read the encoder, step the controller, add the SYNC to the figures; return False if a number is not finite."""
     held = place.held
     position = encoder(plant, loop.signals, cycle, true_position)
     position = measured(loop, position) if isfinite(position) else position

@@ -246,7 +246,7 @@ def explain(
 
 
 def shares(meter: GroupMeter) -> tuple[float, float]:
-    """Return the rendered shares of spring and damper; NaN where none was requested.
+    """Return the rendered shares of spring and damper; NaN for a part of which no effort was requested.
 
     The spring's share is a least-squares fit of the held torques to the requested efforts of spring and damper. The
     damper's share is the damping booked by the controller over the requested one.

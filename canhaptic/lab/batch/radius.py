@@ -20,7 +20,7 @@ from canhaptic.sim.plant.user import UserParameters
 
 
 class Loops(NamedTuple):
-    """Many loops; each entry a number or of shape (n_loops,)."""
+    """Parameters of many loops, each one number or of shape (n_loops,)."""
 
     mass: Array | float  # [kg or kg*m^2]
     damping: Array | float  # of bearings and hand together [N*s/m or N*m*s/rad]

@@ -110,7 +110,7 @@ def record(
 
 
 def forget(recorder: Recorder) -> None:
-    """Replace `meter.diverge`: end the rows."""
+    """Replace `meter.diverge`: no-op, because the recorded rows end here by themselves."""
 
 
 def _run(case: LoopCase, cycles: int, loop: LoopSettings, meter: Any, continuous: ContinuousReference | None) -> str:

@@ -136,7 +136,7 @@ ALL: Final = {**METRICS, **CONTINUOUS}
 """All figures of an impedance display."""
 _OF_DAMPING: Final = ("mean", "least", "most", "share")
 OUTCOMES: Final = ("", "no contact", "nothing rendered")
-"""Outcomes of a run: "" where an environment was touched and rendered. Without that, a passive run proves nothing."""
+"""Outcomes of a run: "" if the environment was touched and rendered; otherwise a passive run proves nothing."""
 OUTCOME_METRICS: Final = ("contact", "effort_rendered.share", "damping_rendered.share", "torque_peak")
 """Metrics that decide the outcome."""
 _LEAST_RENDERED: Final = 0.1  # as for the headline of a run

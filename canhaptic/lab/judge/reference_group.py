@@ -254,7 +254,7 @@ def mechanism_model(parameters: MechanismParameters, hand: TaskHand | None) -> S
         return StageModel(parameters, hand)
     if isinstance(parameters, five_bar.FiveBarLinkage):
         return FiveBarModel(parameters, hand)
-    raise InputError(f"the mechanism {type(parameters).__name__} has no equations here")
+    raise InputError(f"the mechanism {type(parameters).__name__} has no equations; expected XY stage or five-bar")
 
 
 def _slices(sizes: Sequence[int]) -> list[slice]:

@@ -23,9 +23,9 @@ from canhaptic.sim.plant.direct_rig import Motion
 from canhaptic.sim.plant.propagator import Array
 
 _LONGEST_STEP: Final = 2.5e-4
-"""[s] where modes may change: their guards are looked at at the ends of steps."""
+"""Longest step of a model whose modes may change [s]: guards are checked at the ends of steps."""
 _MOST_CHANGES: Final = 10_000
-"""Changes of mode in one hold."""
+"""Largest number of mode changes in one hold; more are an error."""
 _Stop = Callable[[], bool] | None
 
 

@@ -138,7 +138,7 @@ def _report(progress: Progress, before: int, cycles: int) -> None:
 
 
 def heading_of(scene: Scene, cycles: int, path: str = "can") -> dict[str, Any]:
-    """Return the heading of a comparison; path: "can" or, without a bus, "direct"; SI, delay in holds."""
+    """Return the heading of a comparison as plain values; `path` is "can" or, without a bus, "direct"."""
     return {
         "scene": scene.source,
         "config_hash": scene.config_hash(),

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 _LETTERS: Final = 80
-"""Letters of the caption for each column."""
+"""Number of caption characters on a line, per column of panels."""
 _LINES: Final[dict[str, Row]] = {
     "measured": {"linewidth": 1.4, "markersize": 4.5, "fillstyle": "none"},
     "ours": {"linewidth": 2.6, "markersize": 4.5, "fillstyle": "none", "zorder": 5},

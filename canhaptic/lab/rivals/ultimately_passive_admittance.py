@@ -1,4 +1,4 @@
-"""`ultimately_passive` of an admittance display: generated energy is dissipated gradually, like by eq. 19 of the paper.
+"""`ultimately_passive` of an admittance display: generated energy is dissipated gradually, as in eq. 19 of the paper.
 
 Energy that a hold generates is added to a surplus H. A series slip u_pas = C F with C = alpha H dissipates F u_pas T of
 it in each hold, so that the sum becomes passive in the end, not at each instant. C is limited by the stability of the

@@ -364,7 +364,7 @@ class BusSegment:
         return cob_id in self._ids and (self._during is None or bool(self._during.end(time)))
 
     def push(self, message: can.Message, now: int, epoch: int) -> None:
-        """Take a frame sent at `now` [ns]; `epoch` is the time of the first SYNC [ns]."""
+        """Put a frame sent at `now` [ns] in transit, with its faults; `epoch` is the time of the first SYNC [ns]."""
         flights = [Flight(message, now, keeps_order=True)]
         if self.suffers(message.arbitration_id, now - epoch):
             for effect in self._effects:

@@ -83,10 +83,10 @@ class Part:
         raise NotImplementedError
 
     def constrain(self, rows: "Rows", mode: str) -> None:
-        """Stop a body if need be; called when all forces are known. Nothing by default."""
+        """Hold a body at rest if this mode does; called when all forces are known. By default no effect."""
 
     def guards(self, rows: "Rows", mode: str) -> Sequence[Guard]:
-        """Return the guards of this mode; called last. None by default."""
+        """Return the guards of this mode; called last. By default there are none."""
         return ()
 
 
@@ -186,7 +186,7 @@ class PlantModel:
         self.states[name] = initial
 
     def claim(self, slot: str, effect: str) -> None:
-        """Claim a slot that only one effect may have.
+        """Reserve a role in the plant (slot), such as the encoder, that only one effect may have.
 
         Raises:
             ParameterError: Another effect has the slot.

@@ -1,4 +1,4 @@
-"""Changes of modes and states at scheduled ticks, between two steps, instead of by a guard."""
+"""Changes of modes and states at scheduled times (ticks) instead of by a guard; they are made between two steps."""
 
 from collections.abc import Callable
 from functools import partial

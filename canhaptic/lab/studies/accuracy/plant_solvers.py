@@ -289,7 +289,7 @@ class PlantSide(Plants):
         return difference(motion, self.exact, self._simulation.plant.mass, self._period * 1e-9)
 
     def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
-        """See `Plants`."""
+        """See `Plants.measure_effects`."""
         names = list(dict.fromkeys(effect.name for effect in self._simulation.effects))
         if not names:
             return

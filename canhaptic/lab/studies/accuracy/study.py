@@ -315,7 +315,7 @@ UNITS: Final = 1000
 """Units of progress in the whole study."""
 _SHARES: Final = {"references": 200, "ladder": 250, "loops": 250, "times": 300}
 _BEFORE: Final = 0.5
-"""Fraction of a share of the progress bar that the reference before it may fill."""
+"""Part of the references' share of the progress bar that a single reference may fill."""
 _TENTH: Final = 0.1
 _REPEATS: Final = 3
 _WORKLOAD: Final = "workload"

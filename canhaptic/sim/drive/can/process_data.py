@@ -110,7 +110,7 @@ class Pdo:
         self._syncs = 0
 
     def load(self, content: bytes | bytearray) -> None:
-        """Take over the values of an RPDO and let the drive act on them."""
+        """Write the values of an RPDO to its mapped objects, and let the drive act on them."""
         for entry, value, (low, high) in zip(self.entries, self._unpack(content), self._ranges, strict=True):
             if low <= value <= high:
                 entry.value = value

@@ -44,7 +44,7 @@ class Entry:
         check: Called with a value before it is stored by SDO; returns the abort code or None.
         changed: Called after a value was stored by SDO.
         refresh: Called before a value is read by SDO.
-        refused: A value inside the range that SDO writes are refused for; None for none.
+        refused: A value within the range that the drive nevertheless rejects by SDO; None: no such value.
     """
 
     __slots__ = (
@@ -107,7 +107,7 @@ class Entry:
 
 
 def refuse_unless(accepts: Callable[[int], object], abort: SdoAbort = SdoAbort.VALUE_RANGE) -> Check:
-    """Return a check that refuses, with an abort code, every value that `accepts` does not accept."""
+    """Return a check that answers a written value with the abort code unless `accepts` returns True for it."""
     return lambda value: None if accepts(value) else abort
 
 
@@ -118,7 +118,7 @@ class ObjectStore:
         dictionary: Dictionary as read from its EDS or DCF.
         values: Initial values by (index, subindex), which replace those of the dictionary.
         absent: (index, subindex or None for all) of objects that the dictionary lists and the drive lacks.
-        refused: (index, subindex) -> value that SDO writes are refused for.
+        refused: (index, subindex) -> value that the drive rejects by SDO.
 
     Raises:
         ParameterError: `values` names an object that the dictionary lacks, or a value that does not fit.

@@ -11,7 +11,7 @@ from canhaptic.units import quantity
 
 
 class TorqueQuantisation(EffectParameters):
-    """A smallest step of torque."""
+    """A motor torque that changes in whole steps."""
 
     rank = 2
     type: Literal["torque_quantisation"] = "torque_quantisation"

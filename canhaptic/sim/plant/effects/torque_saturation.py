@@ -11,7 +11,7 @@ from canhaptic.units import quantity
 
 
 class TorqueSaturation(EffectParameters):
-    """A largest torque, the same in both directions."""
+    """A limit of the motor's torque, the same in both directions."""
 
     type: Literal["torque_saturation"] = "torque_saturation"
     limit: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)]

@@ -11,7 +11,7 @@ from canhaptic.units import quantity
 
 
 class ViscousFriction(EffectParameters):
-    """Force against the velocity, proportional to it."""
+    """Force proportional to the velocity and opposite to it."""
 
     type: Literal["viscous_friction"] = "viscous_friction"
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)]
