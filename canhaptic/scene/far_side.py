@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from canhaptic.sim.bus.faulty_bus import FaultyBus
     from canhaptic.sim.drive.can.drive_node import DriveGroup
     from canhaptic.sim.plant.effects import Effect
-    from canhaptic.sim.plant.mechanism import Mechanism, MechanismParameters
-    from canhaptic.sim.plant.mechanism.shared_mechanism import MechanismMotor
+    from canhaptic.sim.plant.mechanism import Mechanism, MechanismMotor, MechanismParameters
     from canhaptic.sim.plant.plant import Plant
 
 _SEEDS_APART: Final = 1_000_003  # from one bus to the next
@@ -42,7 +41,7 @@ _NO_LAG: Final = 1.0
 """Lag of a torque that has no bound [s]: the largest accepted value, with which nothing is certified."""
 _MILLI: Final = 1e-3
 _LARGEST_RATIO: Final = 1e9  # anything larger is a fault of the axis, noted there
-_CHOICES: Final = {"auto": "canhaptic.lab.studies.accuracy.accuracy_choice:with_chosen_accuracy"}
+_CHOICES: Final = {"auto": "canhaptic.lab.studies.accuracy.study:with_chosen_accuracy"}
 """Automatic accuracy -> "module:function" that chooses it, imported only for a scene with `accuracy: {auto: ...}`."""
 
 
@@ -81,7 +80,7 @@ def build_mechanism(of: MechanismScene, sample_time_ns: int) -> "Mechanism":
 
 def _shared_motors(mechanisms: Sequence[MechanismScene], sample_time_ns: int) -> "dict[str, MechanismMotor]":
     """Return the motors of simulated mechanisms, by the name of their axis."""
-    from canhaptic.sim.plant.mechanism.shared_mechanism import SharedMechanism
+    from canhaptic.sim.plant.mechanism import SharedMechanism
 
     motors: dict[str, MechanismMotor] = {}
     for of in mechanisms:

@@ -21,7 +21,7 @@ from canhaptic.replay import replay_bus_log
 from canhaptic.result import run_result
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene
-from canhaptic.sim.plant.mechanism.shared_mechanism import MechanismMotor
+from canhaptic.sim.plant.mechanism import MechanismMotor
 from tests.acceptance.group_runs import AXES, GROUP, REPOSITORY, encoder_bound, identity, logged, run_config
 from tests.drive.drive_bench import TamperedBus
 

@@ -243,7 +243,7 @@ WHOLE = {
         "lugre_friction.py",
         "contact.py",
     },
-    "configs/five_bar_sphere.yaml": {"five_bar_linkage.py", "shared_mechanism.py", "task_hand.py"},
+    "configs/five_bar_sphere.yaml": {"five_bar_linkage.py", "task_hand.py"},
 }
 """Scene -> files of effects and mechanisms that a whole run executes, all of them named by it."""
 

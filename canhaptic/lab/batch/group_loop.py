@@ -44,9 +44,9 @@ from canhaptic.scene.parts import check_group, loop_as_known
 from canhaptic.sim.plant import splitting, stepper
 from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.assembly import PlantModel
+from canhaptic.sim.plant.mechanism import SharedMechanism
 from canhaptic.sim.plant.mechanism import five_bar_linkage as five_bar
 from canhaptic.sim.plant.mechanism.five_bar_linkage import advance_five_bar, place_at
-from canhaptic.sim.plant.mechanism.shared_mechanism import SharedMechanism
 from canhaptic.sim.plant.mechanism.xy_stage import XYMotion
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import TICKS, Array

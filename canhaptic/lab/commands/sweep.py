@@ -14,8 +14,7 @@ from canhaptic.errors import InputError
 from canhaptic.lab.commands.results import scene_progress, show
 from canhaptic.lab.studies.runner import Pool, Progress, dask_executor, pool_of
 from canhaptic.lab.studies.sweep.run_sweep import sweep
-from canhaptic.lab.studies.sweep.summary import summary, summary_report
-from canhaptic.lab.studies.sweep.sweep_table import SweepTable
+from canhaptic.lab.studies.sweep.sweep_table import SweepTable, summary, summary_report
 
 _OPTIONS: Final = (
     "resume", "force", "controllers", "seed", "duration", "cycles", "metrics", "engine", "chunk", "beyond_bus",

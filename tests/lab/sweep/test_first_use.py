@@ -8,7 +8,7 @@ import pytest
 
 from canhaptic.lab.studies.runner import begin_worker
 from canhaptic.lab.studies.sweep.chunk import ENGINES, SLOTS, ChunkResult, run_chunk
-from canhaptic.lab.studies.sweep.run_sweep import Asked, make_sweep
+from canhaptic.lab.studies.sweep.run_sweep import Asked, joined, make_sweep
 from tests.lab.sweep.conftest_sweep import VARY
 
 
@@ -22,11 +22,11 @@ def first_use(tmp_path, monkeypatch):
     """The module, where no loop is compiled yet."""
     pytest.importorskip("numba", reason="needs numba (the extra fast)")
     from canhaptic.lab.batch.compiled_loops import compiled_loops
-    from canhaptic.lab.studies.sweep import first_use
+    from canhaptic.lab.studies.sweep import run_sweep
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     compiled_loops.cache_clear()
-    yield first_use
+    yield run_sweep
     compiled_loops.cache_clear()
 
 
@@ -78,7 +78,6 @@ def result(texts: tuple[str, ...], remarks: list[int], of_plant: str = "") -> Ch
 
 
 def test_results_of_slices_are_one_with_every_remark_at_its_scene():
-    joined = pytest.importorskip("canhaptic.lab.studies.sweep.first_use").joined
     whole = joined([result(("x", "y"), [0, 2, 1]), result(("y", "z"), [1, 2], "mass"), result((), [0])])
     assert [("", *whole.texts)[at] for at in whole.remark] == ["", "y", "x", "y", "z", ""]
     assert whole.figures["a/b"].tolist() == [0.0, 0.5, 1.0, 0.0, 0.5, 0.0]
@@ -87,7 +86,6 @@ def test_results_of_slices_are_one_with_every_remark_at_its_scene():
 
 
 def test_more_remarks_than_a_chunk_keeps_share_the_last_one():
-    joined = pytest.importorskip("canhaptic.lab.studies.sweep.first_use").joined
     parts = [result((f"{i}", f"{i}b"), [1, 2]) for i in range(SLOTS)]
     whole = joined(parts)
     assert len(whole.texts) == SLOTS == whole.remark.max()

@@ -15,8 +15,7 @@ from canhaptic.lab.loop.axis_loop import with_algorithm
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.sweep.chunk import _MORE, SLOTS
 from canhaptic.lab.studies.sweep.run_sweep import _pays
-from canhaptic.lab.studies.sweep.summary import _shares, summary
-from canhaptic.lab.studies.sweep.sweep_table import SweepTable
+from canhaptic.lab.studies.sweep.sweep_table import SweepTable, _shares, summary
 from canhaptic.scene.load import load_scene
 from tests.lab.sweep.conftest_sweep import DEMO, VARY
 

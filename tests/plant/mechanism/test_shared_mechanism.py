@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from canhaptic.sim.plant.mechanism.shared_mechanism import SharedMechanism
+from canhaptic.sim.plant.mechanism import SharedMechanism
 from tests.plant.mechanism.mechanism_scenes import MS, five_bar, stage
 
 

@@ -7,6 +7,11 @@ A stopped study keeps its rows. `exchange_time` measures a cycle of the control 
 checks and accounts. The rig runs in one thread with its simulated drives, whose time is measured and subtracted.
 `interleaved` measures wall times that a busy machine disturbs little, as the minimum of interleaved repeats with their
 spread. A fixed workload is timed with them, so that the ratios of a table hold on another machine.
+
+`with_chosen_accuracy` is `accuracy: auto`: the cheapest accuracy of a simulated plant that keeps its position within
+a tolerance. The controller of the scene is run once on a finely solved plant. Under the torques of that run, settings
+from coarse to fine are compared with a reference solution by DOP853 with event location (`canhaptic.lab.judge`). The
+setting with the fewest matrix-vector products wins; their number is the same on every machine.
 """
 
 import itertools
@@ -31,7 +36,6 @@ from canhaptic.lab.loop.axis_loop import able_under, microseconds_per_step, part
 from canhaptic.lab.reference import ContinuousMotion, continuous_group
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy import loop_sensitivity, plant_solvers
-from canhaptic.lab.studies.accuracy.accuracy_choice import require_own_axis
 from canhaptic.lab.studies.accuracy.accuracy_table import advice, error_per_microsecond, length, pareto, rank_agreement
 from canhaptic.scene.build import build, open_bus, private_channel
 from canhaptic.scene.far_side import build_drive_group, build_plant
@@ -572,3 +576,65 @@ class AccuracyStudy:
             worth = None if error is None else error_per_microsecond(error, saved)
             rows.append({**row, "us_saved_per_period": saved, "error_per_microsecond": worth})
         return rows
+
+
+def with_chosen_accuracy(scene: Scene) -> Scene:
+    """Return the scene with a chosen accuracy for every simulated plant; a scene without `auto` is unchanged.
+
+    Raises:
+        InputError: scipy is missing, or no setting keeps the tolerance.
+    """
+    if scene.accuracy_tolerance is None or scene.accuracy_choices or scene.simulation is None:
+        return scene
+    axes, choices, holds = [], {}, plant_solvers.holds_of(scene)
+    for axis in scene.axes:
+        require_own_axis(axis, scene)
+        chosen, simulation = choose(axis, scene, scene.accuracy_tolerance), simulation_of(axis)
+        accuracy = simulation.accuracy.model_copy(update=chosen["accuracy"])
+        axes.append(replace(axis, simulation=replace(simulation, accuracy=accuracy)))
+        choices[axis.parameters.name] = {
+            "tolerance": scene.accuracy_tolerance,
+            "holds": holds,
+            **{key: chosen[key] for key in ("position_error", "force_error", "energy_error")},
+            "products_per_period": chosen["evaluations_per_period"],
+        }
+    return replace(scene, axes=tuple(axes), accuracy_choices=choices)
+
+
+def choose(axis: AxisScene, scene: Scene, tolerance: float) -> Row:
+    """Return the row of the cheapest accuracy that keeps the position of one axis within a tolerance [m or rad].
+
+    Raises:
+        InputError: scipy is missing, no setting keeps the tolerance, or the errors do not fall as declared.
+    """
+    settings = plant_solvers.ladder(simulation_of(axis), scene.bus.sample_time_ns)
+    side = plant_solvers.PlantSide(axis, scene, plant_solvers.holds_of(scene), lambda: False, settings=settings)
+    side.candidates = [candidate for candidate in side.candidates if candidate.method == plant_solvers.OURS]
+    list(side.measure())
+    found = advice(side.rows, [], tolerance, side.orders())
+    where = f"{scene.source}: accuracy: auto of axis {axis.parameters.name}"
+    if found["doubt"]:
+        raise InputError(f"{where}: {found['doubt']} instead of auto")
+    if found["chosen"] is None:
+        finest = side.rows[-1]["position_error"]
+        raise InputError(
+            f"{where} with tolerance {tolerance:g}: the finest setting "
+            + ("is unstable" if finest is None else f"errs by {finest:.2g} in position")
+            + "; allow at least that, or a higher rate"
+        )
+    chosen: Row = found["chosen"]
+    return chosen
+
+
+def require_own_axis(axis: AxisScene, scene: Scene) -> None:
+    """Refuse an axis without its own plant and its own controller.
+
+    Raises:
+        InputError: The axis belongs to a group, or moves a mechanism together with others.
+    """
+    if axis.group or axis.simulated_drive is not None:
+        what = f"group {axis.group} renders on it" if axis.group else "it moves a mechanism with other drives"
+        raise InputError(
+            f"{scene.source}: axis {axis.parameters.name}: {what}, expected an axis with its own plant and "
+            "algorithm; to run the scene, give accuracy: {event_bits, substeps} instead of auto"
+        )

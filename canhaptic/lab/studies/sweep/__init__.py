@@ -3,9 +3,7 @@
 vary          parses `--vary` and numbers the scenes
 chunk         makes scenes from values and computes their figures
 run_sweep     sends chunks of scenes to workers, and results to the store
-first_use     runs scenes in Python while their loop is being compiled
-sweep_table   reads and writes the results
-summary       tables of a finished or running sweep
+sweep_table   reads, writes and summarises the results
 """
 
 from canhaptic.lab.studies.sweep.run_sweep import sweep

@@ -2,21 +2,26 @@
 
 The result of a scene depends only on its values and its global index, so that one thread, a pool and a cluster write
 the same bits; only the order in which chunks become ready differs.
+
+`FirstUse` lets Python run scenes while a separate process compiles their loop.
 """
 
 import json
 import math
+import multiprocessing
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, replace
 from importlib.metadata import version
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError
 from canhaptic.lab.batch import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
 from canhaptic.lab.batch.cases import why_not_batchable
@@ -28,6 +33,7 @@ from canhaptic.lab.studies.runner import Count, Job, Pool, Progress, begin_worke
 from canhaptic.lab.studies.sweep.chunk import (
     FIGURES,
     RATE,
+    SLOTS,
     ChunkResult,
     Recipe,
     is_batch_key,
@@ -38,7 +44,7 @@ from canhaptic.lab.studies.sweep.chunk import (
     usual_figures,
 )
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable, create
-from canhaptic.lab.studies.sweep.vary import Points, Varied, make_points, parse_vary, short
+from canhaptic.lab.studies.sweep.vary import Column, Points, Varied, make_points, parse_vary, short
 from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
 
@@ -110,8 +116,6 @@ def sweep(
         if executor is None and processes and cores > 1 and _is_long(asked):
             executor = stack.enter_context(pool_of(cores))
         elif executor is None and processes and cores > 1 and asked.is_auto and asked.recipe.engine == "numba":
-            from canhaptic.lab.studies.sweep.first_use import FirstUse  # numba is installed
-
             first = FirstUse(count.compiling, begin_worker)
             stack.callback(first.close)
             run = first.run
@@ -275,3 +279,90 @@ def _check_same(table: SweepTable, asked: Asked) -> None:
 def _words(value: Any) -> str:
     varied = isinstance(value, list) and value and isinstance(value[0], dict)
     return " ".join(str(one["given"]) for one in value) if varied else str(value)[:160]
+
+
+_FIRST: Final = 4
+"""Scenes that Python runs to measure the time of one."""
+_SLICE: Final = 0.5
+"""Time between two checks whether compiling has ended [s]."""
+_COMPILING: Final = 10.0
+"""Approximate time of compiling [s]. If Python would take longer for the rest of a chunk, it runs only the first scenes
+and then waits, which leaves the processor and its caches to the compiler."""
+
+
+class FirstUse:
+    """Runs chunks, and compiles a new loop in a separate process in the meantime.
+
+    Both engines give the same bits, so that the figures do not depend on which scenes Python ran.
+
+    Args:
+        report: Called with the number of finished scenes of a chunk while its loop is being compiled.
+        begin: Called first in the compiling process.
+    """
+
+    def __init__(self, report: Callable[[int], None], begin: Callable[[], None]) -> None:
+        self._report, self._begin = report, begin
+        self._compiling: BaseProcess | None = None
+
+    def run(self, recipe: Recipe, start: int, columns: Mapping[str, Column]) -> ChunkResult:
+        """Return the figures of a chunk; see `run_chunk`."""
+        from canhaptic.kernels.compiler import if_kept  # numba is installed
+
+        found = if_kept(run_chunk, recipe, start, columns)
+        if found is not None:
+            return found
+        if self._compiling is None or not self._compiling.is_alive():
+            context = multiprocessing.get_context("spawn")
+            self._compiling = context.Process(target=_compile, args=(self._begin, recipe, start, columns), daemon=True)
+            self._compiling.start()
+        return self._meanwhile(self._compiling, recipe, start, columns)
+
+    def _meanwhile(
+        self, compiling: BaseProcess, recipe: Recipe, start: int, columns: Mapping[str, Column]
+    ) -> ChunkResult:
+        """Run scenes in Python until their loop is compiled; if compiling ends sooner, wait for it after the first."""
+        clock, count, done, size, each = WallClock(), len(next(iter(columns.values()))), 0, _FIRST, 0.0
+        parts: list[ChunkResult] = []
+        while done < count:
+            if each * (count - done) > _COMPILING and compiling.is_alive():
+                compiling.join(_SLICE)
+                self._report(done)
+                continue
+            compiles = compiling.is_alive()
+            size = min(size if compiles else count, count - done)
+            began = clock.now()
+            rows = {key: values[done : done + size] for key, values in columns.items()}
+            chosen = replace(recipe, engine="python") if compiles else recipe
+            parts.append(run_chunk(chosen, start + done, rows))
+            each, done = (clock.now() - began) * 1e-9 / size, done + size
+            size = max(1, int(min(4.0 * size, _SLICE / max(each, 1e-9))))
+            self._report(done)
+        return joined(parts)
+
+    def close(self) -> None:
+        """Terminate the compiling process, whose result is no longer needed."""
+        if self._compiling is not None:
+            self._compiling.terminate()
+            self._compiling.join()
+
+
+def _compile(begin: Callable[[], None], recipe: Recipe, start: int, columns: Mapping[str, Column]) -> None:
+    """Compile the loops of a chunk by running two SYNCs of every scene; errors are ignored, the sweep repeats them."""
+    begin()
+    with suppress(Exception):
+        run_chunk(replace(recipe, cycles=2, duration=None), start, columns)
+
+
+def joined(parts: list[ChunkResult]) -> ChunkResult:
+    """Concatenate the results of consecutive parts of a chunk."""
+    texts = list(dict.fromkeys(text for part in parts for text in part.texts))
+    slots = [[0, *(min(texts.index(text) + 1, SLOTS) for text in part.texts)] for part in parts]
+    remarks = [np.array(of, dtype=np.uint8)[part.remark] for of, part in zip(slots, parts, strict=True)]
+    return ChunkResult(
+        {name: np.concatenate([part.figures[name] for part in parts]) for name in parts[0].figures},
+        np.concatenate([part.status for part in parts]),
+        np.concatenate([part.engine for part in parts]),
+        np.concatenate(remarks),
+        tuple(texts[:SLOTS]),
+        next((part.of_plant for part in parts if part.of_plant), ""),
+    )
