@@ -48,7 +48,9 @@ ROOMS: Final[dict[str, tuple[str, ...]]] = {  # part of the package -> folders o
     "result.py": ("audit", "acceptance", "cli", "view"),
     "commission": ("commission", "drive", "journeys"),
     "lab/rivals": ("lab/rivals", *_CONTROL),
-    "control/admittance": (*_CONTROL, "acceptance"),
+    "control/admittance": (*_CONTROL, "lab/displays", "acceptance"),
+    "scene/displays.py": ("lab/displays", "control", "scene/test_build.py"),
+    "control": (*_CONTROL, "lab/judge"),
     "control/certificates": _CONTROL,
     "control/passivity": _CONTROL,
     "control/multi_axis": _CONTROL,
@@ -81,18 +83,22 @@ class Test(NamedTuple):
 
 
 def modules(rooms: Sequence[str]) -> list[Path]:
-    """Returns the modules of the rooms, relative to the repository."""
+    """Returns the modules of the rooms, relative to the repository, without those of a room inside."""
     found: dict[Path, None] = {}
     for room in rooms:
         place = ROOT / "canhaptic" / room
-        found |= dict.fromkeys([place] if place.is_file() else sorted(place.rglob("*.py")))
-    return [path.relative_to(ROOT) for path in found]
+        paths = [path.relative_to(ROOT) for path in ([place] if place.is_file() else sorted(place.rglob("*.py")))]
+        found |= dict.fromkeys(path for path in paths if room not in ROOMS or room_of(path) == room)
+    return list(found)
 
 
 def sample(rooms: Sequence[str], count: int, seed: int) -> list[tuple[Path, int]]:
-    """Returns so many mutants, each as module and number, every mutant of all rooms with the same chance."""
-    every = [(path, number) for path in modules(rooms) for number, _ in enumerate(changes(ROOT / path, {}, None))]
-    return random.Random(seed).sample(every, min(count, len(every)))
+    """Returns so many mutants of each room, as module and number, every mutant of a room with the same chance."""
+    found = []
+    for room in rooms:
+        every = [(path, number) for path in modules([room]) for number, _ in enumerate(changes(ROOT / path, {}, None))]
+        found += random.Random(seed).sample(every, min(count, len(every)))
+    return found
 
 
 def room_of(path: Path) -> str:
@@ -305,7 +311,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--sample", type=int, default=300, help="mutants; more than there are: all")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
-        "--rooms", nargs="+", default=["drive", "logs", "replay", "sim", "view", "result.py"],
+        "--rooms", nargs="+", default=["drive", "logs", "replay.py", "sim", "view", "result.py"],
         help=f"{', '.join(ROOMS)}, or a module inside one of them",
     )  # fmt: skip
     parser.add_argument("--tests", nargs="+", metavar="PATH", help="inside tests/, in the place of those of the rooms")
