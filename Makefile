@@ -63,7 +63,7 @@ bench: $(VENV)/.installed-dev $(VENV)/.installed-report,export
 docs: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-# The same as one more version of a site, committed to the branch gh-pages: make docs-version VERSION=0.2.0
+# The same as one more version of a site, committed to the branch gh-pages: make docs-version VERSION=0.3.0
 docs-version: $(VENV)/.installed-docs
 	PATH="$(CURDIR)/$(BIN):$$PATH" NO_MKDOCS_2_WARNING=1 mike deploy --update-aliases $(VERSION) latest
 
