@@ -1,4 +1,4 @@
-"""`python -m canhaptic`: the `canhaptic` command, where it is not on the path."""
+"""`python -m canhaptic`: the same as the command `canhaptic`, for shells that do not find it."""
 
 import sys
 

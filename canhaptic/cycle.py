@@ -50,7 +50,7 @@ class _CycleLog(Protocol):
         deadline: int = 0,
         measured: Sequence[Measured] = (),
     ) -> None:
-        """Take one cycle."""
+        """Record one cycle."""
 
     def event(self, sync_index: int, kind: str, port: str, text: str) -> None:
         """Take a single event."""
@@ -64,22 +64,22 @@ class Cycle:
         controllers: Controllers, one per axis of the rig, in its order; none for the axes of groups.
         log: Log of every cycle; None without one.
         truths: True motion and energy of the simulated axes, read right after their SYNC; None with real drives.
-        groups: Axes that render together, each group with one account.
+        groups: Groups of axes; a group renders one network and has one account.
         axis_meters: Accuracy of the sensors and the device of each axis; None where they are ideal.
         loss_meters: Meters of the ports with a limit on the energy that they may generate.
-        jitters: Largest deviation of a hold of each axis from its sample time, as a fraction of it; None: not checked.
+        jitters: For each axis, largest deviation of a hold from the sample time, as a fraction; None: not checked.
 
     Raises:
         InputError: There is not one controller for each axis.
 
     Attributes:
-        ledgers: Account of each axis; for one in a group, its part of the interaction.
+        ledgers: Account of each axis; for an axis in a group, only the energy exchanged through that axis.
         meters: Figures of axes and groups in addition to their ledgers.
         judge: Comparison with the simulated plant; None with real drives.
-        timing: Durations of each part of the cycle; nothing is counted at free pace.
+        timing: Durations of each part of the cycle; empty in a run that is not paced in real time.
         cycles: Cycles completed.
-        uneven: Holds that were longer or shorter than `sync_jitter` declares.
-        turn: Function by which a program requests torques from the samples; None: environments are rendered.
+        uneven: Number of holds that were longer or shorter than the declared `sync_jitter` allows.
+        turn: Function that requests torques from user code in a separate process, by the samples; None without one.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class Cycle:
         """Run one cycle.
 
         Raises:
-            RigError: Drive, link or controller failed, or a port gave out more energy than was declared.
+            RigError: Drive, link or controller failed, or a port generated more energy than declared.
         """
         samples = self.rig.sync()  # SYNC out, position TPDOs in       [rad or m]
         if self.turn is not None:
@@ -218,7 +218,7 @@ class Cycle:
         self._event(self.rig.sync_index, kind, getattr(error, "axis", ""), cause_of(error))
 
     def note_holds(self) -> None:
-        """Log whether it was checked in which hold each drive's torques act, for the verdict from the log."""
+        """Log for each drive whether a test has confirmed in which hold its torques act; the verdict needs it."""
         for drive in self.rig.drives:
             if drive.hold:
                 self._event(0, "hold", drive.axis.name, drive.hold)
@@ -317,7 +317,7 @@ def run(
     Raises:
         RigError: Drive, link or controller failed; every drive has zero torque and is disabled, and the error carries
             the last records.
-        LogStoppedError: A log failed in a run that must not go on without it; stopped as by the operator.
+        LogStoppedError: A log failed and the run may not continue without it; the rig was stopped as by the operator.
     """
     if cycle.turn is None and any(hasattr(controller, "ask") for controller in cycle.controllers):
         raise InputError("guard: the scene is for a program that requests its torques; run it with canhaptic.open_rig")

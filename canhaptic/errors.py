@@ -35,7 +35,7 @@
        |  `- BusFailedError                  3   a frame could not be sent, or none be read
        |- SyncsSkippedError                  3   this computer was late for more SYNCs than it sent
        `- ControlError                       3   the controller raised or produced a non-finite torque
-          |- EnergyLostError                 3   a port gave out more energy than was declared
+          |- EnergyLostError                 3   a port generated more energy than declared
           |- OwnCodeLateError                3   user code in a process of its own did not answer
           |- ForceContradictedError          3   encoder and commands prove more energy than the force sensor shows
           |- TorqueNotFiniteError            3   the controller's torque is no number
@@ -61,9 +61,9 @@ def escaped(text: str) -> str:
 
 
 def cause_of(error: BaseException) -> str:
-    """Return the message of an error; of one that user code raised, on one line `TYPE: MESSAGE (FILE:LINE)`.
+    """Return the message of an error; for an error raised by user code, one line `TYPE: MESSAGE (FILE:LINE)`.
 
-    The place is the last line that ran in the folder of the user's first file.
+    LINE is the last line that ran in a file of the folder that holds the user's first file.
     """
     if isinstance(error, CanHapticError):
         return str(error)
@@ -142,7 +142,7 @@ class LogWriteError(CanHapticError, OSError):
 
 
 class LogStoppedError(LogWriteError):
-    """A log that ended before its run, which had begun: disk full or read-only, file deleted, writer process lost."""
+    """A log that could no longer be written during a run: disk full or read-only, file deleted, writer process lost."""
 
     exit_status = 3
 
@@ -155,9 +155,9 @@ class EventLimitError(CanHapticError, RuntimeError):
     """A simulated plant had too many events, or needed too many matrix products, in one sample time.
 
     Attributes:
-        most: `accuracy.max_events`.
+        most: Largest allowed number of events (`accuracy.max_events`).
         state: Modes and states of the plant, as text.
-        products: Largest number of products, if that was exceeded; 0 if `most` was.
+        products: Largest allowed number of matrix products, if that limit was exceeded; 0 if `most` was exceeded.
     """
 
     def __init__(self, most: int, state: str, where: str = "plant", products: int = 0) -> None:
@@ -193,7 +193,7 @@ class RigError(CanHapticError, RuntimeError):
 
     Attributes:
         records: The last records before the failure, newest last; empty before the cycle starts.
-        axis: Name of the axis whose drive failed; "" where it is not one drive.
+        axis: Name of the axis whose drive failed; "" if the failure does not concern a single drive.
     """
 
     exit_status = 3
@@ -224,7 +224,7 @@ class SdoError(RigError):
     Attributes:
         index: Index of the object.
         subindex: Subindex of the object.
-        code: SDO abort code (CiA 301, table 22); None when there was no usable answer.
+        code: SDO abort code (CiA 301, table 22); None if the drive sent no valid answer.
     """
 
     def __init__(self, message: str, index: int, subindex: int, code: int | None = None) -> None:
@@ -291,11 +291,11 @@ class HeartbeatLostError(LinkError):
 
 
 class CommandLostError(LinkError):
-    """A drive holds an old torque although others were sent."""
+    """A drive still applies an old torque although newer ones were sent."""
 
 
 class SecondMasterError(LinkError):
-    """A frame that only this master may send came from elsewhere."""
+    """Another node sent a frame that only this master may send."""
 
 
 class BusFailedError(LinkError):
@@ -311,7 +311,7 @@ class SyncsSkippedError(RigError):
 
 
 class EnergyLostError(ControlError):
-    """A port gave out more energy than was declared."""
+    """A port generated more energy than declared."""
 
 
 class ForceContradictedError(ControlError):
@@ -323,4 +323,4 @@ class TorqueNotFiniteError(ControlError):
 
 
 class CycleFailedError(ControlError):
-    """An exception in the cycle that is none of canhaptic's; `__cause__` holds it."""
+    """An exception in the cycle that canhaptic does not define, such as ZeroDivisionError; `__cause__` holds it."""

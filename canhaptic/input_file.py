@@ -25,7 +25,7 @@ _KINDS: Final = {
 
 
 def kind_of(mode: int) -> str:
-    """Return what a file is if it is not regular; "" for a regular file."""
+    """Return the kind of a file that is not regular, such as "a folder"; "" for a regular file."""
     return _KINDS.get(stat.S_IFMT(mode), "no file")
 
 

@@ -22,7 +22,7 @@ _measured: Final = tuple.__new__  # makes a record at half the cost of calling i
 
 
 class Promise(NamedTuple):
-    """Losses, energy allowance and hand force that a controller's certificates include."""
+    """Lost cycles, energy allowance and hand force for which a controller's certificates hold."""
 
     max_consecutive_losses: int = 0  # sample times without a new torque that the certificates cover
     energy_allowance: float = 0.0  # the net energy into the handle stays above minus this [J]
@@ -30,7 +30,7 @@ class Promise(NamedTuple):
 
 
 def promise_of(controller: object) -> Promise:
-    """Return the promise of a controller; for one that declares nothing, no losses and no allowance."""
+    """Return what a controller's certificates hold for; a controller that declares nothing: no losses, no allowance."""
     losses = int(getattr(controller, "max_consecutive_losses", 0))
     return Promise(losses, float(getattr(controller, "energy_allowance", 0.0)), getattr(controller, "hand_force", None))
 
@@ -47,7 +47,7 @@ class HeldTorques(Protocol):
 
 
 class ActiveLimits(NamedTuple):
-    """Limits below which a port has certainly given out energy."""
+    """Bounds on the net energy of a port; below them it has certainly generated energy."""
 
     floor: float  # least sum of booked energy and its uncertainty [J]; -inf: the uncertainty is only an estimate
     power: float  # largest power that the device can dissipate [W]
@@ -55,11 +55,11 @@ class ActiveLimits(NamedTuple):
 
 
 def active_limits(accuracies: Sequence[Accuracy], allowance: float) -> ActiveLimits:
-    """Return the limits below which a port has certainly given out energy.
+    """Return the bounds on the net energy below which a port has certainly generated energy.
 
     Args:
         accuracies: Accuracy of the measurements of each axis of the port.
-        allowance: Energy that the port may give out [J].
+        allowance: Net energy that the port may generate [J].
     """
     floor = -inf if any(accuracy.is_estimate for accuracy in accuracies) else -(allowance + ROUNDING)
     return ActiveLimits(floor, sum(each.most_dissipated for each in accuracies), accuracies[0].sample_time)
@@ -82,16 +82,16 @@ def limits_of(log: "EnergyLog", name: str) -> ActiveLimits | None:
 
 
 class Activity:
-    """First time at which a port has certainly given out energy (was active); see `control.verdict`.
+    """First time at which a port has certainly generated energy (was active); see `control.verdict`.
 
     Args:
-        limits: Limits of the energy.
+        limits: Bounds on the net energy.
 
     Attributes:
-        limits: Limits of the energy, as given.
-        active: Bits of the log's column `active`.
-        since: First time at the motor [sample times since the first SYNC]; None: never.
-        at_handle_since: First time at the handle, likewise.
+        limits: Bounds on the net energy.
+        active: Value for the log's column `active`: one bit for the motor, one for the handle.
+        since: First time, by the energy at the motor [sample times since the first SYNC]; None: never.
+        at_handle_since: First time, by the energy at the handle [sample times since the first SYNC]; None: never.
     """
 
     __slots__ = ("active", "at_handle_since", "limits", "since")
@@ -102,10 +102,10 @@ class Activity:
         self.at_handle_since: int | None = None
 
     def take(self, most: float, deadline: int) -> None:
-        """Compare a net energy with the limits; called once it is below the limit at the motor.
+        """Note the time if a net energy is below a bound that was not undercut before.
 
         Args:
-            most: Booked energy plus its uncertainty [J].
+            most: Booked net energy plus its uncertainty [J].
             deadline: Sample times since the first SYNC.
         """
         limits = self.limits
@@ -118,34 +118,34 @@ class Activity:
 class PortFigures:
     """Running figures of a port beyond its ledger, updated once per hold or from the columns of a log.
 
-    Net energy is the energy received less the energy given out.
+    Net energy is the energy that the port received less the energy that it delivered.
 
     Args:
-        limits: Limits below which the port has certainly given out energy.
+        limits: Bounds on the net energy below which the port has certainly generated energy.
         is_damped: Whether damping of the device is declared; in a group for every axis.
         books_least: Whether the ledger books a lower bound of the energy received, so that no uncertainty is
             subtracted from it.
         damping_asked: Damping of the environment [N*s/m or N*m*s/rad]; None for a group.
 
     Attributes:
-        activity: First times at which the port was certainly active; of a group by the sum over its axes.
-        books_least: As given.
-        damping_asked: As given.
+        activity: First times at which the port was certainly active; for a group, by the sum over its axes.
+        books_least: The argument `books_least`.
+        damping_asked: The argument `damping_asked`.
         least_at_handle: Lowest net energy at the handle, including the certain dissipation of the device [J]; None
             if no damping of the device is declared.
         least_certain: Lowest net energy less its uncertainty [J].
-        least_certain_at_handle: The same at the handle.
+        least_certain_at_handle: Lowest net energy at the handle less its uncertainty [J].
         beyond_limit: Number of holds whose requested effort exceeds the drive's limit.
         contacts: Number of holds in contact.
         silent: Number of holds in contact followed by zero torque.
         damping: Sum of the damping rendered in contact [N*s/m].
-        felt: Fit of the mass felt; None if no mass is requested.
+        felt: Estimator of the mass felt; None if no mass is requested.
         is_requested: Whether a program, or user code in its own process, requests the torques: its storage is unknown.
         asked: Sum of the efforts requested by the environment of an axis [N].
         reach: Lowest and highest position of an axis before its first contact [m or rad].
-        rendered: Sum of the efforts rendered in those holds, each limited to the drive's limit [N].
+        rendered: Sum of the efforts sent in the holds with a requested effort, each limited to the drive's limit [N].
         sizes_asked: Sum of the magnitudes of the requested efforts, each limited to the drive's limit [N].
-        sizes_sent: Sum of the magnitudes of the torques sent in those holds [N].
+        sizes_sent: Sum of the magnitudes of the torques sent in the holds with a requested effort [N].
     """
 
     __slots__ = (
@@ -168,7 +168,7 @@ class PortFigures:
         self.is_requested = False
 
     def measured(self) -> Measured:
-        """Return the present figures that the log holds."""
+        """Return the present values of the log's columns for this port."""
         raise NotImplementedError
 
     @property
@@ -178,7 +178,7 @@ class PortFigures:
 
     @property
     def friction_excess(self) -> float | None:
-        """Force in excess of declared friction and hand [N or N*m]; None without that check."""
+        """Force by which the motion exceeds declared friction and hand [N or N*m]; None if not checked."""
         return None
 
     def _take_sums(self, interaction: float, resolution: float, dissipated: float) -> None:
@@ -206,7 +206,7 @@ class AxisPort(PortFigures):
 
     Args:
         meter: Meter of the axis.
-        drive: Torque record of the axis.
+        drive: Record of the torques held by the axis.
         controller: Controller of the axis; None for an axis in a group.
     """
 
@@ -224,13 +224,13 @@ class AxisPort(PortFigures):
         self._floor = -inf if controller is None else limits.floor  # of a group only the sum counts
 
     def take(self, sample: Sample, balance: EnergyBalance, ledger: Ledger, sent: float) -> Measured:
-        """Update the figures with a hold; return those of the log.
+        """Update the figures with a completed hold; return the values of the log's columns.
 
         Args:
             sample: Sample at the end of the hold.
-            balance: Energy balance of the hold; without a new position it is booked later.
+            balance: Energy balance of the hold; if its sample was lost, the next sample completes it.
             ledger: Ledger of the axis, with the hold booked.
-            sent: Time of the end of the hold, with its lateness [sample times since the first SYNC].
+            sent: Time of the SYNC that ended the hold, lateness included [sample times since the first SYNC].
         """
         meter, branch = self._meter, balance[_BRANCH]
         touches = branch not in OUT_OF_CONTACT
@@ -272,11 +272,11 @@ class AxisPort(PortFigures):
 
     @property
     def friction_excess(self) -> float | None:
-        """Force in excess of declared friction and hand [N or N*m]; None without that check."""
+        """Force by which the motion exceeds declared friction and hand [N or N*m]; None if not checked."""
         return None if self._meter.watch is None else self._meter.watch.excess
 
     def measured(self) -> Measured:
-        """Return the present figures that the log holds."""
+        """Return the present values of the log's columns for this port."""
         return self._measured(self._resolution())
 
     def _resolution(self) -> float:
@@ -293,8 +293,8 @@ class GroupPort(PortFigures):
     """Figures of a group of axes with one account.
 
     Args:
-        meters: Meters of its axes.
-        drives: Torque records of its axes.
+        meters: Energy meters of its axes.
+        drives: Records of the torques held by its axes.
         group: The group.
     """
 
@@ -330,7 +330,7 @@ class GroupPort(PortFigures):
         return max(drive.longest_gap for drive in self._drives)
 
     def measured(self) -> Measured:
-        """Return the present figures that the log holds."""
+        """Return the present values of the log's columns for this port."""
         resolution: float = getattr(self._group.controller, "energy_resolution", 0.0)
         resolution += self._group.uncertainty + sum([meter.resolution for meter in self._meters])
         return Measured(
@@ -347,13 +347,13 @@ class RunMeters:
     """Running figures of all axes and groups of a run.
 
     Args:
-        axes: Meters, one per axis.
-        drives: Torque record of each axis.
+        axes: Energy meters, one per axis.
+        drives: Record of the torques held by each axis.
         controllers: Controllers of the axes outside groups, in their order.
         groups: Axes that render together.
 
     Attributes:
-        axes: Meters of the axes, as given.
+        axes: Energy meters of the axes.
         of_axes: Figures of each axis.
         ports: Figures of each axis, then of each group.
         deadline: Sample times since the first SYNC; more than the SYNC's index if SYNCs were skipped.
@@ -385,7 +385,7 @@ class RunMeters:
         deadline: int,
         late: float = 0.0,
     ) -> list[Measured]:
-        """Update the figures of every port with a SYNC; return them for the log.
+        """Update the figures of every port after a SYNC; return the values of the log's columns.
 
         Args:
             samples: Sample of each axis, then of each group.

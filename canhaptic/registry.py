@@ -36,7 +36,7 @@ def load_algorithm(table: Mapping[str, str], name: str, kind: str, parameters: o
         parameters: Parameters of the algorithm; None for its defaults.
 
     Raises:
-        ParameterError: The name is not in the table, or the parameters are those of another algorithm.
+        ParameterError: The name is not in the table, or the parameters belong to another algorithm.
     """
     algorithm = load(table, name, kind)
     if parameters is None:

@@ -158,16 +158,16 @@ def _accounts(
 
 
 _UNKNOWN: Final[PortResult] = {"dissipated": None, "damping_rendered": {"least": None, "most": None}}
-"""Sums of a port whose torques a program, or user code in its own process, requests."""
+"""Unknown sums of a port whose torques a program, or user code in its own process, requests."""
 
 
 def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_time: float) -> PortResult:
     """Return the account of a port without verdicts.
 
     Args:
-        port: Figures of the port that its ledger lacks.
+        port: Figures of the port that are not in its ledger.
         sums: Sums of its ledger, with the keys of `run --json`.
-        promise: Losses and energy allowance that its certificates include.
+        promise: Lost cycles, energy allowance and hand force for which its certificates hold.
         sample_time: Sample time [s].
     """
     measured, activity = port.measured(), port.activity

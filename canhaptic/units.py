@@ -78,7 +78,7 @@ class UnitContext:
 
     @contextmanager
     def moving(self, motion: Motion | None) -> Iterator[None]:
-        """Within the block, parameters belong to a linear or a rotary axis; None: as before."""
+        """Within the block, read parameters for a linear or a rotary axis; None: keep the motion in effect."""
         before = self.motion
         self.motion = motion or before
         try:
@@ -134,7 +134,7 @@ class Unit:
         return (self.linear if motion == "m" else self.rotary,)
 
     def words(self, motion: Motion | None) -> str:
-        """Return `[N/m]`, `[N/m or N*m/rad]`, or nothing for a pure number."""
+        """Return the unit as text: `[N/m]`, `[N/m or N*m/rad]`, or "" for a pure number."""
         accepted = self.accepted(motion)
         return "" if accepted in {("1",), ("count",)} else f"[{' or '.join(accepted)}]"
 
@@ -174,7 +174,7 @@ class Quantity:
         self.limits = limits
 
     def expected(self, name: str, motion: Motion | None = None) -> str:
-        """Return `0 < stiffness <= 1e8 [N/m]`."""
+        """Return the accepted range as text, such as `0 < stiffness <= 1e8 [N/m]`."""
         low = next((f"{_short(self.limits[key])} {_SYMBOLS[key]} " for key in ("gt", "ge") if key in self.limits), "")
         high = next((f" {_SYMBOLS[key]} {_short(self.limits[key])}" for key in ("lt", "le") if key in self.limits), "")
         subject = f"{low}{name}{high}" if low or high else f"a finite number for {name}"
@@ -351,7 +351,7 @@ class Parameters(BaseModel, metaclass=_ParametersMeta):
 
     @classmethod
     def of_section(cls, section: Mapping[str, Any], context: object) -> Self:
-        """Return the parameters of a section of a scene, in the units of its axis or of the model."""
+        """Return the parameters of a scene's section, read in the units of its axis, else in those of the model."""
         motion = getattr(section, "motion", None) or getattr(cls, "motion", None)
         with context.moving(motion) if isinstance(context, UnitContext) else nullcontext():
             return cls.model_validate(section, context=context)
@@ -368,7 +368,7 @@ class OnDemand:
         self._path = path
 
     def model_of(self, _section: object = None) -> type[Parameters]:
-        """Return the model."""
+        """Return the model, imported now if it was not before."""
         model: type[Parameters] = load({"": self._path}, "", "model")
         return model
 
@@ -376,7 +376,7 @@ class OnDemand:
         return core_schema.with_info_plain_validator_function(self.read)
 
     def read(self, value: object, info: ValidationInfo[Any]) -> object:
-        """Return the parameters of a section, in the units of its axis or of the model."""
+        """Return the parameters of a section, read in the units of its axis, else in those of the model."""
         model = self.model_of()
         if isinstance(value, model):
             return value

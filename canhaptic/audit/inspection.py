@@ -112,7 +112,7 @@ def impossible_values(log: EnergyLog) -> list[dict[str, str | int]]:
 
 
 class PortRecord(PortFigures):
-    """The figures of a port by `canhaptic.meters.RunMeters`, added up from the columns of a log.
+    """The figures that `canhaptic.meters.RunMeters` computes for a port, here from the columns of a log.
 
     Args:
         log: Open energy log, which may still grow.
@@ -150,7 +150,7 @@ class PortRecord(PortFigures):
         return float(log.ports[self._name].read(column, row, row + 1)[0]) if self._is_measured else 0.0
 
     def take(self, log: EnergyLog, start: int, stop: int) -> None:
-        """Add the rows from `start` on and before `stop`, which follow those added before."""
+        """Add the rows from `start` up to, but without, `stop`; they must follow the rows added before."""
         port = log.ports[self._name]
         if stop <= start:
             return
@@ -232,11 +232,11 @@ class PortRecord(PortFigures):
 
     @property
     def friction_excess(self) -> float | None:
-        """Force in excess of declared friction and hand [N or N*m]; None without that check."""
+        """Force by which the motion exceeds declared friction and hand [N or N*m]; None if not checked."""
         return None if self._watch is None else self._watch.excess
 
     def measured(self) -> Measured:
-        """Return, after the last row, the figures that a log has as columns."""
+        """Return the values of the log's columns for this port after the last row."""
         return self._measured
 
     def account(self) -> PortResult:
@@ -342,7 +342,7 @@ _QUANTILES: Final = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
 
 
 class ContactStretch(TypedDict):
-    """One contact."""
+    """One contact: time, depth, torque and energy."""
 
     start: float  # [s]
     duration: float  # [s]

@@ -21,10 +21,10 @@ from canhaptic.signals import Sample
 _RATED_TORQUE_COUNTS: Final[Mapping[str, float]] = {"rated_torque_micro": 1e-6}
 """Quirk -> newton metres (or newtons) per count of 0x6076 instead of 1e-3."""
 _TORQUE_COUNTS: Final[Mapping[str, float]] = {"torque_per_cent": 1e-2, "torque_per_ten_thousand": 1e-4}
-"""Quirk -> part of the rated torque per count of 0x6074 and 0x6077 instead of 1e-3."""
+"""Quirk -> fraction of the rated torque per count of 0x6074 and 0x6077 instead of 1e-3."""
 _TORQUES: Final = (od.TORQUE_DEMAND, od.TORQUE_ACTUAL)
 _DISAGREES: Final = 0.01
-"""Largest difference of frames and scene, as a part of the rated torque."""
+"""Largest accepted difference between the rated torques in frames and scene, as a fraction."""
 
 
 OF_A_NODE: Final = -1
@@ -80,7 +80,7 @@ class ListenedAxis:
         self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
 
     def take(self, frame: Frame) -> None:
-        """Take a frame of the bus; frames of other nodes change nothing."""
+        """Store the values in a frame of the bus; frames of other nodes are ignored."""
         if frame.can_id - self._drive.node_id in (od.SDO_REQUEST_BASE, od.SDO_RESPONSE_BASE):
             is_request = frame.can_id - self._drive.node_id == od.SDO_REQUEST_BASE
             _, access = self._sdo.sdo(frame.data, is_request=is_request)
@@ -112,7 +112,7 @@ class ListenedAxis:
 
     @property
     def shows_demand(self) -> bool:
-        """Whether the torque of the last SYNC is the exact demand; True for a force too, whose error is declared."""
+        """Whether the last torque is the drive's exact demand (0x6074); True for a force, whose error is declared."""
         return self._drive.force is not None or od.TORQUE_DEMAND in self._fields
 
     @property
@@ -126,7 +126,7 @@ class ListenedAxis:
         return self.is_complete and not self.is_enabled
 
     def forget(self) -> None:
-        """Clear the received values, at the next SYNC."""
+        """Clear the received values; called at every SYNC."""
         self._fields.clear()
 
     def sample(self, sync_index: int, *, is_whole: bool = True) -> Sample:
@@ -134,7 +134,7 @@ class ListenedAxis:
 
         Args:
             sync_index: Index of that SYNC.
-            is_whole: False if an axis of the same group sent no sample.
+            is_whole: Whether every axis of the same group sent a sample.
 
         Raises:
             InputError: Frames and scene disagree on the rated torque, or neither states it.
@@ -156,7 +156,7 @@ class ListenedAxis:
         return self._last
 
     def _force(self, force: DeclaredForce, counts: int, sync_index: int) -> float:
-        """Return the force for a value of the sensor; of an impulse the mean since the previous value [N or N*m]."""
+        """Return the force for a sensor value; for an impulse, the mean force since the last value [N or N*m]."""
         if not force.impulse_time:
             return (counts - force.offset_counts) * force.per_count
         before, self._impulse, half = self._impulse, counts, 1 << (force.bits - 1)

@@ -1,4 +1,4 @@
-"""Recomputation of a log: the same controller gets the logged inputs again, and every output must agree bit for bit."""
+"""Recomputation of a log: its controllers get the logged inputs again, and every output must agree bit for bit."""
 
 import struct
 from collections.abc import Iterator, Sequence
@@ -24,7 +24,7 @@ _OUTPUTS: Final = tuple("torque_command" if name == "torque" else name for name 
 _CERTIFICATE: Final = EnergyBalance._fields.index("certificate")
 _NONE: Final = Certificate.NONE.value
 _ROUNDING: Final = 1e-12
-"""Largest difference of a sum of energies from the run's own [J]."""
+"""Largest accepted difference between a recomputed and a logged sum of energies [J]."""
 _LAST_OLD_FORMAT: Final = 2
 """Newest format of the logs of earlier releases."""
 _BLOCK: Final = 65_536  # rows held in memory at a time
@@ -55,12 +55,12 @@ class Recomputed(TypedDict):
 def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControllers) -> list[Mismatch]:
     """Return the first logged output of each axis and group that differs from the recomputed one.
 
-    The computation ends at a missing row, whose inputs are unknown.
+    The computation ends at the first missing row, because the inputs there are unknown.
 
     Args:
         log: An open energy log that holds the run from its first cycle.
         axes: Names of the axes, in the order of the rig.
-        controllers: Controllers of the scene of the run, at rest.
+        controllers: Controllers built from the scene of the run, in their initial state.
     """
     found: dict[str, Mismatch] = {}
     names = (*axes, *(group.name for group in controllers.groups))

@@ -41,7 +41,7 @@ class _Heard:
     open_torque: float = 0.0
 
     def take(self, sample: Sample, periods: int, shows_demand: bool) -> None:
-        """Take the sample of the next SYNC."""
+        """Update the record with the sample of the next SYNC."""
         self.longest_gap = max(self.longest_gap, periods)
         if not sample.fresh or periods > 1 or not shows_demand:
             self.read_back_bound = inf
@@ -162,7 +162,7 @@ def _difference(port: str, cycle: int, quantity: str, logged: float, rederived: 
 
 def _logged(log: EnergyLog, port: str) -> Iterator[tuple[float, ...]]:
     if port not in log.ports:
-        raise InputError(f"{log.path}: has no port {port!r}; it is the log of another scene")
+        raise InputError(f"{log.path}: has no port {port!r}, so it is of another scene; name the log of this run")
     return logged_rows(log, port, _COMPARED)
 
 
@@ -191,7 +191,7 @@ class _Derivation:
 
     Attributes:
         units: Name and unit of each axis, then of each group.
-        cycles: SYNCs taken.
+        cycles: Number of SYNCs processed.
         programs: Axes whose torques a program requests, and their controllers.
     """
 
@@ -208,12 +208,12 @@ class _Derivation:
         self.programs = self._controllers.programs
 
     def take(self, periods: int, samples: list[Sample], shown: Sequence[bool]) -> list[tuple[Sample, EnergyBalance]]:
-        """Take the samples of a SYNC; return sample and balance of each axis, then of each group.
+        """Compute the cycle of a SYNC from its samples; return sample and balance of each axis, then of each group.
 
         Args:
             periods: Sample times since the previous SYNC.
             samples: Sample of each axis.
-            shown: Whether the torque of each axis is the demand.
+            shown: Whether the reported torque of each axis is the drive's demand (0x6074).
         """
         self._controllers.lasted(periods)
         for axis, sample, is_demand in zip(self._torques, samples, shown, strict=True):

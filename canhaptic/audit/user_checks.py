@@ -32,7 +32,7 @@ Checked = Mapping[str, Any]
 
 
 class Outcome(TypedDict):
-    """Whether a check is satisfied by one value."""
+    """One checked value, and whether it satisfies the check."""
 
     check: str
     name: str
@@ -46,15 +46,15 @@ def check(result: Checked, expression: str) -> list[Outcome]:
 
     A name without a port means every port: `margin>=-1e-6`. A name may be shortened from the left as long as it ends
     at a dot: `handle.margin.value`, `margin`. A bound may carry a unit with a prefix; plain numbers are SI.
-    A verdict is named alone: `passive` is satisfied where the verdict is yes, and not where it is no, in doubt, or
-    where there was no contact to judge.
+    A verdict is written without a comparison: `passive` is satisfied by the verdict yes, and not by no, in doubt, or
+    a run without contact.
 
     Args:
         result: Output of `inspect` or `run --json`.
         expression: NAME, one of >= <= == != > <, a number; or `passive` or `NAME.passive`.
 
     Raises:
-        InputError: The expression cannot be read, names nothing in the result, or has the unit of something else.
+        InputError: The expression cannot be read, names nothing in the result, or has the unit of another quantity.
     """
     if not result.get("cycles", 1):  # a log that ended before its first flush shows nothing, and no check may pass
         raise InputError(f"check {expression!r}: the run has no cycle; expected at least one, record it again")

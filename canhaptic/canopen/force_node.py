@@ -36,7 +36,7 @@ class ForceNode(Parameters):
     order: Literal["little", "big"] = "little"
     """Byte order of the value; CANopen has little."""
     length: Annotated[int, quantity("1", ge=1, le=_LONGEST)] | None = None
-    """Length of the frame [bytes]; None: it ends with the value."""
+    """Length of the frame [bytes]; None: the value is the last in the frame."""
 
     device_type: Annotated[int, quantity("1", ge=1, le=0xFFFF)] | None = None
     """Expected low word of the sensor's device type (0x1000): 404 for a transducer, 401 for an analogue input; None:
@@ -54,7 +54,7 @@ class ForceNode(Parameters):
         if self.real and (self.bits, self.signed) != (_REAL, True):
             raise ValueError(f"real: got true with {self.bits} bits, expected bits: {_REAL} and signed: true")
         if self.tare and self.node_id is None:
-            raise ValueError("tare: got true without node_id, expected the node ID of a transducer that takes SDO")
+            raise ValueError("tare: got true without node_id, expected the node ID of a transducer that answers SDO")
         return self
 
     def value_in(self, data: bytes | bytearray) -> float:

@@ -21,7 +21,7 @@ SHELL_OFFSET: Final = 128  # exit status of a process ended by signal n is 128 +
 
 
 class StopSignal:
-    """Within the block, a signal sets `requested` instead of ending the process; a second one ends it at once.
+    """Within the block, a first signal only makes `requested` true; a second signal ends the process at once.
 
     Attributes:
         number: The first signal received; 0 while there was none.
@@ -78,7 +78,7 @@ def check_list(confirmed: Mapping[CheckItem, str]) -> Iterator[str]:
 
 
 def walls_first(experiment: "Experiment", stop_requested: Callable[[], bool]) -> Callable[[], bool]:
-    """Return `stop_requested`; its first call, after the drives are enabled and before any torque, prints the walls."""
+    """Return `stop_requested`, wrapped: its first call, with enabled drives and before any torque, prints the walls."""
     if all(axis.parameters.position_reference != "at_start" for axis in experiment.scene.axes):
         return stop_requested
     waiting = [experiment]

@@ -71,7 +71,7 @@ def serve_page(page: Callable[[Any], object], arguments: argparse.Namespace, tit
     Args:
         page: Function that fills the Bokeh document of a visitor.
         arguments: Parsed options `--port` (0: any free one) and `--open`.
-        title: What the page shows, printed before its address.
+        title: Title of the page, printed before its address.
 
     Raises:
         InputError: Bokeh is not installed, or the port is taken.

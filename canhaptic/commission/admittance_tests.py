@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 
 class _Fit(NamedTuple):
-    """Velocity loop as identified by least squares."""
+    """Parameters of the velocity loop, identified by least squares."""
 
     mass: float
     gain: float

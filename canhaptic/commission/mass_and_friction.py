@@ -78,7 +78,7 @@ class FrictionCurve(NamedTuple):
     errors: _Array  # shape (n,)
 
     def least(self, damping: float, sure: float) -> float:
-        """Return the least dry friction of any speed range, less damping and `sure` standard deviations [N or N*m]."""
+        """Return the least friction of any speed range, minus viscous damping and `sure` standard deviations [N or N*m]."""
         return max(0.0, float((self.frictions - sure * self.errors - damping * self.speeds).min()))
 
     def falls_at_its_end(self, sure: float) -> bool:
@@ -220,11 +220,11 @@ def _solve(matrix: _Array, torque: _Array) -> tuple[list[float], list[float], fl
 SURE: Final = 2.0
 """Standard deviations beyond which a value counts as impossible."""
 _KEPT: Final = 0.9
-"""Least share of the wall stiffness that must be left when the safe ends of a measurement are declared."""
+"""Least fraction of the wall stiffness that must remain if the safe ends of a measurement are declared."""
 
 
 def is_dear(axis: AxisScene, fastest: float, best: Mapping[str, float], ends: Mapping[str, float]) -> bool:
-    """Whether declaring the safe ends of measured intervals costs too much wall stiffness, compared with `best`."""
+    """Whether declaring the safe ends of measured intervals, not the best estimates, costs too much wall stiffness."""
     return share_of_wall(axis, fastest, ends) < _KEPT * share_of_wall(axis, fastest, best)
 
 
@@ -264,7 +264,7 @@ def propose_allowance(session: Session, axis: int, known: Mapping[str, float]) -
 _TIMES: Final = ("sync_jitter", "torque_window", "current_lag")
 _ITEM: Final = "torque lag"
 _DOUBLETS: Final = (32, 64, 128, 256, 512)
-"""Number of doublets of each test in turn, until the hold is known and the wall can be judged."""
+"""Number of doublets in the first, second, ... test; testing ends when the hold is known and the wall can be judged."""
 _OVER: Final = 1.1
 _EARLY: Final = 3.0  # standard deviations below 0 from which on a torque acts before its SYNC
 
@@ -272,7 +272,7 @@ _EARLY: Final = 3.0  # standard deviations below 0 from which on a torque acts b
 def time_the_torque(
     session: Session, axis: int, most: float, mass: float, known: Mapping[str, float] | None = None
 ) -> None:
-    """Find the hold in which a torque acts, measure its lateness, and propose its upper bounds.
+    """Find the hold in which a torque acts, measure how late it acts, and propose upper bounds of that lateness.
 
     The test is repeated, longer each time, while the hold is unclear or the uncertainty costs too much of the wall.
 

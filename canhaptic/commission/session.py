@@ -84,7 +84,7 @@ class Unattended:
 
 
 class StepVerdict(Enum):
-    """Verdict of one row."""
+    """Verdict on one item of the report."""
 
     AGREES = "agrees"  # measured, and as configured
     DIFFERS = "differs"  # measured, and not as configured: the value found is to be used
@@ -115,7 +115,7 @@ class Value(NamedTuple):
 
     @property
     def text(self) -> str | None:
-        """The value as written in a scene; None: the scene keeps the value that it has."""
+        """The value as written in a scene; None: the key keeps its present value."""
         factor, unit = _SHOWN_IN.get(self.unit, (1.0, self.unit))
         if not isinstance(self.value, float):  # whole where the drive has it
             return None if self.value is None else str(self.value)
@@ -224,7 +224,7 @@ _LOST: Final = "a TPDO was lost"
 class OpenLoop:
     """A controller that renders nothing: it plays torques, one per cycle, and drops to zero when the axis goes too far.
 
-    The energy that it puts in is booked as deficit: nothing here is passive, and the account says so.
+    These torques are not passive: the account books the energy that they generate as deficit.
 
     Args:
         torques: One torque per cycle [N or N*m]; zero after the last.
@@ -256,7 +256,7 @@ class OpenLoop:
         self._last = AT_REST
 
     def sample_lost(self) -> EnergyBalance:
-        """End the torques: a measurement with a gap is useless."""
+        """Send no further torque: a measurement with a missing sample is useless."""
         self.tripped, self.has_gap = self.tripped or _LOST, True
         self._last = self._last._replace(torque=0.0, h_i=0.0, h_m=0.0, deficit=0.0, branch=Branch.HELD.value)
         return self._last
@@ -296,7 +296,7 @@ class OpenLoop:
 
 
 def doublet(torque: float, cycles: int) -> list[float]:
-    """Return +, -, -, + of a torque, `cycles` each: a free mass returns to its initial position and speed."""
+    """Return a torque with signs +, -, -, +, `cycles` each: a free mass returns to its initial position and speed."""
     return [torque] * cycles + [-torque] * (2 * cycles) + [torque] * cycles
 
 
@@ -459,7 +459,7 @@ class Session:
             axis: Index of the axis.
             torques: One torque per cycle [N or N*m].
             cycles: Largest number of cycles.
-            ready: Function that ends the run early when true; by default it never does.
+            ready: Function that ends the run early by returning true; None: the run has its full length.
             travels: Multiple of the session's limit of travel.
 
         Raises:
@@ -481,11 +481,11 @@ class Session:
         return law
 
     def run_alone(self, axis: int, law: OpenLoop, cycles: int, ready: Callable[[], bool]) -> None:
-        """Run the rig with a law on one axis and no torque on the others; raise as `run`."""
+        """Run the rig with a control law on one axis and no torque on the others; raises the errors of `run`."""
         self.run([law if n == axis else OpenLoop() for n in range(len(self.axes))], cycles, ready)
 
     def run(self, laws: Sequence[OpenLoop], cycles: int, ready: Callable[[], bool] = lambda: False) -> Cycle:
-        """Run the rig with one law per axis and stop it; return the cycle with its timing.
+        """Run the rig with one control law per axis and stop it; return the cycle with its timing.
 
         Raises:
             RigError: Drive or link failed; torque is zero.
@@ -503,11 +503,11 @@ class Session:
         return cycle
 
     def truth(self, axis: int) -> float | None:
-        """Return the true position of a simulated axis at the last SYNC of the last run; None with a real one."""
+        """Return the true position of a simulated axis at the last SYNC of the last run; None for a real axis."""
         return self.truths[axis].position if self.truths else None
 
     def effort(self, axis: int) -> float | None:
-        """Return the torque in force at a simulated axis at the last SYNC of the last run; None with a real one."""
+        """Return the torque that acts on a simulated axis at the last SYNC of the last run; None for a real axis."""
         return self._efforts[axis] if self._efforts else None
 
     def shown(self, axis: int, torque: float) -> str:
@@ -553,7 +553,7 @@ class Session:
             self.found(axis, item, "", "not tried", StepVerdict.UNKNOWN, text)
 
     def propose(self, axis: int, key: str, value: float | int | str | None, unit: str = "", comment: str = "") -> None:
-        """Propose a value for the scene; None: the present value is right."""
+        """Propose a value for a key of the scene; None: the key keeps its present value."""
         self.report.values.append(Value(self.axes[axis].parameters.name, key, value, unit, comment))
 
 

@@ -37,7 +37,7 @@ from canhaptic.scene.models import AxisScene, Scene
 _PULSE: Final = 0.04  # [s]
 _SWEEP: Final = (2.0, 8.0, 4.0)  # [Hz] first and last, [s]
 _DERATING: Final = 0.5
-"""Part of the measured braking force that is declared as certain: heat, grease and wear reduce it."""
+"""Fraction of the measured braking force that is declared as certain: heat, grease and wear reduce it."""
 MASS_UNITS: Final = {"m": "kg", "rad": "kg*m^2"}
 _UNDER: Final = 0.9
 _OVER: Final = 2.0
@@ -179,7 +179,7 @@ def _swept(
 
 
 def declared_of(found: Dynamics, curve: FrictionCurve | None) -> dict[str, float]:
-    """Return the values to declare for a device, SI: the safe end of each measured interval, with a margin."""
+    """Return the values to declare for a device (SI): of each measured interval the end that is safe, with a margin."""
     values = {
         "moving_mass": _UNDER * (found.mass - SURE * found.mass_error),
         "device_damping_bound": _OVER * (max(0.0, found.damping) + SURE * found.damping_error),

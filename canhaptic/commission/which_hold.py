@@ -273,7 +273,7 @@ def time_the_hold(session: Session, axis: int, law: OpenLoop, half_base: int) ->
 
 
 def as_declared(session: Session, axis: int, law: OpenLoop) -> _Array:
-    """Torque of the hold that ended at each SYNC, as commanded and declared, shape (n,) [N or N*m]."""
+    """Commanded torque that acts in the hold before each SYNC if the declared delay is right, shape (n,) [N or N*m]."""
     ahead = 1 + session.axes[axis].loop.delay
     return np.concatenate([np.zeros(ahead), law.sent])[: len(law.positions)]
 

@@ -148,7 +148,7 @@ class FaultSink(LogSink):
         probe.unlink()
 
     def drain(self, heads: list[int], final: bool) -> None:
-        """Take all frames up to `heads[0]` and discard old ones."""
+        """Copy all frames up to `heads[0]` into memory; discard those older than the kept duration."""
         del final
         while self._next < heads[0]:
             count = min(_KEPT_BLOCK, heads[0] - self._next)

@@ -8,10 +8,10 @@ from canhaptic.logs.ring import RingShape
 from canhaptic.signals import CycleTiming, Measured, PlantEnergy, Sample
 
 FORMAT_VERSION: Final = 4
-"""Format 1 lacks `timing/deadline_index` and the quantities of `Measured`, 2 lacks `active`, 3 lacks `digest`."""
+"""Version of the format. 1 lacks `timing/deadline_index` and the quantities of `Measured`, 2 `active`, 3 `digest`."""
 _LAST_WITHOUT_DIGEST: Final = 3
 DIGEST: Final = "digest"
-"""Path of the column that the writer process adds: the CRC-32 of each row, see `row_digests`."""
+"""Path of the column with the CRC-32 of each row (`row_digests`), which the writer process adds."""
 FORMAT_NAME: Final = "canhaptic energy log"
 
 Attribute = str | int | float
@@ -20,7 +20,7 @@ GROUP_AXES: Final = "group_axes"
 """`NAME.group_axes`: names of the axes of a group (JSON). Its port has the account and no position."""
 
 ACTIVE_LIMITS: Final = "active_limits"
-"""`NAME.active_limits`: limits behind the column `active`, see `ActiveLimits`; infinite ones left out (JSON)."""
+"""`NAME.active_limits`: bounds from which the column `active` is computed (`ActiveLimits`), the finite ones (JSON)."""
 
 DRY_RUN: Final = "dry_run"
 """Attribute of the log of a dry run, in which no torque was sent; `torque_command` is what the controller requested."""

@@ -51,7 +51,7 @@ _FURTHER_SDO: Final = {True: "unknown command 0x{command:02X}", False: "block tr
 
 
 class Access(NamedTuple):
-    """An object with the value that a confirmed SDO transfer has shown."""
+    """Object and value of a confirmed SDO transfer."""
 
     object_index: int
     subindex: int
@@ -170,7 +170,7 @@ class PdoMaps:
                     self._set(index, subindex, value)
 
     def learn(self, access: Access) -> bool:
-        """Take the object of a confirmed SDO transfer; return whether it configures a PDO."""
+        """Update the maps from the object of a confirmed SDO transfer; return whether that object configures a PDO."""
         self._set(access.object_index, access.subindex, int.from_bytes(access.value, "little"))
         return _is_pdo(access.object_index)
 

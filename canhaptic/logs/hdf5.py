@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
-"""A column; its type follows from its content."""
+"""A column; the type of its elements depends on the column."""
 Attribute = str | bytes | int | float | np.generic
 
 _TABLE_CACHE: Final = 1 << 18  # [B]
@@ -56,7 +56,7 @@ class Dataset:
         return len(self)
 
     def read_tables(self) -> None:
-        """Read type, attributes and chunk addresses, but no element."""
+        """Read type, attributes and chunk addresses, in which HDF5 may find damage, but no element."""
         self._dataset.dtype, self.attributes  # noqa: B018 - for what the library does to find them
         with _bounded_memory():
             if self._dataset.chunks:

@@ -32,7 +32,7 @@ _PR_SET_PDEATHSIG: Final = 1  # of Linux's prctl
 
 
 def in_own_process(path: Path, work: Callable[[], _Result]) -> _Result:
-    """Result of `work`, computed in a copy of this process where the system supports it (Linux, macOS).
+    """Return the result of `work`, computed in a copy of this process where the system can fork (Linux, macOS).
 
     Args:
         path: The file that is read, for the error.

@@ -279,7 +279,7 @@ class BusLogWriter(WriterProcess):
         self._record = self.on(0)
 
     def __call__(self, timestamp_ns: int, can_id: int, data: bytes | bytearray, is_rx: bool) -> None:
-        """Take one frame of classic CAN (at most 8 bytes of data).
+        """Record one frame of classic CAN (at most 8 bytes of data).
 
         Raises:
             LogStoppedError: At free pace and without `on_failure` only: the writer has failed and its ring is full.
@@ -353,16 +353,16 @@ class EnergyLogWriter(WriterProcess):
         deadline: int | None = None,
         measured: Sequence[Measured] = (),
     ) -> None:
-        """Take one cycle.
+        """Record one cycle.
 
         Args:
             sync_index: Index k of the SYNC.
             samples: Samples, one per port.
             balances: Balances, one per port.
             timing: Timing of this cycle.
-            truths: True values, one per port when the log was made with truth.
+            truths: True values, one per port, for a log with `with_truth`; else empty.
             deadline: Sample times since the first SYNC; None: none was skipped.
-            measured: Figures, one per port; none where only the balances are known.
+            measured: Figures, one per port; empty if only the balances are known.
 
         Raises:
             LogStoppedError: At free pace and without `on_failure` only: the writer has failed and its ring is full.

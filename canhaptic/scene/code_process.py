@@ -72,7 +72,7 @@ def require_law(scene: Scene) -> None:
 
 
 class LaterLaw:
-    """User-defined environments and algorithms of a scene; their torques act one hold later than in the cycle.
+    """User-defined environments and algorithms of a scene, run in a separate process: one hold of delay is added.
 
     Attributes:
         places: Indices of their axes in the scene.
@@ -294,7 +294,7 @@ def _spawned(scene: Scene, shared: int, wake: int, answers: int, pace: str) -> "
 
 
 class _Printed:
-    """Standard output of user code, limited in length."""
+    """Standard output of user code, cut after a limited number of characters."""
 
     def __init__(self, stream: Any) -> None:
         self._stream, self._left = stream, _PRINTED

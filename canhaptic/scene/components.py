@@ -16,7 +16,7 @@ from canhaptic.scene.document import MarkedMapping
 from canhaptic.units import OnDemand, Parameters, UnitContext, shown
 
 READY: Final = "ready"
-"""Type of a pydantic error whose text is complete, without the value seen in front of it."""
+"""Type of a pydantic error whose text is final: the seen value is not put in front of it."""
 
 
 CodeUse = Literal["refused", "run", "left"]
@@ -89,7 +89,7 @@ class ComponentOf:
         table: Name -> "module:Class", of parameter models or of classes with a `parameters_type`.
         kind: Kind of entries in the table, for messages.
         selector: Key of the section that contains the name.
-        apart: Keys of the section that another field of the scene reads; a model with such a field reads it too.
+        apart: Keys of the section for another field of the scene; only a model with such a field gets them too.
     """
 
     def __init__(
@@ -204,7 +204,7 @@ class ComponentByDisplay(ComponentOf):
     """Annotation of a `ComponentSpec` whose table depends on the kind of display, impedance or admittance.
 
     Args:
-        impedance: Table for an axis that takes motion and gives torque.
+        impedance: Table for an axis that measures motion and commands torque.
         admittance: Table for an axis that measures force and commands velocity.
     """
 

@@ -60,7 +60,7 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
 
 
 class _Checked(NamedTuple):
-    """One axis, with the parts of the scene that it is checked against."""
+    """One axis, with the other parts of the scene that must fit it."""
 
     axis: AxisScene
     first: AxisScene  # of its group

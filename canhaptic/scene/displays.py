@@ -22,7 +22,7 @@ def display_properties(axis: AxisScene) -> AdmittanceProperties:
     """Return the declared properties of an admittance display.
 
     Raises:
-        ParameterError: A limit that every admittance display needs is missing, or the axis is none.
+        ParameterError: A limit that every admittance display needs is missing, or the axis is no admittance display.
     """
     given, display = axis.parameters, axis.parameters.admittance
     if display is None:

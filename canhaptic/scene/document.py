@@ -39,7 +39,7 @@ class SourceLocation(NamedTuple):
         return Path(self.source).parent if self.line else Path()
 
     def below(self, *parts: str) -> "SourceLocation":
-        """Return the location for an entry that the source does not contain: the same line, a longer path."""
+        """Return the location for an entry that the source does not contain: this line, with the entry's path."""
         return self._replace(path=(*self.path, *parts))
 
 
@@ -119,7 +119,7 @@ class MarkedMapping(dict[str, Any]):
         values_at: Source locations of its values.
         elsewhere: Valid keys that are removed here because another part reads them.
         motion: Unit of position ("m" or "rad") that decides the units of its values; None: inherited.
-        was: Its type before an override changed it, "" if it had none; None if no override did.
+        was: Value of its key `type` before an override replaced it, "" without that key; None: not replaced.
     """
 
     def __init__(self, mark: SourceLocation, motion: Motion | None = None) -> None:

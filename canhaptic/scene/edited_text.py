@@ -81,7 +81,7 @@ def edited_text(text: str, changes: Iterable[Change]) -> str:
 
 
 def is_written(text: str, path: Iterable[str]) -> bool:
-    """Return whether YAML text has an entry."""
+    """Return whether YAML text has an entry at a path."""
     node: yaml.Node | None = compose(text)
     for part in path:
         node = _child(node, part)

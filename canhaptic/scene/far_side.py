@@ -38,7 +38,7 @@ _SIGMAS: Final = 6.0
 """Standard deviations of a noise that no sample is expected to exceed: 2e-9 of the samples do."""
 _BOUNDS: Final = ("device_damping_bound", "device_friction_bound")
 _NO_LAG: Final = 1.0
-"""Lag of a torque that has no bound [s]: the largest accepted value, with which nothing is certified."""
+"""Lag declared for a torque whose lag has no bound [s]: the largest accepted value, with which nothing is certified."""
 _MILLI: Final = 1e-3
 _LARGEST_RATIO: Final = 1e9  # anything larger is a fault of the axis, noted there
 _CHOICES: Final = {"auto": "canhaptic.lab.studies.accuracy.study:with_chosen_accuracy"}
@@ -64,7 +64,7 @@ def build_plant(simulation: AxisSimulation, sample_time_ns: int) -> "Plant":
 
 
 def effect_of(effect: ComponentSpec) -> "Effect":
-    """Return the effect itself: its parameters are the object that the plant calls."""
+    """Return the parameters of a simulated effect, which are also the object that the plant calls."""
     return cast("Effect", effect.parameters)  # every class of EFFECTS is one
 
 
@@ -72,7 +72,7 @@ def build_mechanism(of: MechanismScene, sample_time_ns: int) -> "Mechanism":
     """Return a simulated mechanism, at rest until the last of its drives is enabled.
 
     Raises:
-        ParameterError: It cannot be in the pose of its parameters.
+        ParameterError: The mechanism cannot reach the pose in its parameters.
     """
     parameters = cast("MechanismParameters", of.mechanism.parameters)  # every class of MECHANISMS is one
     return parameters.build(of.hand, sample_time_ns, of.substeps)
@@ -142,7 +142,7 @@ def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) ->
 
 
 def with_accuracy(scene: Scene) -> Scene:
-    """Return a scene with `accuracy: {auto: ...}` with its accuracy chosen."""
+    """Return a scene that has `accuracy: {auto: ...}` with the accuracy chosen for its tolerance."""
     chosen: Scene = load(_CHOICES, "auto", "choice of accuracy")(scene)
     return chosen
 
@@ -300,7 +300,7 @@ def _mirror_display(drive: MarkedMapping, axis: MarkedMapping) -> None:
 
 
 def loop_of_simulated(axis: AxisScene, simulation: AxisSimulation) -> "LoopProperties":
-    """Return the loop of an axis with the errors of its simulated encoder, and torques that its motor can reach."""
+    """Return the loop properties of an axis with the errors of its simulated encoder and its motor's torque limit."""
     effects, loop = _effects(simulation), axis.loop
     error = 0.5 * _value(effects, "encoder_quantisation", "count")
     error += _SIGMAS * _value(effects, "encoder_noise", "deviation")

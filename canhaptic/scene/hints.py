@@ -23,15 +23,15 @@ from canhaptic.scene.displays import display_properties
 from canhaptic.scene.models import AxisScene, Scene
 
 _BY_DAMPING: Final = ("guarded", "energy_bounding")
-"""Algorithms with a certificate from the damping of the device."""
+"""Algorithms that certify torques by the declared damping of the device."""
 LEAN: Final = 0.25
 """Force of a hand that leans on a wall, as a fraction of the torque limit."""
 DRAG: Final = 0.1
-"""Drag that is hardly felt [N or N*m]."""
+"""Drag force that a hand hardly feels [N or N*m]."""
 
 
 ENCODER: Final = "with this encoder, f_c / count"
-"""End of the name of the stiffness that dry friction keeps."""
+"""End of the name of a hint: the stiffness that the device's dry friction keeps passive with this encoder."""
 LARGEST_ADVISED: Final = 1e-3
 """Largest energy allowance that is proposed [J]: 0.25 kg at 9 cm/s."""
 _ANY_TORQUE: Final = 1e9  # [N or N*m]

@@ -45,7 +45,7 @@ def torque_history(axis: AxisScene, scene: Scene, holds: int, accuracy: Accuracy
 
 
 def declared_order(simulation: AxisSimulation) -> int | None:
-    """Return the least order in the substep that an effect or a user-defined hand declares; None if all are exact."""
+    """Return the lowest order of convergence of any effect or user-defined hand; None if all are exact."""
     return min(_orders(simulation).values(), default=None)
 
 
@@ -74,7 +74,7 @@ _PER_PRODUCT: Final = 5e-6  # [s], interpreted
 
 
 def dear_holds(scene: Scene) -> list[str]:
-    """Return a warning for each plant that may be slow to simulate, and a note where a recorded hand ends.
+    """Return a warning for each plant that may be slow to simulate, and a note on when a recorded hand motion ends.
 
     Events are searched in every oscillation of a fast mode, so that the cost per sample time is known beforehand. A
     mode at rest costs nothing.

@@ -53,7 +53,7 @@ class FurtherBus(Parameters):
     """Further keyword arguments of `can.Bus`; None: as the first bus."""
 
     def over(self, first: BusParameters) -> BusParameters:
-        """Return all parameters of this bus, given the first bus."""
+        """Return all parameters of this bus; those that it lacks are the first bus's."""
         own = {key: value for key, value in self.model_dump(exclude={"name"}).items() if value is not None}
         return first.model_copy(update={"channel": None, **own})
 

@@ -50,8 +50,8 @@ def _accuracy_of(axis: AxisScene, passivity: ComponentSpec, together: Sequence[A
 
     Args:
         axis: One axis.
-        passivity: Algorithm that renders on it.
-        together: Axes on which that algorithm renders.
+        passivity: Passivity algorithm of the axis, or of its group.
+        together: All axes of that algorithm.
     """
     loop = loop_as_known(axis)
     late = (loop.torque_window or 0.0) + (loop.current_lag or 0.0)  # beyond a hold too, where nothing is certified
@@ -104,7 +104,7 @@ def build_axis_controller(axis: AxisScene) -> Controller:
     """Return the passivity algorithm of one axis around its environment.
 
     Raises:
-        ParameterError: The algorithm cannot do without a value that is not given, or a group renders on the axis.
+        ParameterError: A value that the algorithm needs is missing, or the axis is in a group.
     """
     if axis.group:
         text = f"{axis.parameters.name}: group {axis.group!r} renders on this axis"

@@ -1,8 +1,8 @@
 """Drive profiles: defaults for a drive model, which an axis selects by `drive: NAME`.
 
 A profile is a YAML file with keys of an axis, in `configs/drives/` or, given as a path that ends in .yaml, next to the
-scene. The axis's own keys win, key by key. What belongs to the rig and not to the make (name, node ID, dictionary,
-scale, limits) cannot be in a profile. A simulated drive has the same deviations (`far_side`).
+scene. The axis's own keys win, key by key. A profile has no keys of the rig (name, node ID, dictionary, scale,
+limits). A simulated drive gets the quirks of the profile too (`far_side`).
 """
 
 from os.path import isfile

@@ -32,11 +32,11 @@ def rests_on_hand_force(passivity: ComponentSpec) -> bool:
 
 
 GUESSES: Final = {"sync_jitter": 0.05, "torque_window": 100e-6, "current_lag": 500e-6}
-"""Assumed for real drives until declared, plus the time that event RPDOs take; no real drive runs on guesses."""
+"""Values assumed for an undeclared real drive (RPDO transmission is added); no real drive runs on them."""
 _NEVER_ZERO: Final = ("torque_window", "current_lag")
 """Keys for which 0 does not count as declared on a real drive: no frame shows how late a torque acts."""
 _MOST_JITTER: Final = 0.5
-"""Fraction of a sample time: a SYNC that is later counts as skipped."""
+"""Lateness, as a fraction of the sample time, from which a SYNC counts as skipped."""
 
 
 def undeclared(loop: LoopProperties, *, is_real: bool = False) -> list[str]:

@@ -23,7 +23,7 @@ _S_PER_NS: Final = 1e-9
 
 
 class News(NamedTuple):
-    """Result of one poll."""
+    """New data of the log, found by one poll."""
 
     status: str
     rows: int  # in the log, so far

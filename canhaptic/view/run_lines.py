@@ -64,7 +64,7 @@ def make_console(file: IO[str] | None = None) -> Console:
 
 
 def failure_text(result: Result) -> str:
-    """Return that a run failed, and after how many cycles; "" for any other run."""
+    """Return in words after how many cycles a run failed; "" for any other run."""
     if not str(result.get("status", "")).startswith("failed"):
         return ""
     after = f" after {counted(result['cycles'], 'cycle')}" if "cycles" in result else ""
