@@ -78,7 +78,7 @@ class FrictionCurve(NamedTuple):
     errors: _Array  # shape (n,)
 
     def least(self, damping: float, sure: float) -> float:
-        """Return the least friction of any speed range, less viscous damping and `sure` standard deviations [N or N*m]."""
+        """Return the least friction of any speed range, less the damping and `sure` standard deviations [N or N*m]."""
         return max(0.0, float((self.frictions - sure * self.errors - damping * self.speeds).min()))
 
     def falls_at_its_end(self, sure: float) -> bool:
