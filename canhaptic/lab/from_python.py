@@ -58,14 +58,10 @@ def compare(
     Examples:
         >>> canhaptic.compare("demo", ["unprotected", "guarded"]).result["axes"]["handle"]  # doctest: +SKIP
     """
-    options: dict[str, Any] = {
-        "engine": engine,
-        "repeats": repeats,
-        "progress": progress,
-        "duration": duration,
-        "rate": rate,
-    }
-    return compare_algorithms(load_any(scene, changes or {}, allow_code), algorithms, over_can=over_can, **options)
+    return compare_algorithms(
+        load_any(scene, changes or {}, allow_code), algorithms, duration=duration, rate=rate, over_can=over_can,
+        engine=engine, repeats=repeats, progress=progress,
+    )  # fmt: skip
 
 
 def sweep(

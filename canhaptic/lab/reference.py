@@ -266,15 +266,9 @@ def environment_torque(environment: Environment, position: Array, velocity: Arra
     return torque
 
 
-def textbook_model(simulation: AxisSimulation, without: Callable[[str], bool] = lambda _name: False) -> Model:
-    """Return the plant of an axis as textbook equations.
-
-    Args:
-        simulation: Simulation of the axis.
-        without: Whether the effect with this name is left out.
-    """
-    effects = [effect_of(effect) for effect in simulation.effects if not without(effect.name)]
-    return Model(simulation.plant, simulation.user, effects)
+def textbook_model(simulation: AxisSimulation) -> Model:
+    """Return the plant of a simulated axis as textbook equations."""
+    return Model(simulation.plant, simulation.user, [effect_of(effect) for effect in simulation.effects])
 
 
 def readings_per_hold(sample_time_ns: int, cycles: int) -> int:

@@ -531,11 +531,6 @@ class GroupCase(NamedTuple):
     motors: GroupPlant
     why_not: str = ""  # reason why its loop cannot be compiled; "" where it can
 
-    @property
-    def is_compilable(self) -> bool:
-        """Whether its loop can be compiled."""
-        return not self.why_not
-
     def with_objects(self, scene: Scene) -> "GroupCase":
         """Return the same group with its plants as objects, which apply all effects themselves."""
         axes = [scene.axis(name) for name in scene.groups[0].axes]

@@ -228,7 +228,7 @@ def render_group(
     case, reach = group_case(scene), Reach(-furthest, furthest)
     case = case._replace(rig=case.rig._replace(furthest=furthest))
     recorder, reason = Recorder(len(case.rig.loops), progress), ""
-    if engine == "numba" and case.is_compilable:
+    if engine == "numba" and not case.why_not:
         from canhaptic.lab.batch.compiled_loops import compiled_group_rows
 
         return finished(LoopRun(compiled_group_rows(case, cycles), len(case.rig.loops), engine="numba"), cycles, reach)
@@ -248,7 +248,7 @@ def group_meter(case: GroupCase, cycles: int, engine: ChosenEngine = "python") -
         cycles: SYNCs.
         engine: "numba" falls back to Python for a case that cannot be compiled.
     """
-    if engine == "numba" and case.is_compilable:
+    if engine == "numba" and not case.why_not:
         from canhaptic.lab.batch.compiled_loops import run_compiled
 
         return run_compiled(case, cycles, np.empty((0, 0)), {})

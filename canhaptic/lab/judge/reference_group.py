@@ -8,12 +8,11 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from itertools import accumulate
-from typing import Any, Protocol
+from typing import Any
 
 from canhaptic.errors import InputError
 from canhaptic.lab.judge import reference_model
 from canhaptic.lab.judge.reference_model import POSITION, VELOCITY, Floats, Model, Modes, Transition
-from canhaptic.lab.judge.solvers import SwitchedModel
 from canhaptic.sim.plant.mechanism import MechanismParameters
 from canhaptic.sim.plant.mechanism import five_bar_linkage as five_bar
 from canhaptic.sim.plant.mechanism.five_bar_linkage import Inertia, LinkagePose, hand_pull, quadratic
@@ -21,26 +20,6 @@ from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
 
 State = Sequence[float]
-
-
-class ReferenceGroup(SwitchedModel, Protocol):
-    """Motors and their mechanics; the `torque` of `rates` has one entry for each motor."""
-
-    @property
-    def evaluations(self) -> int:
-        """Number of evaluations of the forces."""
-
-    def positions(self, state: State) -> Floats:
-        """Return the positions of the motors [m or rad]."""
-
-    def velocities(self, state: State) -> Floats:
-        """Return the velocities of the motors [m/s or rad/s]."""
-
-    def works(self, state: State) -> tuple[float, float]:
-        """Return the works of all motors and of the user since the start [J]."""
-
-    def inertia(self, positions: State) -> list[Floats]:
-        """Return the inertia at each motor [kg or kg*m^2]."""
 
 
 class AxesModel:
@@ -61,20 +40,20 @@ class AxesModel:
         return max(model.evaluations for model in self._models)
 
     def positions(self, state: State) -> Floats:
-        """Return the positions of the motors; see `ReferenceGroup`."""
+        """Return the positions of the motors [m or rad]."""
         return [float(state[part.start + POSITION]) for part in self._parts]
 
     def velocities(self, state: State) -> Floats:
-        """Return their velocities; see `ReferenceGroup`."""
+        """Return the velocities of the motors [m/s or rad/s]."""
         return [float(state[part.start + VELOCITY]) for part in self._parts]
 
     def works(self, state: State) -> tuple[float, float]:
-        """Return the works of all motors and of the user; see `ReferenceGroup`."""
+        """Return the works of all motors and of the user since the start [J]."""
         motor = sum(float(state[part.stop + reference_model.MOTOR_WORK]) for part in self._parts)
         return motor, sum(float(state[part.stop + reference_model.USER_WORK]) for part in self._parts)
 
     def inertia(self, positions: State) -> list[Floats]:
-        """Return the moving masses; see `ReferenceGroup`."""
+        """Return the inertia at each motor [kg or kg*m^2]."""
         return _diagonal(self._masses)
 
     def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
@@ -132,15 +111,15 @@ class _TwoMotors:
         return []
 
     def positions(self, state: State) -> Floats:
-        """Return the positions of the motors; see `ReferenceGroup`."""
+        """Return the positions of the motors [m or rad]."""
         return [float(value) for value in state[:2]]
 
     def velocities(self, state: State) -> Floats:
-        """Return their velocities; see `ReferenceGroup`."""
+        """Return the velocities of the motors [m/s or rad/s]."""
         return [float(value) for value in state[2:4]]
 
     def works(self, state: State) -> tuple[float, float]:
-        """Return the works of all motors and of the user; see `ReferenceGroup`."""
+        """Return the works of all motors and of the user since the start [J]."""
         return float(state[4]), float(state[5])
 
 
@@ -161,7 +140,7 @@ class StageModel(_TwoMotors):
         self.switches = bool(self._guides)
 
     def inertia(self, positions: State) -> list[Floats]:
-        """Return the moving masses; see `ReferenceGroup`."""
+        """Return the inertia at each motor [kg or kg*m^2]."""
         return _diagonal(self._masses)
 
     def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
@@ -196,7 +175,7 @@ class FiveBarModel(_TwoMotors):
         self._linkage, self._damping, self._stop = links.linkage(), links.damping, links.elbow_stop
 
     def inertia(self, positions: State) -> list[Floats]:
-        """Return the inertia in a pose; see `ReferenceGroup`."""
+        """Return the inertia at each motor in a pose [kg*m^2]."""
         found = five_bar.inertia_in(self._linkage, self._pose(float(positions[0]), float(positions[1])))
         return [[found.a, found.b], [found.b, found.c]]
 
@@ -242,6 +221,10 @@ class FiveBarModel(_TwoMotors):
         if self._stop is None:
             return 0.0
         return self._stop.stiffness * (max(0.0, span - self._stop.most) - max(0.0, self._stop.least - span))
+
+
+ReferenceGroup = AxesModel | StageModel | FiveBarModel
+"""Motors and their mechanics; the `torque` of `rates` has one entry for each motor."""
 
 
 def mechanism_model(parameters: MechanismParameters, hand: TaskHand | None) -> StageModel | FiveBarModel:

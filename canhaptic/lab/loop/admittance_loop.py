@@ -63,13 +63,9 @@ class _Motor:
         self.name, self._counts = given.name, given.counts_per_unit
         self.plant = cast(AdmittancePlant, build_plant(simulation, scene.bus.sample_time_ns))
         self.channel = ForceChannel(display.force, scene.bus.sample_time)
-        own, self._per_count, self._offset = (
-            simulation.drive.display,
-            display.force.per_count,
-            display.force.offset_counts,
-        )
-        if own is not None:
-            self._per_count, self._offset = own.force_per_count, own.force_offset_counts
+        own = simulation.drive.display
+        self._per_count = own.force_per_count if own else display.force.per_count
+        self._offset = own.force_offset_counts if own else display.force.offset_counts
         self.fastest = 2.0 * given.largest_speed * scene.bus.sample_time  # [m or rad] in a hold, as in the link policy
 
     def position(self) -> float:

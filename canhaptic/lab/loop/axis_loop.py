@@ -250,25 +250,23 @@ def require_design_room(margin: float, tolerance: float) -> None:
         )
 
 
-def require_single_axes(scene: Scene, command: str, axis: str | None = None) -> None:
+def require_single_axes(scene: Scene, command: str) -> None:
     """Refuse axes on which a group renders.
 
     Args:
         scene: Scene of the study.
         command: Command of the study, for the message.
-        axis: Name of the only axis that is studied; None for all axes.
 
     Raises:
         InputError: A group renders on one of them, or one is an admittance display.
     """
     refuse_displays(scene, command)
     for group in scene.groups:
-        if axis is None or axis in group.axes:
-            raise InputError(
-                f"{scene.source}: group {group.name!r} renders on the axes {', '.join(group.axes)} together, expected "
-                f"axes outside groups: {command} judges one axis at a time; `canhaptic run` and "
-                "`canhaptic inspect` give the account of a group"
-            )
+        raise InputError(
+            f"{scene.source}: group {group.name!r} renders on the axes {', '.join(group.axes)} together, expected "
+            f"axes outside groups: {command} judges one axis at a time; `canhaptic run` and `canhaptic inspect` give "
+            "the account of a group"
+        )
 
 
 def parts_of(scene: Scene) -> dict[str, Scene]:
@@ -378,11 +376,6 @@ class AbleAxis(NamedTuple):
         """Note that lists the properties taken from the plant; "" for none."""
         shown = [f"{key} {getattr(self.axis.loop, key):g}" for key in self.from_plant if key != "device_damping_bound"]
         return f"from the plant: {', '.join(shown)}" if self.from_plant else ""
-
-
-def own_algorithms(scene: Scene) -> list[str]:
-    """Names of the user-defined algorithms in a scene."""
-    return list(dict.fromkeys(axis.passivity.name for axis in scene.axes if axis.passivity.own is not None))
 
 
 def chosen_algorithms(algorithms: Sequence[str] | None, own: Sequence[str] = ()) -> list[str]:

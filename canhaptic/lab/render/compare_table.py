@@ -150,10 +150,6 @@ def _guaranteed(certificate: str, _unit: str) -> str:
     return rests_on(certificate).removeprefix("device ")
 
 
-def _from_one(value: float) -> float:
-    return abs(value - 1.0)
-
-
 def row_of(name: str, figure: Figure) -> _Row:
     """Return the table row of a figure with a label."""
     whole, _, part = name.partition(".")
@@ -166,7 +162,7 @@ def row_of(name: str, figure: Figure) -> _Row:
 
 
 _STYLES: Final = {"yes": "green", "in doubt": "yellow", "no": "red", "nothing rendered": "red"}
-_BETTER: Final[dict[str, Callable[[float], float]]] = {"less": abs, "near one": _from_one}
+_BETTER: Final[dict[str, Callable[[float], float]]] = {"less": abs, "near one": lambda value: abs(value - 1.0)}
 _SHOWN: Final[dict[str, Callable[[float, str], str]]] = {
     "m": lambda value, unit: si(value, unit, 3) if unit == "m" else f"{1e3 * value:.3g} mrad",
     "N": lambda value, unit: si(value, effort_unit(unit), 3),

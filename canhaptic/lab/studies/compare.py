@@ -66,7 +66,8 @@ def compared_algorithms(scene: Scene, algorithms: Sequence[str] | None) -> list[
         return known_algorithms(DISPLAY_ALGORITHMS, "admittance algorithm", algorithms or list(every))
     if scene.groups:
         return known_algorithms(GROUP_ALGORITHMS, "group algorithm", algorithms)
-    return axis_loop.chosen_algorithms(algorithms, axis_loop.own_algorithms(scene))
+    own = dict.fromkeys(axis.passivity.name for axis in scene.axes if axis.passivity.own is not None)
+    return axis_loop.chosen_algorithms(algorithms, list(own))
 
 
 def compare(

@@ -189,11 +189,6 @@ def _corrupted(_effects: BusEffects, random: Random, flight: Flight) -> list[Fli
     return [_with_data(flight, data)]
 
 
-def _overtaken(effects: BusEffects, _random: Random, flight: Flight) -> list[Flight]:
-    """Delay a frame while others overtake it."""
-    return [Flight(flight.message, flight.due + round(effects.reorder_delay * _SECOND), keeps_order=False)]
-
-
 def _delayed(effects: BusEffects, random: Random, flight: Flight) -> list[Flight]:
     """Delay a frame by a fixed time and a random one."""
     delay, jitter = round(effects.delay * _SECOND), round(effects.jitter * _SECOND)
@@ -205,7 +200,8 @@ _CHANGES: Final[dict[str, _Change]] = {
     "drop": lambda _effects, _random, _flight: [],
     "truncate": _truncated, "corrupt": _corrupted, "delay": _delayed, "jitter": _delayed,
     "duplicate": lambda _effects, _random, flight: [flight, _with_data(flight, bytearray(flight.message.data))],
-    "reorder": _overtaken,
+    "reorder": lambda effects, _random, flight: [
+        Flight(flight.message, flight.due + round(effects.reorder_delay * _SECOND), keeps_order=False)],
 }  # fmt: skip
 """Action of each effect on a frame, None if there is nothing to change; effects act in this order."""
 _Effect = Callable[[Flight], list[Flight]]

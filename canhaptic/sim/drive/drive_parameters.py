@@ -123,11 +123,6 @@ class SimulatedDriveParameters(Parameters):
         """Sign of a count (0x6064) along the axis."""
         return -self.direction if self.reversed == "encoder" else self.direction
 
-    @property
-    def torque_sign(self) -> int:
-        """Sign of a torque of the drive (0x6071) along the axis."""
-        return -self.direction if self.reversed == "torque" else self.direction
-
     def absent_places(self) -> frozenset[tuple[int, int | None]]:
         """Return `absent` as (index, subindex); the subindex is None for a whole object."""
         return frozenset((index, subindex or None) for index, subindex in map(parse_place, self.absent))

@@ -215,7 +215,8 @@ def _variants(scene: Scene) -> Iterator[Variant]:
         yield Variant("sampling", sampling, _sensed(scene, sampling=sampling))
     exact = _sensed(scene, gain=1.0, offset=0.0, drift=0.0, noise=0.0, quantum=0.0)
     yield Variant("sensor", "without errors", exact)
-    yield Variant("encoder", "10 times finer", _finer(scene, 10.0))
+    finer = replace(scene, axes=tuple(_with(axis, {}, 10.0) for axis in scene.axes))
+    yield Variant("encoder", "10 times finer", finer)
 
 
 def _under_others(scene: Scene) -> Iterator[tuple[str, Scene]]:
@@ -270,10 +271,6 @@ def _with(
         simulation=replace(simulation, admittance=admittance, drive=drive),
         loop=axis.loop if delay is None else axis.loop.model_copy(update={"delay": delay}),
     )  # fmt: skip
-
-
-def _finer(scene: Scene, factor: float) -> Scene:
-    return replace(scene, axes=tuple(_with(axis, {}, factor) for axis in scene.axes))
 
 
 def _ideal(scene: Scene, steps: int) -> Scene:

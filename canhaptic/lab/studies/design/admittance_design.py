@@ -87,7 +87,9 @@ class _Trial:
     def figures(self, mass: float) -> list[_Figures]:
         """Return the figures of a mass under every hand."""
         cycles = round(_DURATION / self._scene.bus.sample_time)
-        return [display_figures(_with_mass(_with_hand(self._scene, *hand), mass), cycles, _METRICS) for hand in _HANDS]
+        scene = _with_mass(self._scene, mass)
+        hands = [tuple(replace(axis, simulation=_held(axis, *hand)) for axis in scene.axes) for hand in _HANDS]
+        return [display_figures(replace(scene, axes=axes), cycles, _METRICS) for axes in hands]
 
     def passes(self, figures: list[_Figures]) -> bool:
         """Whether every hand feels the requested mass and no energy is generated."""
@@ -175,10 +177,6 @@ def _of_axis(axis: AxisScene, scene: Scene) -> float:
         return float(known.drive_mass + known.loop_gain * lag)
     gain = 0.0 if simulation.admittance is None else simulation.admittance.loop.gain
     return float(simulation.plant.mass + gain * lag)
-
-
-def _with_hand(scene: Scene, grip: float, stiffness: float) -> Scene:
-    return replace(scene, axes=tuple(replace(axis, simulation=_held(axis, grip, stiffness)) for axis in scene.axes))
 
 
 def _held(axis: AxisScene, grip: float, stiffness: float) -> AxisSimulation:

@@ -459,7 +459,7 @@ class GroupTrial:
         self._stroke = _stroke_time(scene)
         self._leaning = self._with_hands_at_rest()
         self._chosen: ChosenEngine = chosen_engine(engine, pays=True)
-        self.is_quick = self._chosen == "numba" and group_case(scene).is_compilable
+        self.is_quick = self._chosen == "numba" and not group_case(scene).why_not
         self.engine, self.walls, self.remark = "numba" if self.is_quick else "python", 0, ""
         self._allowance = _allowance_of(group)
         self._has_damping = all(axis.loop.device_damping for axis in scene.axes)

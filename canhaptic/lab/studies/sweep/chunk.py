@@ -563,7 +563,7 @@ def _figures_alone(recipe: Recipe, scene: Scene, asked: Sequence[str]) -> tuple[
     if not scene.groups:
         return run_scalar(scene, cycles, asked), False, ""
     case = group_case(scene)
-    is_compiled = recipe.engine == "numba" and case.is_compilable
+    is_compiled = recipe.engine == "numba" and not case.why_not
     return group_figures(group_meter(case, cycles, recipe.engine), asked), is_compiled, case.why_not
 
 

@@ -193,7 +193,7 @@ def _pays(scene: Scene, scenes: int, cycles: int) -> bool:
     """Return whether compiling saves more time than it takes."""
     if scene.groups:
         parts = [part for part in parts_of(scene).values() if part.groups]
-        return scenes * cycles >= WORTH_COMPILING_GROUPS and any(group_case(part).is_compilable for part in parts)
+        return scenes * cycles >= WORTH_COMPILING_GROUPS and any(not group_case(part).why_not for part in parts)
     return scenes * cycles >= WORTH_COMPILING
 
 

@@ -287,7 +287,7 @@ class Servo:
         self.measures_velocity = False
         self._stage = TorqueStage(store, parameters, self._reload_limits)
         self._meter = TorqueMeter(motor, parameters)
-        self._torque_sign = parameters.torque_sign
+        self._torque_sign = parameters.direction * (-1 if parameters.reversed == "torque" else 1)  # of 0x6071
         self._enable_delay = round(parameters.enable_delay * 1e9)
         self._follow_delay = round(parameters.follow_delay * 1e9)
         self._homing, self._zero = _homing_of(store, motor), 0  # encoder count at which 0x6064 is 0
