@@ -37,9 +37,9 @@ which is checked for dimension: `1 kHz`, `100 N/m`, `50 us`. Where two units are
 (`unit: m`), the second of a rotary one (`unit: rad`). A key without a default may be left out, unless it is required;
 where the words say None, they say what leaving it out (or `null`) means. A key that is not listed is an error that
 names the nearest one. Any value can be replaced from the command line: `--set environment.stiffness="500 N/m"`,
-`--set axes.0.node_id=5`. `--set passivity.algorithm=unprotected` and `--set environment.type=damper_wall` name another
-type: keys that only the old one has are dropped and named, and keys that the new one needs are listed with an example.
-With real drives nothing is dropped: it is an error.
+`--set axes.0.node_id=5`. `--set passivity=unprotected` and `--set environment=damper_wall` (in full:
+`passivity.algorithm=`, `environment.type=`) choose another type: keys that only the old one has are dropped and named,
+and keys that the new one needs are listed with an example. With real drives nothing is dropped: it is an error.
 
 `canhaptic schema` prints the same as JSON Schema, for editors.
 """

@@ -71,7 +71,20 @@ def _run(words: list[str], name: str) -> int:
         parser.error(f"{name}: no such command{nearest(name, COMMANDS, 2) or '; see --help'}")
     with warnings.catch_warnings():
         _show_warnings()
-        return _execute(parser.parse_args(words))
+        arguments, unknown = parser.parse_known_args(words)
+        if unknown:
+            parser.error(f"unrecognized arguments: {' '.join(unknown)}{_meant(unknown[0], name)}")
+        return _execute(arguments)
+
+
+def _meant(unknown: str, command: str) -> str:
+    """Return what an option that a command does not have was meant as, for the end of a message; "" if not known."""
+    from canhaptic.control.passivity import ALGORITHMS
+
+    options = table()[command]["arguments"]
+    if (algorithm := unknown.lstrip("-")) in ALGORITHMS and "--set" in options:
+        return f"; did you mean --set passivity={algorithm}?"
+    return nearest(unknown, [option for option in options if option.startswith("--")])
 
 
 def _complete(parser: argparse.ArgumentParser) -> None:

@@ -50,6 +50,10 @@ def _put(container: Any, path: tuple[str, ...], value: object, mark: SourceLocat
         here = mark._replace(path=path[: depth + 1])
         is_last = depth == len(path) - 1
         if isinstance(container, MarkedMapping):
+            section = container.get(part)
+            selector = next((key for key in _SELECTORS if isinstance(section, MarkedMapping) and key in section), "")
+            if is_last and selector and isinstance(value, str):  # `passivity=unprotected` names another algorithm
+                container, part, here = section, selector, here.below(selector)
             if is_last and part in _SELECTORS and container.was is None:
                 container.was = str(container.get(part, ""))
             if is_last or container.get(part) is None:

@@ -57,6 +57,22 @@ def test_no_fault_says_its_prefix_twice_or_names_a_class(words: list[str], capsy
     assert [name for name in CLASSES if name in text] == []
 
 
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [
+        ("--unprotected", "; did you mean --set passivity=unprotected?"),
+        ("--ressolved", "; did you mean '--resolved'?"),
+        ("more", ""),
+    ],
+)
+def test_an_unknown_option_is_refused_with_what_it_may_mean(
+    word: str, meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["check", DEMO, word])
+    assert capsys.readouterr().err.splitlines()[-1] == f"canhaptic: error: unrecognized arguments: {word}{meant}"
+
+
 def test_nothing_is_written_to_a_node_that_is_no_cia_402_drive(tmp_path: Path) -> None:
     bus_log = tmp_path / "run.log"
     words = ["run", DEMO, "--bus-log", str(bus_log), "--set", "simulation.drive.objects.0x1000=0x00030191"]

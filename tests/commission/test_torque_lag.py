@@ -89,6 +89,17 @@ def test_a_lag_below_what_is_resolved_keeps_what_is_configured() -> None:
     assert [found.value for found in session.report.values if found.key == "passivity.current_lag"] == [None]
 
 
+def test_what_the_test_cannot_exclude_is_declared_where_less_was_configured() -> None:
+    """The row and the value say the same; a window of 0, as in lock-step, is never written: it declares nothing."""
+    session, _ = timed("bus.rpdo=synchronous")
+    found, lag = row(session.report, "torque lag"), float(value(session.report, "passivity.current_lag"))
+    assert (found.configured, found.verdict) == ("none", StepVerdict.MEASURED)
+    assert found.text == f"current_lag {lag * 1e6:.3g} us covers what it cannot exclude"
+    assert "passivity.torque_window" not in [each.key for each in session.report.values]
+    session, _ = timed("passivity.torque_window=50 us")
+    assert float(value(session.report, "passivity.torque_window")) == pytest.approx(50e-6)
+
+
 def test_a_torque_that_acts_before_its_sync_fails_and_bounds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mass_and_friction, "estimate_lateness", lambda *_: (-1e-3, 1e-5))
     session, _ = timed()

@@ -92,6 +92,12 @@ SWITCHES = [
     ("admittance/guided_path.yaml", "groups.0.passivity.algorithm", DISPLAY_GROUP_ALGORITHMS),
 ]
 
+PLAIN_NAMES = [
+    ("demo.yaml", "passivity.algorithm", "unprotected"),
+    ("demo.yaml", "environment.type", "damper_wall"),
+    ("admittance/virtual_mass.yaml", "passivity.algorithm", "unprotected"),
+]
+
 
 def switched(scene: str, *overrides: str) -> tuple[Scene, list[str]]:
     """The scene, and what was said of keys that were dropped."""
@@ -99,6 +105,31 @@ def switched(scene: str, *overrides: str) -> tuple[Scene, list[str]]:
         warnings.simplefilter("always")
         loaded = load_scene(CONFIGS / scene, overrides)
     return loaded, [str(warning.message) for warning in said]
+
+
+@pytest.mark.parametrize(("scene", "key", "name"), [(scene, key, name) for scene, key, name in PLAIN_NAMES])
+def test_a_plain_name_for_a_section_chooses_its_type(scene: str, key: str, name: str) -> None:
+    """`passivity=unprotected` is `passivity.algorithm=unprotected`: the same scene, and the same keys dropped."""
+    section = key.rpartition(".")[0]
+    short, said = switched(scene, f"{section}={name}")
+    long, said_before = switched(scene, f"{key}={name}")
+    assert short.config_hash() == long.config_hash() != switched(scene)[0].config_hash()
+    assert [text.partition(": ")[2] for text in said] == [text.partition(": ")[2] for text in said_before] != []
+
+
+def test_a_wrong_plain_name_is_a_fault_of_the_key_that_it_stands_for() -> None:
+    with pytest.raises(
+        SceneError, match=r"--set passivity=unprotcted: passivity\.algorithm: unknown .*'unprotected'\?"
+    ):
+        load_scene(CONFIGS / "demo.yaml", ["passivity=unprotcted"])
+    with pytest.raises(SceneError, match="expected a mapping of keys and values"):
+        load_scene(CONFIGS / "demo.yaml", ["simulation.user=guarded"])  # which has no type
+
+
+def test_real_drives_keep_what_protects_them_from_a_plain_name() -> None:
+    real = ("bus.interface=socketcan", "bus.channel=can0", "simulation=null")
+    with pytest.raises(SceneError, match="the drives may be real, so no key is dropped"):
+        load_scene(CONFIGS / "demo.yaml", [*real, "passivity=unprotected"])
 
 
 @pytest.mark.parametrize(("scene", "key"), [(scene, key) for scene, key, _ in SWITCHES])
