@@ -7,7 +7,7 @@ from typing import Final
 from canhaptic.cli.page_server import serve_page
 from canhaptic.errors import InputError
 from canhaptic.scene.load import load_scene
-from canhaptic.view.live_log import LiveLog
+from canhaptic.view.series import LiveLog
 
 _PERIOD: Final = 0.2  # [s] between two looks, about what the writer puts into one chunk
 

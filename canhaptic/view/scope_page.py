@@ -16,9 +16,8 @@ from canhaptic.logs.hdf5 import Array
 from canhaptic.result import with_groups
 from canhaptic.view.bokeh_style import add_hover, finished, new_panel
 from canhaptic.view.html_page import verdict_bar
-from canhaptic.view.live_log import LiveLog, News
 from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION
-from canhaptic.view.series import FAULTS, PortFacts, decimate_together
+from canhaptic.view.series import FAULTS, LiveLog, News, PortFacts, decimate_together
 from canhaptic.view.si import counted, si
 
 _POINTS: Final = 6000  # kept per line

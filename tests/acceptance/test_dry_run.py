@@ -21,7 +21,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.replay import replay_bus_log
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.view.live_log import LiveLog
+from canhaptic.view.series import LiveLog
 from tests.acceptance.bus_frames import DEMO, commands, read_log, reports
 from tests.acceptance.group_runs import REPOSITORY
 

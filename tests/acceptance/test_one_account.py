@@ -12,7 +12,7 @@ from canhaptic.cli.main import main
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import with_groups
 from canhaptic.view.html_page import verdict_bar
-from canhaptic.view.live_log import LiveLog
+from canhaptic.view.series import LiveLog
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 WALL = ["environment.stiffness=2000", "environment.damping=4", "passivity.device_damping=0.05"]

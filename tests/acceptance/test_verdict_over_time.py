@@ -13,7 +13,7 @@ from canhaptic.audit.rederive import rederive
 from canhaptic.cli.main import main
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import with_groups
-from canhaptic.view.live_log import LiveLog
+from canhaptic.view.series import LiveLog
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SHAFT = "[{type: shaft_compliance, load_mass: 0.15 kg, stiffness: 2e4 N/m, damping: 1 N*s/m}]"

@@ -25,7 +25,7 @@ from canhaptic.logs.hdf5 import Hdf5File
 from canhaptic.logs.repair import repair
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.view.live_log import LiveLog
+from canhaptic.view.series import LiveLog
 from tests.view import typed
 
 DEMO = Path(__file__).parents[2] / "configs" / "demo.yaml"

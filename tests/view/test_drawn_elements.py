@@ -16,8 +16,8 @@ from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.signals import CycleTiming, Sample
 from canhaptic.view import html_report
-from canhaptic.view.live_log import LiveLog
 from canhaptic.view.run_picture import PortPicture
+from canhaptic.view.series import LiveLog
 from tests.view.synthetic_run import PORTS, write_run
 
 CONFIGS = Path(__file__).parents[2] / "configs"

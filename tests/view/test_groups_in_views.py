@@ -12,9 +12,8 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.view import html_report
-from canhaptic.view.live_log import LiveLog
 from canhaptic.view.run_picture import energy_figure
-from canhaptic.view.series import port_facts, task_plane
+from canhaptic.view.series import LiveLog, port_facts, task_plane
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "xy_box.yaml"
 

@@ -13,8 +13,8 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.writer_process import EnergyLogWriter
-from canhaptic.view import live_log
-from canhaptic.view.live_log import LiveLog
+from canhaptic.view import series
+from canhaptic.view.series import LiveLog
 from tests.view.chromium import chromium
 from tests.view.synthetic_run import PORTS, append, write_run, write_troubled_run
 
@@ -42,7 +42,7 @@ def test_looks_at_a_growing_log_add_up_to_the_whole_run(tmp_path: Path) -> None:
 
 
 def test_a_viewer_that_comes_late_takes_the_past_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_log, "_MOST_AT_ONCE", 1300)
+    monkeypatch.setattr(series, "_MOST_AT_ONCE", 1300)
     write_run(tmp_path / "run.h5", cycles=3000)
     live = LiveLog(tmp_path / "run.h5")
     looks = [news for _ in range(4) if (news := live.look()) is not None]
@@ -56,7 +56,7 @@ def test_a_viewer_that_comes_late_takes_the_past_in_pieces(tmp_path: Path, monke
 
 @pytest.mark.slow
 def test_the_share_of_tpdos_that_came_is_of_all_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_log, "_MOST_AT_ONCE", 40)
+    monkeypatch.setattr(series, "_MOST_AT_ONCE", 40)
     write_troubled_run(tmp_path / "run.h5")
     live = LiveLog(tmp_path / "run.h5")
     assert [news.fresh_share for _ in range(3) if (news := live.look())] == pytest.approx([38 / 40, 77 / 80, 0.97])

@@ -10,8 +10,7 @@ from canhaptic.cycle import run
 from canhaptic.logs.columns import Event
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.view.live_log import LiveLog
-from canhaptic.view.series import MarkedEvent
+from canhaptic.view.series import LiveLog, MarkedEvent
 from tests.view.synthetic_run import write_run
 
 pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
