@@ -38,7 +38,7 @@ _SETTLED: Final = 100_000_000  # [ns] after which a drive has taken an older res
 
 
 class HomingOrder(NamedTuple):
-    """Settings of a homing, as a person asked for it."""
+    """Settings of a homing, as requested on the command line."""
 
     method: int  # 0x6098
     speeds: tuple[float, float]  # 0x6099:01 and :02 [m/s or rad/s]

@@ -122,7 +122,7 @@ class LoadRow(NamedTuple):
 
 
 class Survey(NamedTuple):
-    """Findings of one dictionary."""
+    """All findings on one object dictionary, before a scene exists."""
 
     dictionary: ObjectDictionary
     axis: AxisParameters  # for which it was judged
@@ -149,14 +149,14 @@ class Survey(NamedTuple):
 
     @property
     def suitability(self) -> Suitability:
-        """The verdict."""
+        """Whether the drive fits cyclic torque: fit, fit with conditions, or unfit."""
         if self.reasons:
             return Suitability.UNFIT
         return Suitability.CONDITIONAL if self.conditions else Suitability.FIT
 
 
 def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
-    """Judge a dictionary.
+    """Judge from its dictionary whether a drive can be used.
 
     Args:
         dictionary: Dictionary as read from its EDS or DCF.

@@ -137,7 +137,7 @@ class SdoLine:
     # --- any thread -------------------------------------------------------------------------------------------------
 
     def submit(self, request: _Request) -> None:
-        """Queue a request.
+        """Queue a request, which `step` sends when its turn comes.
 
         Raises:
             SdoError: The bus has no time left, the rig does not run, or too many requests are waiting.

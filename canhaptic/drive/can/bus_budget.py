@@ -46,7 +46,7 @@ class _BudgetRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class BusBudget:
-    """Worst-case timing of one cycle."""
+    """Worst-case times of the frames of one cycle on one bus."""
 
     rows: tuple[_BudgetRow, ...]
     bitrate: int  # [bit/s]

@@ -128,18 +128,18 @@ class PdoPlan:
 
     @property
     def length(self) -> int:
-        """Bytes of the PDO."""
+        """Length of the PDO's frame [bytes]."""
         return sum(entry.bits for entry in self.entries) // 8
 
     @property
     def name(self) -> str:
-        """Kind and number, as `TPDO3`."""
+        """Name of the PDO: its kind and number, such as `TPDO3`."""
         return f"{self.kind}{self.number}"
 
 
 @dataclass(frozen=True, slots=True)
 class AxisMap:
-    """The PDOs of one axis."""
+    """The PDOs chosen for one axis."""
 
     rpdo: PdoPlan
     tpdos: tuple[PdoPlan, ...]

@@ -115,7 +115,7 @@ class AdmittanceParameters(Parameters):
 
     @property
     def mode_code(self) -> int:
-        """Value of 0x6060."""
+        """Value of 0x6060 (mode of operation) for these velocity commands."""
         return od.CYCLIC_SYNC_VELOCITY if self.mode == "velocity" else od.CYCLIC_SYNC_POSITION
 
     @property
@@ -146,7 +146,7 @@ class ForceChannel:
         self.reset()
 
     def reset(self) -> None:
-        """Clear the received values."""
+        """Forget the received counts; the force is 0 until the next."""
         self.force, self.same, self.is_wrong = 0.0, 0, False
         self._counts: int | None = None
 

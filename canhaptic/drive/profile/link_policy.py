@@ -88,7 +88,7 @@ class LinkPolicy:
         self.reset()
 
     def reset(self) -> None:
-        """Start counting again."""
+        """Set all counts of missed cycles to zero."""
         self.missed = self.missed_total = self.cycles = 0
 
     def on_tpdo(self) -> None:

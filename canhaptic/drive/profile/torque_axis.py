@@ -20,7 +20,7 @@ from canhaptic.signals import Sample
 
 
 class Written(NamedTuple):
-    """A write to an object."""
+    """One write to an object of a drive, with the value before."""
 
     place: tuple[int, int]  # index, subindex
     before: int | None  # None: the drive does not say

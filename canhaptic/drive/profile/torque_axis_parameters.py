@@ -126,7 +126,7 @@ class TorqueAxisParameters(Parameters):
 
     @property
     def written_objects(self) -> dict[tuple[int, int], int]:
-        """`drive_objects` by (index, subindex)."""
+        """The values of `drive_objects` by (index, subindex)."""
         return {(int(key[2:6], 16), int(key[7:])): value for key, value in self.drive_objects.items()}
 
     @property

@@ -48,7 +48,7 @@ class ReferenceSettings:
 
 @dataclass(slots=True)
 class ReferenceState:
-    """State of a continuous run."""
+    """State of a run in the continuous environment."""
 
     mode: int = OUTSIDE
     cycle: int = 0

@@ -93,7 +93,7 @@ def run_loops(
 
 @lru_cache(maxsize=64)
 def compiled_loops(kind: Any, kernel: Kernel, replaced: tuple[tuple[object, object], ...]) -> Any:
-    """Return `run_loops` compiled.
+    """Compile `run_loops` for one algorithm and one kind of environment.
 
     Args:
         kind: Tuple type of the environment.
@@ -162,14 +162,14 @@ class CompiledLoops:
 
 
 def compiled_noise(deviation: float, seed: int, tick: int) -> float:
-    """Replace `encoder_noise.noise`, in 64 bits."""
+    """Compute `encoder_noise.noise` with 64-bit integers, for machine code."""
     base = _mixed(np.uint64(seed) * _GAMMA + np.uint64(tick))
     first, second = _mixed(base + _GAMMA), _mixed(base + _GAMMA + _GAMMA)
     return gaussian(deviation, (np.float64(first) + 1.0) / _WHOLE, np.float64(second) / _WHOLE)
 
 
 def compiled_uniform(seed: int, tick: int) -> float:
-    """Replace `encoder_noise.uniform`, in 64 bits."""
+    """Compute `encoder_noise.uniform` with 64-bit integers, for machine code."""
     return np.float64(_mixed(_mixed(np.uint64(seed) * _GAMMA + np.uint64(tick)) + _GAMMA)) / _WHOLE
 
 
@@ -303,7 +303,7 @@ def keep(
 
 
 def keep_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, hold: GroupHold) -> None:
-    """Replace `take_group`: write a row."""
+    """Replace `take_group`: write the row of a SYNC, in the order of `LoopRun.rows`."""
     row, motors = rows[int(meter.figures.cycles)], len(room.held)
     meter.figures.cycles += 1.0
     row[0] = meter.supplied - meter.work

@@ -93,7 +93,7 @@ class GroupRoom(NamedTuple):
 
 @dataclass(slots=True)
 class GroupMeter:
-    """Running sums of a group."""
+    """Running sums of a group, from which its figures are computed."""
 
     figures: Meter = field(default_factory=Meter)
     supplied: float = 0.0  # energy from a mover [J]
@@ -325,7 +325,7 @@ def move_event_motors(motors: EventMotors, room: GroupRoom, cycle: int) -> float
 
 
 class FiveBarMotors(NamedTuple):
-    """A five-bar and its motors."""
+    """A five-bar, its two motors and its hand, for `run_group`."""
 
     settings: Any  # (FiveBarSettings,)
     state: Any  # (FiveBarState,)
@@ -402,7 +402,7 @@ class Motors:
 
 
 def move_objects(motors: Motors, room: GroupRoom, cycle: int) -> float:
-    """Replace `move_motors`."""
+    """Replace `move_motors` for plants as objects."""
     before, _ = motors.works()
     if cycle:
         motors.advance_to(cycle * motors.sample_time_ns, tuple(room.held))
@@ -540,7 +540,7 @@ class GroupCase(NamedTuple):
         return self._replace(motors=motors, rig=self.rig._replace(loops=bare))
 
     def room(self) -> GroupRoom:
-        """Return buffers of zeros."""
+        """Return the buffers of the loop, filled with zeros."""
         axes = len(self.rig.loops)
         one = [list_of_zeros(axes) for _ in GroupRoom._fields]
         request = group_kernel.RequestedEfforts(*(list_of_zeros(axes) for _ in range(4)))

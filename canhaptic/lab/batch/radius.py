@@ -68,8 +68,7 @@ def loop_matrices(loops: Loops, sample_time: Array | float, delay: int) -> Array
 
 def decay_per_hold(loops: Loops, sample_time: Array | float, delay: int) -> Array:
     """Return the largest absolute eigenvalue of each loop, shape (n_loops,); below 1 it is stable."""
-    radii: Array = np.abs(np.linalg.eigvals(loop_matrices(loops, sample_time, delay))).max(axis=1)
-    return radii
+    return np.asarray(np.abs(np.linalg.eigvals(loop_matrices(loops, sample_time, delay))).max(axis=1))
 
 
 def _linear_loop(scene: Scene, varied: Mapping[str, Array]) -> tuple[AxisSimulation, Environment, float]:

@@ -72,19 +72,19 @@ class ObjectPlant:
 
 
 def move_object(plant: ObjectPlant, torque: float, cycle: int) -> bool:
-    """Replace `move_plant`."""
+    """Replace `move_plant` for a plant as an object."""
     plant.of.advance_to(cycle * plant.period, torque)
     plant.state[0] = plant.of.position
     return True
 
 
 def object_work(plant: ObjectPlant, interaction: float, torque: float, travel: float) -> float:
-    """Replace `work_in`."""
+    """Replace `work_in` by the energy that a plant as an object reports."""
     return 0.0 - plant.of.energy().motor
 
 
 def object_encoder(plant: ObjectPlant, signals: closed_loop.Signals, cycle: int, position: float) -> float:
-    """Replace `encoder`."""
+    """Replace `encoder` for a plant as an object."""
     return plant.of.encoder_position
 
 

@@ -30,7 +30,7 @@ _ERRORS: Final = ("position_squares", "position_worst", "force_squares", "force_
 
 
 class Figure(NamedTuple):
-    """A figure of a run."""
+    """Definition of one figure of a run."""
 
     meaning: str
     unit: str  # "": a number, "1": a share; otherwise the unit for a linear axis, such as "m" or "N/m"

@@ -24,7 +24,7 @@ BRIEF: Final = frozenset((
 
 @dataclass(frozen=True, slots=True)
 class MeterSettings:
-    """Constants of the sums."""
+    """Constants of a run that its sums depend on."""
 
     last_from: float = 0.0  # SYNC at which the last part of the run begins (`figures.last_rows`)
     damping_per_time: float = 0.0  # b / T of the device [N/m or N*m/rad]
@@ -217,7 +217,7 @@ def take_contact(
     environment: Environment, settings: MeterSettings, meter: Meter, position: float, torque: float,
     balance: EnergyBalance,
 ) -> None:  # fmt: skip
-    """Add a hold in contact."""
+    """Add a hold in contact to the sums of the rendering."""
     rendered = balance.damping_rendered
     meter.contacts += 1.0
     meter.damping_requested += settings.damping

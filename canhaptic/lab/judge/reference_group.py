@@ -168,7 +168,7 @@ class StageModel(_TwoMotors):
 
 
 class FiveBarModel(_TwoMotors):
-    """A five-bar."""
+    """Equations of motion of a five-bar and its hand."""
 
     def __init__(self, links: five_bar.FiveBarLinkage, hand: TaskHand | None) -> None:
         super().__init__(hand, links.initial_angles)

@@ -79,7 +79,7 @@ _Apply = Callable[[float, State, str, Floats, Floats], None]
 
 
 class Smooth(NamedTuple):
-    """An element without modes."""
+    """An element with a single mode, such as viscous friction."""
 
     apply: _Apply
     modes: tuple[str, ...] = ("only",)

@@ -150,7 +150,7 @@ class LoopRun:
 
     @cached_property
     def summary(self) -> LedgerSummary:
-        """Account of the run."""
+        """Energy account of the run: sums and extremes."""
         ledger = Ledger()
         for cycle, balance in enumerate(self.balances()):
             ledger.add(balance, cycle)

@@ -31,7 +31,7 @@ class EnergyBoundingParameters(DamperVelocity):
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """Guaranteed properties of the device."""
+    """Properties of the device on which the bound of the torque relies."""
 
     damping: float  # certain [N*s/m or N*m*s/rad]
     longest: float  # hold [s]

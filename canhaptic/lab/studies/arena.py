@@ -84,7 +84,7 @@ def is_own(algorithm: str) -> bool:
 
 
 def entry_of(reference: str, path: Path, allow_code: bool) -> ComponentSpec:
-    """Return the user-defined algorithm `FILE.py:Class`, for a scene.
+    """Return the user-defined algorithm `FILE.py:Class` as the `passivity` of a scene.
 
     Args:
         reference: File and class.
@@ -334,7 +334,7 @@ def mass_widths(rig: Path) -> Rows:
 
 
 class Column(NamedTuple):
-    """One figure of the ranking."""
+    """One column of the ranking: a figure over all cases of an algorithm."""
 
     what: str  # heading
     unit: str

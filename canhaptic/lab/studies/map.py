@@ -46,7 +46,7 @@ Mask = NDArray[np.bool_]
 
 
 class MapField:
-    """One axis of a sweep under one algorithm.
+    """The figures of one axis of a sweep under one algorithm.
 
     Args:
         table: Results of the sweep.
@@ -124,7 +124,7 @@ class MapField:
 
 
 def fields_of(table: SweepTable, axis: str | None = None, *, allow_code: bool = False) -> list[MapField]:
-    """Return one field per algorithm.
+    """Return the figures of an axis as one `MapField` for each algorithm of a sweep.
 
     Args:
         table: Results of the sweep.
@@ -372,7 +372,7 @@ class PanelCurve:
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """A panel of lines."""
+    """A panel of a map with lines, such as borders over a varied key."""
 
     title: str
     x_label: str

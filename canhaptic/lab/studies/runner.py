@@ -28,7 +28,7 @@ _MOST_LOSSES: Final = 3
 
 
 class Progress(NamedTuple):
-    """Progress of a study."""
+    """How many cases of a study are finished, and whether a loop is being compiled."""
 
     done: int  # cases whose results are in the store
     total: int
@@ -75,7 +75,7 @@ class SerialExecutor(Executor):
     """Executor that runs each job immediately, in this thread."""
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
-        """Return a completed future."""
+        """Run the job now, and return its completed future."""
         future: Future[T] = Future()
         try:
             future.set_result(fn(*args, **kwargs))

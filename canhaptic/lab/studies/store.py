@@ -28,7 +28,7 @@ _ROOM_OF_LAYOUT: Final = 1 << 20
 
 
 class Store:
-    """An open store.
+    """The open folder of a study: its request, and its finished chunks.
 
     Args:
         folder: Folder made by `create_store`.

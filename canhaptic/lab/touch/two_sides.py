@@ -62,7 +62,7 @@ class TouchSlider(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TouchScene:
-    """A scene with both handles.
+    """The scene that `touch` runs: both handles on one rig, and what the page shows.
 
     Attributes:
         scene: Scene with the axes of both handles, to be built.
@@ -121,12 +121,6 @@ def sliders_of(section: str, values: Parameters, names: Sequence[str], unit: str
         for name in names
         if name in type(values).model_fields
     )
-
-
-def pointer_hand(user: UserParameters, start: float) -> PointerHand:
-    """Return a simulated hand with the grip of the scene's hand, whose position is the pointer."""
-    grip = {"stiffness": user.stiffness, "damping": user.damping} if user.stiffness else HAND
-    return PointerHand(**grip, place=start)
 
 
 def reach(motion: Any, rest: float, start: float) -> tuple[float, float]:
@@ -192,7 +186,9 @@ def _held_axis(axis: AxisScene, side: Side, port: str) -> AxisScene:
     display = axis.parameters.admittance
     if display is not None:
         display = display.model_copy(update={"force": display.force.model_copy(update={"frozen_after": None})})
-    simulation = replace(simulation_of(axis), user=pointer_hand(*_hand_of(axis)))
+    user, start = _hand_of(axis)
+    grip = {"stiffness": user.stiffness, "damping": user.damping} if user.stiffness else HAND
+    simulation = replace(simulation_of(axis), user=PointerHand(**grip, place=start))
     return replace(_named(axis, side, port, admittance=display), group=side.group, simulation=simulation)
 
 

@@ -128,9 +128,9 @@ class SimulatedDriveParameters(Parameters):
         return frozenset((index, subindex or None) for index, subindex in map(parse_place, self.absent))
 
     def refused_values(self) -> dict[tuple[int, int], int]:
-        """Return `refused` by (index, subindex)."""
+        """Return the values of `refused` by (index, subindex)."""
         return {parse_place(key): value for key, value in self.refused.items()}
 
     def object_values(self) -> dict[tuple[int, int], int | float | str]:
-        """Return `objects` by (index, subindex)."""
+        """Return the values of `objects` by (index, subindex)."""
         return {parse_place(key): value for key, value in self.objects.items()}

@@ -37,12 +37,12 @@ class Timers:
         self._due[timer] = due
 
     def stop(self, timer: int) -> None:
-        """Set a timer to never."""
+        """Stop a timer: it is due never."""
         self._due[timer] = NEVER
         self._is_exact = False
 
     def stop_all(self) -> None:
-        """Set every timer to never."""
+        """Stop every timer."""
         self._due[:] = [NEVER] * len(self._due)
         self.earliest, self._is_exact = NEVER, True
 

@@ -396,7 +396,7 @@ _Product = Callable[[Array, Array], object]
 
 
 class Exit(NamedTuple):
-    """Mode reached through a guard."""
+    """The mode that a plant enters when a guard falls below zero, and the jump of its state."""
 
     part: int
     mode: str
@@ -405,7 +405,7 @@ class Exit(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """One mode as data."""
+    """Flows, works and guards of one mode of a plant, as arrays."""
 
     key: tuple[str, ...]  # mode of each part
     flows: list[_Product]  # by level: z -> z after T / 2^level
@@ -428,7 +428,7 @@ def _equations(scene: PlantModel, key: tuple[str, ...]) -> Rows:
 
 
 def compile_mode(scene: PlantModel, key: tuple[str, ...]) -> Mode:
-    """Return the mode in which part i is in `key[i]`."""
+    """Compile the mode of a plant in which part i is in its mode `key[i]`."""
     rows = _equations(scene, key)
     names = list(scene.works)
     guards, exits = [], []

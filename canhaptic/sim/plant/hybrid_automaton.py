@@ -125,7 +125,7 @@ class HybridAutomaton:
 
     @property
     def mode(self) -> Mode:
-        """Present mode."""
+        """The mode in which the plant is now."""
         return self.modes[self._counts[stepper.MODE]]
 
     @property

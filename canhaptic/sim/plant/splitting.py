@@ -41,7 +41,7 @@ class Splitting:
         self.reset()
 
     def reset(self) -> None:
-        """Return to the initial state."""
+        """Return the forces to their initial state, with no work booked."""
         for effort in self._efforts:
             effort.reset()
         self.work: dict[Account, float] = {"motor": 0.0, "user": 0.0, "dissipated": 0.0}

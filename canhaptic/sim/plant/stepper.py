@@ -53,7 +53,7 @@ class ModeTables(NamedTuple):
 
 
 class StepperSettings(NamedTuple):
-    """Settings of a stepper."""
+    """Constants of a plant that its stepper needs."""
 
     max_events: int  # in one hold
     event_level: int

@@ -73,7 +73,7 @@ class ForceReading:
         self.reset()
 
     def reset(self) -> None:
-        """Return to the start."""
+        """Clear the readings, as before the first SYNC."""
         self._random = Random(self._seed)
         self._late = deque([0.0] * self._sensor.latency)
         self._impulse, self._taken_at = 0.0, -1

@@ -98,7 +98,7 @@ class Variant:
 
     @property
     def case(self) -> axis_loop.LoopCase:
-        """The loop of the axis."""
+        """The axis with algorithm and plant, as a loop without a bus."""
         (axis,) = self.scene.axes
         return replace(
             axis_loop.loop_case(axis, self.scene), counts_per_unit=abs(axis.parameters.counts_per_unit) or None
@@ -133,7 +133,7 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class LoopRow:
-    """Result of one variant."""
+    """Run of one variant of the loop, with its errors and its computing time."""
 
     variant: Variant
     run: axis_loop.LoopRun

@@ -65,7 +65,7 @@ _WORK: Final = {"semi-implicit Euler": 1, "implicit midpoint": 8, "RK4": 4}
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One method at one setting.
+    """One method to compute the plant, at one setting.
 
     Attributes:
         method: Name of the method.
@@ -87,7 +87,7 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """Method and setting."""
+        """Name of method and setting, for tables."""
         return f"{self.method}, {self.setting}"
 
 
@@ -240,7 +240,7 @@ def fitted_order(sizes: Sequence[float], errors: Sequence[float], travel: float)
 
 
 class PlantSide(Plants):
-    """One axis under recorded torques.
+    """Methods to compute the plant of one axis under recorded torques, and their results.
 
     Args:
         axis: Simulated axis.

@@ -275,7 +275,7 @@ _JUDGED_WITH: Final = "unprotected"
 
 
 class Length(NamedTuple):
-    """Length of an accuracy study."""
+    """The scene that an accuracy study runs, and the number of holds that it compares."""
 
     scene: Scene
     holds: int

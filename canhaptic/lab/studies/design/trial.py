@@ -294,7 +294,7 @@ class Trial:
         self.engine, self.walls, self.remark = "", 0, ""
 
     def verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
-        """Try walls.
+        """Run both hands against each wall, and judge the walls.
 
         Args:
             stiffness: Stiffness of each wall, shape (n,) [N/m or N*m/rad].
@@ -469,7 +469,7 @@ class GroupTrial:
         return _TIME * stiffness
 
     def verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
-        """Try networks; see `Trial.verdict`."""
+        """Run the hands on each network, and judge the networks; see `Trial.verdict`."""
         self.walls += len(stiffness)
         pairs = list(zip(stiffness.tolist(), damping.tolist(), strict=True))
         jobs = [

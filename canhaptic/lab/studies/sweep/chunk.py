@@ -154,7 +154,7 @@ class Built(NamedTuple):
     from_plant: tuple[str, ...] = ()  # names of the loop properties taken from the plant
 
     def permitted(self) -> Scene:
-        """Return the scene.
+        """Return the scene, or raise if it is refused.
 
         Raises:
             InputError: The scene is refused.
@@ -406,7 +406,7 @@ class _Chunk:
         self._of_plant = ""
 
     def run(self) -> ChunkResult:
-        """Run every scene."""
+        """Compute the figures of every scene of the chunk."""
         batched = {key for key in self._columns if is_batch_key(self._recipe, key)}
         apart = {key for key in self._columns if key not in batched}
         if RATE in self._columns and self._recipe.cycles is None:

@@ -37,7 +37,7 @@ _BYTES: Final = 8  # of one figure
 
 
 class SweepTable(Store):
-    """Open results of a sweep.
+    """The folder of a sweep: its scenes, and the figures computed so far.
 
     Args:
         path: Folder made by `create`.

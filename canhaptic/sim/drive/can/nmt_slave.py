@@ -23,7 +23,7 @@ _REGISTER_BITS: Final = {0x2: 1 << 1, 0x3: 1 << 2, 0x4: 1 << 3, 0x8: 1 << 4, 0xF
 
 
 class EmergencyProducer:
-    """Present errors: one EMCY when an error appears, and EMCY 0x0000 when errors disappear.
+    """Keeps the present errors; sends one EMCY when an error appears, and EMCY 0x0000 when errors disappear.
 
     Args:
         store: Object store (0x1001, 0x1003, 0x1014, 0x603F are used).
@@ -45,7 +45,7 @@ class EmergencyProducer:
         self.reset()
 
     def reset(self) -> None:
-        """Clear the present errors, silently."""
+        """Clear the present errors without an EMCY."""
         self._present: list[int] = []
         self.show()
 

@@ -20,7 +20,7 @@ _STATES = {NmtCommand.START: NmtState.OPERATIONAL, NmtCommand.STOP: NmtState.STO
 
 
 class SensorNode:
-    """A transducer on the bus.
+    """A force sensor as a node of its own on the bus.
 
     Args:
         display: Scaling of the sensor and layout of its frame.

@@ -33,7 +33,7 @@ _COUNTING_OBJECTS: Final = (range(0x1003, 0x1004), range(0x1600, 0x1800), range(
 
 
 class Entry:
-    """One variable of the store.
+    """One object (index and subindex) of the simulated drive, with its value.
 
     Attributes:
         size: Length [bytes]; 0 when it varies (strings, domains).

@@ -150,7 +150,7 @@ class TorqueMeter:
         self.reset()
 
     def reset(self) -> None:
-        """Clear the measurement."""
+        """Clear the state of the measuring filter."""
         self._filtered, self._measured_at = 0.0, 0
 
     def counts(self, now: int, held: float, quantum: float) -> int:
@@ -240,7 +240,7 @@ def _homing_of(store: ObjectStore, motor: Motor) -> "Homing | None":
 
 
 class Servo:
-    """Power stage and motor.
+    """Power stage of a simulated drive with its motor: state machine, torque and measurement.
 
     Args:
         store: Object store.

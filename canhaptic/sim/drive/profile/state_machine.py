@@ -81,7 +81,7 @@ def command_of(controlword: int) -> PowerCommand:
 
 
 class StateMachine:
-    """State of one drive.
+    """The power state of one simulated drive, and its transitions.
 
     In cyclic torque mode every stop sets the torque to 0 at once, so that the option codes 0x605B, 0x605C and 0x605E
     have no effect here; 0x605A decides where a quick stop ends.

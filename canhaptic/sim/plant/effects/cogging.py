@@ -27,7 +27,7 @@ class Cogging(EffectParameters):
     """Phase of the sine at position 0."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Add the force."""
+        """Add the cogging as a force on the motor."""
         scene.efforts.append(EffortForce(Effort(DETENT, self.amplitude, self.pitch, self.phase), None))
 
     def fastest(self, mass: float, torque: float) -> float:

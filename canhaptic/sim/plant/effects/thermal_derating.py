@@ -44,7 +44,7 @@ class ThermalDerating(EffectParameters):
         return self
 
     def add_to(self, scene: PlantModel) -> None:
-        """Add the limit."""
+        """Add the temperature-dependent limit of the torque."""
         scene.claim("thermal derating", self.type)
         scene.commands.append(_Winding(self))
 

@@ -19,7 +19,7 @@ class TorqueQuantisation(EffectParameters):
     """Smallest step of the torque."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Add the rounding."""
+        """Add the rounding of the torque to its steps."""
         scene.claim("torque quantisation", self.type)
         scene.commands.append(_Rounding(self.quantum))
 

@@ -26,7 +26,7 @@ class TorqueRipple(EffectParameters):
     """Phase of the sine at position 0."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Add the force."""
+        """Add the ripple as a force on the motor."""
         scene.efforts.append(EffortForce(Effort(RIPPLE, self.amplitude, self.pitch, self.phase), "motor"))
 
     def fastest(self, mass: float, torque: float) -> float:

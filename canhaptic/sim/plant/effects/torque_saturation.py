@@ -18,7 +18,7 @@ class TorqueSaturation(EffectParameters):
     """Largest torque of the motor."""
 
     def add_to(self, scene: PlantModel) -> None:
-        """Add the clip."""
+        """Add the limit, which clips the torque."""
         scene.claim("torque saturation", self.type)
         scene.commands.append(_Clip(self.limit))
 

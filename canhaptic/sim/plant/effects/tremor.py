@@ -13,7 +13,7 @@ from canhaptic.units import quantity
 
 
 class Tremor(EffectParameters):
-    """A trembling hand."""
+    """A sinusoidal trembling of the hand."""
 
     type: Literal["tremor"] = "tremor"
     amplitude: Annotated[float, quantity("m", "rad", ge=0.0, le=1e3)]

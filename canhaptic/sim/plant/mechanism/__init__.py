@@ -81,7 +81,7 @@ class MechanismParameters(Protocol):
 
 
 class SharedMechanism:
-    """A mechanism and its motors.
+    """A mechanism that several drives move, each by a motor of its own.
 
     Args:
         mechanism: Mechanism before `begin`; it is at rest until the last of its drives is enabled.

@@ -270,7 +270,7 @@ _NEAR: Final = 1e-3  # of the distal length, of the handle from the line of the 
 
 @dataclass(frozen=True, slots=True)
 class FiveBarSettings:
-    """Constants of a run."""
+    """Constants of a five-bar in a run."""
 
     links: Linkage
     hand: HandForce
@@ -349,7 +349,7 @@ def advance_five_bar(
 def take_substep(
     settings: FiveBarSettings, state: FiveBarState, place: FiveBarPlace, time: float, step: float, torques: Pair
 ) -> FiveBarPlace:
-    """Take one substep, halved while the solver does not converge: part `k` of 2^`depth` parts at a time."""
+    """Take one substep; where the solver does not converge, in parts: it is halved, part `k` of 2^`depth` parts."""
     k, depth = 0, 0
     while k < 1 << depth:
         begin, part = time, step
@@ -573,7 +573,7 @@ class FiveBarLinkage(Parameters):
         return self
 
     def linkage(self) -> Linkage:
-        """Return geometry and inertia."""
+        """Return geometry and inertia of the links as numbers."""
         inertia = self.motor_inertia + self.distal_mass * self.proximal * self.proximal / 3.0
         handle = self.handle_mass + 2.0 * self.distal_mass / 3.0
         return Linkage(0.5 * self.base, self.proximal, self.distal, inertia, self.distal_mass / 6.0, handle)

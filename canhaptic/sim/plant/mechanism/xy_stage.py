@@ -93,7 +93,7 @@ class XYMotion(AutomatonClock):
         return tuple(state.item(i) for i in self._velocities)
 
     def model(self) -> PlantModel:
-        """Model of the stage."""
+        """Equations of the stage and its hand, as the parts of a plant."""
         stage, hand, sample_time = self._parts
         scene = PlantModel(sample_time)
         masses, dampings = (stage.mass_x, stage.mass_y), (stage.damping_x, stage.damping_y)
