@@ -1,9 +1,9 @@
 """Replay of a recorded bus: the real master and controllers of a scene, against the recorded frames of the drives.
 
 Every frame that the master sends is compared with the recording. Which recorded frames are the master's follows from
-the scene, since a recording need not tell. The clock is that of the recording: it advances only when the master waits,
-to the next recorded frame, however long the master computes today. So a SYNC that was late in the recording is equally
-late now, and the same deadlines are skipped. A recording that lacks the start of the drives is joined at the first SYNC
+the scene, since a recording need not state the sender. The clock is that of the recording: it advances only when the
+master waits, to the next recorded frame, however long the master computes today. So a SYNC that was late in the
+recording is equally late now, and the same deadlines are skipped. A recording that lacks the start of the drives is joined at the first SYNC
 that found every axis enabled.
 """
 
@@ -57,7 +57,7 @@ class Roles(NamedTuple):
     def asks_to_leave(self, data: bytes) -> bool:
         """Return whether an RPDO of the first axis revokes OPERATION ENABLED.
 
-        0x0F keeps it and 0x00 revokes it; the majority of bits decides, so that one flipped bit does not move the end.
+        0x0F keeps the state and 0x00 revokes it; the majority of bits decides, so that one flipped bit changes nothing.
         """
         (controlword,) = self.controlword.unpack(data) if len(data) == self.controlword.size else (_ENABLE_BITS,)
         return (int(controlword) & _ENABLE_BITS).bit_count() < _ENABLE_BITS.bit_count() // 2
@@ -106,8 +106,8 @@ _SYNC: Final[Address] = (0, od.SYNC_FRAME_COB_ID)
 class Recording:
     """The frames of one bus log, without the master's heartbeats.
 
-    The heartbeats follow the wall clock of the host: after skipped SYNCs, microseconds decide when one is due, and the
-    times in a log are not that exact.
+    The heartbeats follow the wall clock of the host: after skipped SYNCs, microseconds decide when a heartbeat is due,
+    and the times in a log are less exact.
 
     Attributes:
         path: The log.
@@ -149,7 +149,7 @@ class Recording:
 
     @property
     def restoring(self) -> int:
-        """Index of the frame after the last SYNC with which the stop begins to restore values: it requests a state."""
+        """Index of the frame after the last SYNC with which the stop begins to restore values: a state request."""
         asks = bytes([_UPLOAD]) + struct.pack("<HB", od.STATUSWORD, 0)
         last = max((n for n, address in enumerate(self.addresses) if address == _SYNC), default=0)
         after = range(last, len(self.frames))
@@ -355,7 +355,7 @@ class JoinedRig(Rig):
 
 
 def _suppose_enabled(drive: ServoDrive) -> None:
-    """Set the values that a start would have read from the drive."""
+    """Set the values that the start would have read from the drive."""
     drive.reset()
     drive.answers = True
     drive.nmt_state = int(od.NmtState.OPERATIONAL)
@@ -372,7 +372,7 @@ _LONGEST_SILENCE: Final = 1.5  # sample times within a recording without gaps
 
 
 class FrameWords(TypedDict):
-    """A frame, decoded."""
+    """One frame of the bus, decoded into words."""
 
     channel: str
     id: int

@@ -4,7 +4,7 @@ from typing import NamedTuple, Protocol
 
 
 class Sample(NamedTuple):
-    """Report of one axis for one SYNC.
+    """Position of one axis at one SYNC, and the torque of the hold that ended there.
 
     The torque is the one held during the hold that ENDED at this SYNC, read back from the drive where possible, so that
     -torque_applied * (position - previous position) is the interaction energy of that hold (eq. 2).
@@ -34,7 +34,7 @@ class Truth(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Figures of a port that the energy balances of its holds lack; all except the effort are since SYNC 0."""
+    """Figures of a port that are not in the balances of its holds; all except the effort count from SYNC 0."""
 
     energy_resolution: float  # largest |booked - true| sum of interaction [J]
     device_dissipated: float  # by the declared properties of the device, at least [J]

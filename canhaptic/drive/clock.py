@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Clock(Protocol):
-    """Time as the master sees it."""
+    """Clock of the master: the time, and the waits for deadlines and frames."""
 
     def now(self) -> int:
         """Return the time [ns] since the clock's own epoch."""

@@ -69,7 +69,7 @@ _SURFACES: Final[dict[type, tuple[str, ...]]] = {
 
 
 class ContinuousRun(NamedTuple):
-    """The axis in the continuous environment, shapes (n,)."""
+    """Motion of an axis in the continuous environment, impulse and energy, shapes (n,)."""
 
     position: Array  # [m or rad]
     velocity: Array  # [m/s or rad/s]

@@ -149,7 +149,7 @@ class AxisMap:
 
 @dataclass(frozen=True, slots=True)
 class PdoCapability:
-    """A PDO that the dictionary lists."""
+    """A PDO that the dictionary lists, with its fixed mapping or its number of writable entries."""
 
     kind: _Kind
     number: int

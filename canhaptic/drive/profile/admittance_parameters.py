@@ -74,7 +74,7 @@ class ForceParameters(Parameters):
 
     @property
     def bits(self) -> int:
-        """Width of a counter that wraps."""
+        """Number of bits of the sensor's value, modulo which it wraps."""
         return 32 if self.node is None else self.node.bits
 
     @property

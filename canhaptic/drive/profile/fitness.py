@@ -119,7 +119,7 @@ RAMPS: Final = (od.PROFILE_ACCELERATION, od.PROFILE_DECELERATION, od.MAX_ACCELER
 
 
 class Verdict(Enum):
-    """Consequence of a finding for cyclic torque."""
+    """Whether a finding permits cyclic torque, refuses it, or leaves it to the live value."""
 
     FIT = "fit"
     UNKNOWN = "unknown"

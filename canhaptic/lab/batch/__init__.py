@@ -36,7 +36,7 @@ _FOREIGN: Final = ".numba_config.yaml"
 
 
 def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
-    """Return the engine that "auto" chooses here.
+    """Return the engine to use; "auto" chooses the faster one.
 
     Args:
         engine: Requested engine.

@@ -94,7 +94,7 @@ def kernel_of(algorithm: str) -> Kernel | None:
 
 
 def scene_rows(case: BatchCase, kernel: Kernel, count: int) -> Iterator[SceneRow]:
-    """Yield the kernel objects of every scene.
+    """Yield for every scene the objects that its kernels take.
 
     Args:
         case: Common part and varied numbers of the scenes.

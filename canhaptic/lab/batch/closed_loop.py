@@ -288,7 +288,7 @@ class LoopSettings:
 
 @dataclass(slots=True)
 class CycleState:
-    """State of a loop, apart from its plant."""
+    """State of a loop, kept from SYNC to SYNC, without the state of its plant."""
 
     cycle: int = 0  # last SYNC to which the plant was moved
     held: float = 0.0  # torque held since the previous SYNC [N or N*m]

@@ -413,7 +413,7 @@ def move_objects(motors: Motors, room: GroupRoom, cycle: int) -> float:
 
 
 class GroupPlant(NamedTuple):
-    """Motors of a group for its loop."""
+    """The motors of a group in the form that its loop takes."""
 
     made: Callable[[bool], Any]  # (True for lists, which Python takes; False for arrays) -> motors at their start
     replaced: Mapping[object, object]  # function of the loop -> its replacement

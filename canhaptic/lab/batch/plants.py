@@ -276,7 +276,7 @@ class PlantValues(NamedTuple):
     sample_time_ns: int
 
     def scene(self) -> PlantModel:
-        """Return the model of the plant."""
+        """Return the equations of the plant, with hand and effects."""
         effects = [effect_of(effect) for effect in self.simulation.effects]
         return collect(self.simulation.plant, self.simulation.user, effects, self.sample_time_ns * 1e-9)
 

@@ -14,7 +14,7 @@ from canhaptic.scene.method import plant_errors
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Search and print the wall; return 0.
+    """Search the stiffest wall, or the lightest mass, and print it; return 0.
 
     Raises:
         InputError: No wall can be designed for the scene.

@@ -193,7 +193,7 @@ def settled(
 
 
 def through(way: Transition, state: Sequence[float], modes: Modes) -> tuple[Floats, Modes]:
-    """Return state and modes after a transition."""
+    """Make a transition: return state and modes after it."""
     after = [float(value) for value in state]
     if way.reset is not None:
         way.reset(after)

@@ -38,7 +38,7 @@ class AdmittanceRun(LoopRun):
     resolution: float = 0.0  # uncertainty of the energy [J]
 
     def shares(self) -> tuple[float, float, int]:
-        """Return three figures of the certificates.
+        """Return how often a certificate limited a command, how often none held, and the weakest certificate.
 
         Returns:
             Share of the holds with a command in which a certificate limited it; share of all holds without a

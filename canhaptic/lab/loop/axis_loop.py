@@ -251,7 +251,7 @@ def require_design_room(margin: float, tolerance: float) -> None:
 
 
 def require_single_axes(scene: Scene, command: str) -> None:
-    """Refuse axes on which a group renders.
+    """Refuse a scene with groups or admittance displays.
 
     Args:
         scene: Scene of the study.

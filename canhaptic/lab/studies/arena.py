@@ -182,7 +182,7 @@ def _figures_of(scene: Scene, cycles: int, reference: ContinuousReference | None
 
 
 def rounded(value: float) -> float:
-    """Return a value to four digits."""
+    """Return a value rounded to four digits."""
     return float(f"{value:.4g}")
 
 

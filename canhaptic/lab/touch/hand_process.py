@@ -63,7 +63,7 @@ class TouchJob:
     pace: TouchPace = "even"
 
     def touched(self) -> TouchScene:
-        """Return the scene with both sides.
+        """Return the scene of the run, with both handles.
 
         Raises:
             InputError: The scene is wrong, or cannot be touched.
@@ -251,7 +251,7 @@ class _HandRun:
 
 
 class TouchNews(NamedTuple):
-    """Rows and status since the last poll."""
+    """Rows of the run since the last poll, and its present status."""
 
     rows: dict[str, Array]  # by column name, see `columns`; shapes (n,)
     status: TouchStatus | None  # newest one; None if none arrived

@@ -299,7 +299,7 @@ class Wire:
 
 
 class Foreign:
-    """Frames of other devices, at random times.
+    """Source of frames of other devices, sent at random times.
 
     Attributes:
         due: Time of the next frame [ns]; `NEVER` before `begin`.

@@ -197,7 +197,7 @@ class PlantModel:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Components of the state vector, in order."""
+        """Names of the components of the state vector, in order."""
         extra = ("travel", "effort") if self.efforts else ()
         return (*self.states, *extra, "torque", "one")
 

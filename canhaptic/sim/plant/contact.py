@@ -62,7 +62,7 @@ class StickSlip(Part):
         self.modes = (first, *(mode for mode in ("stuck", "forward", "backward") if mode != first))
 
     def assemble(self, rows: Rows, mode: str) -> None:
-        """Add the friction of a sliding mode."""
+        """Add the sliding friction if this mode slides."""
         if mode != "stuck":
             friction = rows.row(one=self._kinetic if mode == "forward" else -self._kinetic)
             rows.forces[self._body] -= friction

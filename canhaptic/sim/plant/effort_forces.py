@@ -84,7 +84,7 @@ def bristle_force(effort: Effort, bristle: Bristle, travel: float, duration: flo
 
 
 def bend(effort: Effort, bristle: Bristle, travel: float, duration: float) -> None:
-    """Advance the bristle by a substep."""
+    """Update the bending of the bristle over a substep."""
     if effort.kind == BRISTLE:
         bristle.deflection = bent(effort, bristle, travel, duration)[0]
 

@@ -339,7 +339,7 @@ class HybridAutomaton:
 
 
 class AutomatonClock(SampleClock):
-    """Base of the plants that an automaton moves."""
+    """Base of plants whose state an automaton holds; the clock counts ticks."""
 
     _machine: HybridAutomaton
 

@@ -140,7 +140,7 @@ class VelocityLoopParameters(Parameters):
 
 
 class GripParameters(Parameters):
-    """Grip between the sensor and the hand."""
+    """The grip between force sensor and hand: a mass on a spring and a damper."""
 
     mass: Annotated[float, quantity("kg", "kg*m^2", ge=LEAST_MASS, le=1e6)]
     """Mass behind the sensor: handle, and the part of the hand that moves with it."""
@@ -223,7 +223,7 @@ class _Integral(_Loop):
             rows.set_rate(_INTEGRAL, rows.row(torque=gain) - gain * rows.velocity(MOTOR))
 
     def guards(self, rows: Rows, mode: str) -> Sequence[Guard]:
-        """Guards to and from the limit."""
+        """Guards of the integral, where it reaches or leaves the torque limit."""
         if self._loop.torque_limit is None:
             return ()
         most, value = rows.row(one=self._loop.torque_limit), rows.row(**{_INTEGRAL: 1.0})

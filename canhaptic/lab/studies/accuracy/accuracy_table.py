@@ -275,7 +275,7 @@ def _most_exact(rows: Sequence[Row]) -> Row | None:
 
 
 def length(value: float, unit: str) -> str:
-    """Return a position with its unit."""
+    """Return a position or length as text with its unit."""
     return si(value, "m", 3) if unit == "m" else f"{value:.3g} rad"
 
 
@@ -403,7 +403,7 @@ def pareto(rows: Sequence[Row], price: str, floor: float) -> list[bool]:
 
 
 def front(points: Sequence[tuple[float, float]]) -> set[tuple[float, float]]:
-    """Return the points that no other point dominates."""
+    """Return the Pareto front: the points that no other point dominates."""
     return {(x, y) for x, y in set(points) if not any(a <= x and b <= y and (a < x or b < y) for a, b in points)}
 
 

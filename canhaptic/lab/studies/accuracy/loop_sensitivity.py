@@ -109,7 +109,7 @@ class Variant:
         return build_group(self.scene, self.scene.groups[0]) if self.scene.groups else self.case.controller()
 
     def render(self, cycles: int, motion: Array, tick: Callable[[], None], engine: ChosenEngine) -> axis_loop.LoopRun:
-        """Return the result of the loop.
+        """Run the loop and return its record.
 
         Args:
             cycles: SYNCs.
@@ -199,7 +199,7 @@ def _rates(scene: Scene) -> Iterator[tuple[float, float]]:
 
 
 def hertz(rate: float) -> str:
-    """Return a rate with its unit."""
+    """Return a rate as text with its unit."""
     return f"{rate / 1000.0:g} kHz" if rate >= 1000.0 else f"{rate:g} Hz"
 
 

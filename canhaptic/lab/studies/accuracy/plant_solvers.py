@@ -131,7 +131,7 @@ def own_setting(simulation: AxisSimulation, sample_time_ns: int) -> AccuracyPara
 def ours(
     simulation: AxisSimulation, accuracy: AccuracyParameters, torques: Sequence[float], sample_time_ns: int
 ) -> Candidate:
-    """Return the candidate of `sim.plant` at one accuracy."""
+    """Return the package's own plant solver at one accuracy, as a candidate."""
     solved = replace(simulation, accuracy=accuracy)
     kept = build_plant(solved, sample_time_ns)
 

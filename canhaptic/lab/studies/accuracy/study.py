@@ -213,13 +213,13 @@ class StudiedPart:
     whole: Scene
 
     def plants(self, holds: int, stop: plant_solvers.Stop) -> plant_solvers.Plants:
-        """Return the plant side; see `PlantSide`."""
+        """Return the plants of this part under its recorded torques; see `PlantSide`."""
         if self.scene.groups:
             return plant_solvers.group_side(self.scene, holds, stop)
         return plant_solvers.PlantSide(self.scene.axes[0], self.whole, holds, stop)
 
     def continuous(self, step_ns: int, steps: int, stop: plant_solvers.Stop) -> ContinuousMotion:
-        """Return the motion and force without sampling."""
+        """Return motion and force of this part in the continuous environment."""
         if self.scene.groups:
             return continuous_group(self.scene, step_ns, steps, stop)
         return loop_sensitivity.continuous_loop(self.scene.axes[0], step_ns, steps, stop)

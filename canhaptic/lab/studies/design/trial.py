@@ -339,7 +339,7 @@ def verdict_of(
     shares: Array, damped: Array, least: Array, judged: Array, ran: Any, allowance: float, tolerance: float,
     damping: Array,
 ) -> TrialVerdict:  # fmt: skip
-    """Return the verdict on walls under two hands.
+    """Return the verdict on each wall, from the figures under both hands.
 
     Args:
         shares: Rendered over requested stiffness, shape (2, n).
@@ -465,7 +465,7 @@ class GroupTrial:
         self._has_damping = all(axis.loop.device_damping for axis in scene.axes)
 
     def damping_scale(self, stiffness: float) -> float:
-        """Return a damping near the limit of rendering."""
+        """Return the damping of a network near the limit of rendering."""
         return _TIME * stiffness
 
     def verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
@@ -485,7 +485,7 @@ class GroupTrial:
         )  # fmt: skip
 
     def account(self, verdict: TrialVerdict, stiffness: float, damping: float) -> Row:
-        """Return the description and cost of the network."""
+        """Return the result of a design for a network: description, verdict and certificate."""
         (group,) = self.scene.groups
         loop, given = self.scene.axis(group.axes[0]).loop, group.passivity.parameters
         runs = [_tried((self._with_network(of, stiffness, damping), time, "python")) for of, time in self._hands()]

@@ -245,7 +245,7 @@ def seeds_of(recipe: Recipe, scene: Scene, indices: NDArray[np.intp]) -> Array |
 
 
 def cycles_in(recipe: Recipe, scene: Scene) -> int:
-    """Return the number of SYNCs of a scene."""
+    """Return the number of SYNCs of a scene's run."""
     return recipe.cycles or axis_loop.cycles_of(scene, recipe.duration)
 
 

@@ -234,7 +234,7 @@ _MANTISSA: Final = 53
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """Scenes of a sweep, by global index.
+    """The points of a sweep: the varied values of every scene, by its global index.
 
     Attributes:
         varied: Keys with their values; in a grid the last key changes fastest.
@@ -274,7 +274,7 @@ class Points:
 
 
 def make_points(varied: Sequence[Varied], controllers: Sequence[str] = (), samples: int = 0, seed: int = 0) -> Points:
-    """Return the scenes of a sweep.
+    """Return the points of a sweep, a grid or a Latin hypercube.
 
     Args:
         varied: Keys with their values.

@@ -157,7 +157,7 @@ class HeartbeatConsumer:
         self._lost: set[int] = set()
 
     def restart(self) -> None:
-        """Restart with the nodes and times in 0x1016."""
+        """Restart the monitoring with the nodes and times in 0x1016."""
         for _, timer in self._slots:
             self._timers.stop(timer)
         self._lost.clear()

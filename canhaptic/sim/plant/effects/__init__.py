@@ -45,7 +45,7 @@ class Effect(Protocol):
     """Effects are added in this order, then in the order of the scene."""
 
     def add_to(self, scene: "PlantModel") -> None:
-        """Add the components of the effect.
+        """Add the states, parts and forces of the effect to a plant.
 
         Raises:
             ParameterError: It needs another effect that is not there, or excludes one that is.

@@ -15,7 +15,7 @@ from canhaptic.units import quantity
 
 
 class Backlash(EffectParameters):
-    """Play between motor and load."""
+    """Backlash (play) in the shaft between motor and load."""
 
     type: Literal["backlash"] = "backlash"
     gap: Annotated[float, quantity("m", "rad", gt=0.0, le=1e3)]

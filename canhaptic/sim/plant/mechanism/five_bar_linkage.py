@@ -38,7 +38,7 @@ Rows = tuple[Pair, Pair]
 
 @dataclass(frozen=True, slots=True)
 class Linkage:
-    """The links, identical left and right."""
+    """Lengths and inertias of the links as numbers; left and right are identical."""
 
     half_base: float  # half the distance of the motors [m]
     proximal: float  # length of the links on the motors [m]

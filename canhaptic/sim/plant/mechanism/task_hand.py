@@ -18,7 +18,7 @@ Length = Annotated[float, quantity("m", ge=-1e3, le=1e3)]
 
 
 class Ellipse(NamedTuple):
-    """A symmetric 2 x 2 matrix."""
+    """A symmetric 2 x 2 matrix: stiffness or damping in the plane."""
 
     xx: float
     xy: float
