@@ -3,8 +3,8 @@
 Every frame that the master sends is compared with the recording. Which recorded frames are the master's follows from
 the scene, since a recording need not state the sender. The clock is that of the recording: it advances only when the
 master waits, to the next recorded frame, however long the master computes today. So a SYNC that was late in the
-recording is equally late now, and the same deadlines are skipped. A recording that lacks the start of the drives is joined at the first SYNC
-that found every axis enabled.
+recording is equally late now, and the same deadlines are skipped. A recording that lacks the start of the drives is
+joined at the first SYNC that found every axis enabled.
 """
 
 import struct
