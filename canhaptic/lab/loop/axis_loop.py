@@ -258,7 +258,7 @@ def require_single_axes(scene: Scene, command: str) -> None:
         command: Command of the study, for the message.
 
     Raises:
-        InputError: A group renders on one of them, or one is an admittance display.
+        InputError: A group renders on an axis, or an axis is an admittance display.
     """
     refuse_displays(scene, command)
     for group in scene.groups:
