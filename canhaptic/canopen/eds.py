@@ -26,7 +26,7 @@ from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, dat
 
 from canhaptic.canopen.objects import CONSUMER_HEARTBEAT_TIME
 from canhaptic.errors import DictionaryError
-from canhaptic.input_file import read_regular
+from canhaptic.files import read_regular
 
 _OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?")
 _DOMAIN_OBJECT, _VAR, _ARRAY, _RECORD = _OBJECT_TYPES = 2, 7, 8, 9  # (CiA 301, table 42)

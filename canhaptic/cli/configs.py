@@ -8,7 +8,7 @@ from typing import Final
 
 from canhaptic.cli.output import note_file, write_json
 from canhaptic.errors import InputError
-from canhaptic.input_file import FOLDERS, shipped
+from canhaptic.files import FOLDERS, shipped
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.table import Table
 

@@ -12,7 +12,7 @@ from canhaptic.audit.user_checks import Checked, Outcome, check
 from canhaptic.cli.options import check_page, check_picture, check_place, require_new
 from canhaptic.cli.output import write_json
 from canhaptic.errors import InputError
-from canhaptic.input_file import CONVERTIBLE
+from canhaptic.files import CONVERTIBLE
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export, require_library
 from canhaptic.logs.repair import repair, require_readable

@@ -94,7 +94,7 @@ def _complete(parser: argparse.ArgumentParser) -> None:
         from argcomplete.completers import BaseCompleter, FilesCompleter
     except ImportError:
         return
-    from canhaptic.input_file import scene_names
+    from canhaptic.files import scene_names
 
     class ScenesAndFiles(BaseCompleter):
         def __call__(self, *, prefix: str, action: argparse.Action, **more: Any) -> list[str]:

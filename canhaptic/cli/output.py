@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from canhaptic.errors import CanHapticError, InputError, SceneError
-from canhaptic.host.output_file import replacing
+from canhaptic.files import replacing
 from canhaptic.view.terminal import visible
 
 

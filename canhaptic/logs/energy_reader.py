@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple, Self, TypeVar
 import numpy as np
 
 from canhaptic.errors import InputError, LogFormatError
-from canhaptic.input_file import log_file
+from canhaptic.files import log_file
 from canhaptic.logs import columns as log_format
 from canhaptic.logs.hdf5 import Array, Attribute, Dataset, Hdf5File, failure_of, row_digests
 

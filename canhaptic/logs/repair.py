@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from canhaptic.errors import InputError, LogFormatError
-from canhaptic.host.output_file import require_writable_place
-from canhaptic.input_file import log_file
+from canhaptic.files import log_file, require_writable_place
 from canhaptic.logs.energy_reader import DAMAGE, Columns, EnergyLog, found_columns, open_file, read_safely, usual_length
 from canhaptic.logs.energy_sink import repack, unfinished
 from canhaptic.logs.hdf5 import Hdf5File

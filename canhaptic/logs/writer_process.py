@@ -18,7 +18,7 @@ from typing import IO, Any, Final, Literal, cast
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.errors import LogStoppedError, LogWriteError, ParameterError
-from canhaptic.input_file import CONVERTIBLE
+from canhaptic.files import CONVERTIBLE
 from canhaptic.logs.bus_sink import FRAME_RING
 from canhaptic.logs.columns import EVENT_RING, EVENT_TEXT_SIZES, Attribute, LogSchema, PortDescription
 from canhaptic.logs.ring import Record, Recorder, Ring, RingShape, SharedArea, allocate, size_of

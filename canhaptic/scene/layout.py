@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, get_args
 
 from canhaptic.axis_units import Motion
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
-from canhaptic.input_file import shipped
+from canhaptic.files import shipped
 from canhaptic.registry import nearest
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.document import NOTED, Diagnostics, MarkedList, MarkedMapping

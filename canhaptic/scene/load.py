@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import InputError, SceneConflictError, SceneError
-from canhaptic.input_file import read_regular, scene_file
+from canhaptic.files import read_regular, scene_file
 from canhaptic.registry import load
 from canhaptic.scene.components import CodeUse, ComponentSpec, SceneContext
 from canhaptic.scene.cross_checks import cross_check

@@ -21,7 +21,7 @@ from typing import Any, Final
 from pydantic_core import PydanticCustomError
 
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.input_file import read_regular
+from canhaptic.files import read_regular
 from canhaptic.own_results import watch
 from canhaptic.scene.components import OWN_MODULE, READY, CodeUse, SceneContext
 from canhaptic.scene.document import MarkedMapping

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.errors import SceneError
-from canhaptic.input_file import read_regular, shipped
+from canhaptic.files import read_regular, shipped
 from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation, parse_yaml
 from canhaptic.units import shown
 

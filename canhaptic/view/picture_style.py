@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
-from canhaptic.host.output_file import replacing
-from canhaptic.input_file import read_regular
+from canhaptic.files import read_regular, replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

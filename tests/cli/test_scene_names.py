@@ -10,7 +10,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.errors import SceneError
-from canhaptic.input_file import scene_file, scene_names, shipped
+from canhaptic.files import scene_file, scene_names, shipped
 from canhaptic.scene.load import load_scene
 
 

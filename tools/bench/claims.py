@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
-from canhaptic.input_file import shipped
+from canhaptic.files import shipped
 from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.figures.field_figures import energy_beyond_device
 from canhaptic.lab.loop.axis_loop import LoopRun, cycles_of, loop_case

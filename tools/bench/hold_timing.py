@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from canhaptic.control.certificates.scalar_bounds import displacement_response, hold_timing, renderable_by_hand_force
-from canhaptic.input_file import shipped
+from canhaptic.files import shipped
 from canhaptic.lab.studies.design.contact_quality import Bench, Leaning, largest_held, settling_time
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.effects.current_loop import CurrentLoop

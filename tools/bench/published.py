@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.input_file import shipped
+from canhaptic.files import shipped
 from canhaptic.lab.batch.scalar import render, run_case
 from canhaptic.lab.figures.field_figures import m_width
 from canhaptic.lab.loop.axis_loop import LoopRun, environment_of, loop_case

@@ -31,7 +31,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.input_file import read_regular, shipped
+from canhaptic.files import read_regular, shipped
 from canhaptic.lab.batch.cases import why_not_batchable
 from canhaptic.lab.batch.marching import run_batch
 from canhaptic.lab.batch.scalar import render, run_scalar

@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Final, Self
 
 from canhaptic.errors import InputError, LogFormatError, LogWriteError
-from canhaptic.input_file import read_regular
+from canhaptic.files import read_regular
 from canhaptic.lab.studies import Row
 
 _LARGEST: Final = 1_000_000_000  # [B] of one file

@@ -21,7 +21,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, Self
 from pydantic import Discriminator, Tag, ValidationInfo, field_serializer, model_validator
 
 from canhaptic.errors import ParameterError
-from canhaptic.input_file import read_regular
+from canhaptic.files import read_regular
 from canhaptic.own_results import FORCE, watch
 from canhaptic.sim.plant.assembly import Account, NonlinearForce, Part, PlantModel, Rows
 from canhaptic.units import Parameters, PrintablePath, PrintableText, Unit, quantity

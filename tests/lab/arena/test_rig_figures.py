@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from canhaptic.input_file import shipped
+from canhaptic.files import shipped
 from canhaptic.lab.studies import arena
 from canhaptic.lab.studies.arena import DAMPINGS, borders, impedances, mass_widths, theory, tried_stiffnesses
 
