@@ -11,6 +11,7 @@ from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.environments.coulomb_surface import CoulombSurface
 from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.environment import knows_turns, outside_of, plain
+from canhaptic.control.environments.hardening_wall import HardeningWall
 from canhaptic.control.environments.own_environment import OwnEnvironment
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
@@ -184,3 +185,9 @@ def test_the_way_out_of_ones_own_environment_is_known_as_far_as_its_contact_is_o
         assert medium.one_way(0.3) == (0.3, 0.3)
     assert Centre(position=0.1).one_way(0.3) == (0.1, math.inf)
     assert Centre(position=0.1).one_way(0.1) == (0.1, 0.1)
+
+
+@pytest.mark.parametrize(("hardening", "expected"), [(0.0, 200.0), (1.0, None)])
+def test_a_hardening_wall_is_linear_without_hardening_alone(hardening, expected):
+    """The certificates rest on one stiffness, or on none."""
+    assert HardeningWall(stiffness=200.0, hardening=hardening).linear_stiffness == expected
