@@ -402,6 +402,15 @@ def _uncertainty(properties: AdmittanceProperties) -> float:
     return properties.force_error + (0.0 if properties.is_mean else sloped)
 
 
+_SPEEDING_UP: Final = (
+    "before a steady speed v the hand puts in m v^2 / 2 less energy_allowance; slowing down is not limited, so that "
+    "the mass fitted to a whole run may be lighter"
+)
+_WITHOUT_GUARD: Final = (
+    "M + c tau; the guard still acts in short or slow motion, if the account is more uncertain than the damper loses"
+)
+
+
 def _of_guard(
     axis: AxisScene, known: GuardedAdmittanceParameters, properties: AdmittanceProperties, asked: float | None
 ) -> list[Hint]:
@@ -411,13 +420,13 @@ def _of_guard(
     holds = properties.delay + 1 + known.max_consecutive_losses
     lag = (properties.delay + 0.5 + properties.latency) * time
     lag += 1.0 / (2.0 * pi * properties.filter) if properties.filter else 0.0
-    felt = mass + 0.5 * (holds + properties.latency) * time * gain
+    felt = mass + 0.5 * holds * time * gain
     never = mass + gain * lag
     start = sqrt(4.0 * known.energy_allowance / (gain * time * holds))
     about = "" if asked is None else f"; asked {asked:g} {unit}"
     hints = [
-        Hint(name, "mass felt, at least", felt, None, unit, f"while the guard acts, for every hand{about}"),
-        Hint(name, "mass from which the guard never acts", never, None, unit, "passive without it: M + c tau" + about),
+        Hint(name, "mass to speed up from rest, at least", felt, None, unit, f"{_SPEEDING_UP}{about}"),
+        Hint(name, "mass that is passive without a guard", never, None, unit, f"{_WITHOUT_GUARD}{about}"),
         Hint(name, "speed at which motion starts", start, None, speed_unit, "by energy_allowance, with nothing stored"),
     ]
     if known.integral_gain:
@@ -431,7 +440,9 @@ def _of_guard(
         if asked is not None and asked < never:
             border = damping_border(mass, gain, asked, known.hand_stiffness, lag)
             text = f"in place of that mass, for the declared hand_stiffness; {asked:g} {unit} asked"
-            hints.append(Hint(name, "damping from which it never acts", border, None, damping_unit(axis_unit), text))
+            hints.append(
+                Hint(name, "damping that is passive without a guard", border, None, damping_unit(axis_unit), text)
+            )
     if asked is not None and properties.speed_quantum:
         least = asked * properties.speed_quantum / properties.sample_time
         text = "mass times the smallest step of the speed, over T; in mode 8 a step is one count per T"

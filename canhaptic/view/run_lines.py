@@ -88,6 +88,9 @@ def headline_text(name: str, port: PortResult, failure: str = "") -> Text:
     return text.append("".join(f" · {figure}" for figure in _first_figures(port)))
 
 
+_MASS_OFF: Final = 0.05  # of the mass felt from the requested one, beyond which the guard's part is explained
+
+
 def _first_figures(port: PortResult) -> list[str]:
     """Return the figures of the first line: energies, rendered share of the stiffness, mass felt, guarantee."""
     if port["verdict"] in ("no contact", "dry run"):
@@ -102,6 +105,10 @@ def _first_figures(port: PortResult) -> list[str]:
     if "mass" in port:
         found.append(f"mass felt {mass_text(port)}")
     certificate = port.get("certificate", "none")
+    if certificate not in ("none", "exact") and abs((port.get("mass", {}).get("share") or 1.0) - 1.0) > _MASS_OFF:
+        found.append(
+            "guard limited the speed: raise environment.mass as `check` says, lower force.slew, or move further"
+        )
     if port["verdict"] == "yes" and certificate not in ("none", "exact"):
         found.append(f"guarantee rests on: {rests_on(certificate, hand_force=port.get('hand_force'))}")
     if "hold" in port and (port["verdict"] == "yes" or port["hold"].startswith("acts ")):

@@ -378,7 +378,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         stored = environment.stored(inner, speeds, positions), environment.stored(inner, before, positions)
         ceiling = max(*stored, carried)
         slack = self._margin.known + self._allowance - under_way
-        lost = environment.lost(before, self._time)
+        lost = min(environment.lost(before, self._time), max(0.0, self._h_s + h_i - ceiling))
         h_s, surplus, h_r, deficit, leak, paid = settle(self._h_s + h_i, self._surplus, lost, ceiling, slack)
         taken = h_r + leak - paid
         self._margin.known -= taken

@@ -627,6 +627,7 @@ class GuardedAdmittance(AdmittanceController):
             kept = environment.stored(self._inner, largest, display.port.position)
             ceiling = kept if kept > ceiling else ceiling
         lost = environment.damping * before * before * self._time
+        lost = min(lost, max(0.0, self._h_s + h_i - ceiling))  # the damper's loss pays for the uncertainty first
         slack = self._margin.known + allowance - under_way
         if self._hand_force > 0.0:
             slack = max(slack, self._hand.known + allowance - self._force.used(commands))

@@ -335,3 +335,36 @@ def test_where_syncs_are_skipped_the_margin_stays_below_the_true_one(delay: int,
     true = loop.drive.energy - loop.drive.reserve
     assert true - 0.5 < loop.controller._margin.known <= true + 1e-9
     assert loop.controller._axis.missed == 0
+
+
+def _least_room(rig: _Rig, seed: int, **declared: float) -> tuple[float, float]:
+    """Least of energy received, plus the allowance, less that of the drive and of its commands; and the largest [J]."""
+    random = np.random.default_rng(seed)
+    loop = _Loop(rig, rig.controller(**declared), random)
+    hand = _steady(_random_hand(random), loop.drive.substeps)
+    least, carried = math.inf, 0.0
+    for _ in range(400):
+        loop.sync(hand)
+        if loop.fastest > rig.acceleration:
+            break
+        speed = float(loop.drive.state[1])
+        commands = sum(loop.controller._commands.sent(age) ** 2 for age in range(rig.delay + 1))
+        needed = 0.5 * rig.mass * speed**2 + 0.25 * rig.gain * rig.time * commands
+        least, carried = min(least, loop.drive.energy + rig.allowance - needed), max(carried, needed)
+    return least, carried
+
+
+def _light(seed: int) -> _Rig:
+    return replace(_random_rig(np.random.default_rng(seed)), corner=0.0, losses=0)
+
+
+@pytest.mark.parametrize("seeds", [range(6), pytest.param(range(6, 150), marks=pytest.mark.slow)], ids=["few", "many"])
+def test_a_speed_takes_the_energy_of_the_least_mass_that_check_says(seeds: range) -> None:
+    found = [_least_room(_light(seed), seed) for seed in seeds]
+    assert min(least for least, _ in found) >= -1e-9
+    assert max(carried for _, carried in found) > 0.05  # something moved
+
+
+def test_a_gain_declared_too_small_lets_a_speed_come_from_less_energy() -> None:
+    found = [_least_room(_light(seed), seed, loop_gain=0.6 * _light(seed).gain) for seed in range(6)]
+    assert min(least for least, _ in found) < -1e-5

@@ -40,7 +40,7 @@ def test_the_mass_is_felt_as_asked_and_a_lighter_one_is_not(
         ("cup_and_ball", [], 2, "expected virtual_mass to design for"),
         ("guided_path", [], 2, "expected virtual_mass to design for"),
         ("force_node", ["simulation.user=null"], 2, "no hand"),
-        ("force_node", ["axes.0.admittance.force.error=30 N"], 1, "no mass is felt as asked"),
+        ("force_node", ["axes.0.speed_limit=0.02 m/s"], 1, "no mass is felt as asked"),
     ],
 )
 def test_what_cannot_be_designed_for_is_refused_in_words(
