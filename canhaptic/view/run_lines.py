@@ -106,9 +106,7 @@ def _first_figures(port: PortResult) -> list[str]:
         found.append(f"mass felt {mass_text(port)}")
     certificate = port.get("certificate", "none")
     if certificate not in ("none", "exact") and abs((port.get("mass", {}).get("share") or 1.0) - 1.0) > _MASS_OFF:
-        found.append(
-            "guard limited the speed: raise environment.mass as `check` says, lower force.slew, or move further"
-        )
+        found.append("guard limited the speed: raise environment.mass or damping, lower force.slew, or move further")
     if port["verdict"] == "yes" and certificate not in ("none", "exact"):
         found.append(f"guarantee rests on: {rests_on(certificate, hand_force=port.get('hand_force'))}")
     if "hold" in port and (port["verdict"] == "yes" or port["hold"].startswith("acts ")):
