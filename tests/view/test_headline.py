@@ -58,7 +58,8 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
          "passive: yes · mass felt 2.96 kg, 98.7 % of requested"),
         ({"passive": "yes", "unit": "m", "mass": {"asked": 6.0, "felt": 4.15, "share": 0.692},
           "certificate": "velocity_loop"}, "passive: yes · mass felt 4.15 kg, 69.2 % of requested · guard limited the "
-         "speed: raise environment.mass or damping, lower force.slew, or move further · guarantee rests on: velocity loop"),
+         "speed: raise environment.mass or damping, lower force.slew, or move further · "
+         "guarantee rests on: velocity loop"),
         ({"passive": "yes", "unit": "rad", "mass": {"asked": 0.02, "felt": None, "share": None}},
          "passive: yes · mass felt not known, 0.02 kg*m^2 requested"),
         ({"passive": "yes", "dry_run": True}, "dry run, no torque was sent"),
