@@ -141,18 +141,21 @@ class PortFigures:
         damping: Sum of the damping rendered in contact [N*s/m].
         felt: Estimator of the mass felt; None if no mass is requested.
         is_requested: Whether a program, or user code in its own process, requests the torques: its storage is unknown.
-        asked: Sum of the efforts requested by the environment of an axis [N].
+        asked: Sum of the magnitudes of the efforts requested by the environment of an axis [N].
         reach: Lowest and highest position of an axis before its first contact [m or rad].
-        rendered: Sum of the efforts sent in the holds with a requested effort, each limited to the drive's limit [N].
+        last_torque: End of the last hold with a requested effort and a torque [sample times since the first SYNC].
+        rendered: Sum of the torques sent in the holds with a requested effort, each positive in the direction of that
+            effort and limited to the drive's limit [N].
         sizes_asked: Sum of the magnitudes of the requested efforts, each limited to the drive's limit [N].
         sizes_sent: Sum of the magnitudes of the torques sent in the holds with a requested effort [N].
+        unanswered: Part of `sizes_asked` after the last torque [N].
     """
 
     __slots__ = (
         "_lowest", "activity", "asked", "beyond_limit", "books_least", "contacts", "damping", "damping_asked", "felt",
-        "is_requested", "least_at_handle",
+        "is_requested", "last_torque", "least_at_handle",
         "least_certain", "least_certain_at_handle", "reach", "rendered", "silent", "sizes_asked",
-        "sizes_sent",
+        "sizes_sent", "unanswered",
     )  # fmt: skip
 
     def __init__(
@@ -161,7 +164,8 @@ class PortFigures:
         self.activity, self.books_least, self.damping_asked = Activity(limits), books_least, damping_asked
         self.least_at_handle = 0.0 if is_damped else None
         self._lowest = self.least_certain = self.least_certain_at_handle = 0.0
-        self.asked = self.rendered = self.damping = self.sizes_asked = self.sizes_sent = 0.0
+        self.asked = self.rendered = self.damping = self.sizes_asked = self.sizes_sent = self.unanswered = 0.0
+        self.last_torque: float | None = None
         self.contacts = self.silent = self.beyond_limit = 0
         self.reach = inf, -inf
         self.felt: MassFelt | None = None
@@ -246,14 +250,17 @@ class AxisPort(PortFigures):
                 exact = -torque * (position - before)
                 meter.leave_open(drive.open_torque, drive.open_time, abs(exact - balance.h_i))
             if (asked := meter.asked) != 0.0:
-                self.asked += asked
                 size, most = abs(asked), meter.accuracy.largest_torque
+                self.asked += size
                 if size > most:  # a hand that is stronger than the drive feels it
                     self.beyond_limit += 1
                     size = most
-                self.rendered -= (torque := max(-most, min(most, balance.torque)))  # the limiter cuts the rest
+                torque = max(-most, min(most, balance.torque))  # the limiter cuts the rest
+                self.rendered -= torque if asked > 0.0 else -torque
                 self.sizes_asked += size
                 self.sizes_sent += abs(torque)
+                self.last_torque = sent if torque else self.last_torque
+                self.unanswered = 0.0 if torque else self.unanswered + size
         if touches:
             self.contacts += 1
             self.damping += balance.damping_rendered

@@ -157,6 +157,8 @@ def _accounts(
     return with_groups(accounts, groups, truth)
 
 
+_UNANSWERED: Final = 0.05
+"""Share of the requested efforts after the last torque, above which the account says when the torque ended."""
 _UNKNOWN: Final[PortResult] = {"dissipated": None, "damping_rendered": {"least": None, "most": None}}
 """Unknown sums of a port whose torques a program, or user code in its own process, requests."""
 
@@ -190,7 +192,9 @@ def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_t
         account["reach"] = list(port.reach)
     if port.damping_asked is not None:
         account["contact"] |= {"asked": port.sizes_asked, "sent": port.sizes_sent, "beyond_limit": port.beyond_limit}
-        damping, stiffness = port.damping_asked * port.contacts, port.rendered / port.asked if port.asked else None
+        _add_end_of_torque(account["contact"], port, sample_time)
+        damping = port.damping_asked * port.contacts
+        stiffness = max(0.0, port.rendered / port.asked) if port.asked else None
         account["rendered"] = {"stiffness": stiffness, "damping": port.damping / damping if damping else None}
     if (felt := port.felt) is not None:
         asked, mass = felt.asked.mass, felt.mass
@@ -207,6 +211,12 @@ def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_t
         account["active_at_handle_since"] = activity.at_handle_since * sample_time
     withdraw_certificates(account, longest_gap=port.longest_gap)
     return account
+
+
+def _add_end_of_torque(contact: verdicts.ContactHolds, port: PortFigures, sample_time: float) -> None:
+    """Add the time of the last torque of an axis [s], if much effort was requested after it."""
+    if port.last_torque is not None and port.unanswered > _UNANSWERED * port.sizes_asked:
+        contact["no_torque_after"] = int(port.last_torque) * sample_time
 
 
 def withdraw_certificates(account: PortResult, *, longest_gap: int) -> None:

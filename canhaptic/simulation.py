@@ -281,19 +281,26 @@ class SimulationResult:
             figure: Figure = energy_figure(log, others=further, labels=[_label(run.scene) for run in others])
         return figure
 
-    def save(self, path: str | PathLike[str]) -> Path:
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the energy log (HDF5) of the run, for `canhaptic inspect` and `EnergyLog.open`; return its path.
 
+        Args:
+            path: File to write.
+            overwrite: Whether a file that exists is replaced.
+
         Raises:
-            InputError: The file exists already, or cannot be written.
+            InputError: The file exists and `overwrite` is false, or it cannot be written.
 
         Example:
             >>> result.save("stiff.h5")  # doctest: +SKIP
         """
         target = Path(path)
         try:
-            with target.open("xb") as file, self._path.open("rb") as log:
+            with target.open("wb" if overwrite else "xb") as file, self._path.open("rb") as log:
                 shutil.copyfileobj(log, file)
+        except FileExistsError:
+            text = f"{target}: exists; choose another name, or replace it with save(..., overwrite=True)"
+            raise InputError(text) from None
         except OSError as error:
             raise InputError(f"{target}: the log cannot be saved ({error.strerror}); choose another name") from error
         return target

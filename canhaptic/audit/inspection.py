@@ -195,11 +195,17 @@ class PortRecord(PortFigures):
         asked, most = port.read("effort_asked", start, stop), self._largest_torque
         booked = (asked != 0.0) & (branch != Branch.HELD)
         asked, sent = asked[booked], np.clip(torque[booked], -most, most)  # beyond it the limiter cuts
-        self.asked += float(asked.sum())
-        self.rendered -= float(sent.sum())
+        sizes = np.minimum(np.abs(asked), most)
+        self.asked += float(np.abs(asked).sum())
+        self.rendered -= float((sent * np.sign(asked)).sum())
         self.beyond_limit += int((np.abs(asked) > most).sum())
-        self.sizes_asked += float(np.minimum(np.abs(asked), most).sum())
+        self.sizes_asked += float(sizes.sum())
         self.sizes_sent += float(np.abs(sent).sum())
+        if (acted := np.flatnonzero(sent)).size:
+            row = start + int(np.flatnonzero(booked)[acted[-1]])
+            self.last_torque, self.unanswered = float(log.deadlines(row, row + 1)[0]), 0.0
+            sizes = sizes[acted[-1] + 1 :]
+        self.unanswered += float(sizes.sum())
         if self._knows_active:
             self._take_active(log, start, port.read("active", start, stop))
         if self._watch is not None or self.felt is not None:

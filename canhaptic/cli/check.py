@@ -30,7 +30,7 @@ from canhaptic.scene.hints import guarantee
 from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import AxisScene, Guess, Scene, refused_values, status_text, values_to_set
 from canhaptic.view.run_lines import make_console
-from canhaptic.view.si import counted
+from canhaptic.view.si import counted, si
 from canhaptic.view.table import Styled, Table
 
 
@@ -160,6 +160,10 @@ class _CheckFindings(NamedTuple):
         halves = halves_rendered(axis, speed)
         shares = "{:.0%} of the force is rendered up to a crest and {:.0%} beyond it"
         both = f" (at {speed:.2g} {unit}, {shares.format(*halves)})" if halves else ""
+        allowance = getattr(axis.passivity.parameters, "energy_allowance", 0.0)
+        if halves and allowance and (spent := halves_rendered(axis, speed, is_spent=True)):
+            left = f"while any of the energy_allowance of {si(allowance, 'J', 3)} is left, {shares.format(*halves)}"
+            both = f" (at {speed:.2g} {unit}: {left}; once it is spent, {spent[0]:.0%} and {spent[1]:.0%})"
         lost = self._under_losses(axis, max(speed, self.felt[name]))
         return f"the wall{at} is felt from an approach speed of {self.felt[name]:.2g} {unit}{both}{lost}"
 
@@ -186,13 +190,14 @@ class _CheckFindings(NamedTuple):
 
     def verdict(self) -> str:
         """One line: whether the scene can run, its wall, the fitness of the drives, bus load and exceeded limits."""
+        over = ", ".join(dict.fromkeys(hint.what for hint in self.exceeded))
         load, fitness = max(budget.periodic_load for budget in self.budgets.values()), Counter(self.fitness).items()
         parts = [
             "" if inf in self.felt.values() else self.wall(),
             *(f"{counted(count, 'drive')} {'is' if count == 1 else 'are'} {word}" for word, count in fitness),
             f"bus load {100.0 * load:.0f} %",
             f"{', '.join(self.scene.unread)} not run, so its parameters are not checked" if self.scene.unread else "",
-            f"{counted(len(self.exceeded), 'limit')} exceeded" if self.exceeded else "",
+            f"{counted(len(self.exceeded), 'limit')} exceeded: {over}" if over else "",
         ]
         return f"{status_text(self.scene)}; {', '.join(part for part in parts if part)}"
 
@@ -336,7 +341,7 @@ def _hint_table(hints: list[limits.Hint], *, texts: bool) -> Table:
     rows = []
     for hint in hints:
         limit = "unknown" if hint.limit is None else f"{hint.limit:.4g} {hint.unit}"
-        asked = "" if hint.asked is None else f"{hint.asked:.4g}"
+        asked = "" if hint.asked is None else f"{hint.asked:.4g}{' EXCEEDED' * (hint.exceeded and hint.concerns)}"
         style = "dim" if not hint.concerns else "yellow" if hint.exceeded else ""
         rows.append([Styled(text, style) for text in (hint.axis, hint.what, limit, asked, hint.text)[: 4 + texts]])
     title = "stability: computed, for every hand as declared; `design` simulates this rig"

@@ -17,8 +17,9 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export, require_library
 from canhaptic.logs.repair import repair, require_readable
 from canhaptic.view.energy_table import inspection_report
-from canhaptic.view.run_lines import make_console
+from canhaptic.view.run_lines import failure_text, make_console
 from canhaptic.view.run_picture import draw_energy
+from canhaptic.view.si import counted
 
 _EXPORTS: Final = ("csv", "parquet", "mat", "mcap")
 
@@ -26,7 +27,8 @@ _EXPORTS: Final = ("csv", "parquet", "mat", "mcap")
 def execute(arguments: argparse.Namespace) -> int:
     """Run the requested checks and write the requested files.
 
-    Returns 0, or 1 if a check, comparison or recomputation fails or the log holds values that are not finite.
+    Returns 0, or 1 if the run failed, if a check, comparison or recomputation fails, or if the log holds values that
+    are not finite.
 
     Raises:
         InputError: A log or an argument cannot be used.
@@ -37,7 +39,9 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.repair is not None:
         kept, lost = repair(arguments.log, arguments.repair)
         if not arguments.json:
-            console.print(f" {arguments.repair}: {kept} cycles saved, {lost} could not be read", soft_wrap=True)
+            console.print(
+                f" {arguments.repair}: {counted(kept, 'cycle')} saved, {lost} could not be read", soft_wrap=True
+            )
         arguments.log = arguments.repair
     if arguments.log.suffix.lower() in {".log", *CONVERTIBLE}:
         return _inspect_frames(arguments, console)
@@ -76,7 +80,8 @@ def _judge(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) ->
 
 def _is_good(result: Inspection) -> bool:
     return (
-        not result["findings"]
+        not failure_text(result)
+        and not result["findings"]
         and all(outcome["holds"] for outcome in result["checks"])
         and result.get("comparison", {}).get("identical", True)
         and all(port["mismatch"] is None and not port["unchecked_rows"] for port in result.get("recomputed", []))

@@ -83,12 +83,13 @@ class LeastMargin(TypedDict):
 
 
 class ContactHolds(TypedDict):
-    """Number of holds in contact, and the torques in them; the last three keys are for a single axis only."""
+    """Number of holds in contact, and the torques in them; the optional keys are for a single axis only."""
 
     holds: int
     without_torque: int
     asked: NotRequired[float]  # sum of the efforts asked for, each at most the torque limit [N or N*m]
     beyond_limit: NotRequired[int]  # holds in which more than the torque limit was asked for
+    no_torque_after: NotRequired[float]  # time of the last torque, if much was asked for after it [s]
     sent: NotRequired[float]  # sum of the sizes of the torques that were sent there [N or N*m]
 
 

@@ -208,7 +208,7 @@ class CodeProcess:
             for descriptor in (ends[0], answers[1]):
                 os.close(descriptor)
             if not self._await_answer(_START):
-                reason = self._text() or f"was not ready within {_START:g} s"
+                reason = self._text().removeprefix(f"{self._names}: ") or f"was not ready within {_START:g} s"
                 self.close()
                 raise InputError(f"{self._names}: in a process of its own: {reason}; correct the program")
 
@@ -242,7 +242,7 @@ class CodeProcess:
         self._in_a_row += 1
         self.longest = max(self.longest, self._in_a_row)
         if failure := self._text():
-            raise OwnCodeError(self._names, failure, f"at SYNC {index}")
+            raise OwnCodeError(self._names, failure.removeprefix(f"{self._names}: "), f"at SYNC {index}")
         if self._in_a_row >= self._most or self._waits:
             code = self._process.poll()
             how = "" if code is None else f"; its process {f'was ended by signal {-code}' if code < 0 else 'has ended'}"

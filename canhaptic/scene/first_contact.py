@@ -105,7 +105,7 @@ def rendered_share(axis: AxisScene, speed: float) -> float:
     return sent / asked if asked else 0.0
 
 
-def halves_rendered(axis: AxisScene, speed: float) -> tuple[float, float] | None:
+def halves_rendered(axis: AxisScene, speed: float, *, is_spent: bool = False) -> tuple[float, float] | None:
     """Return the rendered fractions of the effort against the motion and along it, 0 to 1.
 
     None if no effort acts along the motion. Beyond the crest of a detent the effort pulls the handle onward, which is
@@ -114,7 +114,9 @@ def halves_rendered(axis: AxisScene, speed: float) -> tuple[float, float] | None
     Args:
         axis: Axis for which `can_be_tried` is true.
         speed: Speed of the handle, constant, > 0 [m/s or rad/s].
+        is_spent: Whether nothing is left of the `energy_allowance`.
     """
+    axis = with_declared(axis, {"energy_allowance": 0.0}) if is_spent else axis
     found = _inward(_environment(axis))
     asked, sent = [0.0, 0.0], [0.0, 0.0]
     for effort, torque in _contact(axis, speed) if found else ():

@@ -217,7 +217,8 @@ def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0, pr
         plant = f"plant exact between SYNCs but for {parts}"
     if plants and periods:  # products are per plant on average
         events, products = sum(of.events for of in plants), sum(of.products for of in plants) / len(plants) / periods
-        plant = f"{plant}, {events} event{'' if events == 1 else 's'}, {products:.2g} products per period"
+        each = f"{products:.2g}"
+        plant = f"{plant}, {events} event{'s' * (events != 1)}, {each} matrix product{'s' * (each != '1')} per period"
     if prices:
         plant = f"{plant}, {_priced(prices)}"
     bus = "" if scene.bus_effects is None else f"; bus with {', '.join(scene.bus_effects.named)}"

@@ -10,7 +10,17 @@ from rich.text import Text
 
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE, Verdict
-from canhaptic.view.run_lines import Result, first_active, heading, headlines, line, mass_text, ordered, rests_on
+from canhaptic.view.run_lines import (
+    Result,
+    failure_text,
+    first_active,
+    heading,
+    headlines,
+    line,
+    mass_text,
+    ordered,
+    rests_on,
+)  # fmt: skip
 from canhaptic.view.si import counted, si
 from canhaptic.view.table import Cell, Styled, Table, in_lines
 
@@ -207,15 +217,22 @@ def inspection_report(result: Result) -> RenderableType:
 def inspection_tables(result: Result) -> list[Table]:
     """Return the tables of contacts, events and checks that have rows."""
     tables = []
-    for name, contacts in result.get("contacts", {}).items():
-        port = result["ports"][name]
-        tables.append(_contacts_table(name, contacts, port["unit"], port.get("state_unit", port["unit"])))
-    tables += [_events_table(result.get("events", [])), _checks_table(result.get("checks", []))]
+    runs = [result, *result.get("others", ())]
+    for run in runs:
+        file = f" {Path(run['file']).name}" if len(runs) > 1 else ""
+        for name, contacts in run.get("contacts", {}).items():
+            port = run["ports"][name]
+            unit = port["unit"]
+            tables.append(_contacts_table(f"{file} {name}", contacts, unit, port.get("state_unit", unit)))
+        tables.append(_events_table(run.get("events", []), file))
+    tables.append(_checks_table(result.get("checks", [])))
     return [table for table in tables if table.rows]
 
 
 def _header(result: Result) -> Text:
-    return Text(f" {result['file']}   {si(result['rate'], 'Hz', 3)}   {result['from']:.6g} s to {result['to']:.6g} s")
+    text = Text(" FAILED: ", style="bold red") if failure_text(result) else Text(" ")
+    span = f"{si(result['rate'], 'Hz', 3)}   {result['from']:.6g} s to {result['to']:.6g} s"
+    return text.append(f"{result['file']}   {span}", style="default")
 
 
 def _contacts_table(name: str, contacts: Sequence[Result], unit: str, depth_unit: str) -> Table:
@@ -229,11 +246,11 @@ def _contacts_table(name: str, contacts: Sequence[Result], unit: str, depth_unit
         ]
         for contact in sorted(hardest, key=lambda contact: contact["start"])
     ]  # fmt: skip
-    title = f" {name}: {counted(len(contacts), 'contact')}{shown}"
+    title = f"{name}: {counted(len(contacts), 'contact')}{shown}"
     return Table(title, ("start", "duration", "depth", "peak", "energy taken in"), rows, keys=0)
 
 
-def _events_table(events: Sequence[Result]) -> Table:
+def _events_table(events: Sequence[Result], file: str = "") -> Table:
     more = f", the first {_EVENTS_SHOWN}" if len(events) > _EVENTS_SHOWN else ""
     rows: list[list[Cell]] = [
         [
@@ -242,7 +259,7 @@ def _events_table(events: Sequence[Result]) -> Table:
         ]
         for event in events[:_EVENTS_SHOWN]
     ]  # fmt: skip
-    title = f" {counted(len(events), 'event')}{more}"
+    title = f"{file and file + ':'} {counted(len(events), 'event')}{more}"
     return Table(title, ("time", "cycle", "kind", "port", "what"), rows)
 
 
@@ -279,7 +296,8 @@ def _recomputed_line(recomputed: Result) -> Text:
         return Text(f"{words}, every output equal bit for bit", style="green")
     behind = "a SYNC was skipped; only the bus log has the length of that hold: add --bus-log"
     if recomputed["missing_rows"]:
-        behind = f"{recomputed['missing_rows']} rows are missing"
+        missing = recomputed["missing_rows"]
+        behind = f"{counted(missing, 'row')} {'is' if missing == 1 else 'are'} missing"
     words = f" {recomputed['port']}: the first {counted(recomputed['rows'], 'cycle')} recomputed, equal bit for bit"
     return Text(f"{words}; then {behind}", style="bold red")
 

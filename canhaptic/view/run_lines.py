@@ -15,6 +15,7 @@ from canhaptic.control.verdict import NO_PULL, Headline, PortResult
 from canhaptic.view.si import counted, si
 from canhaptic.view.terminal import visible
 
+_INDENT: Final = "    "
 _PLAIN_WIDTH: Final = 100  # columns, where there is no terminal to ask
 Result = Mapping[str, Any]
 """The account of a run, as `run --json` prints it."""
@@ -28,6 +29,7 @@ _LABELS: Final = {
     "missing": "TPDOs missed", "received": "frames received", "sent": "frames sent",
 }  # fmt: skip
 """Words for figures of the link."""
+_MORE_ENERGY: Final = "raise energy_allowance, or declare the damping of the device"
 _RAN_IN: Final = {"cycle": "the cycle", "process": "a process of its own"}
 _LOSSES: Final = ("skipped_syncs", "missed_tpdos", "missing")
 """Link counters that indicate a problem if they are not zero."""
@@ -53,6 +55,21 @@ class SafeConsole(Console):
         """Yield the segments to show."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(visible(segment.text), segment.style)
+
+
+class _Hanging:
+    """A text whose further lines are indented."""
+
+    def __init__(self, text: Text) -> None:
+        self._text = text
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Text]:
+        if self._text.cell_len <= options.max_width:
+            yield self._text
+            return
+        first, *rest = self._text.wrap(console, options.max_width - len(_INDENT))
+        yield first
+        yield from (Text(_INDENT).append_text(line) for line in rest)
 
 
 def make_console(file: IO[str] | None = None) -> Console:
@@ -96,6 +113,8 @@ def _first_figures(port: PortResult) -> list[str]:
     if port["verdict"] in ("no contact", "dry run"):
         return []
     found = [f"{si(port['in'], 'J', 3)} in, {si(port['out'], 'J', 3)} out"] if "in" in port else []
+    if (ended := port.get("contact", {}).get("no_torque_after")) is not None:
+        found.insert(0, f"no torque after {ended:.4g} s: no energy left for one; {_MORE_ENERGY}")
     share = port["rendered"]["stiffness"] if "rendered" in port else None
     if share is not None:
         what = _RENDERED.get(port.get("environment", ""), "stiffness")
@@ -124,7 +143,8 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
         is_ours = "why" in port and "yes" in (port["passive"], port.get("passive_at_handle"))
         found += [(", ", port["why"])] if is_ours else []
         found += [(", ", f"within an allowance of {si(allowance, 'J', 3)}")] if allowance else []
-        found += [(", ", "at the handle")] if at_handle and port["passive"] != "yes" else []
+        motor = {"no": "NO"}.get(port["passive"], port["passive"])
+        found += [(", ", f"at the handle (at the motor: {motor})")] if at_handle and motor != "yes" else []
     said = (port["passive"], port.get("passive_at_handle"))
     if word in ("yes", "no") and plant is not None and word not in said:
         is_misled = word == "no" and "yes" in said
@@ -184,7 +204,7 @@ def headlines(result: Result) -> list[RenderableType]:
     """Return the first line of each port with its own account."""
     failure = failure_text(result)
     ports = {name: result["ports"][name] for name in ordered(result.get("ports", {}))}
-    return [headline_text(name, of, failure) for name, of in ports.items() if "verdict" in of]
+    return [_Hanging(headline_text(name, of, failure)) for name, of in ports.items() if "verdict" in of]
 
 
 def ordered(ports: Mapping[str, PortResult]) -> list[str]:

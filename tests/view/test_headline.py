@@ -5,11 +5,11 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from rich.console import RenderableType
+from rich.console import Console, RenderableType
 
 from canhaptic.control.verdict import headline
 from canhaptic.view.energy_table import energy_report
-from canhaptic.view.run_lines import brief_report, headline_text, make_console
+from canhaptic.view.run_lines import brief_report, headline_text, headlines, make_console
 
 CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
 
@@ -23,12 +23,13 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
         ({"passive": "yes", **CERTIFIED, "hand_force": 5.0}, "passive: yes · guarantee rests on: hand force"),
         ({"passive": "yes", "why": "by certificate", "energy_allowance": 1e-4, **CERTIFIED},
          "passive: yes, by certificate, within an allowance of 100 uJ · guarantee rests on: hand force"),
-        ({"passive": "no", "passive_at_handle": "yes", "why": "measured"}, "passive: yes, measured, at the handle"),
+        ({"passive": "in doubt", "passive_at_handle": "yes", "why": "measured"},
+         "passive: yes, measured, at the handle (at the motor: in doubt)"),
         ({"passive": "in doubt", "energy_resolution": 0.5, "why": "the contact acts as if 4 counts deep, 20 needed"},
          "passive: in doubt: the account is uncertain by +-500 mJ; the contact acts as if 4 counts deep, 20 needed"),
         ({"passive": "yes", "energy_allowance": 1e-4}, "passive: yes, within an allowance of 100 uJ"),
         ({"passive": "no", "passive_at_handle": "yes", **CERTIFIED},
-         "passive: yes, at the handle · guarantee rests on: hand force"),
+         "passive: yes, at the handle (at the motor: NO) · guarantee rests on: hand force"),
         ({"passive": "in doubt", "plant_passive": "yes"}, "passive: yes, by the plant; the account alone cannot tell"),
         ({"passive": "in doubt", "plant_passive": "no"}, "passive: NO, by the plant; the account alone cannot tell"),
         ({"passive": "yes", "plant_passive": "no"},
@@ -62,6 +63,9 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
          "guarantee rests on: velocity loop"),
         ({"passive": "yes", "unit": "rad", "mass": {"asked": 0.02, "felt": None, "share": None}},
          "passive: yes · mass felt not known, 0.02 kg*m^2 requested"),
+        ({"passive": "yes", "contact": {"holds": 9, "without_torque": 5, "no_torque_after": 4.2}},
+         "passive: yes · no torque after 4.2 s: no energy left for one; raise energy_allowance, or declare the damping "
+         "of the device"),
         ({"passive": "yes", "dry_run": True}, "dry run, no torque was sent"),
     ],
 )  # fmt: skip
@@ -79,3 +83,13 @@ def test_a_run_that_failed_says_so_before_its_verdict(report: Callable[[Any], Re
     make_console(file).print(report({**result, "status": status}), report({**result, "status": "stopped"}))
     heads = [line for line in file.getvalue().splitlines() if line.startswith(" knob: ")]
     assert heads == [" knob: FAILED after 512 cycles; until then passive: yes", " knob: passive: yes"]
+
+
+def test_a_first_line_that_is_too_long_goes_on_indented() -> None:
+    port: Any = {"passive": "in doubt", "verdict": "in doubt", "certificate": "none", "why": "word " * 40}
+    text = io.StringIO()
+    Console(file=text, width=80).print(*headlines({"ports": {"handle": port}}))
+    first, *rest = text.getvalue().rstrip().splitlines()
+    assert first.startswith(" handle: passive: in doubt")
+    assert rest
+    assert all(line.startswith("    word") and len(line) <= 80 for line in rest)

@@ -146,8 +146,9 @@ def _damping(account: _Account, group: _Account) -> str:
     return f"{rendered['least']:.3g}..{rendered['most']:.3g} {damping_unit(group['unit'])}"
 
 
-def _guaranteed(certificate: str, _unit: str) -> str:
-    return rests_on(certificate).removeprefix("device ")
+def _premise(account: _Account) -> str:
+    words = rests_on(account["certificate"], hand_force=account.get("hand_force"))
+    return words.removeprefix("device ").removeprefix("moving mass, ")
 
 
 def row_of(name: str, figure: Figure) -> _Row:
@@ -174,7 +175,7 @@ _ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
     _Row("passive, by the plant", lambda a, _: _verdict(a)),
     *(row_of(name, figure) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.label),
-    _Row("guarantee rests on", lambda a, _: a["certificate"] if a["contact"] else None, _guaranteed),
+    _Row("guarantee rests on", lambda a, _: _premise(a) if a["contact"] else None),
     _Row("time of a step", lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
 )
 _GROUP_ROWS: Final = (
@@ -189,7 +190,7 @@ _GROUP_ROWS: Final = (
     _Row("dissipated", lambda a, _: a["dissipated"], _joule),
     _Row("energy created by sampling, peak", lambda a, _: a["surplus"]["max"], _joule),
     _Row("damping rendered", _damping),
-    _Row("guarantee rests on", lambda a, _: a["certificate"], _guaranteed),
+    _Row("guarantee rests on", lambda a, _: _premise(a)),
 )
 _DISPLAY_ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
@@ -198,7 +199,7 @@ _DISPLAY_ROWS: Final = (
     _Row("uncertainty of the account, +-", lambda a, _: a["account"]["energy_resolution"], _joule),
     _Row("passive, by the account", lambda a, _: a["account"]["passive"]),
     _Row("passive, by the plant", lambda a, _: _verdict(a)),
-    _Row("guarantee rests on", lambda a, _: a["account"]["certificate"], _guaranteed),
+    _Row("guarantee rests on", lambda a, _: _premise(a["account"])),
     _Row("net energy, from the plant", lambda a, _: a["truth"]["interaction"], _joule),
     _Row("lowest net energy, from the plant", lambda a, _: a["truth"]["least_interaction"], _joule, is_bounded=True),
 )

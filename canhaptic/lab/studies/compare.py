@@ -217,6 +217,7 @@ def _of_axis(
             "engine": None if run is None else run.engine,
             **(figures(axis_loop.environment_of(axis), run, reference, scene.bus.sample_time,
                        axis.parameters.torque_limit) if run is not None and run.position.size else {}),
+            "hand_force": getattr(axis.passivity.parameters, "hand_force", None),
             "microseconds_per_step": cost.get(name),
         }  # fmt: skip
     account = {

@@ -1,0 +1,71 @@
+"""What a newcomer reads of a run, in the terminal and from Python: shares, failures, two logs, a second save."""
+
+from pathlib import Path
+
+import h5py
+import pytest
+
+import canhaptic
+from canhaptic.cli.main import main
+from canhaptic.errors import InputError
+
+SPENT = {"passivity.device_damping": 0.0, "passivity.energy_allowance": "20 uJ"}
+
+
+def test_a_knob_whose_allowance_is_spent_says_when_its_torque_ended_and_a_share_that_is_not_negative(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = canhaptic.simulate("rotary_knob", SPENT, duration=1.0)
+    port, samples = result.account.raw["ports"]["knob"], result.to_numpy()
+    acted = result.time[abs(samples["knob.torque_command"]).nonzero()[0][-1]]
+    assert port["contact"]["no_torque_after"] == pytest.approx(acted, abs=2e-3)
+    assert 0.0 <= (port["rendered"]["stiffness"] or 0.0) <= 0.25
+    assert main(["inspect", str(result.save(tmp_path / "knob.h5"))]) == 0
+    assert f"no torque after {acted:.4g} s" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_knob_that_gives_energy_back_is_rendered_as_requested() -> None:
+    result = canhaptic.simulate("rotary_knob", duration=1.0)
+    port = result.account.raw["ports"]["knob"]
+    assert port["rendered"]["stiffness"] == pytest.approx(1.0, abs=0.01)
+    assert "no_torque_after" not in port["contact"]
+
+
+def test_check_says_what_is_rendered_of_a_detent_once_the_allowance_is_spent() -> None:
+    wall = canhaptic.check("rotary_knob", SPENT)["wall"]
+    assert "while any of the energy_allowance of 20.0 uJ is left" in wall
+    assert "once it is spent, 0% and 0%" in wall
+
+
+def test_the_log_of_a_failed_run_says_so_first_and_ends_with_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = canhaptic.simulate("demo", duration=0.1).save(tmp_path / "run.h5")
+    assert main(["inspect", str(path)]) == 0
+    with h5py.File(path, "r+") as file:
+        file.attrs["status"] = "failed: LinkError"
+    capsys.readouterr()
+    assert main(["inspect", str(path)]) == 1
+    assert capsys.readouterr().out.startswith(" FAILED: ")
+
+
+def test_two_logs_show_the_contacts_of_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = (
+        canhaptic.simulate("rotary_knob", {"environment.peak": f"{of} mN*m"}, duration=0.1).save(tmp_path / f"{of}.h5")
+        for of in (20, 40)
+    )
+    main(["inspect", str(first), str(second)])
+    text = capsys.readouterr().out
+    assert " 20.h5 knob: " in text
+    assert " 40.h5 knob: " in text
+
+
+def test_a_second_save_is_one_clear_error_unless_overwrite_is_given(tmp_path: Path) -> None:
+    result, path = canhaptic.simulate("demo", duration=0.05), tmp_path / "run.h5"
+    result.save(path)
+    with pytest.raises(InputError, match=r"run\.h5: exists; choose another name, or .*overwrite=True") as caught:
+        result.save(path)
+    assert caught.value.__suppress_context__
+    result.save(path, overwrite=True)
+    with canhaptic.EnergyLog(path) as log:
+        assert log.rows == 50
