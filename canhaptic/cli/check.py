@@ -281,7 +281,8 @@ def _print_findings(console: Console, found: _CheckFindings, *, full: bool) -> N
             console.print(f"  worst cycle: {budget.arithmetic()}", markup=False, soft_wrap=True)
             console.print(f"  periodic load of the bus: {100.0 * budget.periodic_load:.1f} %\n")
         else:
-            console.print(f"{bus}: frames take at most {used:.0f} us of a cycle of {most:.0f} us", markup=False)
+            worst = f"worst cycle {used:.0f} of {most:.0f} us, with heartbeats, an EMCY and the host"
+            console.print(f"{bus}: {worst}; {100.0 * budget.periodic_load:.0f} % load on average", markup=False)
     for axis in found.scene.axes:
         name = axis.parameters.name
         if rows := [row for row in found.findings[name] if full or row.verdict is not Verdict.FIT]:

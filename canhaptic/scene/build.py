@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
 import can
 
+from canhaptic.axis_units import effort_unit
 from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.control.ledger import EnergyLossMeter
 from canhaptic.control.verdict import PortResult
@@ -370,7 +371,7 @@ def _require_push(source: str, axes: Sequence[AxisScene], controllers: Sequence[
                 f"{source}: passivity of {axis.parameters.name}: hand_push: not declared, expected the largest "
                 f"force with which the hand pushes against the effort: environment {axis.environment.name!r} has more "
                 "than one exit, and where they meet the hand pushes out of one contact into the next; declare it "
-                "(hand_push: 20 N), or hand_force: null with another certificate"
+                f"(hand_push: 20 {effort_unit(axis.parameters.unit)}), or hand_force: null with another certificate"
             )
 
 

@@ -319,12 +319,13 @@ def _felt_hints(axis: AxisScene, response: bounds.DisplacementResponse, lag: int
     limit = bounds.renderable_by_hand_force(response, lag, push)
     what = f"stiffness felt at a push of {push:.3g} {effort_unit(axis.parameters.unit)}"
     slowest = bounds.start_speed(response, axis.loop.sample_time, lag, axis.loop.encoder_count)
-    begins, name, unit = "from zero energy", axis.parameters.name, f"{axis.parameters.unit}/s"
+    begins, name = "from zero energy; a slower one meets it later in the wall, if at all", axis.parameters.name
+    unit = f"{axis.parameters.unit}/s"
     if friction := axis.loop.device_friction:
         slowest, begins = 0.0, f"up to device_friction {friction:g} at once, more with the energy below"
     return [
         _hint(axis, what, limit, f"{text}{_share(limit, stiffness)}"),
-        Hint(name, "approach speed for a first torque, from", slowest, None, unit, f"{begins}; {text}"),
+        Hint(name, "approach speed for a torque at once, from", slowest, None, unit, f"{begins}; {text}"),
         *_energy_hint(axis, response, lag, min(stiffness or limit, limit)),
     ]
 

@@ -18,6 +18,8 @@ from rich.text import Text
 
 _ENDLESS: Final = 100_000  # columns, to measure what a table would take
 
+_ROOM: Final = 14  # columns for text of several words
+
 
 class Styled(NamedTuple):
     """A cell with a style."""
@@ -102,7 +104,8 @@ class Table:
         parts = [every] if self.keys is None else self._parts(self.keys, lambda some: fits(some, space))
         for number, indices in enumerate(parts):
             fold = self.keys is None or not fits(indices, space)
-            yield self._drawn(indices, space, "" if number else self.title, fold=fold)
+            whole = self._words(options.max_width) if fold else []
+            yield self._drawn(indices, space, "" if number else self.title, fold=fold, whole=whole)
 
     def _parts(self, named: int, fits: Callable[[Sequence[int]], bool]) -> Iterator[Sequence[int]]:
         """Yield the column indices of each table."""
@@ -115,14 +118,25 @@ class Table:
             taken.append(index)
         yield taken
 
-    def _drawn(self, indices: Sequence[int], space: int, title: str = "", *, fold: bool = False) -> TerminalTable:
+    def _words(self, width: int) -> list[int]:
+        """Return the columns of single words, such as keys, if these fit unbroken and leave room for the others."""
+        rows = filter(None, map(_styled, self.rows))
+        texts = [[Styled(head), *cells] for head, *cells in zip(self.columns, *rows, strict=True)]
+        found = [n for n, cells in enumerate(texts) if not any(" " in cell.text.strip() for cell in cells)]
+        taken = sum(max(len(cell.text) for cell in texts[n]) for n in found)
+        return found if taken + _ROOM * (len(texts) - len(found)) + 2 * len(texts) <= width else []
+
+    def _drawn(
+        self, indices: Sequence[int], space: int, title: str = "", *, fold: bool = False, whole: Sequence[int] = ()
+    ) -> TerminalTable:
         drawn = TerminalTable(
             title=Text(title) if title else None, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD,
             pad_edge=self.keys is None, padding=(0, space, 0, space if self.keys is None else 0),
         )  # fmt: skip
         for index in indices:
             side: Literal["left", "right"] = "left" if self.keys is None or index < self.keys else "right"
-            drawn.add_column(Text(self.columns[index]), justify=side, no_wrap=not fold, overflow="fold")
+            is_whole = not fold or index in whole
+            drawn.add_column(Text(self.columns[index]), justify=side, no_wrap=is_whole, overflow="fold")
         for row in map(_styled, self.rows):
             if row:
                 drawn.add_row(*(Text(row[index].text, row[index].style) for index in indices))

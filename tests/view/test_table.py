@@ -146,3 +146,15 @@ def test_a_broken_name_keeps_every_letter_and_the_width(text: str, width: int) -
     lines = in_lines(text, width).split("\n")
     assert "".join(lines) == text
     assert all(len(line) <= width for line in lines)
+
+
+def test_keys_stay_in_one_piece_beside_text_that_folds() -> None:
+    rows = [["passivity.device_friction_bound", "0.00128 N*m", "must not be below the real value of dry friction " * 3]]
+    out = io.StringIO()
+    Console(file=out, width=80).print(Table("to set", ("key", "guess", "what belongs there"), rows))
+    lines = out.getvalue().splitlines()
+    assert sum("passivity.device_friction_bound" in line for line in lines) == 1
+    assert max(map(len, lines)) <= 80
+    narrow = io.StringIO()
+    Console(file=narrow, width=30).print(Table("to set", ("key", "guess", "what belongs there"), rows))
+    assert max(map(len, narrow.getvalue().splitlines())) <= 30

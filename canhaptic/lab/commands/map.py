@@ -59,7 +59,9 @@ def _lines(columns: list[list[Panel | None]]) -> list[dict[str, object]]:
 
 
 def _share(name: str, share: float, by: str, untouched: float, unrendered: float) -> str:
-    words = [f"{100.0 * share:.3g} % of the scenes with a contact pass (judged by: {by})"] if untouched < 1.0 else []
+    of_loop = ", eigenvalues of the loop; it promises no passivity" if by == "stable" else ""
+    passed = f"{100.0 * share:.3g} % of the scenes with a contact pass (judged by: {by}{of_loop})"
+    words = [passed] if untouched < 1.0 else []
     words += [f"{100.0 * unrendered:.3g} % rendered nothing"] if unrendered else []
     words += [f"{100.0 * untouched:.3g} % had no contact"] if untouched else []
     return f" {name}: {', '.join(words)}"

@@ -512,7 +512,8 @@ def _panel(fields: list[MapField], z: str, x: str, at: dict[str, float]) -> Line
     curves += _theory(plain, _OF_PLAIN_WALL, x, at)
     for ours in (one for one in fields if one.algorithm == _OURS):
         curves += _theory(ours, {"certificate": "largest certificate of guarded"}, x, at)
-    note = f"{_judged(field, common_judgement(field))}; worst case over all other keys; none: no wall tried passes"
+    note = f"solid: simulated, broken: theory; {_judged(field, common_judgement(field))}; "
+    note += "worst case over all other keys; none: no wall tried passes"
     title = f"stiffest wall that is passive and within {100.0 * NEAR:g} %{field.words(at)}"
     return _lines(field, title, x, z, curves, note)
 

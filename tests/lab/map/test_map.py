@@ -241,6 +241,7 @@ def test_on_top_are_all_algorithms_in_one_panel_with_theory(two_controllers):
             np.testing.assert_array_equal(lines[name].y, [expected[name, damping, i] for i in range(len(rates))])
         assert ("Colgate, plain wall" in lines) == (damping == 0.0)  # its damper of 2 N*s/m is beyond the device's
         assert "largest certificate of guarded" in lines
+        assert column[0].note.startswith("solid: simulated, broken: theory; ")
 
 
 def test_the_eigenvalues_of_a_hand_that_hardly_holds_are_at_colgates_bound(plain_wall):
