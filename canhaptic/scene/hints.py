@@ -404,8 +404,8 @@ def _uncertainty(properties: AdmittanceProperties) -> float:
 
 
 _SPEEDING_UP: Final = (
-    "before a steady speed v the hand puts in m v^2 / 2 less energy_allowance; slowing down is not limited, so that "
-    "the mass fitted to a whole run may be lighter"
+    "from the start to a steady speed v the hand puts in m v^2 / 2 less energy_allowance; later moves use energy left "
+    "from earlier ones, so the mass of a whole run may be as light as requested"
 )
 _WITHOUT_GUARD: Final = (
     "M + c tau; the guard still acts in short or slow motion, if the account is more uncertain than the damper loses"
@@ -426,7 +426,7 @@ def _of_guard(
     start = sqrt(4.0 * known.energy_allowance / (gain * time * holds))
     about = "" if asked is None else f"; asked {asked:g} {unit}"
     hints = [
-        Hint(name, "mass to speed up from rest, at least", felt, None, unit, f"{_SPEEDING_UP}{about}"),
+        Hint(name, "mass felt at the first move, at least", felt, None, unit, f"{_SPEEDING_UP}{about}"),
         Hint(name, "mass that is passive without a guard", never, None, unit, f"{_WITHOUT_GUARD}{about}"),
         Hint(name, "speed at which motion starts", start, None, speed_unit, "by energy_allowance, with nothing stored"),
     ]

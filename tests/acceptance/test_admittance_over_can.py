@@ -77,7 +77,7 @@ def test_a_declared_jitter_raises_the_mass_felt_and_lowers_the_speed_of_the_star
     even, uneven = ({hint.what: hint.limit or 0.0 for hint in display_hints(load_scene(SCENE, values))}
                     for values in ((), ("passivity.sync_jitter=20 %",)))  # fmt: skip
     drive_mass, start = 2.1, "speed at which motion starts"
-    least = "mass to speed up from rest, at least"
+    least = "mass felt at the first move, at least"
     assert uneven[least] - drive_mass == pytest.approx(1.2 * (even[least] - drive_mass))
     assert uneven[start] == pytest.approx(even[start] / math.sqrt(1.2))
 
@@ -507,7 +507,7 @@ def test_check_prints_what_a_user_wants_before_the_first_touch(capsys: pytest.Ca
     assert main(["check", str(SCENE), "--json", "--set", "axes.0.admittance.force.frozen_after=50"]) == 0
     hints = {hint["what"]: hint["limit"] for hint in json.loads(capsys.readouterr().out)["stability"]}
     gain, mass, time = 660.0, 2.1, 1e-3
-    assert hints["mass to speed up from rest, at least"] == pytest.approx(mass + gain * time)
+    assert hints["mass felt at the first move, at least"] == pytest.approx(mass + gain * time)
     assert hints["mass that is passive without a guard"] == pytest.approx(mass + 1.5 * gain * time)
     assert hints["speed at which motion starts"] == pytest.approx((4e-3 / (2.0 * gain * time)) ** 0.5)
     assert hints["force uncertainty of the account"] == pytest.approx(5e3 * time / 4.0 + 0.05)

@@ -26,7 +26,7 @@ def check_of_mass(person: Person, *sets: str) -> tuple[float, float]:
     """The mass that is asked for and the least that is felt, as `check` prints them."""
     found = json.loads(person.types("check", "rig.yaml", *sets, "--json"))
     [axis] = found["config"]["axes"].values()
-    [least] = [hint["limit"] for hint in found["stability"] if hint["what"] == "mass to speed up from rest, at least"]
+    [least] = [hint["limit"] for hint in found["stability"] if hint["what"] == "mass felt at the first move, at least"]
     return axis["environment"]["mass"], least
 
 
