@@ -204,7 +204,7 @@ def root() -> Iterator[Row]:
         if stiffness and chance.random() < 0.3:
             energy = -effort * effort / (2.0 * stiffness) * (1.0 - chance.randrange(64) * 2.0**-52)
         found = solve_balance(stiffness, effort, energy, displacement)
-        if found is None:
+        if math.isnan(found):
             continue
         tried += 1
         worst = max(worst, ulps(found, exact_root(stiffness, effort, energy)))
