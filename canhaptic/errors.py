@@ -275,7 +275,7 @@ class ForceRangeError(DriveFaultError):
 
 
 class ForceFrozenError(DriveFaultError):
-    """The force sensor of an admittance display shows one count for too long."""
+    """The force sensor of an admittance display has sent the same count for too long."""
 
 
 class PositionJumpError(DriveFaultError):

@@ -339,7 +339,7 @@ class Parameters(BaseModel, metaclass=_ParametersMeta):
 
     @classmethod
     def validated(cls, values: Mapping[str, Any], motion: Motion | None = None) -> Self:
-        """Return the parameters of an axis that moves in metres or radians.
+        """Check parameters, in the unit of the axis (m or rad), and return them as a model.
 
         Raises:
             ParameterError: A value is missing or wrong; names each.

@@ -1,4 +1,4 @@
-"""`canhaptic scope LOG`: show a log that is being written as a live page, from a process that only reads."""
+"""`canhaptic scope LOG`: a live page of a log that is still being written, from a process that only reads."""
 
 import argparse
 from pathlib import Path

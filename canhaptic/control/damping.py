@@ -49,7 +49,7 @@ class DamperVelocity(Parameters):
         return encoder_count
 
     def longest_window(self, sample_time: float) -> int:
-        """Return the longest window of `windowed`, in samples of a sample time [s]."""
+        """Return the number of samples in the longest window of a `windowed` velocity, at a sample time [s]."""
         return max(2, round(self.velocity_window / sample_time))
 
 

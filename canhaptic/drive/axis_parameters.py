@@ -109,7 +109,7 @@ class BusParameters(Parameters):
 
     @property
     def drive_silence_ns(self) -> int:
-        """Silence [ns] of a drive that the master tolerates: three heartbeats at least."""
+        """Longest silence of a drive that the master tolerates [ns]: three heartbeats at least."""
         return max(round(self.heartbeat_timeout * 1e9), 3 * round(self.heartbeat_period * 1e9))
 
 

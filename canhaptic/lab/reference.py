@@ -225,7 +225,7 @@ REST: Final = 0.02
 
 
 class ContinuousReference(NamedTuple):
-    """Motion and torque of an axis in the continuous environment, with the grid of a sampled run."""
+    """Motion and torque of an axis in the continuous environment, at the SYNCs of a sampled run."""
 
     position: Array  # at SYNC k, shape (n,) [m or rad]
     torque: Array  # mean over the hold that ended at SYNC k, shape (n,) [N or N*m]

@@ -42,7 +42,7 @@ ALLOWANCES: Final = tuple(10.0**power for power in range(-9, -2))
 
 
 class Remedy(NamedTuple):
-    """A declaration that keeps a wall from being rendered, and a value that does not."""
+    """A declaration that prevents a wall from being rendered, and a value that would allow it."""
 
     key: str
     value: float  # as declared

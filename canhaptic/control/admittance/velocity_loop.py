@@ -104,10 +104,12 @@ class VelocityLoop:
         return torque >= self.torque_limit
 
     def gained(self, lead: float, commands: Commands, moved: float) -> float:
-        """Return the least change of the margin W = E - V over the hold that ended, by encoder and commands [J].
+        """Return a lower bound, from encoder and commands, on the change of W in the hold that ended [J].
+
+        W = E - V: energy received less energy stored in mass and drive.
 
         Args:
-            lead: Lead at the beginning of the hold [m or rad].
+            lead: Commanded less measured position at the beginning of the hold [m or rad].
             commands: Ring buffer of the commands sent.
             moved: Displacement in the hold [m or rad].
         """

@@ -209,7 +209,7 @@ class StoresNothing(Everywhere):
         return 0.0
 
     def state_of_energy(self, energy: float, like: float) -> float:
-        """Return 0: no state stores energy."""
+        """Return 0 J: no state stores energy."""
         return 0.0
 
 

@@ -422,7 +422,7 @@ def per_axis_memory(limits: PerAxisLimits) -> PerAxisMemory:
 
 
 def write_parabolas(memory: PerAxisMemory, place: int, old: float, new: float, base: float, slope: float) -> int:
-    """Store the energies of an old torque and of l times a new one over a motion base + slope l, as parabolas in l."""
+    """Store, as parabolas in l, the energies of the old torque and of l times the new one over base + slope * l."""
     if old > 0.0:
         memory.constant[place], memory.linear[place], memory.square[place] = old * base, old * slope, 0.0
         place += 1

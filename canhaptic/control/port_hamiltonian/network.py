@@ -183,8 +183,8 @@ class DampingMatrix(Parameters):
         symmetric_positive(self.matrix, "matrix", "a damper that gives energy is not rendered")
         if bool(self.states) == bool(self.ports) or len(self.states or self.ports) != len(self.matrix):
             raise ValueError(
-                f"got {len(self.states)} states and {len(self.ports)} ports for {len(self.matrix)} rows, expected one "
-                "state for each row, or one port for each row"
+                f"got {len(self.states)} states and {len(self.ports)} ports for {len(self.matrix)} rows, expected either "
+                "`states`, one for each row, or `ports`, one for each row"
             )
         if len(set(self.states)) < len(self.states) or len(set(self.ports)) < len(self.ports):
             raise ValueError(f"got states {self.states} and ports {self.ports}, expected each of them once")
@@ -320,7 +320,7 @@ class UserFunctions:
                     slopes[at + j] += 0.5 * sum(row[at + i] * column[i] for i in range(size))
 
     def add_change(self, direction: Buffer, changes: Buffer) -> None:
-        """Add half the Hessian at mid-step times a direction, by one finite difference of the gradient."""
+        """Add to `changes` half the Hessian at mid-step times a direction, by one finite difference of the gradient."""
         for (at, storage), middle in self._at:
             way = list(direction[at : at + storage.size])
             length = sum(abs(d) for d in way)

@@ -221,7 +221,10 @@ def _force(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[ReadBack
     if bits is None:
         seen = f"admittance.force.object {axis.admittance.force.object} is not "
         seen += "in the dictionary" if variable is None else "INTEGER16 or INTEGER32"
-        raise DictionaryError(f"{axis.name}: {axis.eds}: {seen}; name the force's object")
+        raise DictionaryError(
+            f"{axis.name}: {axis.eds}: {seen}; set admittance.force.object to the "
+            "object of the drive that holds the force"
+        )
     return "none", MappedObject(index, subindex, bits, signed=True)
 
 

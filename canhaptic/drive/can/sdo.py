@@ -61,7 +61,7 @@ def upload(index: int, subindex: int) -> Transfer:
         if answer[0] & _LAST:
             break
         if len(data) > _LARGEST:
-            raise ProtocolError(f"more than {_LARGEST} bytes")
+            raise ProtocolError(f"more than {_LARGEST} bytes came, the most that is read of one object")
         toggle ^= _TOGGLE
     if size is not None and size != len(data):
         raise ProtocolError(f"{len(data)} of {size} announced bytes came")

@@ -28,7 +28,7 @@ def walk_over_can(scene: Scene, cycles: int, take: _Take) -> list[LedgerSummary]
 
     Args:
         scene: Scene without groups.
-        cycles: SYNCs.
+        cycles: Number of SYNCs.
         take: Called once per cycle and axis.
 
     Raises:
@@ -58,7 +58,7 @@ def render_over_can(scene: Scene, cycles: int, counter: Callable[[], None]) -> l
 
     Args:
         scene: Scene with the algorithm to run.
-        cycles: SYNCs.
+        cycles: Number of SYNCs.
         counter: Called once per cycle and axis.
 
     Raises:

@@ -54,13 +54,13 @@ def respond(run: SampledRun[ForceGradientParameters, _ForceGradientState], hold:
 
 
 def gradient_force(least_force: float, state: _ForceGradientState, wanted: float, depth: float) -> float:
-    """Return the force of the next command without the passivity controller [N or N*m].
+    """Return the next force by the force-gradient rule, before the passivity controller adds damping [N or N*m].
 
     Args:
         least_force: Model force below which no force is rendered [N or N*m].
         state: Force, model force and depth of the last command.
         wanted: Present force of the model [N or N*m].
-        depth: Present state of the model, with the sign of its force [m or rad].
+        depth: Present penetration, with the sign of the model force [m or rad].
     """
     if abs(wanted) <= least_force:
         return 0.0

@@ -127,7 +127,7 @@ def book(works: Any, state: Array, books: Any) -> None:
 
 
 def first_broken(guards: Any, count: int, values: Any, state: Array) -> int:
-    """Return the first guard that is broken at `state`, or NONE."""
+    """Return the first guard (condition of an event) that `state` has crossed, or NONE."""
     for i in range(count):
         if values[i] < 0.0 and values[i] < -_ROUNDING * largest_term(guards, i, state):
             return i

@@ -378,7 +378,7 @@ class AdmittancePlant(Plant):
         return self.reading.take(elapsed, force, read(self._places[0]))
 
     def energy(self) -> PlantEnergy:
-        """Energy through the sensor since the start [J]; `motor` is the display's output."""
+        """Energies since the start [J]; the field `motor` is work of the display on the hand through its sensor."""
         works = self._machine.works()
         user = works[self._user_work] if self._user_work >= 0 else 0.0
         lost = 0.0

@@ -53,7 +53,7 @@ MASS = Mass(mass=1.0)
         (lambda: Damper(viscous=-1.0, beside=0), "expected 0 <= viscous"),
         (lambda: DampingMatrix(matrix=((1.0, 2.0), (2.0, 1.0)), ports=(0, 1)), "least eigenvalue -1"),
         (lambda: DampingMatrix(matrix=((1.0, 0.5), (0.0, 1.0)), ports=(0, 1)), "symmetric"),
-        (lambda: DampingMatrix(matrix=((1.0,),), ports=(0, 1)), "one port for each row"),
+        (lambda: DampingMatrix(matrix=((1.0,),), ports=(0, 1)), "or `ports`, one for each row"),
         (lambda: DampingMatrix(matrix=((1.0, 0.0), (0.0, 1.0)), states=(0, 0)), "each of them once"),
         (lambda: QuadraticForm(matrix=((1.0, 3.0), (3.0, 1.0))), "least eigenvalue -2"),
         (lambda: QuadraticForm(matrix=((1.0, 3.0),)), "square"),

@@ -329,7 +329,7 @@ class Trial:
         )  # fmt: skip
 
     def damping_scale(self, stiffness: float) -> float:
-        """Return a damping near the limit of rendering: it stops the mass in one hold, or is half the critical one."""
+        """Return the larger of m / T, which stops the mass in one hold, and half the critical damping, as a scale."""
         [axis] = self.scene.axes
         mass = simulation_of(axis).plant.mass
         return max(mass / self.scene.bus.sample_time, math.sqrt(stiffness * mass))
@@ -469,7 +469,7 @@ class GroupTrial:
         return _TIME * stiffness
 
     def verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
-        """Run the hands on each network, and judge the networks; see `Trial.verdict`."""
+        """Simulate each hand on each port-Hamiltonian environment, and judge the environments; see `Trial.verdict`."""
         self.walls += len(stiffness)
         pairs = list(zip(stiffness.tolist(), damping.tolist(), strict=True))
         jobs = [
