@@ -162,7 +162,7 @@ def _judge(session: Session, axis: int, fit: _Fit) -> None:
 
 def _judge_drive(session: Session, axis: int, fit: _Fit, mass_unit: str, gain_unit: str) -> None:
     """Judge mass, gains and friction against the declarations of the axis, or of its group."""
-    group = next((one for one in session.scene.groups if one.name == session.axes[axis].group), None)
+    group = session.scene.group_of(session.axes[axis])
     known = (session.axes[axis] if group is None else group).passivity.parameters
     of_group = "" if group is None else f"; in the group {group.name}, the largest of its axes"
     declared = known if isinstance(known, GuardedAdmittanceParameters) else None

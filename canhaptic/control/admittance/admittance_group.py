@@ -285,8 +285,7 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
         request = self._environment.speeds_after(self._inner, before, forces, list(positions), self._time)
         limits = zip(self._each, request, positions, velocities, strict=True)
         certificate = self._send([axis.whole(axis.limited(*of)) for axis, *of in limits])
-        if self._environment.states:
-            self._environment.go_along(self._inner, before, self._own(), self._time)
+        self._environment.go_along(self._inner, before, self._own(), self._time)
         self._watch_limit()
         if self._is_unsure:
             certificate = Certificate.NONE.value
@@ -372,13 +371,14 @@ class GuardedAdmittanceGroup(AdmittanceGroup[GuardedAxis]):
     ) -> EnergyBalance:
         """Write off energy that neither environment nor drives can return to the hand; return the energy balance."""
         environment, under_way = self._environment, sum(axis.used() for axis in self._each)
-        speeds, carried, inner = self._own(), under_way, self._inner
+        speeds, inner, ceiling, lost = self._own(), self._inner, under_way, 0.0
         for axis, velocity in zip(self._each, velocities, strict=True):
-            carried += axis.reserve(abs(velocity) + axis.properties.handle_acceleration * self._time)
-        stored = environment.stored(inner, speeds, positions), environment.stored(inner, before, positions)
-        ceiling = max(*stored, carried)
+            ceiling += axis.reserve(abs(velocity) + axis.properties.handle_acceleration * self._time)
+        if self._h_s + h_i > ceiling:
+            stored = environment.stored(inner, speeds, positions), environment.stored(inner, before, positions)
+            ceiling = max(*stored, ceiling)  # the damper's loss pays for the uncertainty of the force first
+            lost = min(environment.lost(before, self._time), max(0.0, self._h_s + h_i - ceiling))
         slack = self._margin.known + self._allowance - under_way
-        lost = min(environment.lost(before, self._time), max(0.0, self._h_s + h_i - ceiling))
         h_s, surplus, h_r, deficit, leak, paid = settle(self._h_s + h_i, self._surplus, lost, ceiling, slack)
         taken = h_r + leak - paid
         self._margin.known -= taken

@@ -40,6 +40,8 @@ class GroupEnvironment(Parameters):
     display: ClassVar[Literal["admittance"]] = "admittance"
     states: ClassVar[int] = 0
     """Number of internal states per axis, kept from SYNC to SYNC: in the methods a row of `inner`, initially zeros."""
+    per_axis: ClassVar[tuple[str, ...]] = ("lower", "upper")
+    """Parameters with one value for each axis."""
 
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] = 0.0
     """Damping to ground, in every direction."""
@@ -55,16 +57,14 @@ class GroupEnvironment(Parameters):
         return self
 
     def require(self, axes: int) -> None:
-        """Check that there is one wall for each axis, or none.
+        """Check that the walls and the other values `per_axis` are one for each axis, or none.
 
         Raises:
-            ParameterError: The numbers of walls and axes differ.
+            ParameterError: The numbers of values and axes differ.
         """
-        for name, walls in (("lower", self.lower), ("upper", self.upper)):
-            if walls and len(walls) != axes:
-                raise ParameterError(
-                    f"{name}: got {len(walls)} walls, expected one for each of the {axes} axes, or none"
-                )
+        for name in self.per_axis:
+            if (given := len(getattr(self, name))) not in (0, axes):
+                raise ParameterError(f"{name}: got {given} values, expected one for each of the {axes} axes, or none")
 
     def walls_of(self, axis: int) -> dict[str, float]:
         """Return the wall positions of one axis, keyed by the parameter names of `AdmittanceEnvironment`."""
@@ -102,18 +102,14 @@ class GroupEnvironment(Parameters):
 class GroupMass(GroupEnvironment):
     """`virtual_mass`: the same mass, damper and spring on every axis, and a wall at each end of each axis."""
 
+    per_axis: ClassVar[tuple[str, ...]] = ("lower", "upper", "rest")
+
     mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0, le=1e6)]
     """Mass felt in every direction."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e8)] = 0.0
     """Stiffness of a spring to ground, in every direction."""
     rest: Coordinates = ()
     """Position at which the spring exerts no force, one coordinate for each axis [m or rad]; empty: zeros."""
-
-    def require(self, axes: int) -> None:
-        """Check `rest` and the walls against the number of axes; see `GroupEnvironment`."""
-        super().require(axes)
-        if self.rest and len(self.rest) != axes:
-            raise ParameterError(f"rest: got {len(self.rest)} coordinates, expected one for each of the {axes} axes")
 
     def of_axis(self, axis: int) -> AdmittanceMass:
         """Return an environment of one axis with the mass, its spring and the walls of that axis."""
@@ -315,7 +311,7 @@ class TaskEnvironment:
 
     def go_along(self, inner: _Inner, before: _Vector, speeds: _Vector, time: float) -> None:
         """Advance the states by a hold at given motor speeds; no change in a pose where nothing is rendered."""
-        if self._jacobian:
+        if self.states and self._jacobian:
             self._environment.go_along(inner, _times(self._jacobian, before), _times(self._jacobian, speeds), time)
 
     def stored(self, inner: _Inner, speeds: _Vector, positions: _Vector) -> float:

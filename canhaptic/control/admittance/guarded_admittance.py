@@ -619,15 +619,14 @@ class GuardedAdmittance(AdmittanceController):
         """
         display, commands, environment = self._display, self._commands, self._environment
         under_way, allowance = display.used(), self._allowance
-        ceiling, largest = display.reserve(speed) + under_way, 0.0
+        ceiling, largest, lost = display.reserve(speed) + under_way, 0.0, 0.0
         if self._h_s + h_i > ceiling:
             for command in commands:
                 if command * command > largest * largest:
                     largest = command
             kept = environment.stored(self._inner, largest, display.port.position)
-            ceiling = kept if kept > ceiling else ceiling
-        lost = environment.damping * before * before * self._time
-        lost = min(lost, max(0.0, self._h_s + h_i - ceiling))  # the damper's loss pays for the uncertainty first
+            ceiling = kept if kept > ceiling else ceiling  # the damper's loss pays for the uncertainty first
+            lost = min(environment.damping * before * before * self._time, max(0.0, self._h_s + h_i - ceiling))
         slack = self._margin.known + allowance - under_way
         if self._hand_force > 0.0:
             slack = max(slack, self._hand.known + allowance - self._force.used(commands))

@@ -183,8 +183,8 @@ class DampingMatrix(Parameters):
         symmetric_positive(self.matrix, "matrix", "a damper that gives energy is not rendered")
         if bool(self.states) == bool(self.ports) or len(self.states or self.ports) != len(self.matrix):
             raise ValueError(
-                f"got {len(self.states)} states and {len(self.ports)} ports for {len(self.matrix)} rows, expected either "
-                "`states`, one for each row, or `ports`, one for each row"
+                f"got {len(self.states)} states and {len(self.ports)} ports for {len(self.matrix)} rows, expected "
+                "either `states`, one for each row, or `ports`, one for each row"
             )
         if len(set(self.states)) < len(self.states) or len(set(self.ports)) < len(self.ports):
             raise ValueError(f"got states {self.states} and ports {self.ports}, expected each of them once")

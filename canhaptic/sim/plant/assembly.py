@@ -37,6 +37,7 @@ from typing import Any, ClassVar, Final, Literal, NamedTuple, Protocol
 import numpy as np
 
 from canhaptic.errors import ParameterError
+from canhaptic.own_results import FORCE, watch
 from canhaptic.sim.plant.accuracy_parameters import LEVELS
 from canhaptic.sim.plant.propagator import Array, doublings, dyadic_flows, series, smallest_step, taylor_flow
 from canhaptic.units import Parameters
@@ -263,11 +264,8 @@ def collect(axis: Any, user: Any, effects: Sequence[Any], sample_time: float) ->
             error.part = getattr(part, "type", error.part)
             raise
     for kind in {type(part) for part in (*scene.commands, *scene.efforts)}:
-        if not kind.__module__.startswith("canhaptic."):
-            from canhaptic.own_results import FORCE, watch
-
-            watch(kind, ("apply", "force"), FORCE)
-            watch(kind, ("stored",))
+        watch(kind, ("apply", "force"), FORCE)
+        watch(kind, ("stored",))
     return scene
 
 
