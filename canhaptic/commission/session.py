@@ -22,7 +22,7 @@ from canhaptic.drive.rig import Rig
 from canhaptic.errors import ControlError, InputError
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.edited_text import Change, is_written
-from canhaptic.scene.models import LOOP_KEYS, AxisScene, Scene
+from canhaptic.scene.models import LOOP_KEYS, TO_SET, AxisScene, Scene
 from canhaptic.signals import Truth
 from canhaptic.units import Parameters, quantity
 from canhaptic.view.table import Cell, Styled, Table
@@ -151,14 +151,24 @@ class Report:
         return any(finding.verdict is StepVerdict.DIFFERS for finding in self.findings)
 
     def changes(self, scene: Scene) -> list[Change]:
-        """Return the values as changes of a scene; for a key that all axes of a group share, the largest."""
+        """Return the values as changes of a scene; for a key that all axes of a group share, the largest.
+
+        A simulated drive says nothing of a real one: each value it gave is marked for real drives, and none of them
+        verifies the scale of the torque or confirms what was written.
+        """
         values: dict[tuple[str, ...], Value] = {}
         for value in self.values:
             path = _path(scene, value)
             before = values.get(path)
             if before is None or not isinstance(before.value, float) or before.value < cast(float, value.value):
                 values[path] = value
-        return [Change(path, value.text, value.comment or None) for path, value in values.items()]
+        if not scene.simulated:
+            return [Change(path, value.text, value.comment or None) for path, value in values.items()]
+        return [
+            Change(path, value.text, f"{TO_SET}: {value.comment or 'measured'}, by a simulated drive")
+            for path, value in values.items()
+            if value.text is not None and value.key != "torque_verified"
+        ]
 
     def unfinished(self, axes: Collection[str], items: Collection[str]) -> list[str]:
         """Reasons why a scene with these values is not ready to run; empty if all is verified.

@@ -448,7 +448,8 @@ def _judge_scale(session: Session, axis: int, means: str, ratio: float | None) -
     key = "transmission" if parameters.rated_torque is None else "rated_torque"
     if same:
         session.verified.add(axis)
-        session.propose(axis, "torque_verified", means, comment="the scale of the torque agrees")
+        text = "the scale agrees" + (", but of a simulated drive: not written" if session.scene.simulated else "")
+        session.propose(axis, "torque_verified", means, comment=text)
         return session.propose(axis, key, None, comment=f"agrees, by {means}")
     unit = effort_unit(parameters.unit) if key == "rated_torque" else ""
     session.propose(axis, key, getattr(parameters, key) * ratio, unit, f"by {means}")

@@ -12,7 +12,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.models import Scene
+from canhaptic.scene.models import Scene, values_to_set
 from tests.forked import command
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -58,12 +58,27 @@ def test_the_whole_scene_is_written_and_says_what_was_measured(
     out = commissioned(scene, tmp_path / "mine.yaml", "--json")
     report = json.loads(capsys.readouterr().out)
     assert (report["status"], report["written"], report["unfinished"]) == ("ok", str(out), [])
-    assert "TO SET" not in out.read_text()
+    assert "moving_mass: 0.2" in out.read_text()
     assert {value["key"] for value in report["values"]} >= {"passivity.moving_mass", "passivity.current_lag"}
     kept = [line for line in scene.read_text().splitlines() if not set(line.split(":")) & {"  moving_mass"}]
     assert (
         len(set(kept) - set(out.read_text().splitlines())) <= 5
     )  # node_id, unit, counts_per_unit, rated_torque, bound
+
+
+def test_no_value_of_a_simulated_drive_is_taken_for_that_of_a_real_one(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Every value written is marked, the scale of the torque stays unverified, and a real bus is refused."""
+    scene = tmp_path / "rig.yaml"
+    scene.write_text(Path(DEMO).read_text().replace("# TO SET", "# set"))
+    out = commissioned(scene, tmp_path / "mine.yaml", "--json")
+    found = {value["key"] for value in json.loads(capsys.readouterr().out)["values"]}
+    assert "torque_verified" in found
+    assert "torque_verified: mass" not in out.read_text()
+    real = ["bus.interface=socketcan", "bus.channel=can0", "axes.0.position_reference=absolute"]
+    marked = {guess.key for guess in values_to_set(load_scene(out, real))}
+    assert marked >= {"moving_mass", "current_lag", "device_friction_bound", "handle.torque_verified"}
 
 
 @pytest.mark.parametrize(
