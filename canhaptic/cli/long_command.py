@@ -57,8 +57,11 @@ class StopSignal:
 
 
 def notes(scene: Scene) -> Iterator[str]:
-    """Yield notes: torque limits reduced until the torque scale is verified, the check list, slow simulations."""
+    """Yield notes: real axes without passivity controller, reduced torque limits, the check list, slow simulations."""
     for axis in scene.axes:
+        if not scene.simulated and scene.passivity_of(axis).name == "unprotected":
+            text = f"{axis.parameters.name}: NO PASSIVITY CONTROLLER (algorithm: unprotected): the drive may give out"
+            yield f"{text} energy to the hand; only the limits of torque, power and speed protect it"
         given, limit = axis.parameters, axis.loop.torque_limit or 0.0
         if limit < given.torque_limit and given.admittance is None:
             text = f"{given.name}: torque scale not verified (torque_verified: no), so the torque is limited to"

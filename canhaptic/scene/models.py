@@ -531,6 +531,9 @@ TO_SET: Final = "TO SET"
 _MARKED: Final = re.compile(rf"^\s*(?:-\s+)?([^#\s].*?)\s#\s*{TO_SET}\b[:,]?\s*(.*)$")
 
 
+_UNPROTECTED: Final = "`algorithm: unprotected` in the file itself (an override takes no protection from real drives)"
+
+
 class Guess(NamedTuple):
     """One value that real drives need: marked, or missing."""
 
@@ -554,6 +557,9 @@ def values_to_set(scene: Scene) -> list[Guess]:
     """Return the values that real drives still need: those marked as guesses, and undeclared ones."""
     is_virtual = any(bus.parameters.interface == "virtual" for bus in scene.buses)
     missing, marked = ["bus.interface", "bus.channel"] if is_virtual else [], guesses_left(scene)
+    typed = any("unprotected" in override.partition("=")[2] for override in scene.overrides)
+    if typed and not scene.simulated and any(passivity.name == "unprotected" for _, passivity, _ in scene.ports):
+        missing.append(_UNPROTECTED)
     verifies = "torque_verified" not in {guess.key for guess in marked}
     for axis in scene.axes:
         given = axis.parameters

@@ -442,7 +442,8 @@ def test_no_real_display_runs_with_an_unknown_jitter() -> None:
     with pytest.raises(InputError, match=r"missing: handle\.passivity\.sync_jitter; the drives are real"):
         require_no_guesses(load_scene(SCENE, REAL))
     require_no_guesses(load_scene(SCENE, [*REAL, "passivity.sync_jitter=5 %"]))
-    require_no_guesses(load_scene(SCENE, [*REAL, "passivity={algorithm: unprotected}"]))  # it promises nothing
+    with pytest.raises(InputError, match=r"missing: `algorithm: unprotected` in the file itself"):  # and no jitter
+        require_no_guesses(load_scene(SCENE, [*REAL, "passivity={algorithm: unprotected}"]))
 
 
 @pytest.mark.parametrize(

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from canhaptic.cli.long_command import notes
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_ENVIRONMENTS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
-from canhaptic.errors import OverrideWarning, SceneError
+from canhaptic.errors import InputError, OverrideWarning, SceneError
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.models import Scene
+from canhaptic.scene.models import Scene, require_no_guesses, values_to_set
 from canhaptic.simulation import simulate
 from tests.scene.scene_text import SHIPPED_EDS, faults, scene_file
 
@@ -130,6 +131,27 @@ def test_real_drives_keep_what_protects_them_from_a_plain_name() -> None:
     real = ("bus.interface=socketcan", "bus.channel=can0", "simulation=null")
     with pytest.raises(SceneError, match="the drives may be real, so no key is dropped"):
         load_scene(CONFIGS / "demo.yaml", [*real, "passivity=unprotected"])
+
+
+@pytest.mark.parametrize("override", ["passivity=unprotected", "passivity.algorithm=unprotected",
+                                      "passivity={algorithm: unprotected}"])  # fmt: skip
+def test_no_override_takes_the_passivity_controller_from_real_drives(override: str, tmp_path: Path) -> None:
+    """Also where no key would be dropped; the file itself may say so, and a simulated rig takes each override."""
+    text = re.sub(r"(?m)^  hand_(force|push):.*\n", "", (CONFIGS / "demo.yaml").read_text())
+    text = text.replace("cia402_servo.eds", str(SHIPPED_EDS)).replace(
+        "algorithm: guarded", "algorithm: passivity_observer"
+    )
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(text)
+    real = ("bus.interface=socketcan", "bus.channel=can0")
+    assert load_scene(scene, [override]).axes[0].passivity.name == "unprotected"
+    with pytest.raises(InputError, match=r"missing: .*`algorithm: unprotected` in the file itself"):
+        require_no_guesses(load_scene(scene, [*real, override]))
+    scene.write_text(text.replace("algorithm: passivity_observer", "algorithm: unprotected"))
+    assert not any("unprotected" in guess.key for guess in values_to_set(load_scene(scene, real)))
+    said = [note for note in notes(load_scene(scene, real)) if "NO PASSIVITY CONTROLLER" in note]
+    assert len(said) == 1
+    assert not any("NO PASSIVITY" in note for note in notes(load_scene(scene)))
 
 
 @pytest.mark.parametrize(("scene", "key"), [(scene, key) for scene, key, _ in SWITCHES])
