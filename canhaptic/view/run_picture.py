@@ -146,9 +146,8 @@ class PortPicture:
         common, own = self._lines(panel), self._own_lines(panel)
         lines = [*own, *common] if panel == "torque" else [*common, *own]
         largest = max(abs(float(limit(line, initial=0.0))) for line, _ in lines for limit in (np.nanmin, np.nanmax))
-        wall = self._log.attributes.get(f"{self._name}.wall_position")
-        if panel == "position" and isinstance(wall, int | float) and np.isfinite(wall):
-            largest = max(largest, abs(float(wall)))
+        if panel == "position" and (wall := self._wall()) is not None:
+            largest = max(largest, abs(wall))
         self.scales[panel], prefix = scale_of(largest)
         scale, unit = self.scales[panel], self._movers[0].unit(_COLUMNS[panel])
         if panel == "energy":
@@ -162,15 +161,22 @@ class PortPicture:
         _finish(axes, title + " commanded" * (panel == "velocity" and bool(self._axes)), f"{prefix}{unit}")
         axes.margins(x=0.0)
 
+    def _wall(self) -> float | None:
+        """Return the position of the wall [m or rad]; None without one, as with detents."""
+        wall = self._log.attributes.get(f"{self._name}.wall_position")
+        if f"{self._name}.wall_pitch" in self._log.attributes or not isinstance(wall, int | float):
+            return None
+        return float(wall) if np.isfinite(wall) else None
+
     def _draw_wall(self, axes: "Axes", scale: float) -> None:
         """Mark the notches of detents, or shade the inside of a wall."""
-        wall = self._log.attributes.get(f"{self._name}.wall_position")
+        wall = self._wall()
         low, high = (scale * end for end in axes.get_ylim())
         notches = notches_of(self._log, self._name, low, high)
         for place in notches:
             label = "notch" if place == notches[0] else "_notch"
             axes.axhline(place / scale, color=GREY, linewidth=0.7, linestyle="--", alpha=0.6, label=label)
-        if isinstance(wall, int | float) and f"{self._name}.wall_pitch" not in self._log.attributes:
+        if wall is not None:
             axes.axhline(wall / scale, color=GREY, linewidth=1.0, linestyle="--", label="wall")
             low, high = axes.get_ylim()
             inside = low if self._log.attributes.get(f"{self._name}.wall_side", "below") == "below" else high

@@ -32,6 +32,7 @@ def execute(arguments: argparse.Namespace) -> int:
         for line in table.note("plant_errors").splitlines():
             write_note(f"  {line}")
         by = {one.algorithm: arguments.by or usual_judgement(one) for one in fields}
+        remarks = [] if fields[0].is_display else [_WALLS]
         shares = {one.algorithm: passing_share(one, by[one.algorithm]) for one in fields}
         left_out = {
             key: {one.algorithm: float(one.has_status(number).mean()) for one in fields}
@@ -41,7 +42,7 @@ def execute(arguments: argparse.Namespace) -> int:
         write_json({"file": str(arguments.file), "passing": shares, **left_out, "lines": _lines(columns)})
     else:
         parts = {name: [of[name] for of in left_out.values()] for name in shares}
-        _print(columns, [_share(name, share, by[name], *parts[name]) for name, share in shares.items()])
+        _print(columns, [*(_share(name, share, by[name], *parts[name]) for name, share in shares.items()), *remarks])
     write_files(
         arguments, png=lambda path: draw_map(columns, caption, path),
         html=lambda path: write_map(columns, caption, path),
@@ -67,8 +68,8 @@ def _share(name: str, share: float, by: str, untouched: float, unrendered: float
     return f" {name}: {', '.join(words)}"
 
 
-def _print(columns: list[list[Panel | None]], shares: list[str]) -> None:
-    write_line("\n".join([*shares, _WALLS]))
+def _print(columns: list[list[Panel | None]], first: list[str]) -> None:
+    write_line("\n".join(first))
     for column in columns:
         for panel in column:
             if isinstance(panel, Lines):

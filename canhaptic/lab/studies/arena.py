@@ -342,7 +342,7 @@ class Column(NamedTuple):
     is_ranked: bool = True  # whether less is better
 
 
-_RAN: Final = ("completed", *OUTCOMES)
+_RAN: Final = ("completed", *OUTCOMES[1:])
 """Status of cases that ran to their end."""
 
 
