@@ -1,4 +1,4 @@
-"""Units of mass, damping, stiffness and force for a unit of position, without pydantic: for logs and views."""
+"""Units of mass, damping, stiffness and force for a unit of position, and counts with their nouns, without pydantic."""
 
 from typing import Literal
 
@@ -24,3 +24,8 @@ def stiffness_unit(motion: str) -> str:
 def mass_unit(motion: str) -> str:
     """Return the unit of mass or inertia of an axis whose position is in "m" or in "rad"."""
     return "kg" if motion == "m" else "kg*m^2"
+
+
+def counted(number: int | str, noun: str) -> str:
+    """Return a count with its noun, such as `1 cycle` or `2 cycles`."""
+    return f"{number} {noun}{'s' * (str(number) != '1')}"

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
 
+from canhaptic.axis_units import counted
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.cli.check_eds import WORDS
 from canhaptic.cli.options import scene_of
@@ -30,7 +31,7 @@ from canhaptic.scene.hints import guarantee
 from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import AxisScene, Guess, Scene, refused_values, status_text, values_to_set
 from canhaptic.view.run_lines import make_console
-from canhaptic.view.si import counted, si
+from canhaptic.view.si import si
 from canhaptic.view.table import Styled, Table
 
 
@@ -247,17 +248,17 @@ def _budget_as_json(budget: BusBudget) -> dict[str, Any]:
 def _print(console: Console, found: _CheckFindings, *, resolved: bool, full: bool) -> None:
     scene = found.scene
     if inf in found.felt.values():
-        console.print(f"[bold red]{escape(found.wall())}[/]", soft_wrap=True)
+        console.print(f"[bold red]{escape(found.wall())}[/]")
     colour = "red" if found.refused else "yellow" if found.exceeded else "green"
-    console.print(f"[bold {colour}]{escape(found.verdict())}[/]", soft_wrap=True)
+    console.print(f"[bold {colour}]{escape(found.verdict())}[/]")
     where = "; ".join(f"{bus.parameters.interface} {bus.parameters.channel or ''}".strip() for bus in scene.buses)
     name = "configuration" if scene.unread else f"configuration {scene.config_hash()[:12]}"
     line = f"{name} on {where} at {1.0 / scene.bus.sample_time:g} Hz"
-    console.print(line + ("" if resolved else "; every value: --resolved"), markup=False, soft_wrap=True)
+    console.print(line + ("" if resolved else "; every value: --resolved"), markup=False)
     for text in found.dear:
-        console.print(f"[yellow]{escape(text)}[/]", soft_wrap=True)
+        console.print(f"[yellow]{escape(text)}[/]")
     for text in filter(None, (guarantee(axis, found.hints) for axis in scene.axes)):
-        console.print(text, markup=False, soft_wrap=True)
+        console.print(text, markup=False)
     unset = values_to_set(scene)
     if found.refused or any(guess.line for guess in unset):
         console.print("set these before connecting a drive:")

@@ -208,9 +208,10 @@ class CodeProcess:
             for descriptor in (ends[0], answers[1]):
                 os.close(descriptor)
             if not self._await_answer(_START):
-                reason = self._text().removeprefix(f"{self._names}: ") or f"was not ready within {_START:g} s"
+                program, what = self._failure()
                 self.close()
-                raise InputError(f"{self._names}: in a process of its own: {reason}; correct the program")
+                reason = what or f"was not ready within {_START:g} s"
+                raise InputError(f"{program or self._names}: in a process of its own: {reason}; correct the program")
 
     def turn(self, samples: Sequence[Sample]) -> None:
         """Request the torques that answer the previous sample, and send this sample.
@@ -241,17 +242,20 @@ class CodeProcess:
         self.late += 1
         self._in_a_row += 1
         self.longest = max(self.longest, self._in_a_row)
-        if failure := self._text():
-            raise OwnCodeError(self._names, failure.removeprefix(f"{self._names}: "), f"at SYNC {index}")
+        program, what = self._failure()
+        if what:
+            raise OwnCodeError(program, what, f"at SYNC {index}")
         if self._in_a_row >= self._most or self._waits:
             code = self._process.poll()
             how = "" if code is None else f"; its process {f'was ended by signal {-code}' if code < 0 else 'has ended'}"
             raise self._rig.end(StopReason.OWN_CODE_LATE, f"{self._names}: {self._in_a_row} holds in a row{how}")
 
-    def _text(self) -> str:
-        """Return why the code failed; empty while it runs."""
+    def _failure(self) -> tuple[str, str]:
+        """Return which program failed and why; two empty texts while it runs."""
         size = int.from_bytes(self._memory[2 * _SLOT : 2 * _SLOT + 8], "little")
-        return self._memory[2 * _SLOT + 8 : 2 * _SLOT + 8 + size].decode("utf-8", "replace")
+        text = self._memory[2 * _SLOT + 8 : 2 * _SLOT + 8 + size].decode("utf-8", "replace")
+        program, _, what = text.partition("\n")
+        return program, what
 
     def _await_answer(self, seconds: float) -> bool:
         """Wait for an answer; return whether one came in time."""
@@ -332,8 +336,10 @@ def main() -> None:
         os.write(answers, b"\0")
         _answer(law, memory, wake, answers, job)
     except BaseException as error:  # own code may raise anything
-        what = f"{error.program}: {error.what}" if isinstance(error, OwnCodeError) else cause_of(error)
-        text = what.encode()[:1000]  # the cycle adds the remedy
+        program, what = ", ".join(job["own_code"]), cause_of(error)
+        if isinstance(error, OwnCodeError):
+            program, what = error.program, error.what
+        text = f"{program}\n{what.removeprefix(f'{program}: ')}".encode()[:1000]  # the cycle adds the remedy
         memory[2 * _SLOT + 8 : 2 * _SLOT + 8 + len(text)] = text
         memory[2 * _SLOT : 2 * _SLOT + 8] = len(text).to_bytes(8, "little")
         os._exit(1)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
+from canhaptic.axis_units import counted
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.scene.far_side import build_plant
@@ -90,8 +91,8 @@ def dear_holds(scene: Scene) -> list[str]:
         phase, mode = build_plant(axis.simulation, scene.bus.sample_time_ns).scene.fastest_swing()
         if phase > LONG_SWING:
             products = _PER_RADIAN * phase
-            each = f"{products:.1g} products and about {products * _PER_PRODUCT:.1g} s each"
-            text = f"SLOW while it oscillates: {phase:.2g} rad in one sample time ({mode}), up to {each}"
+            cost = f"up to {round(products, -3):.0f} matrix products, about {products * _PER_PRODUCT:.1g} s, for each"
+            text = f"SLOW while it oscillates: {phase:.0f} rad in one sample time ({mode}), {cost}"
             lines.append(f"{axis.parameters.name}: {text}; give it damping or more mass, or less stiffness")
     return lines
 
@@ -217,8 +218,7 @@ def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0, pr
         plant = f"plant exact between SYNCs but for {parts}"
     if plants and periods:  # products are per plant on average
         events, products = sum(of.events for of in plants), sum(of.products for of in plants) / len(plants) / periods
-        each = f"{products:.2g}"
-        plant = f"{plant}, {events} event{'s' * (events != 1)}, {each} matrix product{'s' * (each != '1')} per period"
+        plant = f"{plant}, {counted(events, 'event')}, {counted(f'{products:.2g}', 'matrix product')} per period"
     if prices:
         plant = f"{plant}, {_priced(prices)}"
     bus = "" if scene.bus_effects is None else f"; bus with {', '.join(scene.bus_effects.named)}"

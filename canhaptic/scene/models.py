@@ -18,6 +18,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAda
 from pydantic import ValidationInfo as Info
 from pydantic_core import PydanticCustomError
 
+from canhaptic.axis_units import counted
 from canhaptic.canopen.eds import dictionary_content
 from canhaptic.control import admittance as displays
 from canhaptic.control.environments import ENVIRONMENTS
@@ -589,7 +590,7 @@ def refused_values(scene: Scene) -> list[Guess]:
 def status_text(scene: Scene) -> str:
     """Return the two statuses of a scene: `Simulation: ready. Hardware: 8 values to set`."""
     count = len(values_to_set(scene))
-    hardware = f"{count} value{'' if count == 1 else 's'} to set" if count else "ready"
+    hardware = f"{counted(count, 'value')} to set" if count else "ready"
     return f"Simulation: {'ready' if scene.simulation else 'no section `simulation`'}. Hardware: {hardware}"
 
 

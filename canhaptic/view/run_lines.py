@@ -10,9 +10,9 @@ from rich.segment import Segment
 from rich.table import Table as TerminalTable
 from rich.text import Text
 
-from canhaptic.axis_units import mass_unit
+from canhaptic.axis_units import counted, mass_unit
 from canhaptic.control.verdict import NO_PULL, Headline, PortResult
-from canhaptic.view.si import counted, si
+from canhaptic.view.si import si
 from canhaptic.view.terminal import visible
 
 _INDENT: Final = "    "
@@ -49,27 +49,25 @@ _WORDS: Final[dict[Headline, str]] = {
 
 
 class SafeConsole(Console):
-    """A rich console that escapes control characters in printed texts; its own colours and styles are kept."""
+    """A rich console that escapes control characters in texts and indents the further lines of a text that is too long.
+
+    Its own colours and styles are kept.
+    """
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
         """Yield the segments to show."""
+        options = options or self.options
+        if isinstance(renderable, Text) and options.max_width == self.width and not options.no_wrap:
+            renderable = self._indented(renderable)
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(visible(segment.text), segment.style)
 
-
-class _Hanging:
-    """A text whose further lines are indented."""
-
-    def __init__(self, text: Text) -> None:
-        self._text = text
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Text]:
-        if self._text.cell_len <= options.max_width:
-            yield self._text
-            return
-        first, *rest = self._text.wrap(console, options.max_width - len(_INDENT))
-        yield first
-        yield from (Text(_INDENT).append_text(line) for line in rest)
+    def _indented(self, text: Text) -> Text:
+        lines: list[Text] = []
+        for whole in text.split("\n", allow_blank=True):
+            first, *rest = [whole] if whole.cell_len <= self.width else whole.wrap(self, self.width - len(_INDENT))
+            lines += [first, *(Text(_INDENT).append_text(line) for line in rest)]
+        return Text("\n", end=text.end).join(lines)
 
 
 def make_console(file: IO[str] | None = None) -> Console:
@@ -204,7 +202,7 @@ def headlines(result: Result) -> list[RenderableType]:
     """Return the first line of each port with its own account."""
     failure = failure_text(result)
     ports = {name: result["ports"][name] for name in ordered(result.get("ports", {}))}
-    return [_Hanging(headline_text(name, of, failure)) for name, of in ports.items() if "verdict" in of]
+    return [headline_text(name, of, failure) for name, of in ports.items() if "verdict" in of]
 
 
 def ordered(ports: Mapping[str, PortResult]) -> list[str]:

@@ -41,11 +41,6 @@ def si(value: float, unit: str, digits: int = 4) -> str:
     return f"{_pad_digits(number, digits)} {_PREFIXES[exponent]}{unit}"
 
 
-def counted(number: int, noun: str) -> str:
-    """Return a count with its noun, such as `1 cycle` or `2 cycles`."""
-    return f"{number} {noun}{'s' * (number != 1)}"
-
-
 def _pad_digits(number: str, digits: int) -> str:
     """Append zeros up to the given number of digits, so that a column of numbers lines up: 1.5 -> 1.500."""
     shown = sum(letter.isdigit() for letter in number.lstrip("-0."))

@@ -171,7 +171,8 @@ def test_check_prints_configuration_bus_drives_stability_and_host(capsys: Captur
     out = capsys.readouterr().out
     statuses = "Simulation: ready. Hardware: 8 values to set; "
     felt = "the wall is felt from an approach speed of 0.0015 m/s"
-    assert out.splitlines()[0] == f"{statuses}{felt}, 1 drive is fit, bus load 28 %"
+    first = out[: out.index("\nconfiguration ")].replace("\n    ", "")
+    assert first == f"{statuses}{felt}, 1 drive is fit, bus load 28 %"
     for words in ("1 SYNC x 55 + 1 TPDO x 135", "0x6071 target torque", "Colgate", "processors"):
         assert words in out
     assert "stiffness: 100.0" not in out

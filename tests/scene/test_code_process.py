@@ -152,14 +152,14 @@ def test_the_law_is_bit_for_bit_the_one_in_the_cycle_a_hold_later(
         (
             "raise ValueError('no such law')",
             OwnCodeError,
-            r"wall.py:Wall.*effort raised ValueError: no such law \(wall.py:16\)",
+            r"torque is zero: wall.py:Wall at SYNC \d+: effort raised ValueError: no such law \(wall.py:16\); correct",
         ),
         ("return math.nan", OwnCodeError, "effort returned nan"),
         ("os._exit(5)", OwnCodeLateError, r"its process has ended.*did not answer at SYNC .*OWN_CODE_LATE"),
         ("os.kill(os.getpid(), 9)", OwnCodeLateError, "ended by signal 9"),
         ("while True: pass", OwnCodeLateError, "OWN_CODE_LATE"),
         ("raise ValueError(resource.getrlimit(resource.RLIMIT_DATA)[0])", OwnCodeError, r"ValueError: \d{9,}"),
-        ("sys.exit()", OwnCodeError, "SystemExit"),
+        ("sys.exit()", OwnCodeError, r"torque is zero: wall.py at SYNC \d+: SystemExit"),
     ],
 )
 def test_what_it_does_wrong_ends_the_run_with_its_name(
@@ -256,7 +256,7 @@ def answered(code: CodeProcess, turns: Any, controller: Asked) -> None:
 def test_code_that_does_not_start_is_refused_before_the_rig_does(tmp_path: Path) -> None:
     scene = scene_in(tmp_path)
     (tmp_path / "wall.py").write_text("raise RuntimeError('not today')\n")
-    with pytest.raises(InputError, match="not today"):
+    with pytest.raises(InputError, match=r"^wall\.py: [^:]*: (?!wall\.py: ).*not today"):
         build(scene, "free")
 
 
@@ -265,5 +265,5 @@ def test_code_that_was_replaced_since_the_cycle_read_it_is_refused(tmp_path: Pat
     scene = scene_in(tmp_path)
     with (tmp_path / "wall.py").open("a") as file:
         file.write("# another\n")
-    with pytest.raises(InputError, match=r"wall\.py: is not the code of the cycle"):
+    with pytest.raises(InputError, match=r"^wall\.py: in a process of its own: is not the code of the cycle"):
         build(scene, "free")

@@ -114,13 +114,13 @@ def test_a_run_and_a_check_announce_a_swing_that_makes_holds_dear(tmp_path: Path
     swinging = ["simulation.plant={mass: 1e-6 kg}", "simulation.user.damping=0.01", stop]
     [line] = dear_holds(load_scene(path, swinging))
     assert (
-        "SLOW while it oscillates: 6.3e+03 rad in one sample time (upper_stop touching), up to 3e+04 products" in line
+        "rad in one sample time (upper_stop touching), up to 25000 matrix products, about 0.1 s, for each; give" in line
     )
     given = [word for item in swinging for word in ("--set", item)]
     assert main(["run", path, "--duration", "0.01", *given]) == 0
     assert line in capfd.readouterr().err
     assert main(["check", path, *given]) == 0
-    assert line in capfd.readouterr().out
+    assert line in " ".join(capfd.readouterr().out.split())
     assert dear_holds(load_scene(path, [*swinging[:1], stop])) == []  # the hand's damping stops it
 
 

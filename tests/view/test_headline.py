@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from rich.console import Console, RenderableType
+from rich.console import RenderableType
 
 from canhaptic.control.verdict import headline
 from canhaptic.view.energy_table import energy_report
@@ -85,10 +85,11 @@ def test_a_run_that_failed_says_so_before_its_verdict(report: Callable[[Any], Re
     assert heads == [" knob: FAILED after 512 cycles; until then passive: yes", " knob: passive: yes"]
 
 
-def test_a_first_line_that_is_too_long_goes_on_indented() -> None:
+def test_a_first_line_that_is_too_long_goes_on_indented(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
     port: Any = {"passive": "in doubt", "verdict": "in doubt", "certificate": "none", "why": "word " * 40}
     text = io.StringIO()
-    Console(file=text, width=80).print(*headlines({"ports": {"handle": port}}))
+    make_console(text).print(*headlines({"ports": {"handle": port}}))
     first, *rest = text.getvalue().rstrip().splitlines()
     assert first.startswith(" handle: passive: in doubt")
     assert rest

@@ -10,11 +10,11 @@ from typing import Any, Final, NamedTuple
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from canhaptic.axis_units import damping_unit, effort_unit
+from canhaptic.axis_units import counted, damping_unit, effort_unit
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.lab.figures.figures import CONTINUOUS, METRICS, Figure
 from canhaptic.view.run_lines import rests_on
-from canhaptic.view.si import counted, si
+from canhaptic.view.si import si
 from canhaptic.view.table import Cell, Styled, Table
 
 _Account = Mapping[str, Any]
@@ -118,7 +118,7 @@ def _ranking(part: _Account) -> Text:
         passive = _value(lambda of, _: _verdict(of), part, account)
         return account["status"] != "completed", passive != "yes", error if isinstance(error, float) else math.inf
 
-    words = [f"{place} {name}" for place, name in enumerate(sorted(part["algorithms"], key=worth), 1)]
+    words = [f"{place}\N{NO-BREAK SPACE}{name}" for place, name in enumerate(sorted(part["algorithms"], key=worth), 1)]
     return Text(f" ranking: {', '.join(words)} (passive ones first, then by position error)")
 
 

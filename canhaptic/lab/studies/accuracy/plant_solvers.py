@@ -19,6 +19,7 @@ from warnings import catch_warnings
 
 import numpy as np
 
+from canhaptic.axis_units import counted
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch.group_loop import Motors
 from canhaptic.lab.batch.scalar import render_group
@@ -35,7 +36,6 @@ from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import Motion, observed
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array
-from canhaptic.view.si import counted
 
 Stop = Callable[[], bool]
 _M = TypeVar("_M", Model, ReferenceGroup)
