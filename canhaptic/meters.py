@@ -5,7 +5,7 @@ from math import inf
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from canhaptic.control.axis_meter import Accuracy, AxisMeter
-from canhaptic.control.balance import OUT_OF_CONTACT, Branch, EnergyBalance
+from canhaptic.control.balance import OUT_OF_CONTACT, Branch, EnergyBalance, along
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, ROUNDING
 from canhaptic.errors import LogFormatError
@@ -256,7 +256,7 @@ class AxisPort(PortFigures):
                     self.beyond_limit += 1
                     size = most
                 torque = max(-most, min(most, balance.torque))  # the limiter cuts the rest
-                self.rendered -= torque if asked > 0.0 else -torque
+                self.rendered += along(asked, torque)
                 self.sizes_asked += size
                 self.sizes_sent += abs(torque)
                 self.last_torque = sent if torque else self.last_torque

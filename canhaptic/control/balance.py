@@ -35,6 +35,13 @@ def add(running: RunningSum, term: float) -> float:
     return total + running.error
 
 
+def along(effort: float, torque: float) -> float:
+    """Return the force of a motor's torque on the hand [N or N*m], positive in the direction of a requested effort."""
+    if effort == 0.0:
+        return 0.0
+    return -torque if effort > 0.0 else torque
+
+
 class Branch(IntEnum):
     """Case of the energy account by which a hold was booked."""
 

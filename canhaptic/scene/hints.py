@@ -30,7 +30,7 @@ DRAG: Final = 0.1
 """Drag force that a hand hardly feels [N or N*m]."""
 
 
-ENCODER: Final = "with this encoder, f_c / count"
+ENCODER: Final = "with this encoder (dry friction per count)"
 """End of the name of a hint: the stiffness that the device's dry friction keeps passive with this encoder."""
 LARGEST_ADVISED: Final = 1e-3
 """Largest energy allowance that is proposed [J]: 0.25 kg at 9 cm/s."""
@@ -325,7 +325,7 @@ def _felt_hints(axis: AxisScene, response: bounds.DisplacementResponse, lag: int
         slowest, begins = 0.0, f"up to device_friction {friction:g} at once, more with the energy below"
     return [
         _hint(axis, what, limit, f"{text}{_share(limit, stiffness)}"),
-        Hint(name, "approach speed for a torque at once, from", slowest, None, unit, f"{begins}; {text}"),
+        Hint(name, "slowest approach with torque in the first cycle", slowest, None, unit, f"{begins}; {text}"),
         *_energy_hint(axis, response, lag, min(stiffness or limit, limit)),
     ]
 

@@ -138,6 +138,12 @@ class Table:
             is_whole = not fold or index in whole
             drawn.add_column(Text(self.columns[index]), justify=side, no_wrap=is_whole, overflow="fold")
         for row in map(_styled, self.rows):
+            if (
+                row
+                and len(indices) < len(self.columns)
+                and all(row[of].text.strip() == "-" for of in indices[self.keys :])
+            ):
+                continue  # says nothing in this part
             if row:
                 drawn.add_row(*(Text(row[index].text, row[index].style) for index in indices))
             else:

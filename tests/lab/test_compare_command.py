@@ -5,10 +5,12 @@ import runpy
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from canhaptic import compare, simulate
 from canhaptic.cli.main import main
-from canhaptic.lab.figures.figures import ALL, Figure
+from canhaptic.lab.figures.figures import ALL, Figure, metrics_of
 from canhaptic.lab.render.compare_table import row_of
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -75,3 +77,14 @@ def test_a_figure_with_a_label_is_a_row_of_the_table_and_needs_no_other_file():
     assert part.read({"error": {"rms": 3.0, "max": 4.0}}, {}) == 3.0
     labels = [row_of(name, figure).label for name, figure in ALL.items() if figure.label]
     assert len(set(labels)) == len(labels) >= 10
+
+
+def test_of_detents_a_comparison_shows_the_share_of_the_run_and_a_force_against_them_is_no_share() -> None:
+    [axis] = compare("rotary_knob", duration=0.5).result["axes"].values()
+    [port] = simulate("rotary_knob", duration=0.5).account.raw["ports"].values()
+    shares = {name: of["stiffness_rendered"]["share"] for name, of in axis["algorithms"].items()}
+    assert shares["guarded"] == pytest.approx(port["rendered"]["stiffness"], abs=2e-3)
+    assert all(0.0 <= share <= 1.01 for share in shares.values())
+    sums = {"rendered": np.array([-1.0, 1.0, 0.0]), "asked": np.array([2.0, 2.0, 0.0])}
+    [found] = metrics_of(["stiffness_rendered.share"], sums).values()
+    assert found.tolist() == pytest.approx([0.0, 0.5, float("nan")], nan_ok=True)

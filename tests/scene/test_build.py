@@ -194,7 +194,7 @@ def test_certified_stiffness_follows_the_hand_force(tmp_path: Path) -> None:
     # (m / 2 T^2) F / (F + F_h) with F the torque limit of 20 N
     assert limits["stiffness, certified by hand force"] == pytest.approx(0.2 / 2e-6 * 20 / (20 + 20))
     speed = 20 * 1e-3 / 0.2 + 1e-6 / 1e-3  # F_h T / m, and the count that the last displacement is known to
-    assert limits["approach speed for a torque at once, from"] == pytest.approx(speed)
+    assert limits["slowest approach with torque in the first cycle"] == pytest.approx(speed)
     held = 0.2 / 2e-6 * 5 / (5 + 20)  # leant on with a quarter of the torque limit
     assert limits["stiffness felt at a push of 5 N"] == pytest.approx(held)
     [stiffness] = [float(what.split()[-2]) for what in limits if what.startswith("energy for slower contacts")]
@@ -202,7 +202,7 @@ def test_certified_stiffness_follows_the_hand_force(tmp_path: Path) -> None:
     assert limits[f"energy for slower contacts with {stiffness:.4g} N/m"] == pytest.approx(whole**2 / 4 / lacking)
     overrides[0] = overrides[0].replace("}", ", device_friction: 0.5, device_friction_bound: 0.5, earned_energy: 0}")
     hints = {h.what: h for h in stability_hints(load_scene(scene_file(tmp_path), overrides).axes[0])}
-    assert hints["approach speed for a torque at once, from"].limit == 0.0
+    assert hints["slowest approach with torque in the first cycle"].limit == 0.0
     [energy] = [hint for what, hint in hints.items() if what.startswith("energy for slower contacts")]
     assert energy.limit is not None
     assert f"device_friction earns it over {energy.limit / 0.5:.2g} m of any motion" in energy.text

@@ -158,3 +158,11 @@ def test_keys_stay_in_one_piece_beside_text_that_folds() -> None:
     narrow = io.StringIO()
     Console(file=narrow, width=30).print(Table("to set", ("key", "guess", "what belongs there"), rows))
     assert max(map(len, narrow.getvalue().splitlines())) <= 30
+
+
+def test_a_row_of_dashes_is_left_out_of_the_table_in_which_it_says_nothing() -> None:
+    rows = [["in", "1 J", "2 J"], ["stored", "3 J", "-"]]
+    first, second = printed(Table("", ["account", "a" * 12, "b" * 12], rows, keys=1), 24).split("b" * 12)
+    assert "stored" in first
+    assert "stored" not in second
+    assert "in " in second

@@ -86,8 +86,8 @@ METRICS: Final[dict[str, Figure]] = {
         "where the state relaxes", "N/m", ("force", "state"),
     ),
     "stiffness_rendered.share": Figure(
-        "mean force in contact over the mean effort asked for there", "1", ("force", "asked"), "stiffness rendered",
-        "near one",
+        "sum of the forces in contact, each positive in the direction of the effort asked for, over the sum of the "
+        "sizes of these efforts; 0 if negative", "1", ("rendered", "asked"), "stiffness rendered", "near one",
     ),
     "stiffness_at_end.share": Figure(
         "mean force in contact over the mean effort asked for there, in the last part of the run", "1",
@@ -258,6 +258,8 @@ def _metric(metric: str, sums: Mapping[str, Array]) -> Array:
         return np.sqrt(first / second)
     if len(names) == 1:
         return _WEAKEST_LAST[first.astype(int)] if metric == "certificate" else np.array(first)
+    if metric == "stiffness_rendered.share":
+        first = np.maximum(0.0, first)
     return first - second if metric == "travel" else np.where(second != 0.0, first / second, np.nan)
 
 

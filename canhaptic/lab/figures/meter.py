@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import Final
 
-from canhaptic.control.balance import RANKS, Branch, EnergyBalance
+from canhaptic.control.balance import RANKS, Branch, EnergyBalance, along
 from canhaptic.control.environments.environment import Environment
 from canhaptic.kernels import new
 
@@ -63,6 +63,7 @@ class Meter:
     damping_most: float = 0.0
     state: float = 0.0
     force: float = 0.0
+    rendered: float = 0.0
     asked: float = 0.0
     sizes_asked: float = 0.0
     sizes_sent: float = 0.0
@@ -229,6 +230,7 @@ def take_contact(
         meter.force -= torque
         meter.state += state
         asked = environment.effort(state)
-        meter.asked += asked
+        meter.rendered += along(asked, torque)
+        meter.asked += abs(asked)
         meter.sizes_asked += min(abs(asked), settings.torque_limit)
         meter.sizes_sent += abs(balance.torque)

@@ -39,7 +39,7 @@ def _parts(result: _Account) -> Iterator[tuple[str, _Account, tuple["_Row", ...]
         yield f"{name}: {group['network']} on {', '.join(group['axes'])}", group, _GROUP_ROWS
     for name, axis in result.get("axes", {}).items():
         if "algorithms" in axis:
-            yield f"{name}: {axis['environment']}   continuous: {axis['reference']['method']}", axis, _ROWS
+            yield f"{name}: {axis['environment']}   continuous reference: {axis['reference']['method']}", axis, _ROWS
         else:
             yield name, {"algorithms": axis, "unit": ""}, _DISPLAY_ROWS
 
@@ -118,7 +118,7 @@ def _ranking(part: _Account) -> Text:
         passive = _value(lambda of, _: _verdict(of), part, account)
         return account["status"] != "completed", passive != "yes", error if isinstance(error, float) else math.inf
 
-    words = [f"{place}\N{NO-BREAK SPACE}{name}" for place, name in enumerate(sorted(part["algorithms"], key=worth), 1)]
+    words = [f"{place} {name}" for place, name in enumerate(sorted(part["algorithms"], key=worth), 1)]
     return Text(f" ranking: {', '.join(words)} (passive ones first, then by position error)")
 
 
