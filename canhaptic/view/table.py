@@ -138,12 +138,9 @@ class Table:
             is_whole = not fold or index in whole
             drawn.add_column(Text(self.columns[index]), justify=side, no_wrap=is_whole, overflow="fold")
         for row in map(_styled, self.rows):
-            if (
-                row
-                and len(indices) < len(self.columns)
-                and all(row[of].text.strip() == "-" for of in indices[self.keys :])
-            ):
-                continue  # says nothing in this part
+            said = {number for number, cell in enumerate(row) if cell.text.strip() != "-"} - set(range(self.keys or 0))
+            if said and not said & set(indices):
+                continue  # the row belongs to another part
             if row:
                 drawn.add_row(*(Text(row[index].text, row[index].style) for index in indices))
             else:
