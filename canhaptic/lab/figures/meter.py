@@ -233,4 +233,4 @@ def take_contact(
         meter.rendered += along(asked, torque)
         meter.asked += abs(asked)
         meter.sizes_asked += min(abs(asked), settings.torque_limit)
-        meter.sizes_sent += abs(balance.torque)
+        meter.sizes_sent += min(abs(balance.torque), settings.torque_limit)
