@@ -27,9 +27,10 @@ def display_properties(axis: AxisScene) -> AdmittanceProperties:
     given, display = axis.parameters, axis.parameters.admittance
     if display is None:
         raise ParameterError(f"{given.name}: has no `admittance`; expected an admittance display")
-    if "speed_limit" not in given.model_fields_set or display.acceleration_limit is None:
-        missing = "admittance.acceleration_limit" if display.acceleration_limit is None else "speed_limit"
-        raise ParameterError(f"{given.name}: {missing}: missing; an admittance display needs it, add it")
+    missing = ["admittance.acceleration_limit"] if display.acceleration_limit is None else []
+    missing += ["speed_limit"] if "speed_limit" not in given.model_fields_set else []
+    if missing or display.acceleration_limit is None:
+        raise ParameterError(f"{given.name}: {', '.join(missing)}: missing; every admittance display needs it, add it")
     force, time = display.force, axis.loop.sample_time
     counts = given.counts_per_unit
     quantum = 1.0 / (counts * time) if display.mode == "position" else 1.0 / (display.velocity_counts or counts)
@@ -96,8 +97,9 @@ def display_faults(axis: AxisScene, bus: BusParameters, *, is_real: bool) -> Ite
         "speed_limit": given.speed_limit if "speed_limit" in given.model_fields_set else None,
         "watchdog: true": given.watchdog or None,
     }
-    for key in (key for key, value in needed.items() if value is None and is_real):
-        yield "admittance", f"{key}: missing; an admittance display on a real interface does not move without, add it"
+    if missing := ", ".join(key for key, value in needed.items() if value is None and is_real):
+        text = "an admittance display on a real interface does not move without, add it"
+        yield "admittance", f"{missing}: missing; {text}"
 
 
 def refuse_displays(scene: Scene, command: str) -> None:

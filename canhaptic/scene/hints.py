@@ -325,7 +325,15 @@ def _felt_hints(axis: AxisScene, response: bounds.DisplacementResponse, lag: int
         slowest, begins = 0.0, f"up to device_friction {friction:g} at once, more with the energy below"
     return [
         _hint(axis, what, limit, f"{text}{_share(limit, stiffness)}"),
-        Hint(name, "slowest approach with torque in the first cycle", slowest, None, unit, f"{begins}; {text}"),
+        Hint(
+            name,
+            "slowest approach with torque in the first cycle",
+            slowest,
+            None,
+            unit,
+            f"{begins}; {text}",
+            concerns=False,
+        ),
         *_energy_hint(axis, response, lag, min(stiffness or limit, limit)),
     ]
 

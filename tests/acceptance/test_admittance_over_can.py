@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import struct
 from itertools import pairwise
 from pathlib import Path
@@ -390,6 +391,18 @@ def test_the_stop_is_a_quick_stop_until_standstill() -> None:
     assert drive is not None
     assert abs(drive.servo.motor.velocity) <= 2e-3
     assert drive.state is DriveState.SWITCH_ON_DISABLED
+
+
+def test_every_missing_limit_of_a_display_is_named_in_one_error(tmp_path: Path) -> None:
+    text = re.sub(r"(?m)^ *(speed_limit|acceleration_limit|position_low):.*\n", "", SCENE.read_text())
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(text)
+    (tmp_path / "cia402_admittance.eds").write_text((SCENE.parents[2] / "eds" / "cia402_admittance.eds").read_text())
+    with pytest.raises(SceneError, match=r"handle: admittance\.acceleration_limit, speed_limit: missing;"):
+        load_scene(scene)
+    with pytest.raises(SceneError) as raised:
+        load_scene(scene, REAL)
+    assert "admittance.position_low, admittance.acceleration_limit, speed_limit: missing; an" in str(raised.value)
 
 
 def test_a_display_without_an_acceleration_limit_is_refused() -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -339,3 +340,16 @@ def test_run_imports_rich_for_its_table_only_and_h5py_in_the_process_of_the_log(
         env=environment, timeout=60,
     )  # fmt: skip
     assert set(done.stderr.splitlines()[-1].split()) == needed
+
+
+def test_check_says_the_load_of_the_bus_once_and_one_approach_speed(capsys: pytest.CaptureFixture[str]) -> None:
+    """The speed that needs no stored energy is another figure, which `--full` alone shows."""
+    assert main(["check", DEMO]) == 0
+    text = capsys.readouterr().out
+    assert re.search(
+        r"(?m)^bus: worst cycle \d+ of 1000 us, with heartbeats, an EMCY and the host; \d+ % load on", text
+    )
+    assert text.count("approach speed") == 1
+    assert main(["check", DEMO, "--json"]) == 0
+    limits = [limit["what"] for limit in json.loads(capsys.readouterr().out)["stability"]]
+    assert "slowest approach with torque in the first cycle" in limits

@@ -106,8 +106,8 @@ def _draw_lines(place: "Axes", panel: Lines) -> None:
     if panel.note:
         note = textwrap.fill(panel.note, _LETTERS - 20)
         place.text(0.0, -0.17, note, transform=place.transAxes, fontsize=8.0, color="#606060", va="top")
-    size = 8.0 if len(panel.lines) <= 5 else 6.5
-    place.legend(frameon=True, framealpha=0.85, edgecolor="none", fontsize=size, loc="best")
+    look: Row = {"framealpha": 0.85, "edgecolor": "none", "handlelength": 4.0}  # room for two long dashes
+    place.legend(fontsize=8.0 if len(panel.lines) <= 5 else 6.5, loc="best", **look)
 
 
 def _draw_cells(figure: "Figure", place: "Axes", panel: Cells, limits: tuple[float, float]) -> None:
