@@ -51,6 +51,11 @@ class APrioriDissipationParameters(StoredModelParameters):
     rearm: Literal["printed", "displacement"] = "printed"
     """Velocity at a restart in contact without stored energy: `printed`: x / T (eq. 14), or from the displacement."""
 
+    @property
+    def rearms_as_printed(self) -> bool:
+        """Whether `rearm` is `printed`: settings of compiled loops hold numbers, not texts."""
+        return self.rearm == "printed"
+
 
 @dataclass(slots=True)
 class _APrioriDissipationState(StoredModelState):
@@ -70,7 +75,7 @@ def touch(
     storage, displacement = state.storage, hold.displacement
     state.met = state.met or entered
     if entered or (is_deadlocked(storage) and pushed_inward(environment, storage, displacement)):
-        printed = settings.given.rearm == "printed" and state.met and not entered
+        printed = settings.given.rearms_as_printed and state.met and not entered
         state.met = True
         change = storage.true if printed else entered_by(environment, storage, displacement)
         return start(environment, storage, change, hold.elapsed, hold.h_i - hold.h_pas)
