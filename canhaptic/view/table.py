@@ -137,9 +137,12 @@ class Table:
             side: Literal["left", "right"] = "left" if self.keys is None or index < self.keys else "right"
             is_whole = not fold or index in whole
             drawn.add_column(Text(self.columns[index]), justify=side, no_wrap=is_whole, overflow="fold")
-        for row in map(_styled, self.rows):
-            said = {number for number, cell in enumerate(row) if cell.text.strip() != "-"} - set(range(self.keys or 0))
-            if said and not said & set(indices):
+        rows = list(map(_styled, self.rows))
+        named = {*range(self.keys or 0)}
+        said = [{at for at, cell in enumerate(row) if cell.text.strip() != "-"} - named for row in rows]
+        is_told = any(not here.isdisjoint(indices) for here in said)
+        for row, here in zip(rows, said, strict=True):
+            if is_told and here and here.isdisjoint(indices):
                 continue  # the row belongs to another part
             if row:
                 drawn.add_row(*(Text(row[index].text, row[index].style) for index in indices))

@@ -282,7 +282,9 @@ def test_the_lag_of_the_torque_is_measured_and_a_declaration_below_it_differs() 
 @pytest.mark.slow
 def test_bounds_of_damping_friction_and_jitter_are_proposed_on_the_safe_side() -> None:
     report = commissioned("simulation.effects=[{type: coulomb_friction, kinetic: 0.2, static: 0.3}]")
-    assert row(report, "torque lag").verdict is StepVerdict.AGREES  # dry friction is not taken for one
+    lag = row(report, "torque lag")
+    assert (lag.configured, lag.verdict) == ("none", StepVerdict.MEASURED)
+    assert lag.found.startswith("below what this test resolves")  # dry friction is not taken for a lag
     assert 0.3 < float(value(report, "passivity.device_friction_bound")) < 0.6
     assert float(value(report, "passivity.device_damping_bound")) > 0.1
     assert float(value(report, "passivity.sync_jitter")) >= 0.01

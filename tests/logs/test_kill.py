@@ -193,6 +193,7 @@ def test_a_lost_power_and_a_full_disk_leave_logs_that_are_readable_to_the_last_f
     kind = ("power", "energy log", "bus log")[number % 3]
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as run:
         wait_for(lambda: bus.exists() and bus.stat().st_size > 0)
+        wait_for(lambda: {str(path), str(bus)} <= set().union(*writers(run.pid).values()))
         threading.Event().wait(chance.uniform(0.0, 1.5 if number != 1 else 0.2))
         if kind == "power":
             for process in (*writers(run.pid), run.pid):  # none is left that could empty its ring

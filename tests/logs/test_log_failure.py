@@ -112,7 +112,7 @@ def test_what_ended_a_run_is_in_its_log_and_in_its_picture(tmp_path: Path, capsy
     words = ["run", DEMO, "--duration", "0.5", "--set", "axes.0.speed_limit=0.2", "--log", str(log), "--json"]
     assert main(words) == 3
     capsys.readouterr()
-    assert main(["inspect", str(log), "--json", "--svg", str(tmp_path / "run.svg")]) == 0
+    assert main(["inspect", str(log), "--json", "--svg", str(tmp_path / "run.svg")]) == 1
     result = json.loads(capsys.readouterr().out)
     (event,) = [each for each in result["events"] if each["kind"] != "unrestored"]
     assert (event["kind"], event["port"], event["sync_index"]) == ("fault", "handle", result["cycles"])

@@ -149,7 +149,7 @@ def test_what_is_advised_for_the_loop_brings_it_nearer_when_it_is_done(name, wri
     if name in NOT_FELT:
         return
     base = apart(scene)
-    nearer = [row for row in result["loop"] if f"{row['group']} {row['setting']} (" in line]
+    nearer = [row for row in result["loop"] if f"{row['group']}: {row['setting']} (" in line]
     assert nearer or "no single change" in line
     for row in nearer:
         if row["group"] == "sample rate":
