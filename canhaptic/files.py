@@ -1,20 +1,16 @@
-"""Reading of input files, writing of output files, and the scenes and dictionaries that come with the package.
+"""Reading of input files, and the scenes and dictionaries that come with the package.
 
-An input file must be regular and of bounded size, since a pipe or a device has no end. An output file must be regular
-or new; symbolic links are not followed, and it is replaced as a whole or not at all.
+An input file must be regular and of bounded size, since a pipe or a device has no end.
 """
 
 import errno
 import os
-import secrets
 import stat
 import sysconfig
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from canhaptic.errors import InputError, LogFormatError, SceneError
+from canhaptic.errors import SceneError
 from canhaptic.registry import nearest
 
 _KINDS: Final = {
@@ -72,22 +68,6 @@ CONVERTIBLE: Final = frozenset({".blf", ".trc", ".asc"})
 """Suffixes of bus logs that python-can reads and writes."""
 
 
-def log_file(path: str | Path) -> Path:
-    """Return the path of an existing, non-empty log.
-
-    Raises:
-        LogFormatError: The file does not exist, is not regular, or is empty.
-    """
-    path = Path(path)
-    try:
-        found = require_regular(path)
-    except OSError as error:
-        raise LogFormatError(f"{path}: {error.strerror}, expected a log of a run") from error
-    if found.st_size == 0:
-        raise LogFormatError(f"{path}: the file is empty, expected a log of a run")
-    return path
-
-
 FOLDERS: Final = ("configs", "eds")
 
 _TREE: Final = Path(__file__).resolve().parent.parent
@@ -134,44 +114,3 @@ def scene_file(path: Path) -> Path:
     near = nearest(name, names, 2) or nearest(name, [known.split("/")[-1] for known in names], 2)
     text = f"{path}: cannot be read (no such file), and no scene of the package has this name"
     raise SceneError([f"{text}{near or '; `canhaptic configs` lists the scenes'}"])
-
-
-def why_not_written(path: Path) -> str:
-    """Return why a path cannot be written; "" if it is free or a regular file."""
-    try:
-        mode = path.lstat().st_mode
-    except FileNotFoundError:
-        return ""
-    except OSError as error:
-        return f"{path}: {error.strerror}; choose a folder that exists and may be written"
-    kind = kind_of(mode)
-    return f"{path}: is {kind}, expected a regular file or none; name another file" if kind else ""
-
-
-def require_writable_place(path: Path) -> None:
-    """Refuse a path that is neither free nor a regular file.
-
-    Raises:
-        InputError: The path is a folder, a link, a device or the like.
-    """
-    if reason := why_not_written(path):
-        raise InputError(reason)
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield a new, empty file in the folder of `path`; it replaces `path` if the block ends well.
-
-    Raises:
-        InputError: `path` is neither free nor a regular file.
-        OSError: The new file cannot be created.
-    """
-    require_writable_place(path)
-    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(8)}{path.suffix}")
-    os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise

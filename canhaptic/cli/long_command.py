@@ -82,14 +82,11 @@ def check_list(confirmed: Mapping[CheckItem, str]) -> Iterator[str]:
 
 def walls_first(experiment: "Experiment", stop_requested: Callable[[], bool]) -> Callable[[], bool]:
     """Return `stop_requested`, wrapped: its first call, with enabled drives and before any torque, prints the walls."""
-    if all(axis.parameters.position_reference != "at_start" for axis in experiment.scene.axes):
-        return stop_requested
-    waiting = [experiment]
+    walls = _walls(experiment)
 
     def requested() -> bool:
-        if waiting:
-            for text in _walls(waiting.pop()):
-                write_note(f"  {text}")
+        for text in walls:  # empty after the first call
+            write_note(f"  {text}")
         return stop_requested()
 
     return requested
@@ -107,10 +104,7 @@ def _walls(experiment: "Experiment") -> Iterator[str]:
 
 def _places(axis: AxisScene) -> Iterator[tuple[str, float]]:
     """Yield key and position of the walls and limits of an axis."""
-    for of, keys in (
-        (axis.environment.parameters, ("position", "lower_wall", "upper_wall")),
-        (axis.parameters.admittance, ("position_low", "position_high")),
-    ):
-        for key in keys:
+    for key in ("position", "lower_wall", "upper_wall", "position_low", "position_high"):
+        for of in (axis.environment.parameters, axis.parameters.admittance):
             if isinstance(place := getattr(of, key, None), float):
                 yield key, place

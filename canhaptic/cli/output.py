@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from canhaptic.errors import CanHapticError, InputError, SceneError
-from canhaptic.files import replacing
 from canhaptic.view.terminal import visible
 
 
@@ -39,6 +38,8 @@ def write_file(path: Path, text: str) -> None:
     Raises:
         InputError: The file cannot be written.
     """
+    from canhaptic.host.output_files import replacing
+
     try:
         with replacing(path) as file:
             file.write_text(text, encoding="utf-8")

@@ -1,1 +1,1 @@
-"""Interfaces to this computer: SocketCAN, python-can back ends, real-time settings."""
+"""Interfaces to this computer: SocketCAN, python-can back ends, real-time settings, output files."""

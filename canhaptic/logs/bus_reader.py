@@ -12,7 +12,8 @@ from typing import BinaryIO, Final, Literal, NamedTuple
 import can
 
 from canhaptic.errors import LogFormatError
-from canhaptic.files import CONVERTIBLE, log_file
+from canhaptic.files import CONVERTIBLE
+from canhaptic.logs import log_file
 
 _ERROR_FLAG: Final = 0x2000_0000  # of an identifier in candump text (CAN_ERR_FLAG of linux/can.h)
 _LATEST: Final = 4_000_000_000_000_000_000  # [ns], in the year 2096

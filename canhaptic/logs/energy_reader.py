@@ -19,8 +19,8 @@ from typing import Any, Final, NamedTuple, Self, TypeVar
 import numpy as np
 
 from canhaptic.errors import InputError, LogFormatError
-from canhaptic.files import log_file
 from canhaptic.logs import columns as log_format
+from canhaptic.logs import log_file
 from canhaptic.logs.hdf5 import Array, Attribute, Dataset, Hdf5File, failure_of, row_digests
 
 _RUNNING: Final = "running"

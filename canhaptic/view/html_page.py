@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 from canhaptic.control.verdict import Headline, PortResult
 from canhaptic.errors import InputError
-from canhaptic.files import replacing
+from canhaptic.host.output_files import replacing
 from canhaptic.view.picture_style import BLUE, GREEN, ORANGE, VERMILION
 from canhaptic.view.run_lines import headline_text
 from canhaptic.view.table import Table

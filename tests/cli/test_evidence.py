@@ -92,7 +92,8 @@ def test_walls_are_shown_before_any_torque_where_the_counts_begin_at_power_on(
     assert said.count("the handle is 0.02 m from its position at power-on; position: -0.05 m (-0.07 m from here)") == 1
     assert seen[0] == 0.0
     with build(load_scene(DEMO)) as experiment:
-        assert walls_first(experiment, bool) is bool
+        assert walls_first(experiment, lambda: True)()
+    assert not capsys.readouterr().err  # absolute positions
 
 
 def test_what_was_confirmed_and_when_is_kept_and_changes_no_configuration() -> None:
