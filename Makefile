@@ -38,10 +38,12 @@ test: $(VENV)/.installed-dev
 
 # Tests that need Debian's `chromium` or `tshark` skip, visibly, where those are absent; so does the machine of
 # test-socketcan, which is built in one folder and so not by two workers at once.
+SLOW := $(BIN)/pytest -q -n $(JOBS) --dist worksteal -m "slow or hypothesis" --hypothesis-profile=thorough
+
 test-all: test $(VENV)/.installed-report,export,docs,release
 	$(BIN)/python tools/record.py --check
-	$(BIN)/pytest -q -n $(JOBS) --dist worksteal -m "slow or hypothesis" --hypothesis-profile=thorough \
-		--ignore tests/socketcan_vm
+	$(SLOW) tests/lab  # apart: numba gives the memory of compiled loops back only when a process ends
+	$(SLOW) --ignore tests/lab --ignore tests/socketcan_vm
 	$(MAKE) test-socketcan
 
 # Linux's own CAN stack in a virtual machine; the packages it needs are named in tests/socketcan_vm/README.md.
