@@ -53,7 +53,7 @@ class _CycleLog(Protocol):
         """Record one cycle."""
 
     def event(self, sync_index: int, kind: str, port: str, text: str) -> None:
-        """Take a single event."""
+        """Record one event."""
 
 
 class Cycle:
@@ -179,7 +179,7 @@ class Cycle:
         self.uneven += 1
 
     def _lost(self, meter: EnergyLossMeter, samples: Sequence[Sample]) -> str:
-        """Return which port generated too much energy, and how much; "" unless it is certain."""
+        """Return the text on a port that generated too much energy, and how much; "" unless that is certain."""
         uncertainty = sum(self._likely_doubt(axis) + self._lost_to_friction(axis, samples) for axis in meter.axes)
         supplied = sum(g.supplied + g.balance.supplied for g in self.groups if g.name == meter.name)
         if meter.energy + supplied + uncertainty >= meter.floor:
@@ -196,7 +196,7 @@ class Cycle:
         return known.dissipated + friction * max(0.0, abs(samples[axis].position - known.position) - blur)
 
     def _likely_doubt(self, axis: int) -> float:
-        """Return the largest likely error of an axis's energy [J], without commands that may have been lost unseen.
+        """Return the largest likely error of an axis's energy [J], not counting commands that were lost undetected.
 
         If no torque is read back, such commands would make every loss of energy uncertain, and no rig would stop.
         """

@@ -11,7 +11,7 @@
     |- LogWriteError (OSError)              2   a log that cannot be written where it was asked for
     |  `- LogStoppedError                   3   a log that ended before its run: a full disk, a file that was deleted
     |- CheckFailedError                      1   a comparison or check the user asked for failed
-    |- EventLimitError (RuntimeError)        1   a simulated plant takes more events or products than are allowed
+    |- EventLimitError (RuntimeError)        1   a simulated plant has too many events or matrix products
     |- OwnCodeError (RuntimeError)           1   user code of a scene raised, or returned no finite number
     |- WorkersLostError (RuntimeError)       1   the processes of a sweep died again and again
     `- RigError (RuntimeError)               3   drive or link; the drive is left without torque
@@ -23,9 +23,9 @@
        |  |- StateLeftError                  3   the drive left OPERATION ENABLED
        |  |- NmtStateLeftError               3   the drive left NMT OPERATIONAL
        |  |- NotFollowingError               3   the drive does not follow its target torque
-       |  |- TorqueLimitedError              3   the drive limits its torque without reporting the rest
+       |  |- TorqueLimitedError              3   the drive limits its torque; no TPDO shows the remaining one
        |  |- ForceRangeError                 3   a force beyond the range of its sensor
-       |  |- ForceFrozenError                3   a force sensor that shows one count for too long
+       |  |- ForceFrozenError                3   a force sensor that shows the same count for too long
        |  `- PositionJumpError               3   a position that no hand can have moved to
        |- LinkError (TimeoutError)           3   lost frames, lost heartbeat, bus-off
        |  |- TpdoLostError                   3   too many SYNCs in a row without an answer

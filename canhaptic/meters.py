@@ -30,7 +30,7 @@ class Promise(NamedTuple):
 
 
 def promise_of(controller: object) -> Promise:
-    """Return what a controller's certificates hold for; a controller that declares nothing: no losses, no allowance."""
+    """Return the conditions of a controller's certificates; by default no lost cycles and no energy allowance."""
     losses = int(getattr(controller, "max_consecutive_losses", 0))
     return Promise(losses, float(getattr(controller, "energy_allowance", 0.0)), getattr(controller, "hand_force", None))
 
@@ -102,7 +102,7 @@ class Activity:
         self.at_handle_since: int | None = None
 
     def take(self, most: float, deadline: int) -> None:
-        """Note the time if a net energy is below a bound that was not undercut before.
+        """Note the time at which a net energy first falls below its bound.
 
         Args:
             most: Booked net energy plus its uncertainty [J].

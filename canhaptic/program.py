@@ -333,7 +333,7 @@ class OpenRig:
         return InputError(f"{what}; torque is zero and the rig has stopped; set finite numbers, and only in the loop")
 
     def _take_signal(self, number: int, frame: FrameType | None) -> None:
-        """End the program at once, or if the rig is at work after that work; a second signal always ends it at once."""
+        """End the program: at once, or if the rig is working, after its work; at a second signal always at once."""
         if (self._is_ending or self._is_at_work) and not self._signal:
             self._signal = number
             return

@@ -149,7 +149,7 @@ class Recording:
 
     @property
     def restoring(self) -> int:
-        """Index of the frame after the last SYNC with which the stop begins to restore values: a state request."""
+        """Index of the frame with which the stop begins to restore values: the state request after the last SYNC."""
         asks = bytes([_UPLOAD]) + struct.pack("<HB", od.STATUSWORD, 0)
         last = max((n for n, address in enumerate(self.addresses) if address == _SYNC), default=0)
         after = range(last, len(self.frames))
@@ -268,7 +268,7 @@ class RecordedSide:
         bus.send(frame.message())
 
     def _compare(self) -> None:
-        """Compare one frame of the master, if possible of the bus of the next recorded one."""
+        """Compare one frame of the master with its recording, if possible on the bus of the next recorded frame."""
         while self._next < self._end and not self._is_master[self._next]:
             self._play()
         if self._next == self._end:
@@ -337,10 +337,10 @@ class RecordedClock:
 
 
 class JoinedRig(Rig):
-    """A rig whose `start` sends only SYNC 0, for recorded drives that are enabled; real ones would be unconfirmed."""
+    """A rig whose `start` sends only SYNC 0, for recorded drives that are enabled; it would not check real drives."""
 
     def start(self) -> None:
-        """Send SYNC 0 and take its TPDOs."""
+        """Send SYNC 0 and receive its TPDOs."""
         self._reset()
         for drive in self.drives:
             _suppose_enabled(drive)
@@ -552,7 +552,7 @@ class OpenReplay:
         return (JoinedRig if self._joins else Rig)(links, drives, scene.bus, scene.group_places)
 
     def _follow_older_master(self, drives: list[ServoDrive]) -> None:
-        """Leave out what the recorded master did not do: an older one wrote no 0x1006 or offset, restored nothing."""
+        """Skip what an older recorded master did not do: write 0x1006 or an offset, restore values."""
         if self._joins:
             return
         places = {bus.name: place for place, bus in enumerate(self._scene.buses)}
@@ -591,7 +591,7 @@ class OpenReplay:
 
         Args:
             elapsed: Duration of the run [s].
-            ended: End of the run, in words, if there was no difference.
+            ended: How the run ended, in words, if there was no difference.
 
         Raises:
             InputError: No whole cycle was compared.

@@ -70,7 +70,7 @@ _OF_AN_AXIS: Final = (
 """Keys that the account of an axis in a group keeps."""
 _WORST_LAST: Final[tuple[Verdict, ...]] = ("yes", "in doubt", "no")
 _HEADLINES: Final[tuple[Headline, ...]] = ("no contact", "dry run", "yes", "in doubt", "nothing rendered", "no")
-"""Headline words, worst last; "no contact" is first, so that one untouched handle does not decide about several."""
+"""Headline words, worst last; "no contact" is first, so that one untouched handle never decides the overall verdict."""
 
 
 def overall(ports: Mapping[str, PortResult]) -> Verdicts:
@@ -158,9 +158,9 @@ def _accounts(
 
 
 _UNANSWERED: Final = 0.05
-"""Share of the requested efforts after the last torque, above which the account says when the torque ended."""
+"""Fraction of the requested effort that falls after the last torque; above it, the account gives that time."""
 _UNKNOWN: Final[PortResult] = {"dissipated": None, "damping_rendered": {"least": None, "most": None}}
-"""Unknown sums of a port whose torques a program, or user code in its own process, requests."""
+"""Sums that are unknown if a program, or user code in a separate process, requests the port's torques."""
 
 
 def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_time: float) -> PortResult:

@@ -34,7 +34,7 @@ class Truth(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Figures of a port that are not in the balances of its holds; all except the effort count from SYNC 0."""
+    """Figures of a port that its energy balances lack; all except the effort are totals since SYNC 0."""
 
     energy_resolution: float  # largest |booked - true| sum of interaction [J]
     device_dissipated: float  # by the declared properties of the device, at least [J]

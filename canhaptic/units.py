@@ -219,7 +219,7 @@ def quantity(linear: str, rotary: str | None = None, **limits: float) -> Any:
 Coordinates = tuple[Annotated[float, quantity("m", "rad")], ...]
 """A point of task space, or a position of each axis [m or rad]."""
 Numbers = tuple[Annotated[float, quantity("1")], ...]
-"""Numbers of one row: a direction, or SI in a matrix."""
+"""Numbers of one row: a direction, or a row of a matrix in SI."""
 
 
 class _ParametersMeta(_ModelMetaclass):
@@ -351,7 +351,7 @@ class Parameters(BaseModel, metaclass=_ParametersMeta):
 
     @classmethod
     def of_section(cls, section: Mapping[str, Any], context: object) -> Self:
-        """Return the parameters of a scene's section, read in the units of its axis, else in those of the model."""
+        """Return the parameters of a scene's section; its axis, or else the model, sets linear or rotary units."""
         motion = getattr(section, "motion", None) or getattr(cls, "motion", None)
         with context.moving(motion) if isinstance(context, UnitContext) else nullcontext():
             return cls.model_validate(section, context=context)

@@ -150,7 +150,7 @@ class _CheckFindings(NamedTuple):
     objects: dict[str, list[Finding]]  # of each axis, as its drive has them; empty where none was asked
 
     def wall(self) -> str:
-        """Approach speed from which the weakest wall is felt, or why there is no wall; "" if no wall can be tried."""
+        """Sentence: from which approach speed the weakest wall is felt, or why none is; "" if no wall can be tried."""
         if not self.felt:
             return ""
         name = max(self.felt, key=self.felt.__getitem__)
@@ -169,7 +169,7 @@ class _CheckFindings(NamedTuple):
         return f"the wall{at} is felt from an approach speed of {self.felt[name]:.2g} {unit}{both}{lost}"
 
     def _under_losses(self, axis: AxisScene, speed: float) -> str:
-        """Return which part of a pressed wall remains at which share of lost frames; "" if no losses are declared."""
+        """Return in words how much force of a pressed wall remains if frames are lost; "" if no losses are declared."""
         if not getattr(axis.passivity.parameters, "max_consecutive_losses", 0):
             return ""
         tried = kept_through_losses(axis, speed)

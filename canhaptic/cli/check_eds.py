@@ -42,7 +42,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _statuses(found: Survey, profile: str | None) -> str:
-    """Return in one line whether a scene by `canhaptic new` for this drive is ready, in simulation and on hardware."""
+    """Return in one line whether a scene made by `canhaptic new` for this drive is ready, simulated and on hardware."""
     if found.suitability is Suitability.UNFIT:
         return f"Simulation: {Suitability.UNFIT.value}. Hardware: {Suitability.UNFIT.value}"
     return status_text(scene_from_text(starter_scene(found, simulate=True, drive=profile), str(found.axis.eds)))

@@ -78,7 +78,7 @@ def _run(words: list[str], name: str) -> int:
 
 
 def _meant(unknown: str, command: str) -> str:
-    """Return what an option that a command does not have was meant as, for the end of a message; "" if not known."""
+    """Return a hint to the option that an unknown one probably meant, to end a message; "" if none is similar."""
     from canhaptic.control.passivity import ALGORITHMS
 
     options = table()[command]["arguments"]

@@ -172,7 +172,7 @@ def _names(text: str) -> list[str]:
     """
     found = [name.strip() for name in text.split(",") if name.strip()]
     if not found:
-        raise argparse.ArgumentTypeError(f"got {text!r}, expected names with commas")
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected names separated by commas")
     return found
 
 

@@ -70,7 +70,7 @@ def _preflight(scene: Scene) -> Iterator[str]:
 
 
 def _with_checked_holds(scene: Scene, stop: StopSignal, arguments: argparse.Namespace) -> Scene:
-    """Check the hold of a torque on every axis with `check_hold`; return the scene with the result."""
+    """Test in which hold a torque acts, on every axis with `check_hold`; return the scene with the result."""
     if arguments.no_torque or all(axis.parameters.check_hold is None for axis in scene.axes):
         return scene
     from canhaptic.commission.torque_tests import checked_holds

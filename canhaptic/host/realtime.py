@@ -1,4 +1,4 @@
-"""Real-time settings of the thread that runs the cycle: priority, processors, locked memory, frozen garbage.
+"""Real-time settings of the thread that runs the cycle: priority, processors, locked memory, garbage collection.
 
 Only configured settings are requested, and all are released at the end. A refusal never stops a run; the report gives
 the operating system's reason, such as a missing privilege.

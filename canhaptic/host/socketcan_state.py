@@ -180,7 +180,7 @@ def _of_state(channel: str, state: str) -> _Row:
 
 
 def _least_restart(bus: BusSettings) -> int:
-    """Return the shortest automatic restart after a bus-off [ms] that finds the rig stopped."""
+    """Return the shortest delay of an automatic restart after bus-off [ms] that lets the rig stop before."""
     return math.ceil(bus.stop_cycles * bus.sample_time * 1e3)
 
 

@@ -1,4 +1,4 @@
 """The laboratory: comparison, judgement and pictures.
 
-The product names it in its tables of commands, algorithms and choices, and imports none of it.
+The rest of the package only names it, in tables of commands, algorithms and choices, and does not import it.
 """

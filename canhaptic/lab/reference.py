@@ -285,7 +285,7 @@ _BETWEEN_GUARDS: Final = (2.5e-4, 5e-4)
 
 
 class ContinuousMotion(NamedTuple):
-    """The continuous axis or group at every `step_ns`; of an axis without the second dimension."""
+    """Motion of the continuous axis or group at every `step_ns`; for an axis, arrays lack the second dimension."""
 
     step_ns: int
     position: Array  # of the motors, shape (steps + 1, axes) [m or rad]
@@ -340,7 +340,7 @@ def continuous_group(
 
 
 class _Coupled:
-    """Motors and network; state: of the motors, x of the network, impulse of every motor, energy taken."""
+    """Motors and network; state: motors' states, network's x, impulse of every motor, energy taken by the network."""
 
     def __init__(self, scene: Scene) -> None:
         (group,) = scene.groups
@@ -420,7 +420,7 @@ class _Coupled:
 
 
 def _loss(viscous: float, squared: float, coulomb: float, corner: float, flow: float) -> float:
-    """Return phi(f) of a dissipator."""
+    """Return the effort phi(f) of a dissipator at a flow f."""
     dry = coulomb * flow / math.hypot(flow, corner) if coulomb else 0.0
     return flow * (viscous + squared * abs(flow)) + dry
 

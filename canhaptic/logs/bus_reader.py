@@ -31,7 +31,7 @@ SkippedKind = Literal["CAN FD", "error", "remote"]
 
 
 class _Lines(TextIOWrapper):
-    """A text whose lines have a bounded length: a file without line ends would be read as one line."""
+    """Text file with a bounded line length, so that a file without line ends is not read as one huge line."""
 
     def readline(self, size: int | None = -1) -> str:  # type: ignore[override]
         """Return the next line; empty at the end.
@@ -114,7 +114,7 @@ def _read_candump(path: Path, skipped: Counter[SkippedKind]) -> Iterator[Frame]:
 
 
 def _require_time(path: Path, number: int, nanoseconds: int) -> None:
-    """Refuse a time that no clock shows, with which the timers of a replay would never expire."""
+    """Refuse an implausible time stamp, at which the timers of a replay would never expire."""
     if nanoseconds > _LATEST:
         raise LogFormatError(
             f"{path}: frame {number} has the time {nanoseconds * 1e-9:.3g} s, expected at most {_LATEST * 1e-9:.3g} s "
@@ -152,7 +152,7 @@ def _channel(path: Path, number: object) -> str:
 
 
 def _messages(path: Path) -> Iterator[can.Message]:
-    """Yield the messages of a file, which is opened here since python-can leaves an unreadable one open."""
+    """Yield the messages of a file, and close it after an error too, which python-can does not."""
     suffix = path.suffix.lower()
     if suffix == ".blf":
         with path.open("rb") as binary:

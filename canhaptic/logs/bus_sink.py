@@ -81,7 +81,7 @@ class BusSink(LogSink):
         os.truncate(self._descriptor, self._size)
 
     def drain(self, heads: list[int], final: bool) -> None:
-        """Write all frames up to `heads[0]`."""
+        """Write all frames up to record number `heads[0]` of the ring."""
         while self._next < heads[0]:
             count = min(_BLOCK, heads[0] - self._next)
             self._write(format_frames(self._frames.read(self._next, count), self._channels))
@@ -139,7 +139,7 @@ class FaultSink(LogSink):
         self._blocks: deque[bytes] = deque()
 
     def open(self, restart: bool) -> None:
-        """Check that the file can be created; the file of an earlier bad end stays."""
+        """Check that the file can be created; the file of an earlier run that ended badly is kept."""
         del restart
         self._next = self._frames.tail
         probe = self._path.with_name(f".{self._path.name}.new")
@@ -148,7 +148,7 @@ class FaultSink(LogSink):
         probe.unlink()
 
     def drain(self, heads: list[int], final: bool) -> None:
-        """Copy all frames up to `heads[0]` into memory; discard those older than the kept duration."""
+        """Copy all frames up to ring record `heads[0]` into memory; discard those older than the kept duration."""
         del final
         while self._next < heads[0]:
             count = min(_KEPT_BLOCK, heads[0] - self._next)

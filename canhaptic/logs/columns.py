@@ -8,7 +8,7 @@ from canhaptic.logs.ring import RingShape
 from canhaptic.signals import CycleTiming, Measured, PlantEnergy, Sample
 
 FORMAT_VERSION: Final = 4
-"""Version of the format. 1 lacks `timing/deadline_index` and the quantities of `Measured`, 2 `active`, 3 `digest`."""
+"""Version of the format: 2 added `timing/deadline_index` and the quantities of `Measured`, 3 `active`, 4 `digest`."""
 _LAST_WITHOUT_DIGEST: Final = 3
 DIGEST: Final = "digest"
 """Path of the column with the CRC-32 of each row (`row_digests`), which the writer process adds."""
@@ -17,10 +17,10 @@ FORMAT_NAME: Final = "canhaptic energy log"
 Attribute = str | int | float
 
 GROUP_AXES: Final = "group_axes"
-"""`NAME.group_axes`: names of the axes of a group (JSON). Its port has the account and no position."""
+"""`NAME.group_axes`: names of the axes of a group (JSON). The port of a group has an account but no position."""
 
 ACTIVE_LIMITS: Final = "active_limits"
-"""`NAME.active_limits`: bounds from which the column `active` is computed (`ActiveLimits`), the finite ones (JSON)."""
+"""`NAME.active_limits`: the finite bounds (`ActiveLimits`) from which the column `active` is computed (JSON)."""
 
 DRY_RUN: Final = "dry_run"
 """Attribute of the log of a dry run, in which no torque was sent; `torque_command` is what the controller requested."""
@@ -121,7 +121,7 @@ class LogSchema(NamedTuple):
         return columns
 
     def stored(self) -> list[_LogColumn]:
-        """Return the columns of the file: columns of the ring that have a path, and the digest of these."""
+        """Return the columns of the file: columns of the ring that have a path, and the column of their digests."""
         digest = [_LogColumn(DIGEST, "1", "u4")] if self.version > _LAST_WITHOUT_DIGEST else []
         return [column for column in self.columns() if column.path] + digest
 

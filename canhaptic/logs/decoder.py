@@ -1,7 +1,7 @@
 """Text for every frame of a CANopen bus: NMT, SYNC, EMCY, SDO with object names, PDO fields, heartbeats.
 
-The PDO maps are learnt from the SDO traffic of the bring-up in the log (CiA 301, 7.2.4), so no configuration is needed.
-With one, objects get the names of the drive's dictionary and positions and torques their units. Power states follow the
+The PDO maps are learnt from the SDO traffic of the bring-up in the log (CiA 301, 7.2.4), without any configuration.
+A configuration adds the names in the drive's dictionary, and units of positions and torques. Power states follow the
 table of IEC 61800-7-201, 6.3. Codecs and tables of the master are not used, so that a mistake in them is found.
 """
 
@@ -211,7 +211,7 @@ class PdoMaps:
 
 
 def with_sign(index: int, raw: int, bits: int) -> int:
-    """Return the value of an object of some bits, in two's complement if its type is signed."""
+    """Return the value of an object from its raw bits, read as two's complement if its type is signed."""
     return raw - (1 << bits) if index in _SIGNED and raw >> (bits - 1) else raw
 
 
@@ -326,7 +326,7 @@ class _Node(SdoDecoder):
         self.maps = PdoMaps(description.node_id, description.dictionary)
 
     def object_name(self, index: int, subindex: int) -> str:
-        """Return `0x6040 Controlword`, with the words of the dictionary where there is one."""
+        """Return the text for an object, such as `0x6040 Controlword`; the name comes from the dictionary, if any."""
         number = super().object_name(index, subindex)
         entry = (self._description.dictionary or {}).get(index)
         if entry is None:
@@ -335,7 +335,7 @@ class _Node(SdoDecoder):
         return f"{number} {entry.name}" + (f" / {member.name}" if member is not None else "")
 
     def value_text(self, index: int, subindex: int, value: bytes) -> str:
-        """Return the text for the value of an object, with what it means where that is known."""
+        """Return the text for the value of an object, with its meaning if known."""
         plain, bits = super().value_text(index, subindex, value), 8 * len(value)
         raw = with_sign(index, int.from_bytes(value, "little"), bits)
         words = self._meaning(PdoField(index, subindex, bits, raw))

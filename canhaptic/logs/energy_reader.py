@@ -24,7 +24,7 @@ from canhaptic.logs import log_file
 from canhaptic.logs.hdf5 import Array, Attribute, Dataset, Hdf5File, failure_of, row_digests
 
 _RUNNING: Final = "running"
-"""Status of a log whose writer has not closed it: a kill can come between two columns of one chunk."""
+"""Status of a log that its writer has not closed; after a kill the columns may differ in length by one chunk."""
 
 DAMAGE: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError, OverflowError)
 """Exceptions of h5py and NumPy for damaged files."""
@@ -283,7 +283,7 @@ class EnergyLog:
         return np.asarray(self.deadlines() * self.sample_time)
 
     def deadlines(self, start: int = 0, stop: int | None = None) -> Array:
-        """Return the sample times from the first SYNC to that of each row; in an older log the index of the SYNC."""
+        """Return the number of sample times from the first SYNC to that of each row; for an older log, SYNC indices."""
         return self.timing.read("deadline_index" if "deadline_index" in self.timing else "sync_index", start, stop)
 
     def time_of(self, sync_index: int) -> float:

@@ -56,7 +56,7 @@ class Dataset:
         return len(self)
 
     def read_tables(self) -> None:
-        """Read type, attributes and chunk addresses, in which HDF5 may find damage, but no element."""
+        """Read type, attributes and chunk addresses, but no elements, so that HDF5 reports damage in them."""
         self._dataset.dtype, self.attributes  # noqa: B018 - for what the library does to find them
         with _bounded_memory():
             if self._dataset.chunks:
@@ -223,7 +223,7 @@ class Hdf5File:
 
 @contextmanager
 def _bounded_memory(needed: int = 0) -> Iterator[None]:
-    """Bound the memory that HDF5 may allocate, on Linux: it trusts damaged lengths, and would allocate gigabytes.
+    """On Linux, bound the memory that HDF5 may allocate: it trusts damaged lengths, and would allocate gigabytes.
 
     Args:
         needed: Size of an undamaged item [B], besides texts and chunks.
@@ -262,14 +262,14 @@ def mark_failed(path: Path, cause: str) -> None:
 
 
 def failure_of(path: Path) -> str:
-    """Return the text of `mark_failed`, "failed: CAUSE"; empty if it wrote none."""
+    """Return the text that `mark_failed` wrote, "failed: CAUSE"; empty if there is none."""
     with path.open("rb") as file:
         text = file.read(_USER_BLOCK)
     return text.rstrip(b"\0").decode("utf-8", "replace") if text.startswith(_FAILED) else ""
 
 
 def note_length(path: Path, cycles: int) -> str:
-    """Return the text of `mark_failed`, with the length of the run where the log ends early; empty if it wrote none."""
+    """Add the run's length to the text of `mark_failed` if the log ends early; return the text, or empty for none."""
     cause = failure_of(path) if path.is_file() else ""
     if ENDS_AT in cause:
         mark_failed(path, f"{cause.removeprefix('failed: ')} of {cycles}")

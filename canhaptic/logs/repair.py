@@ -26,7 +26,7 @@ from canhaptic.logs.hdf5 import Hdf5File
 
 _Result = TypeVar("_Result")
 _SECONDS: Final = 2
-"""CPU time of the copy of the process [s]; one second more for each `_BYTES_A_SECOND` of the file."""
+"""Limit on the CPU time of the copy of the process [s]; plus one second for each `_BYTES_A_SECOND` of the file."""
 _BYTES_A_SECOND: Final = 1_000_000
 _PR_SET_PDEATHSIG: Final = 1  # of Linux's prctl
 

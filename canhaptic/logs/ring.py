@@ -32,7 +32,7 @@ _REMEDY: Final = "the rows from then on are lost; keep other programs away from 
 Record = Sequence[float | bytes | bytearray]
 """Values of one record, in the order of its struct format."""
 Recorder = Callable[[int, int, bytes | bytearray, bool], None]
-"""Takes (timestamp [ns], COB-ID, data, is_rx) of a frame."""
+"""Function that records a frame, given as (timestamp [ns], COB-ID, data, is_rx)."""
 
 
 class RingShape(NamedTuple):
@@ -71,7 +71,7 @@ class SharedArea:
 
     @property
     def mark(self) -> int:
-        """Number that a writer leaves for its successor, should it be killed."""
+        """Number that a writer stores for the next writer, which replaces it after a kill."""
         return self._cells[_MARK_CELL]
 
     @mark.setter

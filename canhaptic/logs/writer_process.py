@@ -122,7 +122,7 @@ class WriterProcess:
         return self._process.pid
 
     def insist(self, ring: Ring, record: Record) -> bool:
-        """Write one record. A full ring is waited for at free pace; at real pace the record is counted as dropped.
+        """Write one record; if the ring is full, wait for room at free pace, or drop and count the record at real pace.
 
         Raises:
             LogStoppedError: The writer has failed, the ring is full, and there is no `on_failure` to call.
@@ -361,7 +361,7 @@ class EnergyLogWriter(WriterProcess):
             balances: Balances, one per port.
             timing: Timing of this cycle.
             truths: True values, one per port, for a log with `with_truth`; else empty.
-            deadline: Sample times since the first SYNC; None: none was skipped.
+            deadline: Sample times since the first SYNC; None: no SYNC was skipped.
             measured: Figures, one per port; empty if only the balances are known.
 
         Raises:

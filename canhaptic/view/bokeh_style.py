@@ -1,7 +1,7 @@
 """Style of the panels of live pages: frame, legend, and numbers with an SI prefix.
 
 The data of a page are in SI units. The browser chooses the prefix of an axis from its ticks, so that the prefix follows
-zoom and growing lines.
+zoom and new data.
 """
 
 from collections.abc import Mapping

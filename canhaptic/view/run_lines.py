@@ -28,7 +28,7 @@ _LABELS: Final = {
     "success_rate": "TPDOs received", "skipped_syncs": "SYNCs skipped", "missed_tpdos": "TPDOs missed",
     "missing": "TPDOs missed", "received": "frames received", "sent": "frames sent",
 }  # fmt: skip
-"""Words for figures of the link."""
+"""Displayed name of each counter and figure of the link."""
 _MORE_ENERGY: Final = "raise energy_allowance, or declare the damping of the device"
 _RAN_IN: Final = {"cycle": "the cycle", "process": "a process of its own"}
 _LOSSES: Final = ("skipped_syncs", "missed_tpdos", "missing")
@@ -92,7 +92,7 @@ def headline_text(name: str, port: PortResult, failure: str = "") -> Text:
     Args:
         name: Name of the port.
         port: Account of the port, with verdicts.
-        failure: The run's `failure_text`, before the verdict.
+        failure: The run's `failure_text`, shown before the verdict.
     """
     word = port["verdict"]
     text = Text(f" {name}: ")
@@ -199,7 +199,7 @@ def brief_report(result: Result) -> RenderableType:
 
 
 def headlines(result: Result) -> list[RenderableType]:
-    """Return the first line of each port with its own account."""
+    """Return the first line of each port that has a separate account."""
     failure = failure_text(result)
     ports = {name: result["ports"][name] for name in ordered(result.get("ports", {}))}
     return [headline_text(name, of, failure) for name, of in ports.items() if "verdict" in of]

@@ -33,7 +33,7 @@ _COLUMNS: Final = {
     "position": "position", "velocity": "torque_command", "torque": "torque_applied",
     "energy": "h_i", "surplus": "h_dis",
 }  # fmt: skip
-"""Panel over time -> log column with its unit; in the first three panels also with the values of an axis."""
+"""Title of a panel over time -> log column, with its unit."""
 _LOOKS: Final[dict[str, dict[str, Any]]] = {
     "position": {"linewidth": 1.3},
     "velocity": {"linewidth": 1.2, "stair": "steps-post"},

@@ -221,7 +221,7 @@ def _build(table: dict[str, str], section: Mapping[str, str]) -> Any:
 
 
 def _has_surface(rendered: Rendered) -> bool:
-    """Return whether a spring has a dead zone, so that its edge is a surface, and no part moves by itself."""
+    """Return whether a surface can be drawn: a spring has a dead zone with an edge, and no part moves by itself."""
     tables = rendered.network.tables
     edges = zip(tables.lower, tables.upper, strict=True)
     return not tables.moving and any(low != high for low, high in edges)

@@ -293,7 +293,7 @@ def _linear(case: BatchCase, count: int) -> _Linear:
 
 
 def _fastest(linear: _Linear) -> Array:
-    """Upper bound on the rates of each scene [rad/s]: of an oscillator, and of the hand's motion."""
+    """Upper bound on the angular frequencies in each scene, of oscillation and of the hand's motion [rad/s]."""
     found = np.zeros(len(linear.lower))
     for rates in linear.rates:
         hand = np.abs(rates[:, 2:-1]).max(axis=(1, 2)) if rates.shape[1] > 3 else 0.0

@@ -175,7 +175,7 @@ def surface_ahead(settings: ReferenceSettings, mode: int, way: float) -> float:
 
 
 def mode_beyond(settings: ReferenceSettings, mode: int, is_up: bool) -> int:
-    """Return the mode behind the surface that a motion up or down leaves this mode through."""
+    """Return the mode that a motion enters when it leaves this mode upwards or downwards."""
     if mode == OUTSIDE:
         return UPPER if is_up else LOWER
     return LOWER + UPPER - mode if settings.lower == settings.upper else OUTSIDE

@@ -180,7 +180,7 @@ def _mixed(value: np.uint64) -> np.uint64:
 
 
 def _of(values: Array, some: Numbers) -> Array:
-    """Return the rows of some scenes; the only row where all scenes share it."""
+    """Return the rows of some scenes, or the single row that all scenes share."""
     return values if len(values) == 1 else values[some]
 
 

@@ -293,7 +293,7 @@ class EventMotors(NamedTuple):
 
 
 def run_with_efforts(plant: event_plant.EventPlant, ticks: int, most: int) -> int:
-    """Replace `run_ticks` where some plants have forces over substeps."""
+    """Replace `run_ticks` where some plants have forces that are solved over substeps."""
     return run_substeps(plant, ticks, most) if len(plant.efforts) else run_on(plant, ticks, most)
 
 
@@ -458,7 +458,7 @@ def _of_mechanism(moving: Any, order: Sequence[int], of: MechanismScene) -> Grou
 def _with_events(
     models: Sequence[Callable[[], PlantModel]], accuracy: Sequence[AccuracyParameters | None], *places: Sequence[int]
 ) -> GroupPlant:
-    """Return motors whose plants have events; `places` are `owners`, `forces` and `places` of `EventMotors`."""
+    """Return motors whose plants have events; the further arguments are the last three fields of `EventMotors`."""
     is_booked = any(event_plant.works_are_booked(model()) for model in models)  # more than torque times displacement
 
     def made(listed: bool) -> EventMotors:

@@ -169,7 +169,7 @@ def m_width(mass: float, damping: float, sample_time: float, delay: int = 0, cut
 
 
 def _moved_in_a_hold(mass: float, damping: float, sample_time: float) -> Array:
-    """Return [x1, x0] of position over held force, (x1 z + x0) / ((z - 1) (z - p))."""
+    """Return [x1, x0] of the transfer function from held force to position, (x1 z + x0) / ((z - 1) (z - p))."""
     ratio = damping * sample_time / mass
     if ratio < 1e-6:
         return np.full(2, 0.5 * sample_time**2 / mass)

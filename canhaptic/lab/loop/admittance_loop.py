@@ -38,7 +38,7 @@ class AdmittanceRun(LoopRun):
     resolution: float = 0.0  # uncertainty of the energy [J]
 
     def shares(self) -> tuple[float, float, int]:
-        """Return how often a certificate limited a command, how often none held, and the weakest certificate.
+        """Return how often a certificate limited a command, how often no certificate held, and the weakest one.
 
         Returns:
             Share of the holds with a command in which a certificate limited it; share of all holds without a

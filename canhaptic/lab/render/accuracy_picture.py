@@ -134,7 +134,7 @@ def _draw_ladder(panel: "Axes", result: Row, price: str, error: str) -> None:
 
 
 def _lines(own: Sequence[Row]) -> list[list[Row]]:
-    """Return the rows of one method as lines to draw; ours has one line per number of event bits."""
+    """Return the rows of one method as lines to draw; the package's own solver has a line per number of event bits."""
     if not own or own[0]["accuracy"] is None or len({row["accuracy"]["substeps"] for row in own}) < 2:
         return [list(own)] if own else []
     bits = sorted({row["accuracy"]["event_bits"] for row in own})

@@ -136,7 +136,7 @@ def _draw_energy(panel: "Axes", run: LoopRun, period: float, scale: _Scale) -> N
 
 
 def _write_verdict(panel: "Axes", run: LoopRun) -> None:
-    """Write below the title whether the handle gave out more energy than it received, from the plant."""
+    """Write below the title whether, by the plant's energy, the handle gave out more than it received."""
     given = -run.least_interaction
     word, colour = ("passive", GREEN) if given <= PASSIVE_TOLERANCE else (f"gave out {si(given, 'J', 3)}", VERMILION)
     panel.text(0.0, 1.02, word, transform=panel.transAxes, fontsize=9.5, fontweight="bold", color=colour)

@@ -93,7 +93,7 @@ def bounded_share(device: Device, torques: Buffer, oldest: int, energy: float, w
 
     Args:
         device: Guaranteed properties of the device.
-        torques: Ring of queued torques [N or N*m].
+        torques: Ring buffer of queued torques [N or N*m].
         oldest: Index of the torque whose hold ended; the others act before the wanted one.
         energy: Energy from `known_energy` [J].
         wanted: Magnitude of the torque [N or N*m].

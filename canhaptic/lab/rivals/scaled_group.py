@@ -310,7 +310,7 @@ ScaledRun: TypeAlias = Run[ScaledSettings, ScaledState, ScaledMemory]
 
 
 def begin_state(world: GroupModel, run: ScaledRun) -> None:
-    """Set the state to the first coordinates, without strain: its energy would not have come from any port."""
+    """Set the state to the first coordinates, without strain, whose energy would not have come from any port."""
     _, state, memory = run
     motion, followed = state.group.motion, memory.group.motion.network
     state.h_s, state.engaged, state.pace, state.blind, state.touched = 0.0, False, 0.0, 0, False
@@ -332,7 +332,7 @@ def exchange(world: GroupModel, run: ScaledRun, h_m: float, damped: float, power
         world: Network and kinematics of the group.
         run: Settings, state and memory of the group.
         h_m: Energy received by the model [J].
-        damped: Damper efforts inside the torques applied, times the displacements [J].
+        damped: Damper efforts contained in the torques applied, times the displacements [J].
         power: The same efforts, times the velocities from which they were computed and the hold's length (eq. 18) [J].
     """
     _, state, memory = run
@@ -355,7 +355,7 @@ def exchange(world: GroupModel, run: ScaledRun, h_m: float, damped: float, power
 
 
 def start(world: GroupModel, run: ScaledRun, h_m: float, entered: bool) -> HoldAccount:
-    """Start a contact (eq. 14): set the state to the model's, and book the energy of that as generated.
+    """Start a contact (eq. 14): set the state to the model's, and book its energy as generated.
 
     The user feels no torque until `delay` more holds have ended; until then the start continues.
     """
@@ -440,7 +440,7 @@ def take(world: GroupModel, run: ScaledRun, share: float, step: Buffer) -> None:
 def settle_state(
     world: GroupModel, run: ScaledRun, branch: int, available: float, h_r: float, pace: float
 ) -> HoldAccount:
-    """Compute the energy of the new state; book its excess over the available energy as deficit, else a leak."""
+    """Compute the energy of the new state; book an excess over the available energy as deficit, a shortfall as leak."""
     state, network = run.state, run.state.group.motion.network
     settle_network(world, network, run.memory.group.motion.network)
     state.h_s, state.pace = network.energy, pace
@@ -473,7 +473,7 @@ def leave(world: GroupModel, run: ScaledRun, account: HoldAccount, touching: boo
 
 
 def write_model(world: GroupModel, run: ScaledRun) -> None:
-    """Write the model's state to its buffer: from the ports, or for a network with motion, one whole step further."""
+    """Write the model's state to its buffer: from the ports, or for a network that moves by itself, one step on."""
     followed, model = run.memory.group.motion.network, run.memory.model
     if world.tables.moving or not run.state.group.motion.located:
         for i in range(len(model)):

@@ -1,8 +1,8 @@
 """`energy_tank` of an admittance display: no command generates more energy than the tank holds.
 
-The tank receives F u T of each command and supplies it; it holds at most `capacity`. A command that would overdraw it
-is scaled down. Like the passivity observer, it assumes an ideal drive. Franken et al., IEEE Trans. Robotics 27, 2011;
-Schindlbeck and Haddadin, ICRA 2015.
+The energy F u T of each hold (hand force, speed, sample time) is added to the tank, which holds at most `capacity`. A
+command whose negative F u T would overdraw the tank is scaled down. Like the passivity observer, the method assumes an
+ideal drive. Franken et al., IEEE Trans. Robotics 27, 2011; Schindlbeck and Haddadin, ICRA 2015.
 """
 
 from typing import Annotated, ClassVar

@@ -414,7 +414,7 @@ def ranks(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
 
 
 def given_out(algorithms: Sequence[str], cases: Sequence[Row]) -> dict[str, dict[str, dict[str, float]]]:
-    """Return algorithm -> scene -> number of cases that give out energy beyond the device, and the largest [J]."""
+    """Return algorithm -> scene -> number of cases that generate more than the device dissipates, and the most [J]."""
     found: dict[str, dict[str, dict[str, float]]] = {name: {} for name in algorithms}
     for case in cases:
         if case["algorithm"] in found and case["status"] != "refused":

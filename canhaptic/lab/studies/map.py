@@ -569,7 +569,7 @@ _OF_WALLS: Final = ("margin", "stiffness_rendered.share", _DAMPING, _ERROR)
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """Keys, figure and judgement that the user requests for a map; None: chosen here."""
+    """Keys, figure and judgement that the user requests for a map; None: chosen automatically."""
 
     x: str | None = None
     y: str | None = None
@@ -701,7 +701,7 @@ def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
 
 
 def _shown(field: MapField, metric: str) -> tuple[Array, str, str]:
-    """Return a figure as drawn, its label and kind: negative energies as missing amounts, others as shares or plain."""
+    """Return the values to draw for a figure, its label and kind; of an energy, the amount that is missing to zero."""
     values = field.figure(metric)
     if metric in ("margin", "least_interaction", "believed_margin"):
         words = {"margin": "missing in the margin, eq. 4", "least_interaction": "given out beyond what came in"}

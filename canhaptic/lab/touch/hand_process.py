@@ -218,7 +218,7 @@ class _HandRun:
         self._rows.append(tuple(row))
 
     def _keep_time(self, cycles: int) -> None:
-        """Record the lateness of this cycle; at an even pace wait for its time before."""
+        """Record the lateness of this cycle; at an even pace, first wait until it is due."""
         if self._job.pace == "real":
             late = self._experiment.rig.timing.wakeup_lateness
         else:

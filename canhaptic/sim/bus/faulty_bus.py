@@ -66,7 +66,7 @@ class BusEffects(Parameters):
     drop: _Probability = 0.0
     """Share of frames that are lost."""
     drop_burst: Annotated[float, quantity("count", ge=1.0, le=1e4)] | None = None
-    """Mean number of frames lost in a row (Gilbert's two states); None: each frame is lost on its own."""
+    """Mean number of frames lost in a row (Gilbert's two states); None: each frame is lost independently."""
     duplicate: _Probability = 0.0
     """Share of frames that arrive twice."""
     reorder: _Probability = 0.0
@@ -205,7 +205,7 @@ _CHANGES: Final[dict[str, _Change]] = {
 }  # fmt: skip
 """Action of each effect on a frame, None if there is nothing to change; effects act in this order."""
 _Effect = Callable[[Flight], list[Flight]]
-"""Returns the frames that result from one frame."""
+"""Function that returns the frames that result from one frame."""
 
 
 def _effect(name: str, effects: BusEffects, random: Random, count: _Count) -> _Effect:
@@ -439,7 +439,7 @@ class FaultyBus(can.BusABC):
         self._epoch: int | None = None
 
     def use(self, clock: _BusClock) -> None:
-        """Set the clock that times late frames."""
+        """Set the clock by which delayed frames are timed."""
         self._clock = clock
 
     # --- a bus of python-can ------------------------------------------------------------------------------------------
@@ -528,7 +528,7 @@ class FaultyBus(can.BusABC):
         return due
 
     def _awake(self) -> int:
-        """Return the time [ns] at which the owner is awake."""
+        """Return the time [ns] from which the owner is no longer stalled."""
         clock = self._clock
         if clock is None:
             raise can.CanOperationError("the faulty bus has no clock; call use(clock) first")

@@ -1,4 +1,4 @@
-"""Parameters of the simulated drive in addition to its object dictionary; no value that both lack is assumed."""
+"""Parameters of the simulated drive that its object dictionary does not give; no missing value is ever assumed."""
 
 import re
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal

@@ -37,7 +37,7 @@ class Timers:
         self._due[timer] = due
 
     def stop(self, timer: int) -> None:
-        """Stop a timer: it is due never."""
+        """Stop a timer, which is then never due."""
         self._due[timer] = NEVER
         self._is_exact = False
 

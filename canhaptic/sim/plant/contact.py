@@ -88,7 +88,7 @@ class Contact(Part):
 
     Args:
         name: Name of the part and of its work.
-        sides: (body, factor): distance = sum of factor * position of body; the force acts on each body against it.
+        sides: (body, factor): distance = sum of factor * position of body; the force on each body reduces it.
         limit: Distance at which the faces touch [m or rad].
         stiffness: Stiffness of the faces [N/m or N*m/rad].
         damping: Damping of the faces [N*s/m or N*m*s/rad].

@@ -124,7 +124,7 @@ _FLOOR: Final = 1e-9
 _COARSE: Final = 0.03
 """Fraction of the travel: at larger differences of halved steps the order is not reliable."""
 _DETENTS: Final = 6.0
-"""Detents passed in one substep from which half and a third of it may both be whole numbers of detents."""
+"""Detents passed in a substep from which half and a third of the substep may both pass whole numbers of detents."""
 _SUSPECT: Final = 1e3
 """Multiple of the event bracket: a larger difference of halved steps has another cause."""
 

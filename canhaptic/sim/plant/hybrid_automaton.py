@@ -254,7 +254,7 @@ class HybridAutomaton:
             self._most = self._counts[stepper.EVENTS] + self.settings.max_events * begun
 
     def run(self, ticks: int) -> int:
-        """Move by `ticks` under constant inputs, through every event on the way; return the ticks left, 0.
+        """Move by `ticks` under constant inputs, through every event on the way; return the ticks left, always 0.
 
         Raises:
             EventLimitError: There are more events than `allow_events` allowed.

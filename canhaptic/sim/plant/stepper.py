@@ -205,7 +205,7 @@ def settle(
 def judge(
     tables: ModeTables, mode: int, level: int, before: Any, after: Any, state: Array, moved: Array, step: float
 ) -> int:
-    """Return the guard that a step broke, NONE, or _DOUBTFUL; a step of 0 is never halved."""
+    """Return the guard that was crossed in a step, NONE, or _DOUBTFUL; a step of 0 is never halved."""
     count, guards = tables.guard_counts[mode], tables.guards[mode]
     broken = first_broken(guards, count, after, moved)
     if broken == NONE and step > 0.0:

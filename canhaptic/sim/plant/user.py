@@ -282,7 +282,7 @@ class Hand(Part):
         return self._grasps[self.modes.index(mode)]
 
     def assemble(self, rows: Rows, mode: str) -> None:
-        """Add the hand to the equations of the plant: its force on the handle, the work of it, and its oscillators."""
+        """Add the hand to the equations of the plant: its force on the handle, that force's work, its oscillators."""
         stiffness, damping = self.grasp(mode)
         handle = len(rows.forces) - 1
         velocity = rows.velocity(handle)

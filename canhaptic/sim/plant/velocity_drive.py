@@ -37,7 +37,7 @@ class SimulatedForceSensor(Parameters):
     """The errors of a simulated force sensor; by default it is ideal."""
 
     sampling: Literal["point", "mean", "impulse"] = "point"
-    """Quantity of one value: the force at the SYNC, its mean since the last SYNC, or its integral since the start."""
+    """Quantity of each value: the force at the SYNC, its mean since the last SYNC, or its integral since the start."""
     filter: Annotated[float, quantity("Hz", ge=0.0, le=1e6)] = 0.0
     """Corner of a first-order filter before the sample; 0: none."""
     gain: Annotated[float, quantity("1", ge=-100.0, le=100.0)] = 1.0

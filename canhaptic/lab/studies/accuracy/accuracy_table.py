@@ -35,7 +35,7 @@ _WIDTH, _LABEL = 78, 15  # columns of a line, and of its label
 _DOT, _KEPT = "\u00b7", "\u00a0"  # the last: a space at which no line ends
 _GAP, _BETWEEN = "\t", f" {_DOT} "
 LEAST_ORDER: Final = 0.5
-"""Fraction of the declared order: if the errors of a scene fall more slowly, no setting is advised or chosen."""
+"""Fraction of the declared order of convergence: if errors fall more slowly, no setting is advised or chosen."""
 _NEARER: Final = 0.8
 """Fraction of the scene's present error: only changes with an error below it are named."""
 _SHOWN: Final = 4

@@ -161,7 +161,7 @@ def _account(trial: _Trial, mass: float, figures: list[_Figures]) -> Row:
 
 
 def never_acts(scene: Scene) -> float:
-    """Return the mass above which every display is passive without a guard, M + c tau [kg or kg*m^2].
+    """Return M + c tau, the mass above which every display is passive without a guard [kg or kg*m^2].
 
     For `guarded` it follows from the declared values, for another algorithm from those of the simulated plant.
     """

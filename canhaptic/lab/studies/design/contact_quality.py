@@ -109,7 +109,7 @@ _FURTHEST: Final = 4.0
 """Displacement that counts as divergence, as a multiple of the requested depth."""
 _LEAST_FURTHEST: Final = 0.2  # [m or rad]
 _TIMES: Final = 5.0
-"""Time constants of a free swing in a run."""
+"""Length of a run's free swing, in time constants."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -130,7 +130,7 @@ def _general(network: General, name: str) -> NetworkScale:
 
 
 _AtPort = tuple[parts.Spring | parts.QuadraticForm, int, Array]
-"""A storage that a port moves, its first state, and its rows of the gain."""
+"""A storage that a port moves, the index of its first state, and its rows of the gain matrix."""
 
 
 def _moved_by_ports(network: General) -> dict[int, _AtPort]:
@@ -146,7 +146,7 @@ def _moved_by_ports(network: General) -> dict[int, _AtPort]:
 
 
 def _in_proportion(at_port: _AtPort) -> parts.Dissipator:
-    """Return a damper in parallel with a spring that a port moves, numerically equal to its stiffness."""
+    """Return a damper in parallel with a spring that a port moves; its coefficient is the number of the stiffness."""
     storage, state, gain = at_port
     if isinstance(storage, parts.Spring):
         return parts.Damper(type="damper", viscous=storage.stiffness, beside=state)
@@ -198,7 +198,7 @@ _HAND: Final = {"stiffness": 300.0, "damping": 3.0}
 _DEEPEST: Final = 0.1
 """Depth [m or rad] to which the hand leans into the softest wall that is tried."""
 DURATION: Final = 3.0
-"""Time of a trial [s]. A wall beyond its certificates that is leant on softens for some 2 s, until it is at rest."""
+"""Duration of a trial [s]. A wall too stiff for its certificates softens under a push for some 2 s, until at rest."""
 _SLACK: Final = 0.05
 """Amount by which a wall may miss the tolerance without excluding larger walls: the phase of counts and holds makes
 the shares of neighbouring walls differ by some tenths of a per cent."""
@@ -235,7 +235,7 @@ class TrialVerdict:
         """Return the account of the first wall, as in the result of a design.
 
         Args:
-            damping: Damping of the wall; 0: its share is None.
+            damping: Damping of the wall; 0: the rendered share of the damping is None.
         """
         return {
             "stiffness_rendered": float(self.stiffness_share[0]),

@@ -45,7 +45,7 @@ _PUSHES: Final = (0.5 * LEAN, LEAN, 2.0 * LEAN)
 _DEEPEST: Final = 0.1
 """Depth [m or rad] of the softest wall that is tried."""
 _STIFFEST: Final = 4.0
-"""Stiffness divided by m / T^2, above which no certificate holds a wall."""
+"""Stiffness as a multiple of m / T^2, above which no certificate covers a wall."""
 _ORDINARY: Final = {"m": 0.15, "rad": 1.5}
 """Ordinary speed of a hand [m/s or rad/s]."""
 _SPEEDS: Final = (0.1, 10.0)
@@ -54,7 +54,7 @@ _HALVINGS: Final = 5
 _HELD: Final = 0.5
 _LONGEST: Final = 5.0  # leaning [s]
 _FURTHER: Final = 1.25
-"""Ratio of the distance in front of a wall to the distance in which the energy of a start is earned."""
+"""Ratio of the free distance in front of a wall to the distance in which drag earns the energy that contact needs."""
 _FURTHEST: Final = {"m": 0.5, "rad": 5.0}
 """Longest distance tried in front of a wall [m or rad]."""
 
@@ -97,7 +97,7 @@ def felt_of(scene: Scene, algorithm: str, hand: dict[str, float], tolerance: flo
 
 
 def _drags(bench: Bench, axis: AxisScene, wall: SpringDamperWall, comes: SlowHand) -> list[dict[str, float | None]]:
-    """Return the energy that drags earn; none if every contact is felt without it, or hand or mass are unknown."""
+    """Return rows on the energy earned by drag; none if every contact is felt without, or hand or mass are unknown."""
     parameters, loop = bench.case.parameters, axis.loop
     if not isinstance(parameters, GuardedParameters):
         return []
@@ -115,7 +115,7 @@ def _drags(bench: Bench, axis: AxisScene, wall: SpringDamperWall, comes: SlowHan
 
 
 def _certified(axis: AxisScene, push: float) -> float | None:
-    """Return the stiffness that the hand-force certificate holds at a push; None if no hand force is declared."""
+    """Return the stiffness that the hand-force certificate covers at a push; None if no hand force is declared."""
     force, loop = getattr(axis.passivity.parameters, "hand_force", None), axis.loop
     if force is None or loop.moving_mass is None:
         return None
@@ -126,7 +126,7 @@ def _certified(axis: AxisScene, push: float) -> float | None:
 
 
 def _start_speed(bench: Bench, wall: SpringDamperWall, comes: SlowHand) -> float | None:
-    """Return the least speed [m/s or rad/s] from which every speed tried is held; None if there is none."""
+    """Return the speed of approach [m/s or rad/s] from which the wall holds the hand; None if it never does."""
 
     def is_held(speed: float) -> bool:
         hand = replace(comes, speed=speed)
@@ -313,7 +313,7 @@ class _WallSearch:
 
 
 def _edges(passed: trials.Booleans, nearly: trials.Booleans) -> tuple[int, int]:
-    """Return the index of the last that passes, or -1, before the first that does not even nearly, and of that one."""
+    """Return two indices: the last wall that passes (or -1) before the first that does not even nearly, and that first."""
     first = int(np.logical_and.accumulate(nearly).sum())
     return int(np.flatnonzero(np.append(True, passed[:first]))[-1]) - 1, first
 

@@ -99,7 +99,7 @@ def _has(value: object, name: str) -> bool:
 RATE: Final = "bus.rate"
 _SEED: Final = "simulation.seed"
 _MOST_CORNERS: Final = 6
-"""Largest number of keys for which all corners are tried; with more keys, the neighbours of two opposite corners."""
+"""Largest number of keys for which all corners of the ranges are tried; above, the neighbours of two opposite ones."""
 
 Row = tuple[tuple[str, Value], ...]
 """(key, value) pairs of one scene, or pairs that several scenes share."""

@@ -34,7 +34,7 @@ _RECORDS: Final = {
     False: (objects.RPDO_COMMUNICATION, objects.RPDO_MAPPING),
     True: (objects.TPDO_COMMUNICATION, objects.TPDO_MAPPING),
 }
-"""Whether it is a TPDO -> first communication and mapping object."""
+"""Whether a PDO is a TPDO -> index of the first communication object and of the first mapping object."""
 _NS_PER_MS: Final = 1_000_000
 _NS_PER_INHIBIT_UNIT: Final = 100_000
 

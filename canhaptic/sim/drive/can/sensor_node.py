@@ -82,7 +82,7 @@ class SensorNode:
             self.state = _STATES.get(command, NmtState.PRE_OPERATIONAL)
 
     def take_sync(self) -> None:
-        """Send the present value, modulo its number of bits, so that a running impulse wraps like a counter."""
+        """Send the present value, cut to its number of bits, so that a running impulse wraps like a counter."""
         is_asked = self._node.node_id is None or self._type.number == objects.SYNCHRONOUS_EVERY_SYNC
         if self.state is not NmtState.OPERATIONAL or not is_asked:
             return

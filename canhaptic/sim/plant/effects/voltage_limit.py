@@ -38,7 +38,7 @@ class VoltageLimit(EffectParameters):
             ParameterError: There is no current loop.
         """
         if "current loop" not in scene.slots:
-            raise ParameterError("voltage_limit: got no current_loop, expected one; it sets the speed of the current")
+            raise ParameterError("voltage_limit: got no current_loop, expected one; add it: it sets the current's lag")
         scene.claim("voltage limit", self.type)
         scene.parts.append(_Winding(self))
 

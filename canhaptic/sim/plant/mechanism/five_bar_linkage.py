@@ -437,7 +437,7 @@ def solve(
 
 
 def momentum_after(state: FiveBarState, before: FiveBarPlace, after: FiveBarPlace, change: Pair, step: float) -> Pair:
-    """Return p+ of q+ - q = h Wm (p + p+) / 2."""
+    """Return the momentum p+ after a substep, from q+ - q = h Wm (p + p+) / 2."""
     w0, w1 = before.inertia, after.inertia
     det0, det1 = w0.a * w0.c - w0.b * w0.b, w1.a * w1.c - w1.b * w1.b
     mean = new(Inertia, (
