@@ -1,7 +1,8 @@
 """The lightest virtual mass that an admittance display renders within a tolerance, for its hand and for similar hands.
 
 A mass passes if every hand feels it within the tolerance and the display generates at most the declared energy. Masses
-up to 1.1 (M + c tau) are tried, from heavy to light; the answer is the last before one that fails, times 1 + margin.
+up to 1.1 times `never_acts` are tried, from heavy to light; the answer is the last before one that fails, times
+1 + margin.
 """
 
 from collections.abc import Callable
@@ -161,7 +162,7 @@ def _account(trial: _Trial, mass: float, figures: list[_Figures]) -> Row:
 
 
 def never_acts(scene: Scene) -> float:
-    """Return M + c tau, the mass above which every display is passive without a guard [kg or kg*m^2].
+    """Return the mass above which every display is passive unguarded: drive mass + loop gain * lag [kg or kg*m^2].
 
     For `guarded` it follows from the declared values, for another algorithm from those of the simulated plant.
     """

@@ -313,7 +313,7 @@ class _WallSearch:
 
 
 def _edges(passed: trials.Booleans, nearly: trials.Booleans) -> tuple[int, int]:
-    """Return two indices: the last wall that passes (or -1) before the first that does not even nearly, and that first."""
+    """Return the index of the last wall that passes, or -1, before the first that clearly fails, and that index too."""
     first = int(np.logical_and.accumulate(nearly).sum())
     return int(np.flatnonzero(np.append(True, passed[:first]))[-1]) - 1, first
 
