@@ -251,7 +251,7 @@ class RecordedSide:
             self._play()
 
     def next_due(self, *, of_master: bool = False) -> int:
-        """Return when the next frame of the drives, or of the master, is due [ns]; `NEVER` if the other sends next."""
+        """Return when the next frame of the drives or the master is due [ns]; `NEVER` if the other side sends next."""
         if self._next == self._end or self._is_master[self._next] != of_master:
             return NEVER
         return self._frames[self._next].timestamp_ns

@@ -376,7 +376,7 @@ class OnDemand:
         return core_schema.with_info_plain_validator_function(self.read)
 
     def read(self, value: object, info: ValidationInfo[Any]) -> object:
-        """Return the parameters of a section, read in the units of its axis, else in those of the model."""
+        """Return the parameters of a section; its axis, or else the model, sets linear or rotary units."""
         model = self.model_of()
         if isinstance(value, model):
             return value

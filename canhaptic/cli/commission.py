@@ -117,7 +117,7 @@ def _write(scene: Scene, changes: Sequence[Change], place: Path, arguments: argp
     if arguments.in_place:
         write_file(_backup(place), scene.text)
     elif place.exists():
-        raise InputError(f"{place} exists now; choose another name")
+        raise InputError(f"{place} was created in the meantime; choose another name")
     write_file(place, text)
 
 

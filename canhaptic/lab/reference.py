@@ -1,8 +1,8 @@
 """The continuous environment rendered to the same user and plant: the ideal for comparison.
 
 It is rendered to the same user and plant without sampling, encoder or torque limit, on the textbook plant by
-event-located DOP853 (extra `study`), which shares no code with the plant that it judges. Every effect and environment
-with equations here is taken, and any other refused. A wall on a linear plant needs no solver: `batch.scalar`.
+event-located DOP853 (extra `study`), which shares no code with the plant that it judges. An effect or
+environment without equations here is refused. A wall on a linear plant needs no solver: `batch.scalar`.
 
 A network on the motors of a group in continuous time, by DOP853: what the hands would feel without sampling.
 
@@ -53,7 +53,7 @@ _ROUNDING: Final = 1e-12  # [m or rad]
 _BETWEEN_EVENTS: Final = 2.5e-4
 """Step at the ends of which friction, stops and flanks are checked [s]."""
 _BETWEEN_SURFACES: Final = 2e-3
-"""The same step if only the environment switches: a handle takes longer to cross a surface and return [s]."""
+"""The same step if only the environment switches [s]: a handle takes longer to cross a surface and come back."""
 _SURFACES: Final[dict[type, tuple[str, ...]]] = {
     SpringDamperWall: ("position",),
     HardeningWall: ("position",),

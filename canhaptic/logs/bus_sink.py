@@ -107,7 +107,7 @@ class BusSink(LogSink):
         self._begin()
 
     def finish(self, status: str) -> None:
-        """Close the file and convert it if requested; these formats cannot hold the status of the run."""
+        """Close the file and convert it if requested; bus logs have no field for the status of the run."""
         del status
         self.check()
         os.close(self._descriptor)

@@ -178,7 +178,7 @@ class EnergySink(LogSink):
         repack(self._path, self._path, {"status": status})
 
     def fail(self, cause: str) -> None:
-        """Leave the rows up to the last flush, with the cause as the status of the run."""
+        """Keep the rows up to the last flush in the file, and record the cause as the status of the run."""
         unfinished(self._path)
         rows = self._next_row - self._lost
         unpacked = f" while it was packed; all {rows} rows are in it, unpacked"

@@ -34,7 +34,7 @@ class Dataset:
 
     def __init__(self, dataset: h5py.Dataset) -> None:
         if dataset.external or dataset.is_virtual:
-            raise OSError(f"{dataset.name} has its values in another file, which no log has")
+            raise OSError(f"{dataset.name} has its values in another file; those of a log never are")
         self._dataset = dataset
 
     def __len__(self) -> int:
@@ -167,7 +167,7 @@ class Hdf5File:
         with _bounded_memory():
             for name in filter(None, ("/".join(names[: n + 1]) for n in range(len(names)))):
                 if not isinstance(self._file.get(name, h5py.HardLink(), getlink=True), h5py.HardLink):
-                    raise OSError(f"{name} is a link, which no log has")
+                    raise OSError(f"{name} is a link, which a log never contains")
 
     def names(self, group: str) -> list[str]:
         """Return the names inside a group; empty when the group is missing."""

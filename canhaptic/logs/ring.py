@@ -204,7 +204,7 @@ def allocate(size: int) -> int:
             os.close(descriptor)
             continue
         return descriptor
-    raise OSError(f"no folder with {size} bytes free for the ring of the log")
+    raise OSError(f"no folder has {size} bytes free for the ring of the log; free some memory, or run without logs")
 
 
 class LogSink:

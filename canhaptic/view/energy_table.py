@@ -120,7 +120,7 @@ def _margin(port: Result) -> Styled:
 
 
 def _silent(port: Result) -> str | Styled:
-    """Return how many cycles of contact had no torque; in red if all of them, since nothing was rendered."""
+    """Return the number of cycles in contact without torque; in red if it is all of them, as nothing was rendered."""
     contact = port["contact"]
     if contact["holds"] and contact["without_torque"] == contact["holds"]:
         return Styled("all   ", "bold red")

@@ -78,7 +78,7 @@ class LinkPolicy:
     Attributes:
         missed: Consecutive SYNCs without a TPDO, of this axis or of one that renders together with it.
         missed_total: All such SYNCs since the start, consecutive or not.
-        cycles: SYNCs since the start.
+        cycles: Number of SYNCs since the start.
     """
 
     __slots__ = ("_hold_cycles", "_stop_cycles", "cycles", "missed", "missed_total")

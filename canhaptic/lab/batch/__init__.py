@@ -53,5 +53,5 @@ def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
         raise ParameterError(f"engine: got numba, which is not installed; {install_hint('fast')}, or use python")
     chosen: ChosenEngine = ("numba" if there and pays else "python") if engine == "auto" else engine
     if chosen == "numba" and os.path.lexists(_FOREIGN):
-        raise ParameterError(f"engine: numba would obey {_FOREIGN} of this folder; move it away, or use python")
+        raise ParameterError(f"engine: numba would read {_FOREIGN} of this folder; move it away, or use python")
     return chosen

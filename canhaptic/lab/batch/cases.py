@@ -224,7 +224,7 @@ def continuous_modes(
     Args:
         case: The scenes; `why_not_continuous` must be "".
         count: Number of scenes.
-        cycles: SYNCs of the whole run.
+        cycles: Number of SYNCs of the whole run.
         with_force: Whether the force is needed; it is sampled as often as in `continuous.continuous_reference`.
         with_travel: Whether the travel is needed.
     """

@@ -436,7 +436,7 @@ def run_loop(
         continuous: Continuous environment that the loop is compared with, if it exists.
         reference: Continuous run, before it begins.
         reference_memory: Memory of the continuous run, at the start.
-        cycles: SYNCs.
+        cycles: Number of SYNCs.
 
     Returns:
         False where `move_plant` cannot move the plant any further.

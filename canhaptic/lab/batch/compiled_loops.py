@@ -255,7 +255,7 @@ def run_compiled(case: GroupCase, cycles: int, rows: Array, instead: Mapping[obj
 
     Args:
         case: Case that can be compiled.
-        cycles: SYNCs.
+        cycles: Number of SYNCs.
         rows: Rows that a replacement of `take_group` fills, shape (cycles, columns).
         instead: Function of the loop -> its replacement.
     """
@@ -327,8 +327,8 @@ def compiled_rows(case: LoopCase, cycles: int, reach: Reach) -> Array:
 
     Args:
         case: Case to run; `cases.why_not_compiled` must be "".
-        cycles: SYNCs.
-        reach: Positions that do not count as divergence.
+        cycles: Number of SYNCs.
+        reach: Range of positions that do not count as divergence.
 
     Raises:
         EventLimitError: The plant had more events in one sample time than are allowed.

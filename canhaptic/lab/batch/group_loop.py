@@ -128,7 +128,7 @@ def run_group(
         followed: Motion of the network at the true positions, at rest.
         meter: Accumulates the sums.
         rows: Rows that a replacement of `take_group` fills; else unused.
-        cycles: SYNCs.
+        cycles: Number of SYNCs.
     """
     figures = meter.figures
     for cycle in range(cycles):

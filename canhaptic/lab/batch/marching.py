@@ -94,7 +94,7 @@ def march(
     Args:
         case: Common part of the loops, and the numbers in which they differ.
         scenes: Number of scenes.
-        cycles: SYNCs of a run, the first included.
+        cycles: Number of SYNCs of a run, the first included.
         engine: See `run_batch`.
         metrics: Names of `ALL`.
         stopped: Filled with the reason for each scene whose plant could not be advanced; its metrics are NaN.
@@ -181,7 +181,7 @@ def run_batch(
     Args:
         scene: Common part of the scenes; `why_not_batchable(scene)` must be "".
         varied: Key of `BATCH_KEYS` -> value of each scene, shape (n_scenes,), in SI.
-        cycles: SYNCs, at least 2.
+        cycles: Number of SYNCs, at least 2.
         engine: "numba" needs the extra `fast`; "auto" takes it where it is installed and saves time, else "python".
         metrics: Names of `ALL`; None for `METRICS`. Those of `CONTINUOUS` also compute a continuous run for each scene,
             and are NaN where that has no closed form.

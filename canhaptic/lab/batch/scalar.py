@@ -145,8 +145,8 @@ def render(
 
     Args:
         case: Case to run.
-        cycles: SYNCs.
-        reach: Positions that do not count as divergence.
+        cycles: Number of SYNCs.
+        reach: Range of positions that do not count as divergence.
         progress: Called once per cycle; must be cheap.
 
     Raises:
@@ -168,8 +168,8 @@ def render_by(
         engine: "python" gives the same bits as a run over CAN; "numba" differs by rounding, and falls back to Python
             for a case that cannot be compiled.
         case: Case to run.
-        cycles: SYNCs.
-        reach: Positions that do not count as divergence.
+        cycles: Number of SYNCs.
+        reach: Range of positions that do not count as divergence.
         progress: Called once per cycle.
 
     Raises:
@@ -217,7 +217,7 @@ def render_group(
     Args:
         engine: As for `render_by`.
         scene: Scene with only this group.
-        cycles: SYNCs.
+        cycles: Number of SYNCs.
         furthest: Distance from the origin that counts as divergence [m or rad].
         progress: Called once per cycle.
 
@@ -245,7 +245,7 @@ def group_meter(case: GroupCase, cycles: int, engine: ChosenEngine = "python") -
 
     Args:
         case: Case of the group.
-        cycles: SYNCs.
+        cycles: Number of SYNCs.
         engine: "numba" falls back to Python for a case that cannot be compiled.
     """
     if engine == "numba" and not case.why_not:
@@ -291,7 +291,7 @@ def run_scalar(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) 
 
     Args:
         scene: Scene with one group of axes, or with a simulated first axis, which is run.
-        cycles: SYNCs.
+        cycles: Number of SYNCs.
         metrics: Names of `ALL`; None for `METRICS`, which need no continuous run.
 
     Raises:
@@ -345,7 +345,7 @@ def continuous_reference(
         user: The hand.
         effects: Effects of the plant; effects on encoder and command are left out.
         sample_time_ns: T [ns], the grid of the result.
-        cycles: SYNCs.
+        cycles: Number of SYNCs.
 
     Raises:
         InputError: There are no equations for the environment or an effect, or a solver is needed and scipy is missing.

@@ -345,7 +345,7 @@ def display_figures(scene: Scene, cycles: int, metrics: Sequence[str] = tuple(DI
 
     Args:
         scene: Simulated scene with only that axis or group.
-        cycles: SYNCs.
+        cycles: Number of SYNCs.
         metrics: Names of the figures.
 
     Raises:

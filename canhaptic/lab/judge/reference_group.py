@@ -1,7 +1,7 @@
 """Equations of motion of several motors: separate axes, an X-Y stage, a five-bar.
 
-The five-bar has the links of the simulated one and another method: `M(q) v' = torque + ... - C(q, v)`, in accelerations
-and for any solver. The simulated one takes discrete-gradient steps in momenta.
+The five-bar has the same links as the simulated one, but other equations: `M(q) v' = torque + ... - C(q, v)`, for
+accelerations and any solver. The simulated one takes discrete-gradient steps in momenta.
 """
 
 import math

@@ -82,7 +82,7 @@ def run_display(scene: Scene, cycles: int) -> AdmittanceRun:
 
     Args:
         scene: Simulated scene with only that axis or group.
-        cycles: SYNCs.
+        cycles: Number of SYNCs.
 
     Raises:
         InputError: An axis is not simulated, or is not an admittance display.

@@ -222,8 +222,8 @@ def finished(run: LoopRun, cycles: int, reach: Reach) -> LoopRun:
 
     Args:
         run: Run, with its reason if the controller stopped it.
-        cycles: SYNCs that were requested.
-        reach: Positions that do not count as divergence.
+        cycles: Number of SYNCs that were requested.
+        reach: Range of positions that do not count as divergence.
     """
     last = run.rows[-1:, 1 + (run.axes or 1) :][:, : run.axes or 1]
     if not ((last > reach.lowest) & (last < reach.highest)).all():

@@ -106,7 +106,7 @@ def accounts_over_can(
     Args:
         scene: Scene with all drives simulated in this process.
         names: Names of the algorithms.
-        cycles: SYNCs of each run.
+        cycles: Number of SYNCs of each run.
         under: (scene, name) -> the scene under that algorithm; a ParameterError means that it refuses the scene.
         progress: Called with the number of cycles done so far, of all runs together.
 

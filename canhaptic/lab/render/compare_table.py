@@ -102,7 +102,7 @@ def _best(values: list[float | str | None], better: Callable[[float], float] | N
 
 
 def _verdict(account: _Account) -> str | None:
-    """Return by the plant's energy whether the handle never gave out more than it received: yes, no, or an outcome."""
+    """Return yes if, by the plant's energy, the handle never gave out more than it received; else no, or an outcome."""
     least = account.get("truth", account)["least_interaction"]
     if least is None or least < -PASSIVE_TOLERANCE:
         return None if least is None else "no"

@@ -36,7 +36,7 @@ class BoundedObserverParameters(DamperVelocity):
     speed_offset: Annotated[float, quantity("m/s", "rad/s", gt=0.0, le=10.0)] = 0.01
     """Speed delta, which keeps the force bounded as the motion comes to rest."""
     integral_holds: Annotated[float, quantity("count", ge=1.0, le=1e6)] = 10.0
-    """Number n of holds over which energy that the force has not yet dissipated is added to it."""
+    """Number n of holds over which z, the part of the force for energy not yet dissipated, is built up."""
     force_limit: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)] | None = None
     """Largest force of the passivity controller; None: only the drive's limit applies."""
 

@@ -81,7 +81,7 @@ class MapField:
         self.is_display = is_display(self.scene)
 
     def figure(self, metric: str) -> Array:
-        """Return a figure, NaN where a scene is not completed; for a grid with one dimension per key, the rest last."""
+        """Return a figure, NaN for incomplete scenes; for a grid, one dimension per numeric key, all other keys last."""
         found = self._shaped(self._table.figure(self.axis, metric))
         return np.where(self.has_status(COMPLETED), found, np.nan)
 
@@ -313,7 +313,7 @@ def passing_share(field: MapField, judgement: str) -> float:
 
 
 def common_judgement(field: MapField) -> str:
-    """Return the judgement for a panel with all algorithms: display and device together, if the sweep has that."""
+    """Return the judgement for a panel with all algorithms: display with device, if the sweep has their energy."""
     return next((name for name in ("covered", "passive") if field.has(_ENERGIES[name])), "margin")
 
 

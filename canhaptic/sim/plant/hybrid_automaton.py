@@ -71,7 +71,7 @@ class GuardHorizon:
 
 
 _PRODUCTS_EACH: Final = 512
-"""Products allowed in one sample time per allowed event: four times those of the most expensive event."""
+"""Matrix products allowed per allowed event in one sample time: four times those of the most expensive event."""
 _ACCOUNTS: Final = ("motor", "user", "dissipated")
 
 

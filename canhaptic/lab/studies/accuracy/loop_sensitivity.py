@@ -112,7 +112,7 @@ class Variant:
         """Run the loop and return its record.
 
         Args:
-            cycles: SYNCs.
+            cycles: Number of SYNCs.
             motion: Motion of the continuous run, which defines divergence [m or rad].
             tick: Called at every SYNC; may raise to abort.
             engine: Engine of the loop.

@@ -233,7 +233,7 @@ def _designed(
 
 
 class _WallSearch:
-    """A search with one batch for the whole range and one per interval found; a factor scales the walls tried."""
+    """Search in batches, one for the whole range and one per interval found; `factor` scales the walls tried."""
 
     def __init__(
         self, trial: trials.Trial | trials.GroupTrial, factor: float, progress: Callable[[int, int], None]

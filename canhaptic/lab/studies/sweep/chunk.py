@@ -120,7 +120,7 @@ class Recipe:
         metrics: Requested metrics.
         engine: Engine for scenes that fit a batch; chosen once, so that all workers use the same.
         duration: Length of every run [s]; None: that of the scene.
-        cycles: SYNCs of every run; None: from the duration.
+        cycles: Number of SYNCs of every run; None: from the duration.
         beyond_bus: Whether rates that the bus could not carry are accepted.
         allow_code: Whether the program files that scenes name may run, here and in workers.
         own_code: (file or plug-in, SHA-256) of the scene's user code; a worker with different code refuses the scene.

@@ -158,7 +158,7 @@ def make_sweep(
         samples: Points of a Latin hypercube; 0 for the grid of all values.
         seed: Seed of the hypercube.
         duration: Length of every run [s]; by default the scene's.
-        cycles: SYNCs of every scene, instead of a duration.
+        cycles: Number of SYNCs of every scene, instead of a duration.
         metrics: Names of `FIGURES`; by default `usual_figures`, which need no continuous run of each scene.
         engine: Engine for scenes that fit a batch; "auto" is numba where it is installed and saves time.
         chunk: Scenes that are stored together; it affects only how much work a kill can lose.
