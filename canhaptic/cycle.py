@@ -294,7 +294,7 @@ class _FailedLog:
         Raises:
             LogStoppedError: Always.
         """
-        raise LogStoppedError(f"{self._reason}; the run was stopped (log.on_failure: continue lets it go on)")
+        raise LogStoppedError(f"{self._reason}; the run was stopped (log.on_failure: continue keeps it running)")
 
     def event(self, *_event: object) -> None:
         """No-op."""

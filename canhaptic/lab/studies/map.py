@@ -81,7 +81,7 @@ class MapField:
         self.is_display = is_display(self.scene)
 
     def figure(self, metric: str) -> Array:
-        """Return a figure, NaN for incomplete scenes; for a grid, one dimension per numeric key, all other keys last."""
+        """Return a figure, NaN for incomplete scenes; for a grid, one dimension per numeric key, other keys last."""
         found = self._shaped(self._table.figure(self.axis, metric))
         return np.where(self.has_status(COMPLETED), found, np.nan)
 

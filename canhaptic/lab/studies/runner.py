@@ -238,7 +238,7 @@ class _Run:
         except (Exception, CancelledError) as error:
             raise WorkersLostError(
                 f"{self._where}: {job.what} failed in a worker ({type(error).__name__}: {error}); workers need the "
-                "same canhaptic and the drive's EDS at the same path; what was finished is kept, --resume goes on"
+                "same canhaptic and the drive's EDS at the same path; finished work is kept; continue with --resume"
             ) from error
         else:
             job.take(result)
@@ -252,7 +252,7 @@ class _Run:
         if not isinstance(self._executor, Pool) or self._losses >= _MOST_LOSSES:
             raise WorkersLostError(
                 f"{self._where}: the workers died {self._losses} times in a row without finishing a chunk "
-                f"({error or type(error).__name__}); what was finished is kept: look for the cause (memory?), take "
-                "fewer workers or a smaller --chunk with a new folder, and --resume"
+                f"({error or type(error).__name__}); finished work is kept: look for the cause (memory?), then "
+                "--resume with fewer workers, or begin a new folder with a smaller --chunk"
             ) from error
         self._executor.renew()

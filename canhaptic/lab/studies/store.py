@@ -21,8 +21,8 @@ _LARGEST: Final = 1_000_000_000  # [B] of one file
 _NAME: Final = "study.json"
 _CHUNK: Final = re.compile(r"\d{8}\.npz|[0-9a-f]{32}\.json")
 _VERSION: Final = 2
-_KEPT: Final = {"sweep": "what was finished is kept, --resume goes on"}
-_GOES_ON: Final = "what was finished is kept, the same command goes on"
+_KEPT: Final = {"sweep": "finished work is kept; continue with --resume"}
+_GOES_ON: Final = "finished work is kept; continue with the same command"
 _ROOM_OF_LAYOUT: Final = 1 << 20
 """Disk space reserved for names and remarks [bytes]."""
 
