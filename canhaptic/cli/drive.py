@@ -24,7 +24,7 @@ _POLL_PERIOD = 50_000  # [ns] between two looks at several buses that cannot be 
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Run for the duration and return 0, or until a signal and return 130 or 143."""
+    """Run the simulated drives; return 0 after the duration, 130 or 143 after a signal."""
     scene = scene_of(arguments)
     if any(bus.parameters.interface == "virtual" and bus.parameters.channel is None for bus in scene.buses):
         text = f"{scene.source}: bus.interface 'virtual' exists in this process only, so no master can reach the drive"

@@ -18,7 +18,7 @@ _NOT_DONE = 1
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Return 0 if the drive is homed, 1 if the person declined, 130 or 143 after a signal."""
+    """Home the drive; return 0, or 1 if the person declined, 130 or 143 after a signal."""
     scene = scene_of(arguments)
     axis = _axis(scene, arguments.axis)
     _require_torque(axis, arguments.torque)

@@ -14,7 +14,7 @@ _LARGEST_NODE_ID = 127
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Return 0 if the node booted with its new node ID, 1 if it did not or the person declined."""
+    """Set the node ID; return 0 if the node booted with it, 1 if it did not or the person declined."""
     scene = scene_of(arguments)
     if not 1 <= arguments.node <= _LARGEST_NODE_ID:
         raise InputError(f"NODE: got {arguments.node}, expected 1 to {_LARGEST_NODE_ID}")

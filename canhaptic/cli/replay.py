@@ -17,7 +17,7 @@ from canhaptic.view.run_lines import make_console
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Replay; return 0 if the master sent the recorded frames, 1 if it did not.
+    """Replay the bus log; return 0 if the master sent the recorded frames, 1 if it did not.
 
     Raises:
         InputError: The recording or the scene cannot be used.

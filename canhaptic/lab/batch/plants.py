@@ -149,7 +149,7 @@ def move_held(plant: EventPlant, cycle: int) -> bool:
 
 
 def run_ticks(plant: EventPlant, ticks: int, most: int) -> int:
-    """Advance by a number of ticks; return the ticks left when the limit of events was reached, 0 if it was not."""
+    """Advance by a number of ticks; return the ticks left if the limit of events was reached, else 0."""
     return run_on(plant, ticks, most)
 
 

@@ -54,7 +54,7 @@ EVALUATIONS: Final = 60
 _PIECES: Final = 8
 """Number of points along a step that are tried if the end of the step stores less than the received energy."""
 FURTHEST: Final = 2.0
-"""Largest factor by which a step is scaled, in either direction; energy beyond that is booked as a remainder."""
+"""Largest factor by which a step is scaled, in either direction; energy beyond its end is booked as a remainder."""
 
 
 class StepScaling(NamedTuple):

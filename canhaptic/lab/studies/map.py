@@ -193,7 +193,7 @@ def colgate_stiffness(damping: float, wall_damping: float, sample_time: float, d
         damping: b of the device [N*s/m or N*m*s/rad].
         wall_damping: Damping of the wall, on the backward difference of the position [N*s/m or N*m*s/rad].
         sample_time: T [s].
-        delay: Delay in whole holds, inside H.
+        delay: Delay of the loop in whole holds.
     """
     angle = np.linspace(math.pi / _ANGLES, math.pi, _ANGLES)
     forward = 1.0 - np.exp(-1j * angle)

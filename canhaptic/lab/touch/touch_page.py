@@ -79,7 +79,7 @@ class TouchPage:
             self._document.add_next_tick_callback(lambda: setattr(self._status, "text", html.escape(text)))
 
     def update(self) -> None:
-        """Draw new rows after the browser has drawn the last ones, so that a slow one does not fall behind."""
+        """Draw new rows after the browser has drawn the last ones, so that a slow browser does not fall behind."""
         self._waited += 1
         if self._drawn.data["frame"][0] != self._frame and self._waited < 60:  # after which the page is asked again
             return

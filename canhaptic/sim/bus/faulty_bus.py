@@ -109,7 +109,7 @@ class BusEffects(Parameters):
     @model_validator(mode="after")
     def _check(self) -> "BusEffects":
         if not any(getattr(self, name) for name in _EFFECTS):
-            raise ValueError(f"names no effect, expected one of: {', '.join(_EFFECTS)}; leave it out for an ideal bus")
+            raise ValueError(f"names no effect, expected one of: {', '.join(_EFFECTS)}; omit `bus` for an ideal bus")
         for name, what in (("ids", "COB-ID"), ("foreign_ids", "COB-ID"), ("buses", "name")):
             if getattr(self, name) == ():
                 raise ValueError(f"{name} is empty, expected at least one {what}; leave it out for the defaults")

@@ -248,7 +248,7 @@ class HybridAutomaton:
         )
 
     def allow_events(self, begin: int, end: int) -> None:
-        """Allow `max_events` per sample time that begins in [begin, end) [ticks]; if none does, the limit stays."""
+        """Allow `max_events` per sample time that begins in [begin, end) [ticks]; without any, keep the limit."""
         begun = -(-end // TICKS) - -(-begin // TICKS)
         if begun:
             self._most = self._counts[stepper.EVENTS] + self.settings.max_events * begun

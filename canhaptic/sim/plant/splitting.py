@@ -134,7 +134,7 @@ def fixed_point(piece: Any, start: float, slope: float) -> tuple[float, float, b
     the smaller residual, and False.
 
     Args:
-        piece: Argument of `residual`.
+        piece: Substep to solve, the first argument of `residual`.
         start: First guess.
         slope: Slope of the residual near the root, below zero; -1 if unknown.
     """

@@ -93,7 +93,7 @@ def _counts(parameters: SimulatedDriveParameters) -> int:
     if abs(exact - counts) > 1e-6 * exact or counts > 0xFFFF_FFFF:
         raise ParameterError(
             f"rated_torque: got {parameters.rated_torque}, expected a whole number of "
-            f"{parameters.rated_torque_resolution} (what 0x6076 can show), at most {0xFFFF_FFFF} of them"
+            f"{parameters.rated_torque_resolution} (the step of 0x6076), at most {0xFFFF_FFFF} of them"
         )
     return counts
 
