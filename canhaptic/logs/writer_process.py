@@ -262,7 +262,7 @@ class BusLogWriter(WriterProcess):
         if not 0 < len(channels) <= _MOST_BUSES or len(set(channels)) < len(channels):
             raise ParameterError(f"channels {channels}: expected 1 to {_MOST_BUSES} names, all different")
         if convert and (file_size or last):
-            raise ParameterError(f"{path}: only candump text (.log) can be a series of files or the last seconds")
+            raise ParameterError(f"{path}: a series of files, or the last seconds, must be .log (candump text)")
         job = {
             "kind": "bus",
             "pace": pace,

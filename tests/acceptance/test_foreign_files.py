@@ -175,7 +175,7 @@ def test_numba_obeys_no_file_of_the_current_folder(tmp_path: Path, monkeypatch: 
     monkeypatch.chdir(tmp_path)
     assert chosen_engine("auto", pays=True) == "numba"
     (tmp_path / ".numba_config.yaml").write_text("disable_jit: 1\n")
-    with pytest.raises(ParameterError, match=r"obey \.numba_config\.yaml of this folder"):
+    with pytest.raises(ParameterError, match=r"read \.numba_config\.yaml of this folder"):
         chosen_engine("auto", pays=True)
     assert chosen_engine("auto", pays=False) == "python"
 
