@@ -2,6 +2,7 @@
 
 from canopen.profiles.p402 import State402
 
+from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.drive.profile.power_states import TORQUE_FREE, PowerState, drive_state, is_enabled, next_controlword
 
 
@@ -27,3 +28,10 @@ def test_quick_stop_leads_to_disable_and_never_to_enable() -> None:
 def test_states_with_torque_are_not_taken_for_disabled() -> None:
     for state in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.UNKNOWN):
         assert state not in TORQUE_FREE
+
+
+def test_the_numbers_of_stop_reasons_in_old_logs_keep_their_meaning() -> None:
+    numbers = [0, 1, *range(10, 16), *range(20, 29), *range(30, 35)]
+    assert [reason.value for reason in StopReason] == numbers
+    assert StopReason(22).name == "STATE_LEFT"
+    assert StopReason(23).name == "NMT_STATE_LEFT"
