@@ -90,7 +90,7 @@ METRICS: Final[dict[str, Figure]] = {
         "sizes of these efforts; 0 if negative", "1", ("rendered", "asked"), "stiffness rendered", "near one",
     ),
     "stiffness_at_end.share": Figure(
-        "mean force in contact over the mean effort asked for there, in the last part of the run", "1",
+        "signed mean force in contact over the mean effort asked for there, in the last part of the run", "1",
         ("last_force", "last_asked"),
     ),
     "travel": Figure("largest less least true position", "m", ("highest", "lowest")),
@@ -117,7 +117,7 @@ CONTINUOUS: Final[dict[str, Figure]] = {
                               "force error, rms", "less"),
     "force_error.max": Figure("the largest", "N", ("force_worst",), "force error, largest", "less"),
     "force_variation.ratio": Figure("force_variation over that of the continuous force", "",
-                                    ("variation", "diverged", "continuous"), "force ripple, of the ideal wall's",
+                                    ("variation", "diverged", "continuous"), "force ripple / ideal wall's",
                                     "near one", _CALM),
     "limit_cycle": Figure("how far it goes to and fro in the last part, where the continuous axis rests", "m",
                           ("last_highest", "last_lowest", *_LAST), "limit cycle", "less"),

@@ -129,8 +129,9 @@ def _draw_cells(figure: "Figure", place: "Axes", panel: Cells, limits: tuple[flo
         if not panel.dots:
             grey = np.where(mask, 0.3, np.nan)
             place.pcolormesh(*panel.edges(), grey, cmap="Greys", vmin=0.0, vmax=1.0, rasterized=True)
-        place.scatter(x[mask], y[mask], color=GREY, marker=_OF_STATUS[status], s=14.0, label=status)
-        place.legend(loc="best", fontsize=8.0)
+        ink = GREY if panel.dots else _BLACK
+        place.scatter(x[mask], y[mask], color=ink, marker=_OF_STATUS[status], s=14.0, label=status)
+        place.legend(loc="best", fontsize=8.0, labelcolor=ink)
     figure.colorbar(drawn, ax=place, label=panel.value_label, pad=0.02)
 
 
