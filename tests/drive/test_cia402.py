@@ -1,7 +1,12 @@
 """The state machine against the statuswords that the standard prints, and against the table of canopen."""
 
+from types import SimpleNamespace
+from typing import Any
+
 from canopen.profiles.p402 import State402
 
+from canhaptic.canopen.objects import DataType
+from canhaptic.drive.profile.fitness import _of_value
 from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.drive.profile.power_states import TORQUE_FREE, PowerState, drive_state, is_enabled, next_controlword
 
@@ -35,3 +40,11 @@ def test_the_numbers_of_stop_reasons_in_old_logs_keep_their_meaning() -> None:
     assert [reason.value for reason in StopReason] == numbers
     assert StopReason(22).name == "STATE_LEFT"
     assert StopReason(23).name == "NMT_STATE_LEFT"
+
+
+def test_a_signed_object_takes_values_from_its_least_to_its_largest_and_none_beyond() -> None:
+    for data_type, bits in ((DataType.INTEGER8, 8), (DataType.INTEGER16, 16), (DataType.INTEGER32, 32)):
+        variable: Any = SimpleNamespace(data_type=data_type, min=None, max=None)
+        for value in (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1):
+            assert _of_value(variable, value) is None
+            assert "limited to" in str(_of_value(variable, value + (1 if value > 0 else -1)))

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,12 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
+from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.figures.figures import DISPLAY_METRICS, display_figures
 from canhaptic.lab.loop.admittance_loop import AdmittanceRun, felt, run_display
 from canhaptic.lab.loop.axis_loop import parts_of
 from canhaptic.scene.build import build, experiment_account
+from canhaptic.scene.displays import display_properties, refuse_displays
 from canhaptic.scene.load import load_scene
 
 SCENES = Path(__file__).parents[3] / "configs" / "admittance"
@@ -90,3 +93,28 @@ def test_every_figure_is_measured_and_a_heavy_mass_is_felt_as_it_is() -> None:
     assert set(display_figures(scene, 40)) == set(DISPLAY_METRICS)
     heavy = display_figures(load_scene(NODE, ["environment.mass=6 kg", "environment.lower_wall=-1 m"]), 600)
     assert heavy["mass_felt.share"] == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_display_commands_speed_in_steps_of_its_counts() -> None:
+    axis = load_scene(MASS).axes[0]
+    given, time = axis.parameters, axis.loop.sample_time
+    assert given.admittance is not None
+    for mode, counts, quantum in (
+        ("position", None, 1.0 / (given.counts_per_unit * time)),
+        ("velocity", None, 1.0 / given.counts_per_unit),
+        ("velocity", 1e5, 1e-5),
+    ):
+        display = given.admittance.model_copy(update={"mode": mode, "velocity_counts": counts})
+        changed = replace(axis, parameters=given.model_copy(update={"admittance": display}))
+        assert display_properties(changed).speed_quantum == pytest.approx(quantum, rel=1e-12)
+
+
+def test_displays_are_refused_by_name_where_a_torque_is_sent_and_other_axes_where_it_is_not() -> None:
+    scene = load_scene(MASS)
+    with pytest.raises(InputError, match=f"{scene.axes[0].parameters.name}: replay takes impedance displays .*; use"):
+        refuse_displays(scene, "replay")
+    axis = scene.axes[0]
+    torque = replace(axis, parameters=axis.parameters.model_copy(update={"admittance": None}))
+    refuse_displays(replace(scene, axes=(torque,)), "replay")
+    with pytest.raises(ParameterError, match="has no `admittance`"):
+        display_properties(torque)

@@ -3,6 +3,7 @@
 import importlib
 import random
 from collections import deque
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import LITERATURE, build_controller
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.stepped import Hold
+from canhaptic.control.passivity.unprotected import Asked
 from canhaptic.errors import ParameterError
 from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.rivals import (
@@ -196,3 +198,27 @@ def test_every_one_names_its_source_and_its_departures():
         assert "which was read" in doc or "which was." in doc
         assert "Departures:" in doc
         assert "It promises nothing" in doc or "that it promises nothing" in doc
+
+
+def test_the_damping_that_an_observer_adds_is_its_force_over_the_velocity():
+    hold, asked = Hold(-1e-3, 0.0, -0.5, 0.0, 1e-3, -1.0, 0.0, 0), Asked(0, 0.0, True, 4.0, 0.0, 2.0)
+    loop, given = LoopProperties(sample_time=1e-3), bounded_observer.BoundedObserverParameters(force_limit=3.0)
+    bounded: Any = SimpleNamespace(
+        state=bounded_observer._BoundedObserverState(), settings=bounded_observer.settings_of(WALL, given, loop)
+    )
+    windowed: Any = SimpleNamespace(
+        state=windowed_observer._WindowedObserverState(),
+        settings=SimpleNamespace(limit=50.0),
+        memory=SimpleNamespace(own=[0.0] * 3),
+    )
+    for respond, run in ((bounded_observer.respond, bounded), (windowed_observer.respond, windowed)):
+        for speed in (-1.0, -0.25):
+            moved = hold._replace(displacement=1e-3 * speed, velocity=speed)
+            _, _, _, force, damping = respond(run, moved, asked)
+            assert force < 0.0
+            assert damping == pytest.approx(2.0 + force / speed)
+
+
+def test_no_force_is_augmented_where_the_contact_has_no_depth():
+    given, state = force_augmentation.ForceAugmentationParameters(), force_augmentation._ForceAugmentationState()
+    assert force_augmentation.augmented_force(given, state, 0.0, 0.5) == 0.5
