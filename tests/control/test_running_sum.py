@@ -2,9 +2,15 @@
 
 import math
 import random
+from dataclasses import fields
 
 from canhaptic.control.balance import AT_REST, Certificate, RunningSum, add
+from canhaptic.control.certificates.certified_torque import TorqueBound
+from canhaptic.control.environments.hardening_wall import HardeningWall
+from canhaptic.control.multi_axis.group_kernel import GroupMotion
+from canhaptic.control.passivity.stepped import Axis
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, PortResult, add_verdicts, claim_nothing
+from canhaptic.lab.rivals.scaled_group import ScaledState
 
 
 def test_a_sum_of_terms_of_every_size_is_exact_to_the_last_place() -> None:
@@ -62,3 +68,19 @@ def test_a_plant_may_give_out_no_energy_where_no_allowance_is_declared() -> None
     account = {**account, "least_at_handle": 0.0}
     add_verdicts(account, (0.0, -1e-3))
     assert (account["plant_passive"], account["plant_passive_at_handle"]) == ("yes", "no")
+
+
+def test_a_state_before_its_first_hold_has_lost_no_sample_and_holds_no_energy() -> None:
+    for kind, names in (
+        (TorqueBound, ("dissipated",)),
+        (Axis, ("missed",)),
+        (GroupMotion, ("elapsed",)),
+        (ScaledState, ("h_s", "blind")),
+    ):
+        defaults = {field.name: field.default for field in fields(kind)}
+        assert [defaults[name] for name in names] == [0] * len(names)
+
+
+def test_a_wall_is_a_linear_spring_only_without_hardening() -> None:
+    found = [HardeningWall(stiffness=700.0, hardening=hardening).linear_stiffness for hardening in (0.0, 1.0)]
+    assert found == [700.0, None]
