@@ -75,7 +75,11 @@ def _limit(name: str, key: str, item: str) -> tuple[str, str, str]:
     except (ImportError, AttributeError):  # the first on Windows
         return name, "not on this system", ""
     advice = "" if soft else f"not permitted; grant `{item}` in /etc/security/limits.conf"
-    return name, "unlimited" if soft == resource.RLIM_INFINITY else str(soft), advice
+    return (
+        name,
+        "unlimited" if soft == resource.RLIM_INFINITY else f"{soft} B" if item == "memlock" else str(soft),
+        advice,
+    )
 
 
 def _read(path: str) -> str:
@@ -282,7 +286,7 @@ def _print_findings(console: Console, found: _CheckFindings, *, full: bool) -> N
             console.print(f"  worst cycle: {budget.arithmetic()}", markup=False, soft_wrap=True)
             console.print(f"  periodic load of the bus: {100.0 * budget.periodic_load:.1f} %\n")
         else:
-            worst = f"worst cycle {used:.0f} of {most:.0f} us, with heartbeats, an EMCY and the host"
+            worst = f"worst cycle {used:.0f} of {most:.0f} us, with heartbeats, one EMCY and computing time"
             console.print(f"{bus}: {worst}; {100.0 * budget.periodic_load:.0f} % load on average", markup=False)
     for axis in found.scene.axes:
         name = axis.parameters.name
@@ -347,4 +351,4 @@ def _hint_table(hints: list[limits.Hint], *, texts: bool) -> Table:
         style = "dim" if not hint.concerns else "yellow" if hint.exceeded else ""
         rows.append([Styled(text, style) for text in (hint.axis, hint.what, limit, asked, hint.text)[: 4 + texts]])
     title = "stability: computed, for every hand as declared; `design` simulates this rig"
-    return Table(title, ("axis", "limit", "at most", "requested", "")[: 4 + texts], rows)
+    return Table(title, ("axis", "limit", "value", "requested", "")[: 4 + texts], rows)

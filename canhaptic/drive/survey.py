@@ -327,8 +327,8 @@ def _read_back(dictionary: ObjectDictionary, axis_map: AxisMap | None) -> Survey
         return SurveyRow("read-back", "torque read back", stated, Verdict.FIT, "no map was found, see below")
     text = {
         "demand": "by 0x6074 in the TPDO: the energy of every hold is exact",
-        "actual": "by 0x6077 in the TPDO, the torque measured at one instant of each hold: its difference from the "
-        "torque sent bounds the error of the energy",
+        "actual": "by 0x6077 in the TPDO, measured at one instant of each hold; its difference from the torque "
+        "sent bounds the error of the energy",
         "none": "no torque can be mapped: the energy is computed from the torque sent",
     }[axis_map.read_back]
     verdict = Verdict.FIT if axis_map.read_back == "demand" else Verdict.UNKNOWN

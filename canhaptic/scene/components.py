@@ -130,7 +130,7 @@ class ComponentOf:
         name = value.get(self.selector)
         try:
             if not isinstance(name, str):
-                seen = "missing" if name is None else f"got {shown(name)}"
+                seen = f"got {shown(name)}" if name is not None else f"missing (keys given: {', '.join(value)})"
                 raise ParameterError(f"{seen}, expected one of: {', '.join(sorted(self.table))}")
             own = None
             if name not in self.table:

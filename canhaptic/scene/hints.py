@@ -60,7 +60,7 @@ def allowance_words(energy: float, loop: LoopProperties, unit: str) -> str:
     """Return in words what an energy allowance [J] permits, for an axis in m or rad."""
     mass = loop.moving_mass or 1.0
     moving = f"{mass:.2g} {mass_unit(unit)} at {sqrt(2.0 * energy / mass):.2g} {unit}/s"
-    return f"never more than this beyond what came in since the start: {moving}"
+    return f"the handle may give out this much more than it received since the start: {moving}"
 
 
 class Hint(NamedTuple):
@@ -236,7 +236,7 @@ def _damping_hints(axis: AxisScene) -> list[Hint]:
     mass, source = _known(axis, "moving_mass", "mass")
     ripples = None if mass is None else least_oscillating_damping(delay, mass, period)
     diverges = None if mass is None else largest_stable_damping(delay, mass, period)
-    text = f"delay {delay}, the cap of algorithms; {source}"
+    text = f"delay {delay}; algorithms inject no more damping than this; {source}"
     hints.append(_hint(axis, "damping, no ripple", ripples, text))
     return [*hints, _hint(axis, "damping, stable", diverges, f"delay {delay}; {source}")]
 
@@ -283,10 +283,12 @@ def _encoder_hint(axis: AxisScene) -> list[Hint]:
         if asked:
             text += f"; counts up to {friction / asked:.2g} {unit} keep the wall asked, here {count:.2g} {unit}"
     else:
-        text = "repeated presses soften the wall, as the encoder leaves energy uncertain: "
+        text = "the encoder leaves energy uncertain, so repeated presses soften the wall; "
         text += "declare passivity.device_friction (canhaptic commission measures it)"
         if asked:
-            text += f"; {asked * count:.2g} {effort_unit(unit)} of it would keep the requested stiffness, without it "
+            text += (
+                f"; {asked * count:.2g} {effort_unit(unit)} of friction would keep the requested stiffness; without, "
+            )
             text += f"each motion back and forth over one count leaves {asked * count * count:.2g} J uncertain"
     return [_hint(axis, f"stiffness kept {ENCODER}", limit, text)]
 
@@ -309,7 +311,7 @@ def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
     bound = axis.loop.device_damping_bound
     if bound and axis.loop.device_damping is None:
         limit = bounds.renderable_by_device_damping(bound, axis.loop.sample_time, axis.loop.delay + _losses(axis))
-        text += f"; up to {limit:.3g} {unit} for every hand once device_damping is measured"
+        text += f"; for any hand up to {limit:.3g} {unit}, once device_damping is measured"
     return text
 
 
@@ -319,7 +321,10 @@ def _felt_hints(axis: AxisScene, response: bounds.DisplacementResponse, lag: int
     limit = bounds.renderable_by_hand_force(response, lag, push)
     what = f"stiffness felt at a push of {push:.3g} {effort_unit(axis.parameters.unit)}"
     slowest = bounds.start_speed(response, axis.loop.sample_time, lag, axis.loop.encoder_count)
-    begins, name = "from zero energy; a slower one meets it later in the wall, if at all", axis.parameters.name
+    begins, name = (
+        "without stored energy; a slower approach feels torque deeper in the wall or never",
+        axis.parameters.name,
+    )
     unit = f"{axis.parameters.unit}/s"
     if friction := axis.loop.device_friction:
         slowest, begins = 0.0, f"up to device_friction {friction:g} at once, more with the energy below"
@@ -485,7 +490,7 @@ def _of_faults(
     stalled = f"{power:.3g} W at speed_limit for {silence:g} s"
     per_force = "J/N" if given.unit == "m" else "J/(N*m)"
     return [
-        Hint(given.name, "sensor with an offset", room, None, per_force, offset),
-        Hint(given.name, "stalled master", power * silence, None, "J", stalled),
-        Hint(given.name, "frozen sensor", energy, None, "J", frozen),
+        Hint(given.name, "energy from a sensor offset", room, None, per_force, offset),
+        Hint(given.name, "energy from a stalled master", power * silence, None, "J", stalled),
+        Hint(given.name, "energy from a frozen sensor", energy, None, "J", frozen),
     ]

@@ -162,7 +162,7 @@ def bus_section(written: MarkedMapping, index: int) -> MarkedMapping:
 def _put_buses(scene: MarkedMapping, written: MarkedMapping, faults: Diagnostics) -> None:
     value = written.get("bus")
     if not isinstance(value, MarkedList):
-        expected = "keys and values, or a list of such for several buses"
+        expected = "interface, channel and rate, or a list of such for several buses"
         scene.set("bus", _or_noted(faults.mapping(value, written.value_at("bus"), expected)))
         return
     if not value:

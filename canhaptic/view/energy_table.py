@@ -171,7 +171,7 @@ _PORT_ROWS: Final[tuple[tuple[str, _Shown], ...]] = (
     ("stored at the end", "stored"),
     ("energy created by sampling, not yet removed", "surplus.end"),
     ("  at its peak", "surplus.max"),
-    ("recovered by the damper", "recovered"),
+    ("energy removed by extra damping", "recovered"),
     ("stored energy not returned", "leaked"),
     ("energy returned beyond what was stored", "deficit"),
     ("lowest net energy (in - out), at the motor", "least_interaction"),
@@ -196,7 +196,7 @@ _PORT_ROWS: Final[tuple[tuple[str, _Shown], ...]] = (
 _TRUTH_ROWS: Final = {
     "net energy, from the plant": "interaction",
     "lowest net energy, from the plant": "least_interaction",
-    "lowest at the handle, from the plant": "least_at_handle",
+    "lowest net energy at the handle, from the plant": "least_at_handle",
     "largest error of the account": "believed_error",
 }
 

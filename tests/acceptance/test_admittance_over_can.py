@@ -526,5 +526,5 @@ def test_check_prints_what_a_user_wants_before_the_first_touch(capsys: pytest.Ca
     assert hints["speed at which motion starts"] == pytest.approx((4e-3 / (2.0 * gain * time)) ** 0.5)
     assert hints["force uncertainty of the account"] == pytest.approx(5e3 * time / 4.0 + 0.05)
     assert hints["least force that moves it"] == pytest.approx(3.0 * 1e-6 / time)
-    assert hints["stalled master"] == pytest.approx(0.25 * gain * 0.1)
-    assert hints["frozen sensor"] == pytest.approx(0.25 * gain * 0.05)
+    assert hints["energy from a stalled master"] == pytest.approx(0.25 * gain * 0.1)
+    assert hints["energy from a frozen sensor"] == pytest.approx(0.25 * gain * 0.05)

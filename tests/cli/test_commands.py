@@ -347,7 +347,7 @@ def test_check_says_the_load_of_the_bus_once_and_one_approach_speed(capsys: pyte
     assert main(["check", DEMO]) == 0
     text = capsys.readouterr().out
     assert re.search(
-        r"(?m)^bus: worst cycle \d+ of 1000 us, with heartbeats, an EMCY and the host; \d+ % load on", text
+        r"(?m)^bus: worst cycle \d+ of 1000 us, with heartbeats, one EMCY and computing time; \d+ % load on", text
     )
     assert text.count("approach speed") == 1
     assert main(["check", DEMO, "--json"]) == 0

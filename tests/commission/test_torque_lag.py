@@ -143,7 +143,9 @@ def test_an_allowance_is_proposed_once_and_only_where_none_is_declared() -> None
     proposed = [each for each in session.report.values if each.key == "passivity.energy_allowance"]
     assert len(proposed) == 1
     assert float(proposed[0].value or 0.0) >= 3.0 * 1e-6 / 0.2 / 4.0
-    assert proposed[0].comment.startswith("never more than this beyond what came in since the start: 0.2 kg at ")
+    assert proposed[0].comment.startswith(
+        "the handle may give out this much more than it received since the start: 0.2 kg at "
+    )
 
 
 def test_the_wall_ends_where_a_hold_is_over_before_its_torque_acts() -> None:

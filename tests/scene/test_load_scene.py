@@ -71,7 +71,10 @@ def test_a_synchronous_torque_is_one_hold_late(tmp_path: Path) -> None:
             ("spring_damper_wall", "wall"),
             "scene.yaml:12:9: environment.type: unknown environment 'wall', expected one of",
         ),
-        (("  type: spring_damper_wall\n", ""), "scene.yaml:12:3: environment.type: missing, expected one of:"),
+        (
+            ("  type: spring_damper_wall\n", ""),
+            "scene.yaml:12:3: environment.type: missing (keys given: stiffness, damping), expected one of:",
+        ),
         (
             ("algorithm: unprotected", "algorithm: dirct"),
             "scene.yaml:15:24: passivity.algorithm: unknown passivity algorithm",
@@ -141,7 +144,10 @@ def test_a_synchronous_torque_is_one_hold_late(tmp_path: Path) -> None:
         (("duration: 1 s", "log: {enrgy: x.h5}"), "scene.yaml:1:7: log.enrgy: unknown key; did you mean 'energy'?"),
         (("duration: 1 s", "log: x.h5"), "scene.yaml:1:6: log: got 'x.h5', expected a mapping of keys and values"),
         (("bus: {", "bus: [] #"), "scene.yaml:2:6: bus: got an empty list, expected at least one bus"),
-        (("bus: {", "bus: 5 #"), "scene.yaml:2:6: bus: got 5, expected a mapping of keys and values, or a list of"),
+        (
+            ("bus: {", "bus: 5 #"),
+            "scene.yaml:2:6: bus: got 5, expected a mapping of interface, channel and rate, or a list of",
+        ),
         (
             ("{algorithm: unprotected}", "unprotected"),
             "scene.yaml:15:12: passivity: got 'unprotected', expected a mapping of algorithm",

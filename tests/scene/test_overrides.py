@@ -179,8 +179,8 @@ def test_keys_that_only_the_old_type_has_are_dropped_and_named_in_one_line() -> 
     assert scene.axes[0].passivity.name == "unprotected"
     assert scene.axes[0].loop.moving_mass == 0.24  # what both know is kept
     assert said == [
-        "--set passivity.algorithm=unprotected: passivity: hand_force, hand_push: dropped, as 'unprotected' in place "
-        "of 'guarded' has no such key"
+        "--set passivity.algorithm=unprotected: passivity: hand_force, hand_push: dropped: 'unprotected', now in "
+        "place of 'guarded', has no such keys"
     ]
 
 

@@ -28,7 +28,7 @@ def execute(arguments: argparse.Namespace) -> int:
     )  # fmt: skip
     columns = asked.points.columns(0, len(asked.points))
     result = run_chunk(replace(asked.recipe, alone=""), 0, columns)
-    names = [str(name) for name in columns.get("controller", ["of the scene"])]
+    names = [str(name) for name in columns.get("controller", ["algorithm of the scene"])]
     found = {
         name: {"engine": ENGINES[engine], "remark": ("", *result.texts)[remark]}
         for name, engine, remark in zip(names, result.engine.tolist(), result.remark.tolist(), strict=True)
@@ -37,8 +37,10 @@ def execute(arguments: argparse.Namespace) -> int:
         write_json({"scene": scene.source, "loops": found})
     else:
         for name, of in found.items():
-            make_console().print(f"  {of['engine']:11} {name}  {of['remark']}")
+            make_console().print(
+                f"  {name}: {'compiled' if of['engine'] == 'numba' else 'not compiled'}  {of['remark']}".rstrip()
+            )
     missed = [f"{name}: {of['remark']}" for name, of in found.items() if of["engine"] != "numba"]
     if missed:
-        raise CheckFailedError(f"{scene.source}: Python runs " + "; ".join(missed))
+        raise CheckFailedError(f"{scene.source}: not compiled: " + "; ".join(missed))
     return 0

@@ -375,7 +375,7 @@ class AbleAxis(NamedTuple):
     def remark(self) -> str:
         """Note that lists the properties taken from the plant; "" for none."""
         shown = [f"{key} {getattr(self.axis.loop, key):g}" for key in self.from_plant if key != "device_damping_bound"]
-        return f"from the plant: {', '.join(shown)}" if self.from_plant else ""
+        return f"taken from the simulated plant: {', '.join(shown)}" if self.from_plant else ""
 
 
 def chosen_algorithms(algorithms: Sequence[str] | None, own: Sequence[str] = ()) -> list[str]:

@@ -176,7 +176,7 @@ _ROWS: Final = (
     _Row("passive, by the plant", lambda a, _: _verdict(a)),
     *(row_of(name, figure) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.label),
     _Row("guarantee rests on", lambda a, _: _premise(a) if a["contact"] else None),
-    _Row("time of a step", lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
+    _Row("computing time per step", lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
 )
 _GROUP_ROWS: Final = (
     _Row("", lambda a, _: a["status"]),

@@ -175,4 +175,4 @@ def test_warm_compiles_what_a_sweep_needs_and_says_what_python_runs(
 def test_warm_fails_where_python_runs_a_scene(capsys: Captured) -> None:
     pytest.importorskip("numba", reason="needs numba (the extra fast)")
     assert main(["warm", str(REPOSITORY / "configs/admittance/virtual_mass.yaml"), "--json"]) == 1
-    assert "Python runs of the scene" in capsys.readouterr().out
+    assert "not compiled: algorithm of the scene" in capsys.readouterr().out

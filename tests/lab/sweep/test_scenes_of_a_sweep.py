@@ -84,7 +84,7 @@ def test_an_algorithm_without_what_it_rests_on_takes_it_from_the_plant_in_every_
     scene = load_scene(DEMO, ["passivity={algorithm: unprotected}"])
     vary = ["simulation.plant.mass=0.1,0.4"]
     with run(scene, vary, tmp_path / "a", cycles=1200, controllers=["unprotected", "guarded"]) as table:
-        assert "from the plant: moving_mass" in table.remark(2)
+        assert "taken from the simulated plant: moving_mass" in table.remark(2)
         for row, mass in ((2, 0.1), (3, 0.4)):
             alone = load_scene(
                 DEMO,

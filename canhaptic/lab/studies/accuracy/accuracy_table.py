@@ -254,6 +254,8 @@ def _loop_advice(result: Row) -> str:
 
     nearer, judged = [], result.get("judged", "")
     for row in sorted((row for row in result["loop"] if row["bus_fits"] and is_nearer(row) and lasts(row)), key=_error):
+        if row["setting"] == "unprotected":
+            continue  # nearer, but no advice: it removes the protection
         given = max(0.0, row["energy_given_out"])
         out = f", gives out {si(given, 'J', 2)}" if given > PASSIVE_TOLERANCE else ""
         load = f"bus {100.0 * row['bus_load']:.0f} %"
