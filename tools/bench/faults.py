@@ -127,7 +127,7 @@ AT_THE_DRIVE = {
     "the controller's torque is not a number": _break_controller,
 }
 
-_ESCALATION = 4  # SYNCs of the stop before NMT pre-operational
+_ESCALATION = 5  # SYNCs of the stop before NMT pre-operational: one with zero torque, four that ask to disable
 BY_HEARTBEAT = (
     "every RPDO, SDO and SYNC lost",
     "everything from the master lost",
@@ -171,7 +171,8 @@ class Watch:
         link = experiment.rig.links[0]
         link._recorder = self.hear  # noqa: SLF001 - the only one who sees every frame, those of the stop too
         clock = cast(VirtualClock, experiment.clock)
-        clock._far_sides = (*clock._far_sides, self)  # noqa: SLF001 - asked after the drive at each instant
+        far_sides = (*clock._far_sides, self)  # noqa: SLF001 - asked after the drive at each instant
+        VirtualClock.__init__(clock, far_sides, clock.now())
 
     def next_due(self) -> int:
         """Has nothing to do by itself (a `SimulatedPeer`)."""

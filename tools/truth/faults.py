@@ -12,6 +12,7 @@ from typing import Any, Final
 import can
 import numpy as np
 
+from canhaptic.drive.clock import VirtualClock
 from canhaptic.scene.build import Experiment
 from canhaptic.sim.drive.timers import NEVER
 from tools.truth.scenes import TruthScene
@@ -136,7 +137,8 @@ class FaultWatch:
         self._zero_since: int | None = None
         self._drives = experiment.far_side.drives if experiment.far_side else ()
         clock: Any = experiment.clock
-        clock._far_sides = (*clock._far_sides, self)  # noqa: SLF001 - asked after the drives at each instant
+        far_sides = (*clock._far_sides, self)  # noqa: SLF001 - asked after the drives at each instant
+        VirtualClock.__init__(clock, far_sides, clock.now())
         self.drive: Any = self._drives[0]
 
     def next_due(self) -> int:
