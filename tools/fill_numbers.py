@@ -85,10 +85,15 @@ def _inside(node: Any, part: str) -> Iterator[Any]:
     if isinstance(node, dict) and part in node:
         yield node[part]
         return
-    row_name, _, peer = part.partition("~")
     for row in node.get("rows", ()) if isinstance(node, dict) else node if isinstance(node, list) else ():
-        if _named(row.get("row", row.get("fault")), row_name) and (not peer or _named(row.get("peer"), peer)):
+        if row_is_named(row, part):
             yield row
+
+
+def row_is_named(row: dict[str, Any], name: str) -> bool:
+    """Returns whether a row of a result has a name: ROW, or ROW~PEER, with `*` for any text."""
+    row_name, _, peer = name.partition("~")
+    return _named(row.get("row", row.get("fault")), row_name) and (not peer or _named(row.get("peer"), peer))
 
 
 def _named(name: Any, pattern: str) -> bool:

@@ -1,8 +1,8 @@
 """Runs one benchmark, or every one: `python tools/bench/run.py [QUESTION]`. Each is a script of this folder.
 
 Results go to `bench_output/`, or where `--out` says. `--record` is a step of its own: it replaces the results of
-`docs/results` and the pictures of `docs/images`, from which the pages are filled in; run `python -m tools.fill_numbers`
-and `python -m tools.make_paper_page` after it.
+`docs/results` and the pictures of `docs/images`, from which the pages are filled in; run `python -m tools.make_missed`
+(names missed rows without a reason), `python -m tools.fill_numbers` and `python -m tools.make_paper_page` after it.
 """
 
 import argparse
