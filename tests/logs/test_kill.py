@@ -179,7 +179,7 @@ RUN = """
 import sys
 sys.path.insert(0, {folder!r})
 from canhaptic.cli.main import main
-sys.exit(main(["run", "demo", "--duration", "20", "--pace", "real", "--log", {path!r}, "--bus-log", {bus!r}]))
+sys.exit(main(["run", "demo", "--duration", "2000", "--pace", "free", "--log", {path!r}, "--bus-log", {bus!r}]))
 """
 LOSSES = [pytest.param(number, marks=pytest.mark.slow if number != 1 else ()) for number in range(50)]
 
