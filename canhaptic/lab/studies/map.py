@@ -514,7 +514,8 @@ def _panel(fields: list[MapField], z: str, x: str, at: dict[str, float]) -> Line
         curves += _theory(ours, {"certificate": "largest certificate of guarded"}, x, at)
     note = f"solid: simulated, broken: theory; {_judged(field, common_judgement(field))}; "
     note += "worst case over all other keys; none: no wall tried passes"
-    title = f"stiffest wall that is passive and within {100.0 * NEAR:g} %{field.words(at)}"
+    largest = "stiffest wall" if z == _STIFFNESS else f"largest {z.rpartition('.')[2]}"
+    title = f"{largest} that is passive and within {100.0 * NEAR:g} %{field.words(at)}"
     return _lines(field, title, x, z, curves, note)
 
 
@@ -608,7 +609,7 @@ def _display_panels(field: MapField, chosen: Chosen) -> list[Panel]:
 def _keys(field: MapField, chosen: Chosen) -> tuple[str, str, str | None]:
     """Return the key whose border is searched, the key of the x axis, and the key with one line or panel per value."""
     free = [key for key in field.keys if key != chosen.x] or field.keys
-    z = _STIFFNESS if _STIFFNESS in free else free[-1]
+    z = _STIFFNESS if _STIFFNESS in free else max(reversed(free), key=_preference)
     others = sorted((key for key in field.keys if key != z), key=_preference)
     x = chosen.x or others[0]
     return z, x, chosen.y if chosen.y not in (None, z) else next((key for key in others if key != x), None)

@@ -211,6 +211,16 @@ def test_the_usual_panels_and_one_of_a_chosen_figure(two_controllers):
     assert cells.values.shape == (2, 2)
 
 
+def test_without_a_stiffness_the_largest_detent_is_searched_over_the_rate(tmp_path):
+    knob = load_scene(DEMO.replace("demo.yaml", "rotary_knob.yaml"))
+    sweep(knob, ["environment.peak=0.02,0.04", "bus.rate=500,1000"], tmp_path / "a", cycles=20)
+    with SweepTable(tmp_path / "a") as table:
+        [[top, *_]] = panels_of(fields_of(table), Chosen())
+    assert isinstance(top, Lines)
+    assert (top.x_label, top.y_label) == ("bus.rate [Hz]", "environment.peak [N*m]")
+    assert top.title.startswith("largest peak that is passive")
+
+
 def test_on_top_are_all_algorithms_in_one_panel_with_theory(two_controllers):
     with SweepTable(two_controllers) as table:
         fields = fields_of(table)
