@@ -89,7 +89,8 @@ def test_units_stand_in_the_heading_and_time_counts_from_the_first_row(tmp_path:
 @pytest.mark.parametrize(
     ("text", "says"),
     {
-        "no column": ("time,place\n0,1\n1,2\n", "no column 'position'; the heading has: time, place"),
+        "no column": ("time,place\n0,1\n1,2\n", "the heading has: time, place; name another by `column`"),
+        "semicolons": ("time [ms];position [mm]\n0;0,5\n1;1\n", "a semicolon separates the columns, expected a comma"),
         "two columns": ("time,a.position,b.position\n0,1,1\n1,2,2\n", "a.position, b.position: name one by `column`"),
         "a word": ("time,position\n0,1\n1,x\n", "line 3: got '1,x', expected numbers"),
         "back in time": ("time,position\n1,0\n0.5,1\n", "line 3: got time 0.5 s, expected one after 1 s"),
@@ -116,7 +117,7 @@ def test_an_angle_is_refused_on_a_linear_axis_and_the_file_is_found_next_to_the_
     (tmp_path / "hand.csv").unlink()
     with pytest.raises(SceneError, match=r"hand\.csv: cannot be read \(no such file\)") as caught:
         load_scene(tmp_path / "scene.yaml")
-    tried = f"tried {tmp_path}/hand.csv; put the table into the folder of the scene, {tmp_path}"
+    tried = f"tried {tmp_path}/hand.csv; put the table into the folder of the scene, {tmp_path}, or give its whole path"
     assert str(caught.value).endswith(tried)
     _table(tmp_path, "time,position\n0,0\n1.5,0.1\n")
     [note] = dear_holds(load_scene(tmp_path / "scene.yaml"))

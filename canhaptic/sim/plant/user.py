@@ -82,7 +82,9 @@ class RecordedMotion(Parameters):
             content = read_regular(path, _MOST_BYTES)
         except OSError as error:
             text = f"file: {self.file}: cannot be read ({error.strerror}): tried {path}"
-            raise ValueError(f"{text}; put the table into the folder of the scene, {folder}") from error
+            raise ValueError(
+                f"{text}; put the table into the folder of the scene, {folder}, or give its whole path"
+            ) from error
         try:
             self._rows = _rows_of(content.decode("utf-8-sig"), self.column, getattr(info.context, "motion", None))
         except ValueError as error:
@@ -160,6 +162,8 @@ def _rows_of(text: str, column: str, motion: Any) -> tuple[tuple[float, float], 
 
 def _column(heads: list[str], name: str, unit: Unit, motion: Any) -> tuple[int, float]:
     """Return the number of a column, and the factor from its unit to SI."""
+    if len(heads) == 1 and ";" in heads[0]:
+        raise ValueError("a semicolon separates the columns, expected a comma (and a point in decimal numbers)")
     parts = [head.replace("(", "[").rstrip(" ])").partition("[") for head in heads]
     titles = [title.strip().lower() for title, _, _ in parts]
     wanted = name.lower()
@@ -168,7 +172,8 @@ def _column(heads: list[str], name: str, unit: Unit, motion: Any) -> tuple[int, 
     ]  # fmt: skip
     if len(found) != 1:
         why = f"{', '.join(titles[place] for place in found)}: name one by `column`" if found else f"no column {name!r}"
-        raise ValueError(f"{why}; the heading has: {', '.join(heads)[:200] or 'nothing'}")
+        remedy = "" if found or name == "time" else "; name another by `column`"
+        raise ValueError(f"{why}; the heading has: {', '.join(heads)[:200] or 'nothing'}{remedy}")
     _, _, written = parts[found[0]]
     factor = unit.read(f"1 {written}", motion) if written.strip() else 1.0
     return found[0], float(str(factor))
