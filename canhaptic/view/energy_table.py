@@ -158,7 +158,8 @@ def _friction(port: Result) -> str | Styled:
 _OF_GROUPS: Final = {"supplied": "input from moving surfaces", "unsure": "uncertainty, taken off `in`"}
 """Rows of a group, shown if not zero."""
 _BRANCHES: Final = {
-    "free": "cycles out of contact", "start": "cycles that began a contact", "exit": "cycles that ended a contact",
+    "free": "cycles out of contact", "start": "cycles at the start of a contact",
+    "exit": "cycles at the end of a contact",
     "exact": "cycles with the energy balance solved", "fallback": "cycles without a solution of the balance",
     "sticky": "cycles moving out while energy comes in", "depleted": "cycles limited by an empty energy budget",
     "held": "cycles without a new position",
@@ -236,18 +237,18 @@ def _header(result: Result) -> Text:
 
 
 def _contacts_table(name: str, contacts: Sequence[Result], unit: str, depth_unit: str) -> Table:
-    hardest = sorted(contacts, key=lambda contact: -contact["peak_torque"])[:_CONTACTS_SHOWN]
+    hardest = sorted(enumerate(contacts, 1), key=lambda contact: -contact[1]["peak_torque"])[:_CONTACTS_SHOWN]
     shown = f", the {_CONTACTS_SHOWN} hardest" if len(contacts) > _CONTACTS_SHOWN else ""
     rows: list[list[Cell]] = [
         [
-            f"{contact['start']:.4f} s", si(contact["duration"], "s"),
+            number, f"{contact['start']:.4f} s", si(contact["duration"], "s"),
             "not known" if contact["depth"] is None else si(contact["depth"], depth_unit),
             si(contact["peak_torque"], effort_unit(unit)), energy(contact["energy"]),
         ]
-        for contact in sorted(hardest, key=lambda contact: contact["start"])
+        for number, contact in sorted(hardest, key=lambda contact: contact[0])
     ]  # fmt: skip
     title = f"{name}: {counted(len(contacts), 'contact')}{shown}"
-    return Table(title, ("start", "duration", "depth", "peak", "energy taken in"), rows, keys=0)
+    return Table(title, ("contact", "start", "duration", "depth", "peak", "energy taken in"), rows, keys=1)
 
 
 def _events_table(events: Sequence[Result], file: str = "") -> Table:

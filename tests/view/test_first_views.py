@@ -83,6 +83,16 @@ def test_the_page_of_a_run_that_became_active_has_a_button_to_that_moment(logs: 
     assert '<th class="">bare.h5 handle</th><th class="">guarded.h5 handle</th>' in text
 
 
+def test_the_contact_of_that_moment_has_its_number_in_the_table(
+    logs: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["inspect", str(logs[0])]) == 0
+    out = capsys.readouterr().out
+    assert "at 0.507 s (contact 1)" in " ".join(out.split())
+    [start] = re.findall(r"^ +1 +(0\.\d+) s ", out, re.MULTILINE)
+    assert float(start) <= 0.507
+
+
 def test_a_run_that_stayed_passive_has_no_button(tmp_path: Path) -> None:
     write_run(tmp_path / "run.h5", cycles=300)
     assert main(["inspect", str(tmp_path / "run.h5"), "--html", str(tmp_path / "run.html"), "--json"]) == 0
