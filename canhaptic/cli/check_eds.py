@@ -114,7 +114,8 @@ def _map_as_json(axis_map: AxisMap) -> dict[str, Any]:
 
 
 def _print(console: Console, found: Survey, profile: str | None, *, full: bool) -> None:
-    name = " ".join(part for part in (found.vendor, found.product) if part) or "a drive without a name"
+    vendor = "" if found.product.startswith(found.vendor) else found.vendor
+    name = " ".join(part for part in (vendor, found.product) if part) or "a drive without a name"
     console.print(f"{found.axis.eds}: {name}", markup=False, style="bold")
     if profile is not None:
         console.print(f"judged with the shipped profile of this vendor (drive: {profile})", markup=False)

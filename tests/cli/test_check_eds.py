@@ -60,6 +60,15 @@ def test_our_dictionary_is_fit_but_for_what_the_rig_alone_knows(capsys: Captured
     assert answer["map"]["read_back"] == "demand"
 
 
+def test_a_product_that_begins_with_its_vendor_names_it_once(tmp_path: Path, capsys: Captured) -> None:
+    lines = OURS.read_text().splitlines()
+    names = {"vendorname": "VendorName=Acme", "productname": "ProductName=Acme RGM"}
+    path = tmp_path / "acme.eds"
+    path.write_text("\n".join(names.get(line.partition("=")[0].lower(), line) for line in lines))
+    assert main(["check-eds", str(path)]) == 0
+    assert capsys.readouterr().out.replace("\n", "").startswith(f"{path}: Acme RGM")
+
+
 def test_the_loads_are_those_of_the_arithmetic_by_hand(capsys: Captured) -> None:
     """SYNC 55 + TPDO 135 + RPDO 95 bits; besides one blocking frame, two heartbeats, one EMCY and 20 us of host."""
     _, answer = checked(OURS, capsys)
