@@ -72,7 +72,7 @@ class Unattended:
         return truth
 
     def choose(self, question: str, answers: Sequence[str], truth: str) -> str:
-        """Answer of the simulated plant."""
+        """Return the right answer, which the simulated plant knows."""
         self.tell(f"{question} {truth}")
         return truth
 
@@ -402,7 +402,7 @@ class Session:
             InputError: No rig is built: this is outside `rig_of`.
         """
         if self._experiment is None:
-            raise InputError("commissioning: no rig is built; use `rig_of`")
+            raise InputError("commissioning: the rig has not been built yet; build it with `rig_of`")
         return self._experiment
 
     @property

@@ -209,7 +209,7 @@ class AxisMeter:
 
 
 class SilentMeter(AxisMeter):
-    """Meter that adds no uncertainty, for an admittance display: its algorithm itself subtracts that of its sensors.
+    """Meter of an admittance display. It adds no uncertainty: the algorithm already subtracts the sensors' errors.
 
     Args:
         felt: Fit of the apparent mass; None if the display renders no mass.

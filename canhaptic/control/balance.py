@@ -36,7 +36,7 @@ def add(running: RunningSum, term: float) -> float:
 
 
 def along(effort: float, torque: float) -> float:
-    """Return the force of a motor's torque on the hand [N or N*m], positive in the direction of a requested effort."""
+    """Return a motor's torque [N or N*m], positive if it renders the effort (torque = -effort); 0 without effort."""
     if effort == 0.0:
         return 0.0
     return -torque if effort > 0.0 else torque

@@ -106,7 +106,7 @@ def update(window: VelocityWindow, ring: Buffer, tolerance: float, sample_time: 
 
 
 def search(window: VelocityWindow, ring: Buffer, tolerance: float, furthest: int) -> None:
-    """Set the window to the longest that a line fits, of at most `furthest` samples, and the interval of its slopes."""
+    """Set the window to the longest, up to `furthest` samples, that a line fits, and set the range of its slopes."""
     newest = window.newest  # an index below 0 wraps, as the ring does
     position, least, most, length = ring[newest], -inf, inf, 0
     for distance in range(1, max(1, furthest) + 1):

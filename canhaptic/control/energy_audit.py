@@ -42,7 +42,7 @@ class EnergyAudit:
         Args:
             ledgers: Ledger of each axis.
             truths: True energies of each axis.
-            balances: Balance of each axis; if its position was lost, nothing is booked and the next is compared.
+            balances: Balance of each axis; an account without a new position is not compared at this SYNC.
         """
         for axis in self._axes:
             _, (motor, _, dissipated, _) = truths[axis]

@@ -75,7 +75,7 @@ def _question(channel: str) -> list[str]:
 
 
 def require_preflight(buses: Iterable[tuple[BusSettings, int]], run: Runner | None = None) -> list[PreflightFinding]:
-    """Return the notes of a preflight.
+    """Check the CAN interfaces before a run; return the notes, and raise if one is unfit.
 
     Raises:
         LinkError: A run is refused; lists every reason.

@@ -161,7 +161,7 @@ def arrays_of(value: _Value) -> _Value:
 
 
 def record_of(value: object) -> Records:
-    """Return a NamedTuple of buffers, nested NamedTuples and dataclasses as one record of arrays, shape (1,).
+    """Convert a NamedTuple of buffers, nested NamedTuples and dataclasses to one structured array, shape (1,).
 
     Compiled code takes the record by its address, and its type states the lengths of the arrays. A tuple of arrays
     would be passed as hundreds of arguments.

@@ -249,7 +249,7 @@ def environment_torque(environment: Environment, position: Array, velocity: Arra
         environment: Environment in contact.
         position: Shape (n,) [m or rad].
         velocity: Shape (n,) [m/s or rad/s].
-        step: Time between two of them [s].
+        step: Time between two samples of the motion [s].
     """
     torque = np.zeros(len(position))
     state = last = 0.0
@@ -272,7 +272,7 @@ def textbook_model(simulation: AxisSimulation) -> Model:
 
 
 def readings_per_hold(sample_time_ns: int, cycles: int) -> int:
-    """Return how many times per hold the reference is read in a run of some cycles."""
+    """Return how many times per hold the reference is read in a run of `cycles`."""
     least = max(2, -(-sample_time_ns // _FINEST))
     least = min(least, max(2, _MOST_READINGS // max(1, cycles)))
     return next((n for n in range(least, 2 * least + 8) if sample_time_ns % n == 0), least)

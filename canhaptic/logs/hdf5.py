@@ -277,7 +277,7 @@ def note_length(path: Path, cycles: int) -> str:
 
 
 def row_digests(columns: Sequence[Array]) -> Array:
-    """Return the CRC-32 of each row of some columns, shape (n_rows,): each value as 8 bytes, little endian."""
+    """Return the CRC-32 of each row of the given columns, shape (n_rows,): each value as 8 bytes, little endian."""
     table = np.stack([column.view("<u8") if column.dtype == "f8" else column.astype("<u8") for column in columns], 1)
     return np.fromiter(map(crc32, table), "u4", len(table))
 

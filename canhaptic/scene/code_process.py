@@ -65,9 +65,9 @@ def require_law(scene: Scene) -> None:
     """
     if scene.run.code_runs_in == "process" and scene.simulated and not any(axis.is_own for axis in scene.axes):
         raise InputError(
-            f"{scene.source}: code_runs_in: process: got {', '.join(scene.own_code)}, a hand or an effect, expected an "
-            "own environment or algorithm; hands and effects are part of the simulated drive: leave the key out, or "
-            "run that drive in a process of its own (canhaptic drive)"
+            f"{scene.source}: code_runs_in: process: got {', '.join(scene.own_code)}, a hand or an effect, expected "
+            "code of an environment or algorithm; hands and effects are part of the simulated drive: leave the key "
+            "out, or run that drive in a process of its own (canhaptic drive)"
         )
 
 

@@ -42,7 +42,7 @@ _Place = tuple[int, int]
 
 
 def missing_values(found: Survey, sample_time: float) -> dict[str, str]:
-    """Return `simulation.drive.objects` for a scene made from a dictionary: key and value as written in a scene.
+    """Return `simulation.drive.objects` for what a simulated drive needs and an EDS does not state: key -> value.
 
     Args:
         found: Survey of the dictionary.

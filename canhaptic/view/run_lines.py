@@ -168,7 +168,7 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
 
 
 def rests_on(*certificates: str, hand_force: float | None = None) -> str:
-    """Return in words the declarations on which the guarantee of some certificates rests.
+    """Return in words the declarations on which the guarantee of the given certificates rests.
 
     Args:
         certificates: Their names.

@@ -50,7 +50,7 @@ _LEGEND: Final[Any] = {
 
 
 class PortPicture:
-    """Panels of one account: of an axis, or of a group with the positions and torques of its axes."""
+    """Panels of one energy account: that of an axis; or that of a group, with positions and torques of its axes."""
 
     def __init__(self, log: EnergyLog, name: str, rows: slice) -> None:
         self._log = log

@@ -170,7 +170,7 @@ _MARGIN: Final = 0.25  # of the longer span of the path, shown on every side of 
 
 
 class TaskPlane(NamedTuple):
-    """Path of a handle in a plane, and the depth in the material around it [m or rad]."""
+    """Path of a handle in a plane, and the depth in the material on a grid of that plane [m or rad]."""
 
     unit: str
     path: Array  # (n, 2); NaN where the mechanism had no pose

@@ -45,7 +45,7 @@ def test_the_table_shows_the_algorithm_that_gives_energy(capsys: pytest.CaptureF
     ("words", "message"),
     [
         (["--algorithms", "unprotected"], "unknown group algorithm 'unprotected'"),
-        (["--rate", "100"], "for groups use --set bus.rate"),
+        (["--rate", "100"], "for this one use --set bus.rate"),
         (["--png", "a.png"], "draw a group with canhaptic run --png"),
     ],
 )

@@ -114,7 +114,7 @@ class AdmittanceAxis:
         environment: Environment of the axis.
         properties: Declared properties of the axis.
         kept: Number of past commands to store.
-        lag: Moving mass of the drive over the gain of its velocity loop [s]: overshoot per speed.
+        lag: Overshoot per speed: moving mass of the drive divided by the gain of its velocity loop [s].
     """
 
     def __init__(

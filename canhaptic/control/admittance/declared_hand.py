@@ -110,7 +110,7 @@ class LargestForce(NamedTuple):
         return max(0.0, min(left, last))
 
     def used(self, commands: Commands) -> float:
-        """Return a bound on how far the commands that can still act, with the newest, reduce E - G [J]."""
+        """Return a bound on how far all commands that can still act, the newest included, reduce E - G [J]."""
         total = 0.0
         for age in range(1, self.loop.delay + 1):
             total += sqrt(largest_square(commands, age, age + self.loop.losses))

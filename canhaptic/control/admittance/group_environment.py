@@ -57,7 +57,7 @@ class GroupEnvironment(Parameters):
         return self
 
     def require(self, axes: int) -> None:
-        """Check that the walls and the other values `per_axis` are one for each axis, or none.
+        """Check that the walls and the other parameters in `per_axis` have one value for each axis, or none.
 
         Raises:
             ParameterError: The numbers of values and axes differ.

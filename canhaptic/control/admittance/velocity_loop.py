@@ -237,7 +237,7 @@ class VelocityLoop:
         return best
 
     def loss_under_way(self, lead: float, commands: Commands) -> float:
-        """Return a bound on how far the commands that can still act, with the newest, reduce W up to any SYNC [J]."""
+        """Return the most by which commands that can still act, the newest included, reduce W up to any SYNC [J]."""
         total, oldest = 0.0, self.delay
         if self.integral > 0.0:
             return max(0.0, *(self.sequence_loss(lead, commands, holds, oldest) for holds in range(1, oldest + 2)))

@@ -217,7 +217,7 @@ def hand_along(declared: Declared, bound: TorqueBound, sign: float) -> float:
 
 
 def acted(declared: Declared, bound: TorqueBound, sign: float) -> float:
-    """Return the constant torque along `sign` that moves the axis at least as far as the last hold's [N or N*m]."""
+    """Return a constant torque along `sign` that moves the axis no less than the last hold's torques did [N or N*m]."""
     if declared.late > 0.0:
         return bound.most if sign > 0.0 else -bound.least
     return sign * bound.torque
@@ -634,7 +634,7 @@ def free_in_sum(declared: Declared, bound: TorqueBound, memory: BoundMemory, ene
 def largest_in_sum(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
 ) -> tuple[float, float, float]:
-    """Return the largest certified torques along `sign`: by all certificates, for any hand, without the hand speed.
+    """Return the largest torques along `sign` by all certificates, by those for any hand, and by all but hand speed.
 
     All three are in [N or N*m].
 
@@ -686,7 +686,7 @@ def for_any_hand(declared: Declared, budget: float) -> float:
 
 
 def by_reach(declared: Declared, budget: float, base: float, for_all: float) -> float:
-    """Return the largest torque permitted by how far the hand's force can move the axis [N or N*m]; 0 if unbounded."""
+    """Return the largest torque that the reach of the hand's force permits [N or N*m]; 0 if `base` is infinite."""
     if base == inf:
         return 0.0
     friction, gain = declared.friction, declared.response.during
@@ -742,7 +742,7 @@ def by_reach_of_late(declared: Declared, hand: float, motion: LateMotion, fricti
 def own_share(
     declared: Declared, hand: float, motion: LateMotion, friction: float
 ) -> tuple[float, float, float, float]:
-    """Return (start, gain, base, late), so that torque n by itself takes n (start + gain n) from the budget.
+    """Return (start, gain, base, late): the next torque n alone takes n (start + gain n) from the budget [J].
 
     It takes n D + (n - l) x and its tail n X, with D = base + during F the displacement in its hold, F = n + f_c and
     x = late. An outward displacement adds to the tail; `start` leaves this part out.
@@ -971,7 +971,7 @@ def smallest_acting(declared: Declared, bound: TorqueBound, memory: BoundMemory,
 def taken_under_way(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, speed: float, holds: int, which: int
 ) -> tuple[float, float, LateMotion]:
-    """Return what queued torques along `sign` can take from the budget [J], the most at any time [J], the last motion.
+    """Return the most [J] that queued torques along `sign` take by the end, and at any time, and the last motion.
 
     The second value includes torques that still act after the last hold.
 
@@ -982,7 +982,7 @@ def taken_under_way(
         sign: 1 or -1.
         speed: Largest speed of the hand; 0: not used [m/s or rad/s].
         holds: Number of holds in which they act.
-        which: Torques assumed: `_ANY`: any that may act; `_SENT`, `_HELD_ON`: next the one sent, or the one before it.
+        which: Torques assumed in all holds: `_ANY`: all that may act; `_SENT`: next queued; `_HELD_ON`: last held.
     """
     hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
     highest, lowest = (bound.highest, bound.lowest) if sign > 0.0 else (-bound.lowest, -bound.highest)
@@ -1107,7 +1107,7 @@ def free_energy(declared: Declared, bound: TorqueBound, memory: BoundMemory, ene
 def largest_torques(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
 ) -> tuple[float, float, float]:
-    """Return the largest certified torques along `sign`: by all certificates, for any hand, without the hand speed.
+    """Return the largest torques along `sign` by all certificates, by those for any hand, and by all but hand speed.
 
     All three are in [N or N*m]. `energy` is the budget without the device's dissipation [J].
     """

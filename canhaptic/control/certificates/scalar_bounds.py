@@ -288,7 +288,7 @@ def hand_force_bound(budget: float, base: float, gain: float) -> float:
 
 
 def renderable_by_hand_force(response: DisplacementResponse, delay: int, torque: float) -> float:
-    """Return the stiffest wall that may hold a given torque at rest by the hand-force certificate [N/m or N*m/rad].
+    """Return the largest stiffness at which the hand-force certificate permits a torque at rest [N/m or N*m/rad].
 
     At rest every hold has the same torque F, and the stored energy F^2 / 2k must cover sum(F D_i) over the queued holds
     and the next one. Undamped: k <= (m / 2T^2) F / (F + F_h) at delay 0 and (m / 6T^2) F / (F + F_h) at delay 1.
@@ -298,7 +298,7 @@ def renderable_by_hand_force(response: DisplacementResponse, delay: int, torque:
 
 
 def renderable_by_device_damping(damping: float, sample_time: float, delay: int) -> float:
-    """Return the stiffest wall that may hold a torque at rest by the device-damping certificate [N/m or N*m/rad].
+    """Return the largest stiffness at which the device-damping certificate permits a torque at rest [N/m or N*m/rad].
 
     It is 2b / T (1 + delay): at rest F^2 (1 + delay) <= 4 b E / T with E = F^2 / 2k. Colgate's bound is the value for
     delay 0.
@@ -307,7 +307,7 @@ def renderable_by_device_damping(damping: float, sample_time: float, delay: int)
 
 
 def renderable_by_hand_speed(speed: float, sample_time: float, delay: int, torque: float) -> float:
-    """Return the stiffest wall that may hold a given torque at rest by the hand-speed certificate [N/m or N*m/rad]."""
+    """Return the largest stiffness at which the hand-speed certificate permits a torque at rest [N/m or N*m/rad]."""
     return torque / (2.0 * speed * sample_time * (1 + delay))
 
 

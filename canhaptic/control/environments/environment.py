@@ -214,7 +214,7 @@ class StoresNothing(Everywhere):
 
 
 def kept_on_side(state: float, true: float) -> float:
-    """Return the state [m or rad], or 0 if it lies on the other side of the surface than the true state."""
+    """Return the rendered state [m or rad], or 0 if the surface lies between it and the true state."""
     return state if state * true >= 0.0 else 0.0
 
 

@@ -38,7 +38,7 @@ class TwoSidedWall(LinearSpring):
         return kept_on_side(state, true)
 
     def one_way(self, position: float) -> tuple[float, float]:
-        """Return all positions of the wall in which a position lies [m or rad]; an empty interval between the walls."""
+        """Return the interval of positions in the wall that contains `position` [m or rad]; empty between the walls."""
         if position < self.lower:
             return -math.inf, self.lower
         return (self.upper, math.inf) if position > self.upper else (position, position)

@@ -218,7 +218,7 @@ class UserFunction:
             limit: Motor positions -> `Limit.NONE`, WORKSPACE or SINGULAR; called before the map. None: no limit.
 
         Raises:
-            ParameterError: The Jacobian is not that of the map.
+            ParameterError: The Jacobian does not match finite differences of the map.
         """
         self.axes, self.dimensions = len(at), len(forward(list(at)))
         check_jacobian(forward, jacobian, at, self.dimensions)

@@ -718,7 +718,7 @@ def by_hand_force(at: Accounting, torques: Buffer, energy: float, moved: float) 
 def share_beyond(energy: float, base: float, gain: float, late: LateShare, size: float) -> float:
     """Return the largest share, up to `size`, of new torques that the energy covers in addition to older torques.
 
-    `late` is the bound for older torques, its l = 1 the share `size`; its constant is at most `energy`. `base` and
+    `late` bounds the energy of older torques, l = 1 at share `size`; its constant is at most `energy`. `base` and
     `gain` are those of all new torques.
     """
     start, more = size * base + late.linear, max(0.0, size * size * gain + late.square)

@@ -275,7 +275,7 @@ def base_of(
     axes: AxisLimits, torques: Buffer, displacement: Buffer, bound: float, last: Buffer, sent: Matrix, first: int,
     under_way: int, range_of: Acting,
 ) -> float:  # fmt: skip
-    """Return `base` of l W . D <= l base + l^2 gain: the work W . D at most, without the effect of W itself [J].
+    """Return `base` of l W . D <= l base + l^2 gain: the largest work W . D that W itself does not cause [J].
 
     W acts after the queued torques. In every hold friction acts on what is left of D_0, axis by axis, because the sum
     over axes that move inward and outward gives no bound. The responses to forces are bounded without friction.
@@ -326,7 +326,7 @@ def _stretched(total: float, growth: float) -> float:
 
 
 def taken_by_mover(torques: Buffer, moved: Buffer) -> float:
-    """Return the energy that a mover, moving by `moved` in motor coordinates, takes from the torques in a hold [J]."""
+    """Return minus the work [J] of the torques in a hold in which the motors move by `moved`."""
     total = 0.0
     for i in range(len(moved)):
         total -= torques[i] * moved[i]
@@ -559,7 +559,7 @@ def first_of(limits: PerAxisLimits, hold: int) -> int:
 
 
 def end_of(limits: PerAxisLimits, hold: int) -> int:
-    """Return the row of `sent` after the newest queued torques that may act in a hold, the next hold being 1."""
+    """Return the end index in `sent` of the torques that may act in hold number `hold`; 1 is the next hold."""
     return min(hold, limits.delay) + 1
 
 

@@ -376,7 +376,7 @@ def write_request(world: group_kernel.GroupModel, run: GuardedRun, under_way: Qu
 
 
 def split(run: GuardedRun, place: int, most: float, energy: float, certificate: int) -> int:
-    """Set a command to a common share of the requested torques, or to those of `inward_first` if they render more.
+    """Set the command to one share of all requested torques, or to the torques of `inward_first` if these render more.
 
     Returns:
         Certificate of the command.
@@ -489,7 +489,7 @@ def write_dampers(run: GuardedRun, share: float) -> float:
 
 
 def shares_of_request(run: GuardedRun, internal_speed: float, energy: float) -> tuple[float, float, float, bool]:
-    """Return the shares of springs, their predicted change (lead) and dampers to render, and if all are covered."""
+    """Return the rendered shares of springs, predicted change (lead) and dampers, and whether the energy covers all."""
     settings, _, memory = run
     request, caps = memory.request, settings.loop.caps
     size, lead_size = capped_norm(request.spring, caps), capped_norm(request.lead, caps)

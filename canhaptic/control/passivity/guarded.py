@@ -622,7 +622,7 @@ def efforts(
     run: GuardedRun, true: float, spring: float, lead: float, ahead: float, velocity: float, energy: float,
     ceiling: float,
 ) -> tuple[float, float, float, bool]:  # fmt: skip
-    """Limit spring, prediction and damper efforts [N or N*m] to the account; return them, and whether covered."""
+    """Limit spring, prediction and damper efforts [N or N*m] to the energy; return them, and whether it covers all."""
     settings, bound = run.settings, run.state.bound
     damper, size, speed = settings.damping * velocity, abs(spring), abs(velocity)
     room, led = settings.cap * speed, settings.calm * abs(ahead)
@@ -780,7 +780,7 @@ def step(environment: Environment, run: GuardedRun, position: float, torque_appl
 
 
 def start(run: GuardedRun, position: float) -> EnergyBalance:
-    """Start an axis at its first position [m or rad]; return the balance of a step that books nothing."""
+    """Start an axis at its first position [m or rad]; return an energy balance of zero."""
     bound, turns = run.state.bound, run.settings.turns
     begin(run.state.axis, run.memory.axis, position)
     bound.out, bound.turns, bound.is_near = run.settings.outside, turns, turns

@@ -113,7 +113,7 @@ def symmetric_positive(matrix: tuple[_Row, ...], name: str, consequence: str) ->
     """Check that a matrix is square, symmetric and positive semidefinite.
 
     Raises:
-        ValueError: It is not; the message names the place and the value.
+        ValueError: The matrix is not so; the message names the place and the value.
     """
     size = len(matrix)
     if size == 0 or any(len(row) != size for row in matrix):

@@ -77,7 +77,9 @@ def codec(entries: Sequence[MappedObject], wanted: Sequence[int]) -> struct.Stru
     for entry in entries:
         if entry.index in wanted:
             if skipped % 8 or entry.bits not in _UNSIGNED_FORMATS:
-                raise DictionaryError(f"mapped object {entry} at bit {offset} is not a byte-aligned integer; align it")
+                raise DictionaryError(
+                    f"mapped object {entry} at bit {offset} must be an integer on a byte boundary; move it"
+                )
             letter = _UNSIGNED_FORMATS[entry.bits]
             layout += f"{skipped // 8}x" + (letter.lower() if entry.signed else letter)
             skipped = 0

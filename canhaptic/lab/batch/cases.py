@@ -187,7 +187,7 @@ class _Linear(NamedTuple):
 
 
 class ContinuousModes(NamedTuple):
-    """Continuous environments of some scenes; the state is y = [states of the plant..., 1], of length k."""
+    """Continuous environments of several scenes; the state is y = [states of the plant..., 1], of length k."""
 
     settings: list[ReferenceSettings]  # one for each scene
     flows: Array  # by mode: y after a step, shape (n, 3, k, k)
@@ -219,7 +219,7 @@ def no_modes(count: int) -> ContinuousModes:
 def continuous_modes(
     case: BatchCase, count: int, cycles: int, *, with_force: bool, with_travel: bool
 ) -> ContinuousModes:
-    """Return the continuous environments of some scenes.
+    """Return the continuous environments of the given scenes.
 
     Args:
         case: The scenes; `why_not_continuous` must be "".

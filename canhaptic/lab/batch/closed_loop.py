@@ -505,7 +505,7 @@ def hand_over(loop: LoopSettings, place: CycleState) -> None:
 
 
 def move_plant(plant: LinearPlant, torque: float, cycle: int) -> bool:
-    """Move a linear plant to a SYNC under a constant torque [N or N*m]; return True."""
+    """Advance a linear plant to the next SYNC under a constant torque [N or N*m]; return True, since it cannot fail."""
     state, moved = plant.state, plant.moved
     state[len(moved)] = torque
     evaluate(plant.flow, state, moved)

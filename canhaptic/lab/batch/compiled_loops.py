@@ -42,7 +42,7 @@ WIDTH = 0
 
 
 def new_environment(*_numbers: float) -> Environment:
-    """Placeholder: makes the NamedTuple of an environment."""
+    """Placeholder: the function that makes an environment's NamedTuple."""
     raise NotImplementedError
 
 
@@ -180,7 +180,7 @@ def _mixed(value: np.uint64) -> np.uint64:
 
 
 def _of(values: Array, some: Numbers) -> Array:
-    """Return the rows of some scenes, or the single row that all scenes share."""
+    """Return the rows of the given scenes, or the single row that all scenes share."""
     return values if len(values) == 1 else values[some]
 
 

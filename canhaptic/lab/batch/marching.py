@@ -38,7 +38,7 @@ class InterpretedLoops:
         self.references = [closed_loop.ReferenceState() for _ in self._rows]
 
     def run(self, some: Sequence[int], plants: Plants, stopped: Stopped) -> None:
-        """Run the loops of some scenes; `meters` then holds their sums.
+        """Run the loops of the given scenes; `meters` then holds their sums.
 
         Args:
             some: Indices of the scenes.

@@ -323,7 +323,7 @@ def run_case(
 
 
 def loop_settings(case: LoopCase, cycles: int) -> LoopSettings:
-    """Return the loop settings of a case for a run of some cycles."""
+    """Return the loop settings of a case for a run of the given number of cycles."""
     last_from = float(last_rows(cycles, case.sample_time_ns * 1e-9).start)
     (found,) = loops_of(BatchCase(case, {"last_from": last_from}, None), 1)
     return found

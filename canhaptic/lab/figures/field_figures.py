@@ -38,7 +38,7 @@ def energy_beyond_device(run: LoopRun, device_damping: float, sample_time: float
 
     Args:
         run: Run of an axis.
-        device_damping: Certain damping of the device [N*s/m or N*m*s/rad].
+        device_damping: Guaranteed least damping of the device [N*s/m or N*m*s/rad].
         sample_time: Sample time [s].
     """
     moved = np.diff(run.true_position, prepend=run.true_position[:1])

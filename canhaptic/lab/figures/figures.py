@@ -235,7 +235,7 @@ def last_rows(cycles: int, sample_time: float) -> slice:
 
 
 def sums_of(metrics: Sequence[str]) -> tuple[str, ...]:
-    """Return the sums needed by some metrics, each once."""
+    """Return the sums that the given metrics need, each once."""
     return tuple(dict.fromkeys(name for metric in metrics for name in ALL[metric].sums))
 
 

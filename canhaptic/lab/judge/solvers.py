@@ -110,7 +110,7 @@ def located_states(
 def states_at(
     model: SwitchedModel, times: Sequence[float], rtol: float, stop: _Stop = None, longest: float = _LONGEST_STEP
 ) -> list[Floats]:
-    """Return the states at some times, without a motor torque, by DOP853 with dense output.
+    """Return the states at the given times, without a motor torque, by DOP853 with dense output.
 
     Args:
         model: The plant and the forces on it.

@@ -121,7 +121,7 @@ def _require_rate(scene: Scene, *, displays: bool, over_can: bool) -> None:
     if displays:
         raise InputError("--rate: for impedance displays; for admittance displays use --set bus.rate=...")
     if scene.groups:
-        raise InputError("--rate: changes the loop of one axis without a bus; for groups use --set bus.rate=...")
+        raise InputError("--rate: works for scenes without groups; for this one use --set bus.rate=...")
     if over_can:
         raise InputError("--rate: changes the loop without a bus; with --can, use --set bus.rate=...")
 

@@ -90,7 +90,7 @@ class MapField:
         return self.has_status(COMPLETED, UNRENDERED)
 
     def has_status(self, *status: int) -> Mask:
-        """Return which scenes have one of some statuses of `STATUS`, in the shape of a figure."""
+        """Return which scenes have one of the given statuses of `STATUS`, in the shape of a figure."""
         found: Mask = self._shaped(np.isin(self._status, status))
         return found
 
@@ -216,7 +216,7 @@ class Theory(NamedTuple):
 
 
 def theory_at(field: MapField, values: Mapping[str, float]) -> Theory:
-    """Return the theoretical limits at some values of a field's keys.
+    """Return the theoretical limits at the given values of a field's keys.
 
     Args:
         field: Field of the axis and algorithm.

@@ -153,7 +153,7 @@ def display_plane(scene: Scene, name: str) -> TouchScene:
     if len(group.axes) != 2 or group.kinematics.name != "identity":
         raise InputError(
             f"{scene.source}: group {name!r} has {len(group.axes)} axes and kinematics {group.kinematics.name}; touch "
-            "shows an axis by itself, or two axes with kinematics: identity as a plane"
+            "shows one axis, or two axes in a plane; choose such a group, with `kinematics: identity`"
         )
     members = [scene.axis(axis) for axis in group.axes]
     guarded = group if group.passivity.name != PLAIN else replace(group, passivity=_guard_of(*members))

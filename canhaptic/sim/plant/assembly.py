@@ -84,7 +84,7 @@ class Part:
         raise NotImplementedError
 
     def constrain(self, rows: "Rows", mode: str) -> None:
-        """Hold a body at rest if this mode does; called when all forces are known. By default no effect."""
+        """Hold a body at rest if the part sticks in `mode`; called when all forces are known. By default no effect."""
 
     def guards(self, rows: "Rows", mode: str) -> Sequence[Guard]:
         """Return the guards of this mode; called last. By default there are none."""

@@ -109,7 +109,7 @@ def pace(values: Any, first: int) -> float:
 
 
 def largest_term(guards: Any, guard: int, state: Array) -> float:
-    """Return the largest term in the sum that gives the value of a guard."""
+    """Return the largest magnitude of the terms that sum to a guard, a function whose zero is an event."""
     return float(np.abs(guards[guard] * state).max())
 
 

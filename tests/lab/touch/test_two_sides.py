@@ -116,7 +116,7 @@ def test_both_sides_have_one_scene_and_one_hand() -> None:
         ("two_buses.yaml", [], "expected one"),
         ("five_bar_sphere.yaml", [], "touch shows an axis by itself, or a box"),
         ("two_handles.yaml", [], "touch shows an axis by itself, or a box"),
-        ("admittance/two_link_arm.yaml", [], "kinematics planar_2r; touch shows an axis by itself, or two axes"),
+        ("admittance/two_link_arm.yaml", [], "kinematics planar_2r; touch shows one axis, or two axes"),
     ],
 )
 def test_what_cannot_be_touched_is_refused(name: str, overrides: list[str], said: str) -> None:

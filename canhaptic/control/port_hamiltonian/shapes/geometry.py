@@ -110,7 +110,7 @@ def check_length(owner: str, name: str, seen: int, dimensions: int) -> None:
     """Check that a vector or matrix has one entry or row for each dimension of task space.
 
     Raises:
-        ParameterError: It does not.
+        ParameterError: The number differs.
     """
     if seen != dimensions:
         raise ParameterError(

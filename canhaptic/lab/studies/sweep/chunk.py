@@ -205,7 +205,7 @@ def make_recipe(scene: Scene, points: Points, *, allow_code: bool = False, **opt
 
 @lru_cache(maxsize=256)
 def scene_of(recipe: Recipe, row: Row) -> Built:
-    """Return the scene with some values, checked like a scene file with these values.
+    """Return the scene of a recipe with the values of a row, checked like a scene file with these values.
 
     Args:
         recipe: Recipe of the sweep.
@@ -238,7 +238,7 @@ def seeded(recipe: Recipe, scene: Scene, index: int) -> Scene:
 
 
 def seeds_of(recipe: Recipe, scene: Scene, indices: NDArray[np.intp]) -> Array | None:
-    """Return the seeds that `seeded` gives to scenes with some global indices; None where it changes no seed."""
+    """Return the seeds that `seeded` gives to the scenes at the given indices of a sweep; None if it changes none."""
     if scene.simulation is None or any(varied.key == _SEED for varied in recipe.varied):
         return None
     return scene_seeds(recipe.seed, indices)
@@ -430,7 +430,7 @@ class _Chunk:
         return np.setdiff1d(np.arange(self._count), np.array(refused, dtype=np.intp))
 
     def _groups(self, keys: set[str], rows: _Rows) -> list[_Rows]:
-        """Group rows by equal values of some keys; return the groups in the order of their first row."""
+        """Group rows by equal values of the given keys; return the groups in the order of their first row."""
         kinds = np.zeros(len(rows), dtype=np.int64)
         for key in keys:
             numbers = np.unique(np.asarray(self._columns[key])[rows], return_inverse=True)[1]
@@ -542,7 +542,7 @@ class _Chunk:
 
 
 def row_of(columns: Mapping[str, Column], row: int, keys: set[str] | None = None) -> Row:
-    """Return the values of one scene at some keys; None: at all keys."""
+    """Return the values of one scene at the given keys; None: at all keys."""
     return tuple(
         (key, float(values[row]) if isinstance(values, np.ndarray) else values[row])
         for key, values in columns.items()

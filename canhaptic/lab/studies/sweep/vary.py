@@ -306,7 +306,7 @@ def make_points(varied: Sequence[Varied], controllers: Sequence[str] = (), sampl
 
 
 def scene_seeds(base: int, indices: NDArray[np.intp]) -> Array:
-    """Return the random seeds of scenes with some global indices: whole numbers, shape (n,)."""
+    """Return the random seeds of the scenes at the given indices of the whole sweep: whole numbers, shape (n,)."""
     return (_hashed(base, 0xC0, indices.astype(np.uint64)) % np.uint64(1_000_000_001)).astype(float)
 
 
