@@ -53,13 +53,13 @@ def estimate(positions: _Array, applied: _Array, sample_time: float, half_base: 
     """Estimate mass and friction by least squares; None when the axis moved too little.
 
     Args:
-        positions: Position at each SYNC, shape (n,) [m or rad].
+        positions: Position at each SYNC, shape (n,) [m or rad]; not a number after skipped SYNCs.
         applied: Torque of the hold that ended there, shape (n,) [N or N*m].
         sample_time: Sample time [s].
         half_base: Half the base of the triangle [sample times]; longer is quieter and smooths fast motion.
     """
-    starts = np.arange(0, len(positions) - 2 * half_base, max(1, half_base // 2))
-    if len(starts) < _FEWEST_EQUATIONS or np.ptp(positions) == 0.0:
+    starts = _unbroken(positions, half_base, np.arange(0, len(positions) - 2 * half_base, max(1, half_base // 2)))
+    if len(starts) < _FEWEST_EQUATIONS or np.nanmin(positions) == np.nanmax(positions):
         return None
     solved = _solve(*_equations(positions, applied, sample_time, half_base, starts))
     if solved is None:
@@ -128,7 +128,7 @@ def _one_way(
         count: Parts of a window.
         slowest: Least motion in a part, relative to the fastest tenth of all windows.
     """
-    starts = np.arange(0, len(positions) - 2 * half_base, max(1, stride))
+    starts = _unbroken(positions, half_base, np.arange(0, len(positions) - 2 * half_base, max(1, stride)))
     if not len(starts):
         return starts, starts
     ends = starts[:, None] + np.linspace(0, 2 * half_base, min(count, 2 * half_base) + 1).astype(int)[None, :]
@@ -136,6 +136,13 @@ def _one_way(
     least = max(_STILL, slowest * float(np.quantile(np.abs(parts).max(axis=1), 0.9)))
     ways = (parts >= least).all(axis=1).astype(np.int64) - (parts <= -least).all(axis=1)
     return starts[ways != 0], ways[ways != 0]
+
+
+def _unbroken(positions: _Array, half_base: int, starts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Starts of the windows without a position that is not a number: a sample time there was longer than it counts."""
+    missing = np.concatenate([[0], np.cumsum(~np.isfinite(positions))])
+    unbroken: NDArray[np.int64] = starts[missing[starts + 2 * half_base + 1] == missing[starts]]
+    return unbroken
 
 
 def estimate_lateness(
@@ -167,8 +174,8 @@ def mass_within(positions: _Array, applied: _Array, sample_time: float, half_bas
     w^2 = k (1 / m + 1 / M) the apparent mass is below m and tends to m; at low frequency it is m + M or more. A late
     torque has a column of its own, as in `estimate_lateness`. Arguments as for `estimate`.
     """
-    starts = np.arange(1, len(positions) - 2 * half_base)
-    if len(starts) < _FEWEST_EQUATIONS or np.ptp(positions) == 0.0:
+    starts = _unbroken(positions, half_base, np.arange(1, len(positions) - 2 * half_base))
+    if len(starts) < _FEWEST_EQUATIONS or np.nanmin(positions) == np.nanmax(positions):
         return None
     matrix, torque = _equations(positions, applied, sample_time, half_base, starts)
     changes = _in_windows(np.diff(applied, prepend=applied[0])[1:], starts, half_base)
@@ -352,7 +359,7 @@ def _reversal(session: Session, axis: int, most: float, mass: float, friction: f
 def _lateness(session: Session, axis: int, law: OpenLoop, half_base: int) -> tuple[float, float] | None:
     """Return lateness and standard deviation [s], relative to the torques sent: a measured torque is late itself."""
     acted = as_declared(session, axis, law)
-    positions = np.array(law.positions) / session.encoder_ratios[axis]
+    positions = law.regular_positions() / session.encoder_ratios[axis]
     return estimate_lateness(positions, np.asarray(acted, dtype=np.float64), session.sample_time, half_base)
 
 

@@ -12,6 +12,7 @@ from enum import Enum
 from typing import Annotated, Any, Final, NamedTuple, Protocol, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
@@ -264,6 +265,17 @@ class OpenLoop:
         self.skipped: list[int] = []
         self._rest = iter(self._torques)
         self._last = AT_REST
+
+    def regular_positions(self, later: int = 0) -> NDArray[np.float64]:
+        """Return the positions, not a number at a SYNC after skipped ones: the hold before it was longer than a sample.
+
+        Args:
+            later: SYNCs after such a one that are left out too, for a torque sent before it that acts later.
+        """
+        positions = np.array(self.positions, dtype=np.float64)
+        for sync in self.skipped:
+            positions[sync : sync + later + 1] = np.nan
+        return positions
 
     def sample_lost(self) -> EnergyBalance:
         """Send no further torque: a measurement with a missing sample is useless."""

@@ -174,7 +174,7 @@ def _swept(
         found = "stopped" if law.tripped else "not tried"
         session.found(axis, "moving mass", "", found, StepVerdict.UNKNOWN, law.tripped)
         return None
-    positions = np.array(law.positions) / session.encoder_ratios[axis]  # a wrong encoder is not a wrong mass
+    positions = law.regular_positions() / session.encoder_ratios[axis]  # a wrong encoder is not a wrong mass
     return positions, np.array(law.applied), session.sample_time, max(2, session.cycles(0.02))
 
 
@@ -219,7 +219,7 @@ def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
         return [part for sign in signs for part in doublet(float(sign) * most, holds)]
 
     law = session.play_within(axis, item, shakes, torque)
-    positions = np.array(law.positions) / session.encoder_ratios[axis]
+    positions = law.regular_positions() / session.encoder_ratios[axis]
     within = mass_and_friction.mass_within(positions, np.array(law.applied), session.sample_time, holds)
     if within is None or law.tripped:
         text = f"{law.tripped or 'too little motion'}; declare the rotor's mass where a shaft or belt is compliant"
@@ -395,7 +395,7 @@ def _by_mass(session: Session, axis: int, first: Pulse) -> float | None:
         law = session.play(axis, torques, len(torques) + 2)
         if law.tripped or session.stop_requested():
             return None
-        positions = np.array(law.positions) / session.encoder_ratios[axis]  # a wrong encoder is not a wrong mass
+        positions = law.regular_positions() / session.encoder_ratios[axis]  # a wrong encoder is not a wrong mass
         found = estimate(positions, np.array(law.applied), session.sample_time, longest)
         # A mass this sharp still verifies a scale
         if found is not None and 0.0 < SURE * found.mass_error <= 0.05 * found.mass:

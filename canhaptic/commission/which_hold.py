@@ -258,9 +258,7 @@ def time_the_hold(session: Session, axis: int, law: OpenLoop, half_base: int) ->
     """
     drive, period = session.drives[axis], session.sample_time
     maps = [other.map for other in session.drives if other.link is drive.link]
-    positions, booked = np.array(law.positions) / session.encoder_ratios[axis], np.array(law.applied)
-    for sync in law.skipped:  # no window that counts a torque before such a SYNC is regular
-        positions[sync : sync + _BEFORE + 1] = np.nan
+    positions, booked = law.regular_positions(_BEFORE) / session.encoder_ratios[axis], np.array(law.applied)
     declared = as_declared(session, axis, law)
     motion = estimate_delay(positions, declared, period, half_base)
     hold = None if motion is None else motion.hold(torque_latency(drive.bus, maps) / period)

@@ -10,13 +10,14 @@ from hypothesis import strategies as st
 from canhaptic.commission import mass_and_friction
 from canhaptic.commission.mass_and_friction import (
     SURE,
+    estimate,
     estimate_lateness,
     is_dear,
     needed_allowance,
     propose_allowance,
     time_the_torque,
 )
-from canhaptic.commission.session import CommissioningLimits, Session, StepVerdict, reversals
+from canhaptic.commission.session import CommissioningLimits, OpenLoop, Session, StepVerdict, reversals
 from canhaptic.scene.first_contact import share_of_wall
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
@@ -51,6 +52,30 @@ def test_a_first_order_lag_is_found_whatever_the_friction(friction: str) -> None
     late, error = measured(300e-6, 0.1, friction, 1e-6)
     assert late == pytest.approx(300e-6, abs=40e-6 if friction == "falling" else 6e-6)
     assert error < 20e-6
+
+
+def test_a_hold_of_three_sample_times_costs_its_windows_and_not_the_lag() -> None:
+    """Where a SYNC was skipped the position is not a number; counted as one sample time it would be a wrong lag."""
+    torques = np.array(reversals(1.0, 36, 32))
+    plant = PlantParameters(mass=MASS, damping=0.1)
+    skipped = np.arange(90, len(torques), 137)
+    long = np.repeat(torques, np.where(np.isin(np.arange(len(torques)), skipped), 3, 1))
+    shown = np.concatenate([[0.0], Plant(plant, None, [CurrentLoop(time_constant=300e-6)], 1_000_000).run(long)])
+    ends = np.cumsum(np.where(np.isin(np.arange(len(torques)), skipped), 3, 1))
+    positions, applied = np.concatenate([[0.0], shown[ends]]), np.concatenate([[0.0], torques])
+    law = OpenLoop()
+    law.positions, law.skipped = list(positions), [int(sync) + 1 for sync in skipped]
+    blind = estimate_lateness(positions, applied, TIME, 12)
+    late = estimate_lateness(law.regular_positions(), applied, TIME, 12)
+    assert late is not None
+    assert blind is not None
+    assert late[0] == pytest.approx(300e-6, abs=10e-6)
+    assert abs(blind[0] - 300e-6) > 3 * abs(late[0] - 300e-6)
+    found, wrong = (estimate(shown, applied, TIME, 12) for shown in (law.regular_positions(), positions))
+    assert found is not None
+    assert wrong is not None
+    assert found.mass == pytest.approx(MASS, rel=0.02)
+    assert abs(wrong.mass - MASS) > 2 * abs(found.mass - MASS)
 
 
 @pytest.mark.slow
