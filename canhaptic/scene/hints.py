@@ -311,7 +311,7 @@ def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
     bound = axis.loop.device_damping_bound
     if bound and axis.loop.device_damping is None:
         limit = bounds.renderable_by_device_damping(bound, axis.loop.sample_time, axis.loop.delay + _losses(axis))
-        text += f"; for any hand up to {limit:.3g} {unit}, once device_damping is measured"
+        text += f"; for any hand walls up to {limit:.3g} {unit}, once device_damping is measured"
     return text
 
 

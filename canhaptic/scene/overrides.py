@@ -113,6 +113,6 @@ def without_old_keys(
         words = " ".join(f"--set {path}.{key}={example(field, motion)}" for key, field in needed.items())
         raise table.refused(f"got {name!r} in place of {was!r}, which needs {', '.join(needed)}, as in {words}")
     if gone and parent_process() is None:
-        text = f"{', '.join(gone)}: dropped: {name!r}, now in place of {was!r}, has no such keys"
+        text = f"{', '.join(gone)}: dropped: {name!r}, now in place of {was!r}, does not use them"
         warnings.warn(f"{section.value_at(table.selector).source}: {path}: {text}", OverrideWarning, stacklevel=2)
     return section.without(*gone)

@@ -180,7 +180,7 @@ def test_keys_that_only_the_old_type_has_are_dropped_and_named_in_one_line() -> 
     assert scene.axes[0].loop.moving_mass == 0.24  # what both know is kept
     assert said == [
         "--set passivity.algorithm=unprotected: passivity: hand_force, hand_push: dropped: 'unprotected', now in "
-        "place of 'guarded', has no such keys"
+        "place of 'guarded', does not use them"
     ]
 
 
