@@ -170,7 +170,7 @@ class _CheckFindings(NamedTuple):
             left = f"while any of the energy_allowance of {si(allowance, 'J', 3)} is left, {shares.format(*halves)}"
             both = f" (at {speed:.2g} {unit}: {left}; once it is spent, {spent[0]:.0%} and {spent[1]:.0%})"
         lost = self._under_losses(axis, max(speed, self.felt[name]))
-        return f"the wall{at} is felt from an approach speed of {self.felt[name]:.2g} {unit}{both}{lost}"
+        return f"the wall{at} is felt at approach speeds above {self.felt[name]:.2g} {unit}{both}{lost}"
 
     def _under_losses(self, axis: AxisScene, speed: float) -> str:
         """Return in words how much force of a pressed wall remains if frames are lost; "" if no losses are declared."""
@@ -346,7 +346,8 @@ def _fitness_table(title: str, findings: list[Finding]) -> Table:
 def _hint_table(hints: list[limits.Hint], *, texts: bool) -> Table:
     rows = []
     for hint in hints:
-        limit = "unknown" if hint.limit is None else f"{hint.limit:.4g} {hint.unit}"
+        unknown = "needs device_friction" if "passivity.device_friction" in hint.text else "unknown"
+        limit = unknown if hint.limit is None else f"{hint.limit:.4g} {hint.unit}"
         asked = "" if hint.asked is None else f"{hint.asked:.4g}{' EXCEEDED' * (hint.exceeded and hint.concerns)}"
         style = "dim" if not hint.concerns else "yellow" if hint.exceeded else ""
         rows.append([Styled(text, style) for text in (hint.axis, hint.what, limit, asked, hint.text)[: 4 + texts]])

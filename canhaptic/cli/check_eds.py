@@ -139,14 +139,15 @@ def _print_brief(console: Console, found: Survey) -> None:
     """Print the rates that fit and the keys to configure, one line each."""
     if found.axis_map is not None:
         read = ", ".join(str(entry) for plan in found.axis_map.tpdos for entry in plan.entries)
-        console.print(f"read each cycle: {read}", markup=False)
+        console.print(f"read in each cycle (index:subindex/bits): {read}", markup=False)
         fitting = [f"{load.rate:g} Hz" for load in found.loads if load.fits]
         rates = ", ".join(fitting) or "none"
         bus = f"rates that fit the bus, one axis at {found.bitrate / 1000:g} kbit/s"
         console.print(f"{bus}: {rates}", markup=False)
     if not found.reasons and found.manual:
-        console.print("to be configured by hand, under axes:", markup=False)
+        console.print("from your rig or the drive's manual, under axes:", markup=False)
         console.print(f"  {', '.join(key.key for key in found.manual)}", markup=False)
+        console.print("`canhaptic new` writes a scene with every value to set, and where to find it", markup=False)
     console.print("[dim]every object, map and rate, and why a key is needed: --full[/]")
 
 

@@ -357,7 +357,7 @@ def _rated_torque(dictionary: ObjectDictionary, axis: AxisParameters, found: Fin
     if not is_listed or not quirks_of(axis.quirks).reads_rated_torque:
         return Verdict.UNKNOWN, "not listed; rated_torque must be set"
     if not stated_value(dictionary, od.RATED_TORQUE):
-        return Verdict.UNKNOWN, "no value; read from the drive, and rated_torque must be set if that is 0"
+        return Verdict.UNKNOWN, "not stated here; the run asks the drive. Set rated_torque if the drive answers 0"
     return Verdict.FIT, "read from the drive; its live value counts"
 
 

@@ -283,13 +283,10 @@ def _encoder_hint(axis: AxisScene) -> list[Hint]:
         if asked:
             text += f"; counts up to {friction / asked:.2g} {unit} keep the wall asked, here {count:.2g} {unit}"
     else:
-        text = "the encoder leaves energy uncertain, so repeated presses soften the wall; "
-        text += "declare passivity.device_friction (canhaptic commission measures it)"
-        if asked:
-            text += (
-                f"; {asked * count:.2g} {effort_unit(unit)} of friction would keep the requested stiffness; without, "
-            )
-            text += f"each motion back and forth over one count leaves {asked * count * count:.2g} J uncertain"
+        uncertain = f"{asked * count * count:.2g} J" if asked else "energy"
+        keeps = f"{asked * count:.2g} {effort_unit(unit)} of dry friction keeps" if asked else "Dry friction keeps"
+        text = f"repeated presses soften the wall: each motion over one count and back leaves {uncertain} uncertain. "
+        text += f"{keeps} the wall: measure it (canhaptic commission) and declare passivity.device_friction"
     return [_hint(axis, f"stiffness kept {ENCODER}", limit, text)]
 
 
@@ -372,7 +369,9 @@ def _held_stiffness(axis: AxisScene, held: dict[str, tuple[float, str]]) -> list
     """Return one hint per certificate, and one for the largest of several, which is the effective limit."""
     stiffness = _asked(axis, "stiffness")
     hints = [
-        _hint(axis, f"stiffness, certified by {name}", limit, f"{text}{_share(limit, stiffness)}", name)
+        _hint(axis, f"stiffness, certified by {name}", limit, f"{text}{_share(limit, stiffness)}", name)._replace(
+            concerns=len(held) == 1
+        )
         for name, (limit, text) in held.items()
     ]
     if len(held) > 1:

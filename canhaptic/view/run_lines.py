@@ -149,9 +149,12 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
         known = "the account says yes, so a declaration is false" if is_misled else "the account alone cannot tell"
         found.append((", ", f"by the plant; {known}"))
     if word == "no":
-        found += [(", ", f"for certain from {port['active_since']:.4g} s on")] if "active_since" in port else []
+        first = first_active(port) if "first_active" in port else ""
+        certain = f"{port['active_since']:.4g} s" if "active_since" in port else ""
+        is_same = first.split(" (")[0] == certain
+        found += [(", ", f"for certain from {first if is_same else certain} on")] if certain else []
         found += [(", ", "already before this part of the log")] if port.get("active_before") else []
-        found += [(", ", f"first below zero at {first_active(port)}")] if "first_active" in port else []
+        found += [(", ", f"first below zero at {first}")] if first and not is_same else []
     if word == "in doubt":
         found.append((": ", f"the account is uncertain by +-{si(port.get('energy_resolution', 0.0), 'J', 3)}"))
         found += [("; ", port["why"])] if "why" in port else []

@@ -171,7 +171,7 @@ def test_check_prints_configuration_bus_drives_stability_and_host(capsys: Captur
     assert main(["check", DEMO, "--full"]) == 0
     out = capsys.readouterr().out
     statuses = "Simulation: ready. Hardware: 8 values to set; "
-    felt = "the wall is felt from an approach speed of 0.0015 m/s"
+    felt = "the wall is felt at approach speeds above 0.0015 m/s"
     first = out[: out.index("\nconfiguration ")].replace("\n    ", "")
     assert first == f"{statuses}{felt}, 1 drive is fit, bus load 28 %"
     for words in ("1 SYNC x 55 + 1 TPDO x 135", "0x6071 target torque", "Colgate", "processors"):

@@ -55,7 +55,7 @@ def test_all_that_a_start_wrote_is_put_back_but_the_limit_which_is_named(bench: 
     assert {(0x1A00, 0), (0x1A00, 1), (0x1800, 2), (0x1017, 0), (0x1016, 1), (0x6060, 0)} <= all_written
     assert differing == {(0x6072, 0)}
     assert len(named) == 1
-    assert named[0].endswith("= 800, 700 before: a limit, left as the run set it (restore_limits: true restores it)")
+    assert named[0].endswith("= 800, 700 before the run; limits stay as the run set them, unless restore_limits is true")
 
 
 def test_limits_are_put_back_where_the_scene_says_so(bench: MakeBench) -> None:
@@ -157,7 +157,7 @@ def test_a_display_leaves_no_steepest_ramp_behind(capsys: pytest.CaptureFixture[
     words = ["--duration", "0.05", "--log", str(log), "--bus-log", str(bus_log), "--json"]
     assert main(["run", DISPLAY, *words]) == 0
     assert list(json.loads(capsys.readouterr().out)["unrestored"]["handle"]) == [
-        "0x6072:00 Max torque = 2000, 1000 before: a limit, left as the run set it (restore_limits: true restores it)"
+        "0x6072:00 Max torque = 2000, 1000 before the run; limits stay as the run set them, unless restore_limits is true"
     ]
     with EnergyLog.open(log) as opened:
         assert [(event.kind, event.port) for event in opened.events] == [("unrestored", "handle")]

@@ -415,5 +415,5 @@ def _differences(drive: TorqueAxis, first: Written) -> Iterator[str]:
     if first.before is None:
         yield f"{name} = {first.after}, unknown before"
     elif (now := drive.sdo.read(*first.place)) != first.before:
-        kept = ": a limit, left as the run set it (restore_limits: true restores it)" if _is_kept(drive, first) else ""
-        yield f"{name} = {now}, {first.before} before{kept}"
+        kept = "; limits stay as the run set them, unless restore_limits is true" if _is_kept(drive, first) else ""
+        yield f"{name} = {now}, {first.before} before the run{kept}"

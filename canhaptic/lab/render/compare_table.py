@@ -110,16 +110,18 @@ def _verdict(account: _Account) -> str | None:
 
 
 def _ranking(part: _Account) -> Text:
-    """Return the ranking of the algorithms in words: passive ones first, then by position error."""
+    """Return the ranking of the algorithms in words: guaranteed ones first, then passive ones, then by error."""
 
-    def worth(name: str) -> tuple[bool, bool, float]:
+    def worth(name: str) -> tuple[bool, bool, bool, float]:
         account = part["algorithms"][name]
         error = _value(lambda of, _: of["position_error"]["rms"], part, account)
         passive = _value(lambda of, _: _verdict(of), part, account)
-        return account["status"] != "completed", passive != "yes", error if isinstance(error, float) else math.inf
+        is_luck = account["certificate"] == "none"
+        length = error if isinstance(error, float) else math.inf
+        return account["status"] != "completed", passive != "yes", is_luck, length
 
     words = [f"{place} {name}" for place, name in enumerate(sorted(part["algorithms"], key=worth), 1)]
-    return Text(f" ranking: {', '.join(words)} (passive ones first, then by position error)")
+    return Text(f" ranking: {', '.join(words)} (passive ones first, of them those with a guarantee, then by position error)")
 
 
 def _remarks(axis: _Account) -> list[Text]:

@@ -76,7 +76,7 @@ def _felt(result: Row) -> list[RenderableType]:
     speed, start = f"{felt['speed']:g} {motion}/s", felt["start_speed"]
     contact = "at no speed: a hand goes through it"
     if start is not None:
-        contact = f"from an approach speed of {start:.2g} {motion}/s"
+        contact = f"at approach speeds above {start:.2g} {motion}/s"
     lines = [f" drag before contact, at {speed}: {si(felt['drag'], effort, 2)}", f" this wall is felt {contact}"]
     walls = [wall for wall in felt["walls"] if wall["softer_not_held"]]
     uneven = [f"{wall['softer_not_held']} of {wall['softer']} at {wall['push']:.3g} {effort}" for wall in walls]

@@ -56,7 +56,7 @@ def test_the_answer_comes_first_with_a_line_that_a_scene_takes(capsys: Captured,
     assert main(["accuracy", SCENE, *SHORT, "--tolerance", "1e-7", "--tables", "--png", str(picture)]) == 0
     assert picture.stat().st_size > 30_000
     shown = capsys.readouterr().out
-    assert shown.lstrip().startswith("within 100 nm: ")
+    assert shown.lstrip().startswith("cheapest within 100 nm: ")
     assert "now " in shown
     assert shown.index("accuracy: {event_bits") < shown.index("Pareto front")
     [text] = [line.strip() for line in shown.splitlines() if line.strip().startswith("accuracy: {event_bits")]

@@ -219,8 +219,8 @@ def advice_lines(result: Row) -> list[str]:
         lines = [f"{within}: no advice: {advice['doubt'] or 'no setting of the plant keeps it'}{reached}"]
     else:
         lines = [
-            f"{within}: {chosen['setting']} (evaluations per period {chosen['evaluations_per_period']:.3g}, errors "
-            f"{length(chosen['position_error'], unit)} and {si(chosen['energy_error'], 'J', 2)}); for the scene:",
+            f"cheapest {within}: {chosen['setting']} (evaluations per period {chosen['evaluations_per_period']:.3g}, "
+            f"errors {length(chosen['position_error'], unit)} and {si(chosen['energy_error'], 'J', 2)}). In the scene:",
             f"    {advice['line']}",
         ]
     lines.append(_loop_advice(result))
