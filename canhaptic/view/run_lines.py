@@ -80,10 +80,8 @@ def make_console(file: IO[str] | None = None) -> Console:
 
 def failure_text(result: Result) -> str:
     """Return in words after how many cycles a run failed; "" for any other run."""
-    if not str(result.get("status", "")).startswith("failed"):
-        return ""
     after = f" after {counted(result['cycles'], 'cycle')}" if "cycles" in result else ""
-    return f"FAILED{after}; until then"
+    return f"FAILED{after}; until then" if str(result.get("status", "")).startswith("failed") else ""
 
 
 def headline_text(name: str, port: PortResult, failure: str = "") -> Text:
@@ -210,12 +208,7 @@ def headlines(result: Result) -> list[RenderableType]:
 
 def ordered(ports: Mapping[str, PortResult]) -> list[str]:
     """Return the names of the ports, with each group before its axes."""
-    names: dict[str, None] = {}
-    for name, port in ports.items():
-        if port.get("group") in ports:
-            names[port["group"]] = None
-        names[name] = None
-    return list(names)
+    return list(dict.fromkeys(of for name, port in ports.items() for of in (port.get("group", name), name) if of in ports))
 
 
 def heading(result: Result) -> Text:

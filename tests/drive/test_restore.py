@@ -55,7 +55,9 @@ def test_all_that_a_start_wrote_is_put_back_but_the_limit_which_is_named(bench: 
     assert {(0x1A00, 0), (0x1A00, 1), (0x1800, 2), (0x1017, 0), (0x1016, 1), (0x6060, 0)} <= all_written
     assert differing == {(0x6072, 0)}
     assert len(named) == 1
-    assert named[0].endswith("= 800, 700 before the run; limits stay as the run set them, unless restore_limits is true")
+    assert named[0].endswith(
+        "= 800, 700 before the run; limits stay as the run set them, unless restore_limits is true"
+    )
 
 
 def test_limits_are_put_back_where_the_scene_says_so(bench: MakeBench) -> None:

@@ -93,7 +93,9 @@ def record_the_hand(seed: int, values: dict[str, Any], tags: set[str]) -> None:
     count, reach = int(chance.integers(2, 400)), 1.5 * user["motion"]["amplitude"]
     times = np.sort(chance.uniform(0.0, values["duration"], count))
     places = chance.uniform(-reach, reach, count) if count < 40 else np.cumsum(chance.normal(0.0, 0.1 * reach, count))
-    path = Path(tempfile.gettempdir()) / f"canhaptic-hand-{seed}.csv"
+    folder = Path(tempfile.gettempdir()) / f"canhaptic-hands-{os.getuid()}"  # one for all seeds and processes
+    folder.mkdir(exist_ok=True)
+    path = folder / f"{seed}.csv"
     rows = [f"{time!r},{place!r}" for time, place in zip(times.tolist(), places.tolist(), strict=True)]
     draft = path.with_suffix(f".{os.getpid()}")
     draft.write_text("\n".join(["time [s],position", *rows]), encoding="utf-8")

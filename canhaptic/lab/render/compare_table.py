@@ -121,7 +121,9 @@ def _ranking(part: _Account) -> Text:
         return account["status"] != "completed", passive != "yes", is_luck, length
 
     words = [f"{place} {name}" for place, name in enumerate(sorted(part["algorithms"], key=worth), 1)]
-    return Text(f" ranking: {', '.join(words)} (passive ones first, of them those with a guarantee, then by position error)")
+    return Text(
+        f" ranking: {', '.join(words)} (passive ones first, of them those with a guarantee, then by position error)"
+    )
 
 
 def _remarks(axis: _Account) -> list[Text]:
