@@ -208,7 +208,9 @@ def headlines(result: Result) -> list[RenderableType]:
 
 def ordered(ports: Mapping[str, PortResult]) -> list[str]:
     """Return the names of the ports, with each group before its axes."""
-    return list(dict.fromkeys(of for name, port in ports.items() for of in (port.get("group", name), name) if of in ports))
+    return list(
+        dict.fromkeys(of for name, port in ports.items() for of in (port.get("group", name), name) if of in ports)
+    )
 
 
 def heading(result: Result) -> Text:

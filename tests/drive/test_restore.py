@@ -159,7 +159,8 @@ def test_a_display_leaves_no_steepest_ramp_behind(capsys: pytest.CaptureFixture[
     words = ["--duration", "0.05", "--log", str(log), "--bus-log", str(bus_log), "--json"]
     assert main(["run", DISPLAY, *words]) == 0
     assert list(json.loads(capsys.readouterr().out)["unrestored"]["handle"]) == [
-        "0x6072:00 Max torque = 2000, 1000 before the run; limits stay as the run set them, unless restore_limits is true"
+        "0x6072:00 Max torque = 2000, 1000 before the run; limits stay as the run set them, "
+        "unless restore_limits is true"
     ]
     with EnergyLog.open(log) as opened:
         assert [(event.kind, event.port) for event in opened.events] == [("unrestored", "handle")]
