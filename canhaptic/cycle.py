@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.control.ledger import EnergyLossMeter, Ledger
-from canhaptic.control.passivity.controller import Controller
+from canhaptic.control.passivity import Controller
 from canhaptic.drive.clock import DurationHistogram, VirtualClock
 from canhaptic.drive.profile.link_policy import StopReason, reason_of
 from canhaptic.drive.rig import Rig

@@ -14,7 +14,7 @@ from canhaptic.control.multi_axis.group_controller import GroupBalance as GroupB
 from canhaptic.control.multi_axis.group_controller import GroupController as GroupController
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment as NetworkEnvironment
 from canhaptic.control.passivity import ALGORITHMS as ALGORITHMS
-from canhaptic.control.passivity.controller import Controller as Controller
+from canhaptic.control.passivity import Controller as Controller
 from canhaptic.control.passivity.stepped import SteppedController as SteppedController
 from canhaptic.kernels import Kernel as Kernel
 from canhaptic.sim.plant.assembly import NonlinearForce as NonlinearForce

@@ -12,7 +12,7 @@ from canhaptic.errors import LogFormatError
 from canhaptic.signals import Measured, Sample
 
 if TYPE_CHECKING:
-    from canhaptic.control.mass_felt import MassFelt
+    from canhaptic.control.motion_checks import MassFelt
     from canhaptic.control.multi_axis.group_controller import AxisGroup
     from canhaptic.logs.energy_reader import EnergyLog
 

@@ -223,7 +223,7 @@ def withdraw_certificates(account: PortResult, *, longest_gap: int) -> None:
     """Withdraw the certificates of an account if the run did not meet their assumptions.
 
     That is: a torque acted longer than covered or was not commanded, a hold was longer or shorter than declared, the
-    motion contradicts the declared friction (`friction_watch`), or the port's own energies refute the certificates.
+    motion contradicts the declared friction (`motion_checks`), or the port's own energies refute the certificates.
 
     A certificate covers `max_consecutive_losses` sample times without a new torque, but no skipped SYNC: there the
     queued torque acts for longer, and the next queued one still follows although it was computed for a single hold.

@@ -17,8 +17,7 @@ from canhaptic.control.balance import Branch
 from canhaptic.control.damping import largest_stable_damping, least_oscillating_damping
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity import build_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.control.passivity.internal_dissipation import (
     InternalDissipation,
     Storage,

@@ -14,9 +14,8 @@ import numpy as np
 from canhaptic.canopen.objects import StatusBit
 from canhaptic.control import verdict
 from canhaptic.control.balance import OUT_OF_CONTACT, Branch, Certificate
-from canhaptic.control.friction_watch import FrictionDeclared, FrictionWatch
 from canhaptic.control.ledger import LedgerSummary
-from canhaptic.control.mass_felt import MassAsked, MassFelt
+from canhaptic.control.motion_checks import FrictionDeclared, FrictionWatch, MassAsked, MassFelt
 from canhaptic.control.verdict import PortResult
 from canhaptic.errors import InputError, LogFormatError
 from canhaptic.logs.columns import DIGEST, FRICTION_DECLARED

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from canhaptic.canopen import objects as od
+from canhaptic.canopen.attached_devices import ForceNode
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.canopen.force_node import ForceNode
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import Frame
 from canhaptic.logs.decoder import ENABLED, PdoField, PdoMaps, SdoDecoder, state_text

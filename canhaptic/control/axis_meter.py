@@ -39,8 +39,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 from canhaptic.control.environments.environment import Environment
 
 if TYPE_CHECKING:
-    from canhaptic.control.friction_watch import FrictionWatch
-    from canhaptic.control.mass_felt import MassFelt
+    from canhaptic.control.motion_checks import FrictionWatch, MassFelt
 
 
 @dataclass(frozen=True, slots=True)

@@ -355,7 +355,7 @@ class Rig:
 
     def read_objects(self, axis: int) -> "list[Finding]":
         """Return the limits, ramps and reactions stored in the drive of an axis; raise SdoError without an answer."""
-        from canhaptic.drive.profile.read_objects import read_objects
+        from canhaptic.drive.survey import read_objects
 
         return list(read_objects(self.drives[axis]))
 

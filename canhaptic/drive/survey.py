@@ -1,8 +1,10 @@
-"""Survey of an object dictionary before there is a configuration: fit, fit with conditions, or unfit.
+"""Survey of a drive: of its dictionary before there is a configuration, and of the limits that it holds at present.
 
-`check_dictionary` judges a dictionary for a configured axis. Here nothing is configured: a value that the configuration
-must supply is a condition, not a refusal. A refusal rests only on what the dictionary states. For an admittance display
-the source of its force and the limits in the drive are judged as well.
+A dictionary is fit, fit with conditions, or unfit. `check_dictionary` judges it for a configured axis. Here nothing is
+configured: a value that the configuration must supply is a condition, not a refusal. A refusal rests only on what the
+dictionary states. For an admittance display the source of its force and the limits in the drive are judged as well.
+
+`read_objects` asks a drive for its present limits, ramps and reactions, and compares them with the scene.
 """
 
 from collections.abc import Iterator
@@ -15,16 +17,18 @@ from canopen import ObjectDictionary
 from canopen.objectdictionary import ODVariable
 
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.force_node import ForceNode
+from canhaptic.canopen.attached_devices import ForceNode
 from canhaptic.canopen.objects import DataType, is_writable
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.drive.can.pdo_map import AxisMap, PdoCapability, check_dictionary, choose_map, pdo_capabilities
 from canhaptic.drive.profile import fitness
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceParameters, Mode
+from canhaptic.drive.profile.drive_objects import DRIVE_OBJECTS
 from canhaptic.drive.profile.fitness import Finding, ObjectUse, Verdict, limit_objection, listed, objection
 from canhaptic.drive.profile.quirks import quirks_of
-from canhaptic.errors import DictionaryError
+from canhaptic.drive.profile.torque_axis import TorqueAxis
+from canhaptic.errors import DictionaryError, SdoError
 
 _KINDS: Final[tuple[Literal["RPDO", "TPDO"], ...]] = ("RPDO", "TPDO")
 _TYPES: Final = (DataType.INTEGER16, DataType.INTEGER32)
@@ -403,3 +407,32 @@ def _load(axis_map: AxisMap, bitrate: int, rate: float) -> LoadRow:
     one = bus_budget(bus, [axis_map])
     axes = next((n for n in range(MOST_AXES) if not bus_budget(bus, [axis_map] * (n + 1)).fits), MOST_AXES)
     return LoadRow(rate, one.periodic_load, one.worst_cycle, one.fits, axes)
+
+
+def read_objects(drive: TorqueAxis) -> Iterator[Finding]:
+    """Yield a finding for each listed object that a drive has; raise SdoError where it does not answer."""
+    asked = drive.axis.written_objects
+    for place, meaning in DRIVE_OBJECTS.items():
+        try:
+            value = drive.sdo.read(*place)
+        except SdoError as error:
+            if error.code is None:
+                raise
+            continue
+        objection = _end_cut_off(drive, place, value)
+        text = f"{value}" + (f", the start writes {asked[place]}" if place in asked else "")
+        verdict = Verdict.UNKNOWN if objection else Verdict.FIT
+        yield Finding(drive.sdo.describe(*place), verdict, f"{text}: {objection or meaning}")
+
+
+def _end_cut_off(drive: TorqueAxis, place: tuple[int, int], value: int) -> str:
+    """Return which limit of the scene a position limit of the drive cuts off; "" where it cuts none."""
+    axis, display = drive.axis, drive.axis.admittance
+    if place[0] != od.POSITION_LIMITS or display is None or place in axis.written_objects:
+        return ""
+    ends = [end for end in (display.position_low, display.position_high) if end is not None]
+    counts = sorted(axis.direction * end * axis.counts_per_unit for end in ends)
+    beyond = [end for end in counts if (end < value if place[1] == 1 else end > value)]
+    if not beyond or not any(drive.sdo.read(place[0], sub) for sub in (1, 2)):  # both 0: no limits
+        return ""
+    return f"admittance.position_low or position_high is at {beyond[0]:.0f}; widen it (drive_objects) or the scene"

@@ -35,7 +35,7 @@ from canhaptic.control.mechanisms.kinematics import Kinematics, Limit
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
 from canhaptic.control.multi_axis.group_kernel import GroupModel, world_of
 from canhaptic.control.port_hamiltonian.network import extension, gradient
-from canhaptic.control.port_hamiltonian.shapes.geometry import moved_by
+from canhaptic.control.port_hamiltonian.shapes import moved_by
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.kernels import Buffer, list_of_zeros, zeros
 from canhaptic.lab.judge.reference_group import AxesModel, ReferenceGroup, mechanism_model

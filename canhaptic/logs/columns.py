@@ -26,7 +26,7 @@ DRY_RUN: Final = "dry_run"
 """Attribute of the log of a dry run, in which no torque was sent; `torque_command` is what the controller requested."""
 
 FRICTION_DECLARED: Final = "friction_declared"
-"""`NAME.friction_declared`: declared friction and hand of an axis, see `friction_watch` (JSON)."""
+"""`NAME.friction_declared`: declared friction and hand of an axis, see `motion_checks` (JSON)."""
 
 _INTEGERS: Final = {
     "statusword": "u2",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from canhaptic.control.admittance import build_display_group
 from canhaptic.control.admittance.port import AdmittanceProperties
-from canhaptic.control.mass_felt import MassAsked, MassFelt
+from canhaptic.control.motion_checks import MassAsked, MassFelt
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.models import AxisScene, GroupScene, Scene

@@ -24,7 +24,7 @@ from canhaptic.units import Parameters, Unit
 
 if TYPE_CHECKING:
     from canhaptic.control.axis_meter import Accuracy
-    from canhaptic.control.passivity.controller import LoopProperties
+    from canhaptic.control.passivity import LoopProperties
     from canhaptic.sim.bus.faulty_bus import FaultyBus
     from canhaptic.sim.drive.can.drive_node import DriveGroup
     from canhaptic.sim.plant.effects import Effect

@@ -16,7 +16,7 @@ from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, loop_settings
 from canhaptic.control.certificates import scalar_bounds as bounds
 from canhaptic.control.damping import largest_stable_damping, least_oscillating_damping
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.verdict import NO_PULL
 from canhaptic.meters import promise_of
 from canhaptic.scene.displays import display_properties

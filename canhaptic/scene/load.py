@@ -20,7 +20,7 @@ from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation,
 from canhaptic.scene.layout import SECTIONS, laid_out
 from canhaptic.scene.models import AxisScene, Scene, scene_adapter
 from canhaptic.scene.timing import with_loops
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters, substeps_for
+from canhaptic.sim.plant import AccuracyParameters, substeps_for
 
 MAX_BYTES: Final = 1_000_000
 _PROGRAM: Final = {"program": "canhaptic.control.passivity.asked_torque:Program"}

@@ -14,8 +14,7 @@ from canhaptic.errors import CanHapticError, InputError
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_axis_controller
-from canhaptic.sim.plant import direct_rig
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant import AccuracyParameters, direct_rig
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.user import RecordedMotion
 

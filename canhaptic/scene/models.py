@@ -24,14 +24,13 @@ from canhaptic.control import admittance as displays
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
-from canhaptic.control.passivity import ALGORITHMS
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import ALGORITHMS, LoopProperties
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import InputError
 from canhaptic.scene.components import READY, ComponentByDisplay, ComponentOf, ComponentSpec, OwnModel, SceneContext
 from canhaptic.scene.document import MarkedMapping
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.effects import EFFECTS
 from canhaptic.sim.plant.mechanism import MECHANISMS
 from canhaptic.units import Name, OnDemand, Parameters, PrintablePath, PrintableText, quantity
@@ -100,7 +99,7 @@ class LogParameters(Parameters):
 if TYPE_CHECKING:
     from canhaptic.scene.old_forms import Release
     from canhaptic.sim.bus.faulty_bus import BusEffects
-    from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+    from canhaptic.sim.drive import SimulatedDriveParameters
     from canhaptic.sim.plant.mechanism.task_hand import TaskHand
     from canhaptic.sim.plant.plant import PlantParameters
     from canhaptic.sim.plant.user import UserParameters
@@ -124,7 +123,7 @@ _REQUIRED: Final = ("torque_verified", "position_reference")
 _UNVERIFIED: Final = 0.01
 """Fraction of `torque_limit` that is sent while the torque scale is not verified."""
 UnitT = TypeVar("UnitT", bound=str | None)
-_Drive = Annotated[SimulatedDriveParameters, OnDemand("canhaptic.sim.drive.drive_parameters:SimulatedDriveParameters")]
+_Drive = Annotated[SimulatedDriveParameters, OnDemand("canhaptic.sim.drive:SimulatedDriveParameters")]
 _Hand = Annotated[TaskHand, OnDemand("canhaptic.sim.plant.mechanism.task_hand:TaskHand")]
 _LOOP, _DISPLAY_LOOP = ("algorithm", LOOP_KEYS), ("algorithm", DISPLAY_LOOP_KEYS)
 _ENVIRONMENT = ComponentByDisplay(

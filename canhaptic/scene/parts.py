@@ -9,8 +9,7 @@ from canhaptic.control.admittance import build_display_controller
 from canhaptic.control.axis_meter import Accuracy, AxisMeter, SilentMeter
 from canhaptic.control.environments.environment import Environment, plain
 from canhaptic.control.multi_axis import build_group_controller
-from canhaptic.control.passivity import build_controller
-from canhaptic.control.passivity.controller import Controller, LoopProperties
+from canhaptic.control.passivity import Controller, LoopProperties, build_controller
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
@@ -21,8 +20,8 @@ from canhaptic.scene.models import AxisScene, GroupScene, Scene
 from canhaptic.units import Parameters
 
 if TYPE_CHECKING:
-    from canhaptic.control.friction_watch import FrictionDeclared
     from canhaptic.control.mechanisms.kinematics import Kinematics
+    from canhaptic.control.motion_checks import FrictionDeclared
     from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupController, NetworkEnvironment
 
 _OF_THE_DEVICE: Final = ("device_damping", "device_friction", "device_damping_bound", "device_friction_bound")
@@ -86,7 +85,7 @@ def friction_declared(axis: AxisScene) -> "FrictionDeclared | None":
     force, push = (getattr(parameters, key, None) for key in ("hand_force", "hand_push"))
     if axis.group or not loop.device_friction or loop.moving_mass is None or force is None:
         return None
-    from canhaptic.control.friction_watch import FrictionDeclared
+    from canhaptic.control.motion_checks import FrictionDeclared
 
     return FrictionDeclared(
         loop.device_friction,
@@ -163,7 +162,7 @@ def _axis_meter(axis: AxisScene, group: GroupScene | None, together: Sequence[Ax
     environment = None if axis.group or axis.guard else plain(cast(Environment, axis.environment.parameters))
     if (declared := friction_declared(axis)) is None:
         return AxisMeter(accuracy, environment)
-    from canhaptic.control.friction_watch import FrictionWatch
+    from canhaptic.control.motion_checks import FrictionWatch
 
     return AxisMeter(accuracy, environment, FrictionWatch(declared))
 

@@ -23,7 +23,7 @@ from canopen import ObjectDictionary
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import is_writable
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.drive.can.bus_budget import round_rate
 from canhaptic.drive.profile import fitness
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters

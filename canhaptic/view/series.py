@@ -16,7 +16,7 @@ from canhaptic.audit.inspection import PortRecord, contacts
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis import NETWORKS
-from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, coordinates_at
+from canhaptic.control.port_hamiltonian.shapes import Rendered, coordinates_at
 from canhaptic.control.verdict import PortResult
 from canhaptic.errors import CanHapticError, LogFormatError
 from canhaptic.logs.columns import Event

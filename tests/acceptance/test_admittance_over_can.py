@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.canopen.force_node import ForceNode
+from canhaptic.canopen.attached_devices import ForceNode
 from canhaptic.cli.main import main
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.control.admittance.group_environment import PathMass, nearest

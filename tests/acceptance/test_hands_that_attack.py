@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("numba")
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import GuardedParameters
 from tools.attack.climb import Attack
 from tools.attack.holes import HOLES, attack_on, random_attack

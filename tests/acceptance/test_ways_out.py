@@ -15,7 +15,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.control.passivity.controller import Controller
+from canhaptic.control.passivity import Controller
 from canhaptic.scene import build, parts
 from tests.acceptance.bus_frames import DEMO, IN_CONTACT, Frame, commands, read_log, reports
 

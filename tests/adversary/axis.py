@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from tests.adversary.users import HAND_FORCE, Force, Mass
 

@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.multi_axis import build_group_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.control.port_hamiltonian.shapes.anisotropic_spring import AnisotropicSpring
 from canhaptic.control.port_hamiltonian.shapes.box import Box

@@ -11,8 +11,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
 from canhaptic.control.environments.viscous_medium import ViscousMedium
-from canhaptic.control.passivity import ALGORITHMS, build_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import ALGORITHMS, LoopProperties, build_controller
 
 # name -> (environment, its mirror image: q -> -q)
 EXAMPLES = {

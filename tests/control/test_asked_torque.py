@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from canhaptic.control.balance import Certificate, residual
 from canhaptic.control.damping import DamperVelocity
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.asked_torque import GuardedProgram, UnguardedProgram
-from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import GuardedParameters
 
 T, MASS = 1e-3, 0.25

@@ -7,7 +7,7 @@ import pytest
 
 from canhaptic.control.axis_meter import Accuracy, AxisMeter, SilentMeter
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.friction_watch import FrictionDeclared, FrictionWatch
+from canhaptic.control.motion_checks import FrictionDeclared, FrictionWatch
 
 T = 1e-3
 

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.ledger import Ledger
-from canhaptic.control.passivity import build_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.control.passivity.passivity_observer import PassivityObserverParameters
 from canhaptic.errors import ParameterError
 from tests.control.reference_loop import USER_S, sampled

@@ -14,7 +14,7 @@ from canhaptic.control.certificates.scalar_bounds import (
 from canhaptic.control.environments.damper_wall import DamperWall
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.multi_axis.group_account import Gap, doubt_of, farthest
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from canhaptic.control.passivity.stepped import (
     Axis,

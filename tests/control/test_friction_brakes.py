@@ -14,7 +14,7 @@ from canhaptic.control.certificates.scalar_bounds import (
     start_energy,
 )
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import GuardedParameters, settings_of
 from canhaptic.errors import SceneError
 from canhaptic.scene.load import load_scene

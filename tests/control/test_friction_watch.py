@@ -5,7 +5,7 @@ import random
 
 import pytest
 
-from canhaptic.control.friction_watch import FrictionDeclared, FrictionWatch
+from canhaptic.control.motion_checks import FrictionDeclared, FrictionWatch
 from canhaptic.lab.studies.design.contact_quality import PUSH, PUSH_RATE, GuidedHand
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.plant import Plant, PlantParameters

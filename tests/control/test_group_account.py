@@ -41,7 +41,7 @@ from canhaptic.control.multi_axis.group_kernel import (
     take_applied,
     torque_held,
 )
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 
 T, DELAY = 1e-3, 1
 

@@ -42,7 +42,7 @@ from canhaptic.control.multi_axis.group_certificates import (
     write_cells,
 )
 from canhaptic.control.multi_axis.group_kernel import no_group_holds
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from tests.control.network.networks import AxesApart
 
 T, DELAY = 1e-3, 2

@@ -12,8 +12,7 @@ from canhaptic.control.balance import Branch, Certificate, residual
 from canhaptic.control.certificates.certified_torque import Declared, TorqueBound, bound_memory, end_hold
 from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity import build_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import list_of_zeros

@@ -7,7 +7,7 @@ import pytest
 from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import (
     Guarded,
     GuardedParameters,

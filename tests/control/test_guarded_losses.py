@@ -8,7 +8,7 @@ from canhaptic.control.certificates.certified_torque import Declared, TorqueBoun
 from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from tests.adversary.axis import PUSH, Loss, guarded, run
 from tests.adversary.users import USERS

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from canhaptic.audit.recompute import recompute_all
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity import build_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from canhaptic.control.passivity.hold_dither import EARLY, LATE, DitheredGuarded, HoldWatch
 from canhaptic.cycle import run

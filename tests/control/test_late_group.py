@@ -31,7 +31,7 @@ from canhaptic.control.multi_axis.group_certificates import (
     response_to_late,
 )
 from canhaptic.control.multi_axis.group_kernel import no_group_holds
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 
 T, MASSES = 1e-3, (0.25, 0.6)
 Range = tuple[list[float], list[float]]

@@ -16,7 +16,7 @@ from canhaptic.control.certificates.certified_torque import (
 )
 from canhaptic.control.certificates.scalar_bounds import displacement_response, hold_timing, next_displacement
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from canhaptic.kernels import list_of_zeros
 from tools.attack.plant import DISSIPATED, TAKEN_IN, Rig, V, X, hold

@@ -10,8 +10,7 @@ import pytest
 
 from canhaptic.control.environments.damper_wall import DamperWall
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity import build_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.errors import ParameterError
 from tests.adversary.late_axis import climb

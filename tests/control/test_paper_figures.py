@@ -8,8 +8,7 @@ import pytest
 from canhaptic.control.balance import residual
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.ledger import Ledger
-from canhaptic.control.passivity import build_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.control.passivity.internal_dissipation import InternalDissipation, StoredModelParameters
 from canhaptic.control.passivity.stepped import open_hold
 from canhaptic.kernels.records import bound

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.environments.environment import plain
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity import build_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.registry import load
 from canhaptic.units import Parameters, quantity
 

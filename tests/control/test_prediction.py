@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import PredictedMotion, observe, predicted, prediction_settings
 
 BEYOND = 0.75  # holds, the default of `guarded`

@@ -9,8 +9,7 @@ from canhaptic.control.balance import Branch
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.control.ledger import Ledger
-from canhaptic.control.passivity import build_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.control.passivity.internal_dissipation import StoredModelParameters
 from tests.control.reference_loop import USER_S, continuous, sampled, user_f
 

@@ -7,8 +7,7 @@ import pytest
 from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
-from canhaptic.control.passivity import build_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties, build_controller
 from tests.control.cases import algorithms, controller, loop
 
 MOVED = 1e-4  # in a sample time, inward [m]

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from tools.attack.plant import TAKEN_IN, Rig, V, X, hold
 

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from canhaptic.control.damping import VelocityWindow, restart, update
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity import build_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.control.passivity.internal_dissipation import StoredModelParameters
 from canhaptic.errors import ParameterError
 from tests.control.reference_loop import USER_S, continuous, sampled, variation

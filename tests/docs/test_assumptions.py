@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import GuardedParameters
 
 ROOT = Path(__file__).parents[2]

@@ -16,8 +16,8 @@ from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.signals import PlantEnergy
+from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.drive.can.drive_node import DriveGroup, SimulatedDrive
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent
 OUR_EDS = REPOSITORY / "eds" / "cia402_servo.eds"

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from canhaptic.canopen.brake import Brake
+from canhaptic.canopen.attached_devices import Brake
 from canhaptic.errors import DictionaryError
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.drive_bench import OUR_EDS, Bench, FreeMass, MakeBench, axis

@@ -7,8 +7,7 @@ import can
 import pytest
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity import build_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.cycle import Cycle
 from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.errors import CommandLostError, DriveFaultError, InputError, LinkError

@@ -6,8 +6,8 @@ from contextlib import contextmanager
 import can
 import pytest
 
+from canhaptic.canopen.attached_devices import ForceNode
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.canopen.force_node import ForceNode
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.admittance_drive import AdmittanceDrive
 from canhaptic.drive.can.link import Link

@@ -11,8 +11,8 @@ from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import BusBudgetError, LinkError
+from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.drive.can.drive_node import DriveGroup, SimulatedDrive
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.drive_bench import FreeMass, axis, dictionary, private_channel
 

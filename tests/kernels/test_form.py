@@ -22,8 +22,8 @@ from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.passivity.unprotected import Unprotected
+from canhaptic.control.port_hamiltonian.shapes import LinearGeometry
 from canhaptic.control.port_hamiltonian.shapes.box import BoxInside
-from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry
 from canhaptic.control.port_hamiltonian.shapes.guided_path import FromPath
 from canhaptic.control.port_hamiltonian.shapes.sphere import Round
 from canhaptic.control.port_hamiltonian.shapes.tube import AroundLine

@@ -9,8 +9,7 @@ import pytest
 from rich.console import Console
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity import ALGORITHMS, build_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import ALGORITHMS, LoopProperties, build_controller
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.figures.figures import figures
 from canhaptic.lab.loop.axis_loop import (

@@ -239,7 +239,6 @@ WHOLE = {
     "configs/hard/sim_stop_1khz.yaml": {"hard_stop.py", "contact.py"},
     "configs/hard/sim_lugre_presliding.yaml": {
         "splitting.py",
-        "effort_forces.py",
         "lugre_friction.py",
         "contact.py",
     },
@@ -271,8 +270,8 @@ def test_a_whole_run_executes_and_allocates_in_no_file_of_an_effect_that_it_does
         sys.setprofile(previous)
         tracemalloc.stop()
     allocated = {Path(statistic.traceback[0].filename).name for statistic in held.statistics("filename")}
-    assert seen - common <= WHOLE[scene] | {"accuracy_parameters.py"}
-    assert allocated - common <= WHOLE[scene] | {"accuracy_parameters.py"}
+    assert seen - common <= WHOLE[scene]
+    assert allocated - common <= WHOLE[scene]
     assert WHOLE[scene] <= seen
     named = {"upper_stop_depth", "travel", "effort", "bristle_deflection"} if WHOLE[scene] else set()
     assert all(names <= set(BARE) | named for names in states)

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from canhaptic.sim.plant.accuracy_parameters import LEVELS
+from canhaptic.sim.plant import LEVELS
 from canhaptic.sim.plant.propagator import dyadic_flows
 
 

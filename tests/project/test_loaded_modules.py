@@ -21,7 +21,6 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
     ),
     "effect": ("sim.plant.effects.",),
     "approximate effect": ("sim.plant.splitting",),
-    "effect at a time": ("sim.plant.timetable",),
     "group": ("control.multi_axis.", "control.port_hamiltonian.", "scene.group_layout"),
     "kinematics": ("control.mechanisms.",),
     "mechanism": ("sim.plant.mechanism.",),
@@ -29,7 +28,8 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
         *("control.admittance.", "drive.can.admittance_", "drive.profile.admittance_"),
         *("scene.displays", "sim.drive.profile.admittance_", "sim.plant.velocity_drive"),
     ),
-    "force node": ("canopen.force_node", "sim.drive.can.sensor_node"),
+    "device at the axis": ("canopen.attached_devices",),
+    "force node": ("sim.drive.can.sensor_node",),
     "impedance algorithm": ("control.passivity.guarded", "control.certificates.certified_torque"),
     "own code": ("scene.own_code",),
     "log": ("logs.bus_", "logs.columns", "logs.energy_", "logs.ring", "logs.writer", "scene.log_writers"),
@@ -39,7 +39,7 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
     "every figure": ("view.energy_table", "view.table"),
     "fault of the scene": ("scene.explain", "scene.first_contact"),
     "override": ("scene.overrides",),
-    "friction": ("control.friction_watch",),
+    "checked by its motion": ("control.motion_checks",),
     "SDO in the cycle": ("drive.can.background_sdo",),
     "SocketCAN": ("host.socketcan_state",),
     "compiled": ("kernels.compiler",),
@@ -116,7 +116,7 @@ def test_what_is_asked_for_is_loaded(tmp_path: Path) -> None:
         *("configs/demo.yaml", "--log", str(tmp_path / "run.h5"), "--set", "passivity.device_friction=0.1 N"),
         *("--set", "simulation.effects=[{type: coulomb_friction, static: 0.3, kinetic: 0.2}]"),
     )
-    assert found == GUARDED | {"log", "override", "friction", "effect"}
+    assert found == GUARDED | {"log", "override", "checked by its motion", "effect"}
     for kind, starts in KINDS.items():
         for start in starts:
             path = start.rstrip(".").replace(".", "/")
@@ -138,7 +138,7 @@ def test_a_real_axis_loads_no_simulation_and_no_more_code_than_can_be_read(
         modules = loaded_modules(ROOT, *words, "--set", "simulation=null", *words_of_master, duration=0.3)
     assert kinds_of(modules) == {"impedance algorithm", "override"}
     assert [name for name in modules if name.startswith("canhaptic.sim.")] == [
-        *("canhaptic.sim.plant", "canhaptic.sim.plant.accuracy_parameters"),
+        *("canhaptic.sim.plant", "canhaptic.sim.plant"),
         *("canhaptic.sim.plant.effects", "canhaptic.sim.plant.mechanism"),
     ]  # a parameter model and two tables
     own = [name for name in modules if not name.startswith(("canhaptic.sim", "canhaptic.scene.overrides"))]

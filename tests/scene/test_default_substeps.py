@@ -10,7 +10,7 @@ from canhaptic.cli.main import main
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import estimated_error, plant_errors, simulation_of, torque_history
-from canhaptic.sim.plant.accuracy_parameters import substeps_for
+from canhaptic.sim.plant import substeps_for
 from canhaptic.sim.plant.direct_rig import observed
 from tests.scene.scene_text import scene_file
 

@@ -12,7 +12,7 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.control.multi_axis.group_certificates import axes_of
 from canhaptic.control.multi_axis.group_controller import AxisGroup
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.cycle import Cycle, run
 from canhaptic.errors import ParameterError, SceneError
 from canhaptic.scene.build import build

@@ -15,7 +15,7 @@ from canhaptic.errors import CanHapticError, ParameterError, SceneError
 from canhaptic.scene.build import build
 from canhaptic.scene.hints import stability_hints
 from canhaptic.scene.load import load_scene, scene_from_mapping
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.units import Parameters, Quantity
 from tests.scene.scene_text import REPOSITORY, SCENE, SHIPPED_EDS, faults, scene_file
 

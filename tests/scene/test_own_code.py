@@ -23,7 +23,7 @@ from canhaptic.lab.studies.sweep.chunk import scene_of as scene_of_row
 from canhaptic.lab.studies.sweep.vary import make_points, parse_vary
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant import AccuracyParameters
 
 ROOT = Path(__file__).resolve().parents[2]
 SPRING = """

@@ -17,7 +17,7 @@ import pytest
 
 from canhaptic.cli import drive as drive_command
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.control.passivity.controller import Controller
+from canhaptic.control.passivity import Controller
 from canhaptic.cycle import run
 from canhaptic.errors import DriveFaultError, LinkError, RigError
 from canhaptic.scene.build import Experiment, build

@@ -8,8 +8,8 @@ import can
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.signals import PlantEnergy
+from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.drive.can.drive_node import DriveGroup, SimulatedDrive
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 
 NODE = 5
 PERIOD = 1_000_000  # [ns]

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters, parse_place
+from canhaptic.sim.drive import SimulatedDriveParameters, parse_place
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.sim_drive.drive_on_bus import PERIOD, Mass, Rig
 

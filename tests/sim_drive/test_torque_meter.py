@@ -12,7 +12,7 @@ from canhaptic.cycle import run
 from canhaptic.errors import EnergyLostError
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.drive.profile.servo import TorqueMeter
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"

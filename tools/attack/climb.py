@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.control.environments.environment import Environment, plain
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from canhaptic.kernels import Buffer, Run
 from canhaptic.kernels.compiler import compiled, fixed_tuple, tuple_type

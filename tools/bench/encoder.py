@@ -13,7 +13,7 @@ from multiprocessing import Pool
 from typing import Final, NamedTuple
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from tools.attack.plant import TAKEN_IN, Rig, V, X, hold
 from tools.bench.report import Row, picture_place, publish

@@ -15,7 +15,7 @@ import numpy as np
 
 from canhaptic.lab.judge.reference_model import Model
 from canhaptic.lab.judge.solvers import reference
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tests.plant.read_effect import read_effect

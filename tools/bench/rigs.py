@@ -20,8 +20,7 @@ from multiprocessing import Pool
 from typing import Any, Final, NamedTuple
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity import build_controller
-from canhaptic.control.passivity.controller import Controller, LoopProperties
+from canhaptic.control.passivity import Controller, LoopProperties, build_controller
 from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.view.picture_style import BLUE, ORANGE, VERMILION, drawing, save_picture
 from tools.attack.plant import BEFORE, DISSIPATED, MOTOR, TAKEN_IN, Rig, V, X, energy_of, move_one

@@ -7,15 +7,14 @@ from typing import Any, Final, cast
 
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity import ALGORITHMS
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import ALGORITHMS, LoopProperties
 from canhaptic.lab.batch.cases import BatchCase, many_loops
 from canhaptic.lab.batch.scalar import continuous_reference
 from canhaptic.lab.loop.axis_loop import Array, LoopCase
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.registry import load
 from canhaptic.scene.models import AxisSimulation
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.effects.grasp_change import GraspChange
 from canhaptic.sim.plant.effects.tremor import Tremor

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from canhaptic.control.admittance.port import AdmittanceProperties
     from canhaptic.control.mechanisms.kinematics import Kinematics
     from canhaptic.control.multi_axis.group_controller import GroupController
-    from canhaptic.control.passivity.controller import Controller
+    from canhaptic.control.passivity import Controller
     from canhaptic.units import Parameters
 
 _HERE: Final = "canhaptic.control.admittance"

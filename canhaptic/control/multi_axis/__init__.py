@@ -11,7 +11,7 @@ from canhaptic.registry import load_algorithm
 if TYPE_CHECKING:
     from canhaptic.control.mechanisms.kinematics import Kinematics
     from canhaptic.control.multi_axis.group_controller import GroupController, NetworkEnvironment
-    from canhaptic.control.passivity.controller import LoopProperties
+    from canhaptic.control.passivity import LoopProperties
     from canhaptic.units import Parameters
 
 _HERE: Final = "canhaptic.control.multi_axis"

@@ -84,7 +84,7 @@ from math import inf, sqrt
 from typing import Final, NamedTuple
 
 from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, displacement_response, hand_force_bound
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.stepped import towards_zero
 from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, zeros
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.mechanisms.kinematics import Limit
-from canhaptic.control.passivity.controller import Controller
+from canhaptic.control.passivity import Controller
 from canhaptic.signals import PlantEnergy, Sample, Truth
 
 

@@ -15,7 +15,7 @@ from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.control.damping import VelocityWindow, damping_cap, restart, update
 from canhaptic.control.mechanisms.kinematics import Kinematics, KinematicsKernel, Limit, mechanism_of
 from canhaptic.control.multi_axis.group_controller import GroupBalance, NetworkEnvironment, group_at_rest
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.port_hamiltonian.network import Functions, NetworkTables, dot
 from canhaptic.control.port_hamiltonian.sampled_network import (
     NetworkMemory,
@@ -28,7 +28,7 @@ from canhaptic.control.port_hamiltonian.sampled_network import (
     share_inside,
     springs,
 )
-from canhaptic.control.port_hamiltonian.shapes.geometry import Geometry, Mover, moved_by
+from canhaptic.control.port_hamiltonian.shapes import Geometry, Mover, moved_by
 from canhaptic.errors import ControlError, ParameterError
 from canhaptic.kernels import Buffer, Kernel, Matrix, list_of_zeros, with_quick_fields, zeros
 from canhaptic.units import Parameters

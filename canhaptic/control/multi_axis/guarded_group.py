@@ -42,8 +42,7 @@ from canhaptic.control.multi_axis.group_kernel import (
     write_efforts,
     write_springs,
 )
-from canhaptic.control.passivity import guarded
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties, guarded
 from canhaptic.control.passivity.guarded import observe, observe_mean, predicted
 from canhaptic.control.passivity.stepped import settle, towards_zero
 from canhaptic.control.port_hamiltonian.sampled_network import internal_motion

@@ -1,11 +1,15 @@
-"""Passivity algorithms of one axis, each in its own file, and the table of their names."""
+"""Passivity algorithms of one axis, each in its own file: the table of their names, and what they have in common.
 
-from typing import Final
+`Controller` is their interface, stepped once per SYNC; `LoopProperties` are the properties of the loop around them.
+"""
 
+from typing import Annotated, Final, Protocol
+
+from canhaptic.control.balance import EnergyBalance
+from canhaptic.control.certificates.scalar_bounds import HoldTiming, hold_timing
 from canhaptic.control.environments.environment import Environment, plain
-from canhaptic.control.passivity.controller import Controller, LoopProperties
-from canhaptic.registry import load_algorithm
-from canhaptic.units import Parameters
+from canhaptic.registry import load, load_algorithm
+from canhaptic.units import Parameters, quantity
 
 _HERE: Final = "canhaptic.control.passivity"
 _RIVALS: Final = "canhaptic.lab.rivals"
@@ -32,6 +36,96 @@ ALGORITHMS: Final[dict[str, str]] = {
 }
 """Name in a scene -> "module:Class". Every class has `parameters_type` and takes (environment, parameters, loop)."""
 
+_DITHERED: Final = {"guarded": f"{_HERE}.hold_dither:DitheredGuarded"}
+"""The same for algorithms that can test in which hold their torques act."""
+
+
+class LoopProperties(Parameters):
+    """Properties of the loop around a controller; an optional value that is not known is None."""
+
+    sample_time: Annotated[float, quantity("s", ge=1e-6, le=1.0)]
+    """Time T from SYNC to SYNC."""
+    delay: Annotated[int, quantity("count", ge=0, le=16)] = 0
+    """Whole holds from the computation of a torque to the hold in which it acts: 0 for event-driven RPDOs, 1 for
+    synchronous ones."""
+    moving_mass: Annotated[float, quantity("kg", "kg*m^2", gt=0.0)] | None = None
+    """Lower bound of the inertia rigid with the encoder."""
+    device_damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] | None = None
+    """Certain viscous damping of the device, a lower bound."""
+    device_damping_bound: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e6)] | None = None
+    """Upper bound of the device damping (b_max of the hand-force certificate). None: not known."""
+    device_friction: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
+    """Certain dry friction of the device while it moves, a lower bound. None: not known, taken as 0."""
+    device_friction_bound: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
+    """Upper bound of the dry friction and cogging of the device, which may push the handle out of a contact as well as
+    hold it. None: not known, taken as 0 by a controller."""
+    device_cogging_bound: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
+    """Part of `device_friction_bound` that can pull: cogging, weight, wind-up of a gear. The rest only brakes, if
+    `presliding_stiffness` is declared too. None: all of it can pull, as always in a group."""
+    presliding_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0)] | None = None
+    """Lower bound of the stiffness of dry friction before it slides. It improves the bound only above some 20 times
+    the moving mass over T^2. None: not known."""
+    sync_jitter: Annotated[float, quantity("1", ge=0.0, le=0.5)] | None = None
+    """Largest relative deviation of a hold from T: from position to position it lasts T (1 +- jitter).
+    None: not known, taken as 0 by a controller."""
+    torque_window: Annotated[float, quantity("s", ge=0.0, le=1.0)] | None = None
+    """Latest time after a SYNC at which its torque acts (event RPDO, wire time). None: not known, taken as 0."""
+    current_lag: Annotated[float, quantity("s", ge=0.0, le=1.0)] | None = None
+    """Largest time constant of the motor's torque. None: not known, taken as 0."""
+    encoder_count: Annotated[float, quantity("m", "rad", ge=0.0)] = 0.0
+    """Displacement of one encoder count; 0 for an ideal encoder."""
+    torque_quantum: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
+    """Smallest step of the torque command; 0 for an ideal actuator."""
+    torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0)] | None = None
+    """Largest torque the drive applies."""
+    torque_rate_limit: Annotated[float, quantity("N/s", "N*m/s", gt=0.0)] | None = None
+    """Largest rate of rise of the torque that the limiter permits."""
+    power_limit: Annotated[float, quantity("W", gt=0.0)] | None = None
+    """Largest power into the user's side that the limiter permits."""
+
+    @property
+    def brakes(self) -> bool:
+        """Whether a lower bound of the device's damping or dry friction is declared."""
+        return self.device_damping is not None or self.device_friction is not None
+
+    @property
+    def timing(self) -> HoldTiming:
+        """Bounds of a hold's length and of the time until a new torque acts, from the declared properties.
+
+        Raises:
+            ParameterError: The torque window is as long as a hold.
+        """
+        return hold_timing(
+            self.sample_time, self.sync_jitter or 0.0, self.torque_window or 0.0, self.current_lag or 0.0
+        )
+
+
+class Controller(Protocol):
+    """A passivity algorithm of one axis, with the environment that it renders."""
+
+    def reset(self) -> None:
+        """Clear the state: zero stored energy, no queued torque, no last position."""
+
+    def sample_lost(self) -> EnergyBalance:
+        """Return the balance of a SYNC whose position was lost: the last command is repeated, and nothing is booked.
+
+        The next `step` then books one displacement for several holds. If their torques differed, the energy is
+        uncertain by the difference times the excursion, and its lowest value is booked.
+        """
+
+    def step(self, position: float, torque_applied: float) -> EnergyBalance:
+        """Book the energy of the hold that just ended, and return its balance with the torque to send next.
+
+        The first call after `reset` only stores the position: its balance is all zero.
+
+        Args:
+            position: Axis position at this SYNC [m or rad].
+            torque_applied: Torque the drive held during the hold that ended here [N or N*m].
+
+        Raises:
+            ControlError: The position or torque is not finite.
+        """
+
 
 def build_controller(
     environment: Environment, algorithm_name: str, parameters: Parameters | None, loop: LoopProperties,
@@ -51,9 +145,10 @@ def build_controller(
         ParameterError: Unknown name, parameters of another algorithm, or a missing value that the algorithm needs.
     """
     algorithm, chosen = load_algorithm(ALGORITHMS, algorithm_name, "passivity algorithm", parameters)
-    if hold_dither is not None and algorithm_name == "guarded":  # the scene refuses others
-        from canhaptic.control.passivity.hold_dither import DitheredGuarded
-
-        return DitheredGuarded(plain(environment), chosen, loop, hold_dither)
-    controller: Controller = algorithm(plain(environment), chosen, loop)
+    controller: Controller
+    if hold_dither is not None and algorithm_name in _DITHERED:  # the scene refuses others
+        dithered = load(_DITHERED, algorithm_name, "passivity algorithm")
+        controller = dithered(plain(environment), chosen, loop, hold_dither)
+    else:
+        controller = algorithm(plain(environment), chosen, loop)
     return controller

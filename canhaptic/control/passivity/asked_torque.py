@@ -18,8 +18,7 @@ from canhaptic.control.certificates.certified_torque import keep, look_for_turn
 from canhaptic.control.damping import VelocityWindow, restart, update
 from canhaptic.control.environments.environment import StoresNothing
 from canhaptic.control.environments.free_space import FreeSpace
-from canhaptic.control.passivity import guarded
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties, guarded
 from canhaptic.control.passivity.guarded import book, certain_energy, end, permitted_size, start
 from canhaptic.control.passivity.stepped import SteppedController, send, towards_zero
 from canhaptic.control.passivity.unprotected import Unprotected

@@ -27,7 +27,7 @@ from typing import Final
 
 from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 
 _SIGMAS: Final = 5.0

@@ -14,8 +14,7 @@ from typing import Annotated, Any
 from canhaptic.control.balance import RunningSum, add
 from canhaptic.control.damping import DamperVelocity, damping_cap
 from canhaptic.control.environments.environment import Environment
-from canhaptic.control.passivity import unprotected
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties, unprotected
 from canhaptic.control.passivity.stepped import Hold, SteppedController
 from canhaptic.control.passivity.unprotected import Asked, Reply
 from canhaptic.errors import ParameterError

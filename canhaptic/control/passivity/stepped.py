@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Final, NamedTuple
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.damping import DamperVelocity, VelocityWindow, restart, update
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.errors import ControlError, ParameterError
 from canhaptic.kernels import Buffer, Kernel, MakeBuffer, Run, list_of_zeros, new, with_quick_fields
 from canhaptic.units import Parameters

@@ -27,7 +27,7 @@ from canhaptic.errors import ParameterError
 from canhaptic.signals import Sample
 
 if TYPE_CHECKING:
-    from canhaptic.canopen.force_node import ForceNode
+    from canhaptic.canopen.attached_devices import ForceNode
 
 _tuple: Final = tuple.__new__
 _WRAP: Final = 1 << 32

@@ -13,7 +13,7 @@ from canhaptic.canopen import objects as od
 from canhaptic.units import OnDemand, Parameters, quantity
 
 if TYPE_CHECKING:
-    from canhaptic.canopen.force_node import ForceNode
+    from canhaptic.canopen.attached_devices import ForceNode
 else:  # a sensor that is no node of its own loads nothing of it
     ForceNode = Any
 
@@ -28,7 +28,7 @@ class ForceParameters(Parameters):
 
     object: str | None = None
     """Object of the drive that shows the force, `0x3160.1` (index.subindex, hexadecimal); INTEGER16 or INTEGER32."""
-    node: Annotated[ForceNode, OnDemand("canhaptic.canopen.force_node:ForceNode")] | None = None
+    node: Annotated[ForceNode, OnDemand("canhaptic.canopen.attached_devices:ForceNode")] | None = None
     """Frame of a sensor that answers the SYNC by itself; in place of `object`."""
     per_count: Annotated[float, quantity("N", "N*m", ge=-1e6, le=1e6)]
     """Force of the hand towards +q per count (an impulse: N*s per count); negative for a sensor that counts down."""

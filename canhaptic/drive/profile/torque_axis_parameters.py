@@ -10,7 +10,7 @@ from canhaptic.errors import ParameterError
 from canhaptic.units import Name, OnDemand, Parameters, PrintablePath, PrintableText, quantity
 
 if TYPE_CHECKING:
-    from canhaptic.canopen.brake import Brake
+    from canhaptic.canopen.attached_devices import Brake
     from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
 else:  # an impedance display without a brake loads nothing of them
     Brake = Any
@@ -96,7 +96,7 @@ class TorqueAxisParameters(Parameters):
     """Arms the drive's own watchdog of the master's heartbeat (0x1016, 0x6007)."""
     reset_fault: bool = False
     """Whether the start may reset a fault of the drive; the cycle never does."""
-    brake: Annotated[Brake, OnDemand("canhaptic.canopen.brake:Brake")] | None = None
+    brake: Annotated[Brake, OnDemand("canhaptic.canopen.attached_devices:Brake")] | None = None
     """Holding brake of the axis; None: it has none."""
     drive_objects: Annotated[dict[str, int], BeforeValidator(_by_place)] = Field(default_factory=dict)
     """Values of the drive's own limits, ramps and reactions, in its units, written by the start: `{0x6065: 2000}`.

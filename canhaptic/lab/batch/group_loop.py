@@ -41,8 +41,7 @@ from canhaptic.scene.far_side import build_mechanism, build_plant
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, MechanismScene, Scene
 from canhaptic.scene.parts import check_group, loop_as_known
-from canhaptic.sim.plant import splitting, stepper
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant import AccuracyParameters, splitting, stepper
 from canhaptic.sim.plant.assembly import PlantModel
 from canhaptic.sim.plant.mechanism import SharedMechanism
 from canhaptic.sim.plant.mechanism import five_bar_linkage as five_bar

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from canhaptic.kernels import Buffer
-from canhaptic.sim.plant.accuracy_parameters import LEVELS
+from canhaptic.sim.plant import LEVELS
 from canhaptic.sim.plant.assembly import Mode
 from canhaptic.sim.plant.hybrid_automaton import matrix_of, reset_matrix
 from canhaptic.sim.plant.stepper import NONE, ModeTables

@@ -35,13 +35,11 @@ from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.far_side import build_plant, effect_of
 from canhaptic.scene.models import AxisSimulation
-from canhaptic.sim.plant import splitting, stepper
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant import AccuracyParameters, splitting, stepper
 from canhaptic.sim.plant.assembly import PlantModel, collect
-from canhaptic.sim.plant.effort_forces import RIPPLE, Bristle, Effort, bend, mean_force
 from canhaptic.sim.plant.hybrid_automaton import HybridAutomaton
 from canhaptic.sim.plant.propagator import TICKS, flow_changes
-from canhaptic.sim.plant.splitting import fixed_point, mean_torque
+from canhaptic.sim.plant.splitting import RIPPLE, Bristle, Effort, bend, fixed_point, mean_force, mean_torque
 from canhaptic.sim.plant.stepper import COUNTS, EVENTS, LIMIT, MISSING, MODE, NONE, ModeTables, StepperSettings, run
 from canhaptic.sim.plant.user import UserParameters
 

@@ -22,7 +22,7 @@ import numpy as np
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.environment import Environment, plain
 from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupMotion
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.stepped import Axis
 from canhaptic.errors import CanHapticError, ControlError
 from canhaptic.kernels import Kernel, Run, with_quick_fields
@@ -52,7 +52,7 @@ from canhaptic.lab.reference import ContinuousReference
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.models import AxisSimulation, Scene
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import UserParameters

@@ -21,8 +21,7 @@ from canhaptic.control.balance import Branch, EnergyBalance, residual
 from canhaptic.control.environments.environment import Environment
 from canhaptic.control.ledger import Ledger, LedgerSummary
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
-from canhaptic.control.passivity import ALGORITHMS, build_controller
-from canhaptic.control.passivity.controller import Controller, LoopProperties
+from canhaptic.control.passivity import ALGORITHMS, Controller, LoopProperties, build_controller
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError, ParameterError

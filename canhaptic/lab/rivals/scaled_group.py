@@ -33,7 +33,7 @@ from canhaptic.control.multi_axis.group_kernel import (
     to_motors,
     torque_held,
 )
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.internal_dissipation import solve_balance
 from canhaptic.control.passivity.stepped import HoldAccount
 from canhaptic.control.port_hamiltonian.network import Functions, NetworkTables, discrete_gradient, extension, gradient

@@ -38,7 +38,7 @@ import numpy as np
 
 from canhaptic.errors import ParameterError
 from canhaptic.own_results import FORCE, watch
-from canhaptic.sim.plant.accuracy_parameters import LEVELS
+from canhaptic.sim.plant import LEVELS
 from canhaptic.sim.plant.propagator import Array, doublings, dyadic_flows, series, smallest_step, taylor_flow
 from canhaptic.units import Parameters
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from canhaptic.errors import ParameterError
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array
 

@@ -12,10 +12,13 @@ So a guard c is at least c Phi^k w(0) - U (sum over j < k of |c Phi^j b| + |c_u|
 factor of the torque. Inside the hold it is at most slack * |y| below the lower end, with y the scaled rates of the
 state (`assembly.py`), and |y| has a bound of the same form. If the guard remains positive, the hold has no event and
 may be taken in one step. The bound is strict up to rounding, for which a part of the largest value is subtracted.
+
+`Timetable` changes modes and states at scheduled times instead of by a guard, between two steps.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from operator import add
 from typing import Any, Final
 
@@ -404,3 +407,49 @@ def _pairs(accounts: Sequence[str]) -> tuple[int, ...] | None:
     if any(len(of) > 2 for of in places):
         return None
     return tuple(place for of in places for place in (*of, zero, zero)[:2])
+
+
+_Entry = tuple[float, Callable[[], None]]
+
+
+class Timetable:
+    """Runs a scene's solver and makes the scheduled changes in between.
+
+    Args:
+        machine: Automaton whose parts change mode.
+        run: Function that moves the machine by some ticks without scheduled changes.
+
+    Attributes:
+        tick: Present tick; set before a run by a caller that advanced the machine without a change.
+    """
+
+    def __init__(self, machine: HybridAutomaton, run: Callable[[int], object]) -> None:
+        self._run, scene = run, machine.scene
+        entries: list[_Entry] = [(time, partial(machine.set_part_mode, *change)) for time, *change in scene.schedule]
+        entries += [(time, partial(machine.set_states, values)) for time, values in scene.settings]
+        ticks = [(round(time / machine.tick_time), change) for time, change in entries]
+        self._entries = sorted(ticks, key=lambda entry: entry[0])
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to tick 0."""
+        self.tick = self._done = 0
+
+    def holds_from(self, tick: int) -> int:
+        """Return the number of whole sample times after a tick without a change; at most `HOLDS`."""
+        if self._done == len(self._entries):
+            return HOLDS
+        return min(HOLDS, max(0, self._entries[self._done][0] - tick) // TICKS)
+
+    def run(self, ticks: int) -> None:
+        """Move by `ticks`, with the changes on the way."""
+        end = self.tick + ticks
+        while self._done < len(self._entries) and self._entries[self._done][0] < end:
+            tick, change = self._entries[self._done]
+            if tick > self.tick:
+                self._run(tick - self.tick)
+                self.tick = tick
+            change()
+            self._done += 1
+        self._run(end - self.tick)
+        self.tick = end

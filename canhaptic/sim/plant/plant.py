@@ -15,7 +15,7 @@ import numpy as np
 
 from canhaptic.errors import EventLimitError, OwnCodeError, ParameterError
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, LinearPart, PlantModel, Rows, collect
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.hybrid_automaton import HOLDS, AutomatonClock, HybridAutomaton
@@ -24,8 +24,8 @@ from canhaptic.sim.plant.user import PLACE, UserParameters
 from canhaptic.units import Parameters, quantity
 
 if TYPE_CHECKING:
+    from canhaptic.sim.plant.hybrid_automaton import Timetable
     from canhaptic.sim.plant.splitting import Splitting
-    from canhaptic.sim.plant.timetable import Timetable
 
 
 _tuple: Final = tuple.__new__  # makes the energies at half the cost of calling their class
@@ -147,7 +147,7 @@ class Plant(AutomatonClock):
             self._splitting = Splitting(machine, self.accuracy.substeps)
             run = self._splitting.run
         if is_timed:
-            from canhaptic.sim.plant.timetable import Timetable
+            from canhaptic.sim.plant.hybrid_automaton import Timetable
 
             self._timetable = Timetable(machine, run)
             run = self._timetable.run

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.errors import ParameterError
-from canhaptic.sim.plant.accuracy_parameters import LEVELS
+from canhaptic.sim.plant import LEVELS
 
 Array = NDArray[np.float64]
 

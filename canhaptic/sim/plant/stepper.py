@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from canhaptic.kernels import Indices
-from canhaptic.sim.plant.accuracy_parameters import LEVELS
+from canhaptic.sim.plant import LEVELS
 from canhaptic.sim.plant.propagator import TICKS, Array
 
 _ROUNDING: Final = 1e-14  # a guard is broken when it is below zero by more than this part of its largest term

@@ -21,7 +21,7 @@ from random import Random
 from typing import Annotated, ClassVar, Final, Literal
 
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Guard, LinearPart, Part, PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.effects.shaft_compliance import ShaftCompliance

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canhaptic.control.admittance.admittance_environment import AdmittanceMass
-from canhaptic.control.mass_felt import MassAsked, MassFelt
+from canhaptic.control.motion_checks import MassAsked, MassFelt
 
 T = 1e-3  # [s]
 

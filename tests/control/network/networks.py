@@ -15,7 +15,7 @@ from canhaptic.control.multi_axis.group_certificates import (
     share_by_hand,
     take_sent,
 )
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.control.port_hamiltonian.network import Damper, DoubleWell, Mass, Network, QuadraticForm, Spring
 from canhaptic.control.port_hamiltonian.sampled_network import (

@@ -8,7 +8,7 @@ import pytest
 from canhaptic.control.multi_axis.group_account import Gap, account_memory, doubt_of, doubt_of_axis, doubt_of_mover
 from canhaptic.control.multi_axis.group_certificates import axes_of, per_axis_limits
 from canhaptic.control.multi_axis.group_kernel import GroupHolds
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from tests.control.network.networks import AxesApart
 
 T, MASS, PULL = 2e-3, 0.3, 1.5

@@ -11,13 +11,13 @@ from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.control.mechanisms.transmission import Transmission
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.group_kernel import SteppedGroup, world_of
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.control.port_hamiltonian.network import Network, UserEnergy
+from canhaptic.control.port_hamiltonian.shapes import Rendered, identity_rows, linear_geometry
 from canhaptic.control.port_hamiltonian.shapes.anisotropic_spring import AnisotropicSpring
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.coupled_handles import CoupledHandles
-from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, identity_rows, linear_geometry
 from canhaptic.control.port_hamiltonian.shapes.guided_path import GuidedPath
 from canhaptic.control.port_hamiltonian.shapes.moving_wall import MovingWall
 from canhaptic.control.port_hamiltonian.shapes.sphere import Sphere

@@ -8,7 +8,7 @@ import pytest
 
 from canhaptic.control.mechanisms.five_bar import FiveBar
 from canhaptic.control.multi_axis import build_group_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.control.port_hamiltonian.shapes.moving_wall import MovingWall
 

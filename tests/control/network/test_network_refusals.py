@@ -11,7 +11,7 @@ from canhaptic.control.mechanisms.five_bar import FiveBar
 from canhaptic.control.mechanisms.kinematics import Identity, Limit
 from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.control.multi_axis import NETWORKS, build_group_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.port_hamiltonian.network import (
     Damper,
     DampingMatrix,
@@ -21,11 +21,11 @@ from canhaptic.control.port_hamiltonian.network import (
     Spring,
     UserEnergy,
 )
+from canhaptic.control.port_hamiltonian.shapes import LinearGeometry, Rendered, identity_rows
 from canhaptic.control.port_hamiltonian.shapes.anisotropic_spring import AnisotropicSpring
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.coupled_handles import CoupledHandles
 from canhaptic.control.port_hamiltonian.shapes.general import General
-from canhaptic.control.port_hamiltonian.shapes.geometry import LinearGeometry, Rendered, identity_rows
 from canhaptic.control.port_hamiltonian.shapes.guided_path import GuidedPath
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
 from canhaptic.control.port_hamiltonian.shapes.tube import Tube

@@ -10,7 +10,7 @@ from canhaptic.control.balance import Certificate
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.multi_axis import build_group_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from canhaptic.control.passivity.internal_dissipation import InternalDissipation, StoredModelParameters
 from canhaptic.control.port_hamiltonian.sampled_network import settle_network

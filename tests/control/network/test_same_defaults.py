@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS, build_group_controller
-from canhaptic.control.passivity import ALGORITHMS, build_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import ALGORITHMS, LoopProperties, build_controller
 from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
 from canhaptic.cycle import run

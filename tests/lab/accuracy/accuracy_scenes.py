@@ -6,8 +6,8 @@ import numpy as np
 
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisSimulation
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.drive import SimulatedDriveParameters
+from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tests.plant.read_effect import read_effect

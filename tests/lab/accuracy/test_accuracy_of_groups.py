@@ -28,7 +28,7 @@ from canhaptic.lab.studies.accuracy.plant_solvers import OURS
 from canhaptic.lab.studies.accuracy.study import AccuracyStudy, WallTime
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.contact import DryFriction
 from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage

@@ -20,7 +20,7 @@ from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import declared_order, simulation_of, torque_history
 from canhaptic.scene.parts import build_axis_controller
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import DirectRig, observed
 
 WALL = {"type": "spring_damper_wall", "stiffness": "500 N/m", "damping": "2 N*s/m", "position": "0 m"}

@@ -18,7 +18,7 @@ from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import simulation_of, torque_history
 from canhaptic.scene.old_forms import RELEASES
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import observed
 from tests.lab.accuracy.accuracy_scenes import FOLDER, REPOSITORY, SCENES
 from tools.accuracy_gallery import redraw

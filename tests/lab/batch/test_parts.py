@@ -6,7 +6,7 @@ import pytest
 from canhaptic.lab.batch.plants import linear_motion
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisSimulation
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tests.plant.read_effect import read_effect

@@ -11,8 +11,7 @@ import pytest
 
 from canhaptic.control.balance import Certificate
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.passivity import LITERATURE, build_controller
-from canhaptic.control.passivity.controller import LoopProperties
+from canhaptic.control.passivity import LITERATURE, LoopProperties, build_controller
 from canhaptic.control.passivity.stepped import Hold
 from canhaptic.control.passivity.unprotected import Asked
 from canhaptic.errors import ParameterError

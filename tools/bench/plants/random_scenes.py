@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters

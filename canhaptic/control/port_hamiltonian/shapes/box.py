@@ -6,8 +6,7 @@ from typing import Literal, NamedTuple
 from pydantic import model_validator
 
 from canhaptic.control.port_hamiltonian.network import Damper, Network, Spring
-from canhaptic.control.port_hamiltonian.shapes import geometry
-from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, Surface
+from canhaptic.control.port_hamiltonian.shapes import Rendered, Surface, check_length, identity_rows, linear_geometry
 from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import Coordinates
 
@@ -32,7 +31,7 @@ class Box(Surface):
 
     def build(self, dimensions: int) -> Rendered:
         """Return the box; see `NetworkEnvironment`."""
-        geometry.check_length("box", "lower", len(self.lower), dimensions)
+        check_length("box", "lower", len(self.lower), dimensions)
         if self.side == "outside":
             return self.behind(BoxInside(list(self.lower), list(self.upper), dimensions))
         springs = [
@@ -40,8 +39,8 @@ class Box(Surface):
             for low, high in zip(self.lower, self.upper, strict=True)
         ]
         dampers = [Damper(viscous=self.damping, beside=i) for i in range(dimensions)] if self.damping else []
-        rows = geometry.identity_rows(dimensions)
-        return Rendered(Network(springs, dampers, gain=rows), geometry.linear_geometry(rows, [0.0] * dimensions))
+        rows = identity_rows(dimensions)
+        return Rendered(Network(springs, dampers, gain=rows), linear_geometry(rows, [0.0] * dimensions))
 
 
 class BoxInside(NamedTuple):

@@ -3,7 +3,7 @@
 from typing import Annotated
 
 from canhaptic.control.port_hamiltonian.network import Damper, Network, Spring
-from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, linear_geometry
+from canhaptic.control.port_hamiltonian.shapes import Rendered, linear_geometry
 from canhaptic.errors import ParameterError
 from canhaptic.units import Coordinates, Parameters, quantity
 

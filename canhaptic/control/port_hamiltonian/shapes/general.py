@@ -3,7 +3,7 @@
 from pydantic import model_validator
 
 from canhaptic.control.port_hamiltonian.network import Dissipator, Network, Storage, check_rows
-from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, identity_rows, linear_geometry
+from canhaptic.control.port_hamiltonian.shapes import Rendered, identity_rows, linear_geometry
 from canhaptic.errors import ParameterError
 from canhaptic.units import Coordinates, Numbers, Parameters
 

@@ -8,7 +8,7 @@ from typing import Annotated, NamedTuple
 from pydantic import model_validator
 
 from canhaptic.control.port_hamiltonian.network import Damper, Network, Spring
-from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_length
+from canhaptic.control.port_hamiltonian.shapes import Rendered, check_length
 from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import Coordinates, Parameters, quantity
 

@@ -3,7 +3,7 @@
 import math
 from typing import Annotated
 
-from canhaptic.control.port_hamiltonian.shapes.geometry import Mover, Rendered, Surface, linear_geometry, unit_vector
+from canhaptic.control.port_hamiltonian.shapes import Mover, Rendered, Surface, linear_geometry, unit_vector
 from canhaptic.units import Numbers, quantity
 
 

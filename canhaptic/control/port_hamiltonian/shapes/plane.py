@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, Surface, linear_geometry, unit_vector
+from canhaptic.control.port_hamiltonian.shapes import Rendered, Surface, linear_geometry, unit_vector
 from canhaptic.units import Numbers, quantity
 
 

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, NamedTuple
 
-from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, Surface, check_length, radial
+from canhaptic.control.port_hamiltonian.shapes import Rendered, Surface, check_length, radial
 from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import Coordinates, quantity
 

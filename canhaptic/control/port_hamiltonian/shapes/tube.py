@@ -2,7 +2,7 @@
 
 from typing import Annotated, Final, Literal, NamedTuple
 
-from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, Surface, check_length, radial, unit_vector
+from canhaptic.control.port_hamiltonian.shapes import Rendered, Surface, check_length, radial, unit_vector
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer, Matrix
 from canhaptic.units import Coordinates, Numbers, quantity

@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import model_validator
 
 from canhaptic.control.port_hamiltonian.network import Damper, Mass, Network, Spring, Storage
-from canhaptic.control.port_hamiltonian.shapes.geometry import Rendered, check_length, identity_rows, linear_geometry
+from canhaptic.control.port_hamiltonian.shapes import Rendered, check_length, identity_rows, linear_geometry
 from canhaptic.units import Coordinates, Parameters, quantity
 
 

@@ -30,7 +30,7 @@ from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_group
 from canhaptic.scene.timing import with_loops
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.propagator import Array
 
 _TOLERANCE: Final = 1e-11

@@ -32,7 +32,7 @@ from canhaptic.lab.studies.accuracy.loop_sensitivity import finely_solved
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.method import declared_order, simulation_of, torque_history
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import Motion, observed
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array

@@ -43,7 +43,7 @@ from canhaptic.scene.method import simulation_of, torque_history
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_servo_drive
 from canhaptic.signals import SimulatedPeer
-from canhaptic.sim.plant.accuracy_parameters import AccuracyParameters
+from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import observed
 
 _CYCLES: Final = 600

@@ -21,15 +21,14 @@ from canhaptic.canopen.data_frame import DataFrame
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.canopen.objects import DataType, NmtCommand, NmtState
 from canhaptic.signals import Truth
+from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.drive.can import nmt_slave as emcy
-from canhaptic.sim.drive.can.nmt_slave import HeartbeatConsumer, HeartbeatProducer, command_for
+from canhaptic.sim.drive.can.nmt_slave import NEVER, HeartbeatConsumer, HeartbeatProducer, Timers, command_for
 from canhaptic.sim.drive.can.process_data import Content, Handler, ProcessData
 from canhaptic.sim.drive.can.sdo_server import SdoServer
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
 from canhaptic.sim.drive.profile.object_store import ObjectStore
 from canhaptic.sim.drive.profile.servo import Motor, Servo
 from canhaptic.sim.drive.profile.state_machine import DriveState
-from canhaptic.sim.drive.timers import NEVER, Timers
 
 if TYPE_CHECKING:
     from canhaptic.sim.drive.can.sensor_node import SensorNode

@@ -6,12 +6,12 @@ from typing import Any, cast
 from canopen.objectdictionary import ODVariable
 
 from canhaptic.canopen import objects
-from canhaptic.canopen.force_node import ForceNode
+from canhaptic.canopen.attached_devices import ForceNode
 from canhaptic.canopen.objects import DataType, NmtCommand, NmtState
+from canhaptic.sim.drive import AdmittanceScaling
 from canhaptic.sim.drive.can.nmt_slave import command_for
 from canhaptic.sim.drive.can.process_data import Content
 from canhaptic.sim.drive.can.sdo_server import SdoServer
-from canhaptic.sim.drive.drive_parameters import AdmittanceScaling
 from canhaptic.sim.drive.profile.object_store import ObjectStore, refuse_unless
 
 _DEVICE_TYPE = 404  # CiA profile of transducers

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from canhaptic.canopen import objects
 from canhaptic.canopen.objects import CYCLIC_SYNC_POSITION, CYCLIC_SYNC_VELOCITY, DataType, StatusBit
 from canhaptic.errors import ParameterError
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters, parse_place
+from canhaptic.sim.drive import SimulatedDriveParameters, parse_place
 from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
 from canhaptic.sim.drive.profile.servo import SENSOR_FAULT, Servo
 from canhaptic.sim.drive.profile.state_machine import STATUSWORD as STATUSWORDS

@@ -13,13 +13,13 @@ from canhaptic.canopen import objects
 from canhaptic.canopen.objects import CYCLIC_SYNC_TORQUE, HOMING, DataType, SdoAbort, StatusBit
 from canhaptic.errors import ParameterError
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.drive.drive_parameters import SimulatedDriveParameters
+from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
 from canhaptic.sim.drive.profile.state_machine import STATUSWORD as STATUSWORDS
 from canhaptic.sim.drive.profile.state_machine import DriveState, PowerCommand, StateMachine, command_of
 
 if TYPE_CHECKING:
-    from canhaptic.canopen.brake import Brake
+    from canhaptic.canopen.attached_devices import Brake
     from canhaptic.sim.drive.profile.homing import Homing
 
 

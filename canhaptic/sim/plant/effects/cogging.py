@@ -10,7 +10,7 @@ import math
 from typing import Annotated, Literal
 
 from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
-from canhaptic.sim.plant.effort_forces import DETENT, Effort, EffortForce
+from canhaptic.sim.plant.splitting import DETENT, Effort, EffortForce
 from canhaptic.units import quantity
 
 

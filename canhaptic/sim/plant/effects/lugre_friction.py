@@ -16,7 +16,7 @@ from typing import Annotated, ClassVar, Literal
 
 from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
 from canhaptic.sim.plant.contact import DryFriction
-from canhaptic.sim.plant.effort_forces import BRISTLE, Effort, EffortForce
+from canhaptic.sim.plant.splitting import BRISTLE, Effort, EffortForce
 from canhaptic.units import quantity
 
 

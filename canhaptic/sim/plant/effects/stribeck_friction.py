@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar, Literal
 
 from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
 from canhaptic.sim.plant.contact import DryFriction
-from canhaptic.sim.plant.effort_forces import FALLING, Effort, EffortForce
+from canhaptic.sim.plant.splitting import FALLING, Effort, EffortForce
 from canhaptic.units import quantity
 
 

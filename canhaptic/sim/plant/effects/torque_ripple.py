@@ -9,7 +9,7 @@ import math
 from typing import Annotated, Literal
 
 from canhaptic.sim.plant.assembly import EffectParameters, PlantModel
-from canhaptic.sim.plant.effort_forces import RIPPLE, Effort, EffortForce
+from canhaptic.sim.plant.splitting import RIPPLE, Effort, EffortForce
 from canhaptic.units import quantity
 
 

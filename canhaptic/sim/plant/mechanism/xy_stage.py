@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar, Final
 
 from canhaptic.axis_units import Motion
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.plant.accuracy_parameters import LEVELS
+from canhaptic.sim.plant import LEVELS
 from canhaptic.sim.plant.assembly import LEAST_MASS, Body, LinearPart, PlantModel, Rows
 from canhaptic.sim.plant.contact import DryFriction
 from canhaptic.sim.plant.hybrid_automaton import AutomatonClock, HybridAutomaton

@@ -1,7 +1,8 @@
-"""Force sensor that is a CAN node of its own: the frame with which it answers a SYNC, and the force in it.
+"""Devices at an axis next to its drive: a holding brake, and a force sensor that is a CAN node of its own.
 
-A CiA 404 transducer sends its process value (0x6130, 0x7130 or 0x9130) in TPDO 1, with COB-ID 0x180 + node ID. Any
-other sensor that answers a SYNC with one frame can be described in the same way.
+Of the brake: who operates it, and how long it takes. Of the sensor: the frame with which it answers a SYNC, and the
+force in it. A CiA 404 transducer sends its process value (0x6130, 0x7130 or 0x9130) in TPDO 1, with COB-ID 0x180 + node
+ID. Any other sensor that answers a SYNC with one frame can be described in the same way.
 """
 
 import struct
@@ -11,6 +12,27 @@ from pydantic import model_validator
 
 from canhaptic.canopen.objects import TPDO_BASE
 from canhaptic.units import Parameters, quantity
+
+
+class Brake(Parameters):
+    """A holding brake, such as on a vertical axis."""
+
+    by: Literal["drive", "host"] = "drive"
+    """Who operates the brake: `drive`, which releases it when enabled and sets it when disabled, or `host`, through
+    `output`."""
+    output: Annotated[int, quantity("1", ge=0, le=31)] | None = None
+    """Bit of the drive's digital outputs (0x60FE:01) that releases the brake; only with `by: host`."""
+    release_time: Annotated[float, quantity("s", ge=0.0, le=5.0)]
+    """Longest time until the brake is released; the controller sends no torque before."""
+    set_time: Annotated[float, quantity("s", ge=0.0, le=1.0)]
+    """Longest time until the brake holds; an operator's stop keeps the last torque for this long."""
+
+    @model_validator(mode="after")
+    def _has_an_output(self) -> "Brake":
+        if (self.by == "host") != (self.output is not None):
+            raise ValueError(f"output: got {self.output} with by: {self.by}, expected a bit only for by: host")
+        return self
+
 
 _LONGEST: Final = 8  # bytes of a frame
 _REAL: Final = 32  # bits of a REAL32
