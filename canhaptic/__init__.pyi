@@ -9,8 +9,8 @@ from canhaptic.control.balance import EnergyBalance as EnergyBalance
 from canhaptic.control.ledger import Ledger as Ledger
 from canhaptic.control.ledger import LedgerSummary as LedgerSummary
 from canhaptic.control.multi_axis import build_group_controller as build_group_controller
-from canhaptic.control.passivity import build_controller as build_controller
 from canhaptic.control.passivity import LoopProperties as LoopProperties
+from canhaptic.control.passivity import build_controller as build_controller
 from canhaptic.cycle import Cycle as Cycle
 from canhaptic.cycle import run as run
 from canhaptic.drive.can.background_sdo import BackgroundSdo as BackgroundSdo

@@ -419,10 +419,10 @@ def read_objects(drive: TorqueAxis) -> Iterator[Finding]:
             if error.code is None:
                 raise
             continue
-        objection = _end_cut_off(drive, place, value)
+        cut_off = _end_cut_off(drive, place, value)
         text = f"{value}" + (f", the start writes {asked[place]}" if place in asked else "")
-        verdict = Verdict.UNKNOWN if objection else Verdict.FIT
-        yield Finding(drive.sdo.describe(*place), verdict, f"{text}: {objection or meaning}")
+        verdict = Verdict.UNKNOWN if cut_off else Verdict.FIT
+        yield Finding(drive.sdo.describe(*place), verdict, f"{text}: {cut_off or meaning}")
 
 
 def _end_cut_off(drive: TorqueAxis, place: tuple[int, int], value: int) -> str:

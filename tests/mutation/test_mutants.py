@@ -49,11 +49,12 @@ SUBJECTS = {
     "limiter": Subject(
         limiter,
         specification_of_limiter.judge,
-        130,
+        110,
         equivalent={
             "TorqueLimiter.limit: torque = low if torque < low else high => "
             "torque = low if torque <= low else high": "a torque on a bound is not cut",
-            "TorqueLimiter.limit: if self._power < math.inf: => if self._power <= math.inf:": "bounds without end",
+            "TorqueLimiter.limit: if not low <= torque <= high: => "
+            "if not low <= torque < high:": "a torque on the upper bound is cut to it",
             f"{_ALONE} is None and power_limit is None => {_LONE} is ... and power_limit is None": _SHORT,
             f"{_ALONE} is None and power_limit is None => {_LONE} is None and power_limit is ...": _SHORT,
             f"{_INSIDE} -limit <= torque <= limit: => if self._is_alone and -limit < torque <= limit:": _SHORT,

@@ -89,8 +89,11 @@ def test_the_demo_loads_no_more_code_than_can_be_read() -> None:
         ("configs/hard/sim_lugre_presliding.yaml", {"simulation", "effect", "approximate effect"}),
         ("configs/two_handles.yaml", {"simulation", "impedance algorithm", "group", "kinematics", "fault of the bus"}),
         ("configs/five_bar_sphere.yaml", {"simulation", "impedance algorithm", "group", "kinematics", "mechanism"}),
-        ("configs/admittance/virtual_mass.yaml", {"simulation", "display", "effect"}),
-        ("configs/admittance/force_node.yaml", {"simulation", "display", "effect", "force node"}),
+        ("configs/admittance/virtual_mass.yaml", {"simulation", "display", "effect", "checked by its motion"}),
+        (
+            "configs/admittance/force_node.yaml",
+            {"simulation", "display", "effect", "checked by its motion", "device at the axis", "force node"},
+        ),
     ],
 )
 def test_a_scene_loads_what_it_names(scene: str, kinds: set[str]) -> None:
@@ -138,8 +141,7 @@ def test_a_real_axis_loads_no_simulation_and_no_more_code_than_can_be_read(
         modules = loaded_modules(ROOT, *words, "--set", "simulation=null", *words_of_master, duration=0.3)
     assert kinds_of(modules) == {"impedance algorithm", "override"}
     assert [name for name in modules if name.startswith("canhaptic.sim.")] == [
-        *("canhaptic.sim.plant", "canhaptic.sim.plant"),
-        *("canhaptic.sim.plant.effects", "canhaptic.sim.plant.mechanism"),
+        *("canhaptic.sim.plant", "canhaptic.sim.plant.effects", "canhaptic.sim.plant.mechanism"),
     ]  # a parameter model and two tables
     own = [name for name in modules if not name.startswith(("canhaptic.sim", "canhaptic.scene.overrides"))]
     assert code_of(ROOT, own) <= CODE_OF_A_REAL_AXIS

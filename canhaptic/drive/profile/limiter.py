@@ -1,4 +1,4 @@
-"""The independent torque limiter: after the controller, before the bus. It limits every torque and reports each cut.
+"""The independent torque limiter: after the controller, before the bus. It limits every torque.
 
 Each limit leaves an interval of torques that contains zero, so that their intersection is an interval too,
 the order of the limits does not matter, and zero is never forbidden:
@@ -11,18 +11,8 @@ the order of the limits does not matter, and zero is never forbidden:
 """
 
 import math
-from enum import IntFlag
 
 from canhaptic.errors import ControlError, ParameterError
-
-
-class Saturation(IntFlag):
-    """Which limits cut a torque; 0 when none did."""
-
-    NONE = 0
-    MAGNITUDE = 1
-    RATE = 2
-    POWER = 4
 
 
 class TorqueLimiter:
@@ -38,14 +28,12 @@ class TorqueLimiter:
         last: Torque of the last cycle after the limits [N*m or N].
         low: Least torque that the last cycle allowed, 0 or below [N*m or N]; a rounded `last` must not pass it.
         high: Largest torque that the last cycle allowed, 0 or above [N*m or N].
-        saturation: Limits that reduced that torque.
-        saturated_cycles: Number of cycles with a reduced torque so far.
 
     Raises:
         ParameterError: A limit is not positive.
     """
 
-    __slots__ = ("_is_alone", "_limit", "_power", "_step", "high", "last", "low", "saturated_cycles", "saturation")
+    __slots__ = ("_is_alone", "_limit", "_power", "_step", "high", "last", "low")
 
     def __init__(
         self,
@@ -68,10 +56,8 @@ class TorqueLimiter:
         self.reset()
 
     def reset(self) -> None:
-        """Clear the last torque and the counts."""
+        """Clear the last torque."""
         self.last = self.low = self.high = 0.0
-        self.saturation = 0
-        self.saturated_cycles = 0
 
     def limit(self, torque: float, velocity: float) -> float:
         """Return the torque [N*m or N] that may go to the drive: the nearest that all limits allow.
@@ -91,29 +77,24 @@ class TorqueLimiter:
             )
         limit, last = self._limit, self.last
         if self._is_alone and -limit <= torque <= limit:
-            self.low, self.high, self.saturation, self.last = -limit, limit, 0, torque
+            self.low, self.high, self.last = -limit, limit, torque
             return torque
-        lowest, highest = -self._step, self._step
+        low, high = -self._step, self._step
         if last > 0.0:
-            highest += last
+            high += last
         else:
-            lowest += last
-        low = lowest if lowest > -limit else -limit
-        high = highest if highest < limit else limit
-        least, most, saturation = -math.inf, math.inf, 0  # by power
-        if self._power < math.inf:
-            if velocity > 0.0:
-                most = self._power / velocity
-            elif velocity < 0.0:
-                least = self._power / velocity
-            low = least if least > low else low
+            low += last
+        low = low if low > -limit else -limit
+        high = high if high < limit else limit
+        if velocity > 0.0:
+            most = self._power / velocity
             high = most if most < high else high
+        elif velocity < 0.0:
+            least = self._power / velocity
+            low = least if least > low else low
         if not low <= torque <= high:
-            saturation = _cut(torque, ((-limit, limit), (lowest, highest), (least, most)))
             torque = low if torque < low else high
-            self.saturated_cycles += 1
-        self.low, self.high, self.saturation = low, high, saturation
-        self.last = torque
+        self.low, self.high, self.last = low, high, torque
         return torque
 
 
@@ -127,7 +108,7 @@ class DryRunLimiter(TorqueLimiter):
     __slots__ = ("withheld",)
 
     def reset(self) -> None:
-        """Clear the last torque and the counts."""
+        """Clear the last torque and the largest one."""
         super().reset()
         self.withheld = 0.0
 
@@ -140,8 +121,3 @@ class DryRunLimiter(TorqueLimiter):
         self.withheld = max(self.withheld, abs(super().limit(torque, velocity)))
         self.last = self.low = self.high = 0.0
         return 0.0
-
-
-def _cut(torque: float, intervals: tuple[tuple[float, float], ...]) -> int:
-    """Return the intervals that exclude a torque, as one bit each, in the order of `Saturation`."""
-    return sum(1 << place for place, (least, most) in enumerate(intervals) if not least <= torque <= most)

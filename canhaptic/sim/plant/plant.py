@@ -300,9 +300,12 @@ class Plant(AutomatonClock):
         if ticks == TICKS:
             self.position = self._machine.period(torque)
         else:
-            self._machine.state[-2] = torque
-            self._machine.run_free(ticks)
-            self.position = self._machine.state.item(0)
+            self._free_hold(ticks, torque)
+
+    def _free_hold(self, ticks: int, torque: float) -> None:
+        self._machine.state[-2] = torque
+        self._machine.run_free(ticks)
+        self.position = self._machine.state.item(0)
 
     def _commanded_hold(self, ticks: int, torque: float) -> None:
         duration = ticks * self.tick_time

@@ -360,11 +360,6 @@ class AdmittancePlant(Plant):
         """Move to `now` [ns]; `torque` is the velocity commanded since the last call [m/s or rad/s]."""
         super().advance_to(now, torque + self._shift if self._shift else torque)
 
-    def _free_hold(self, ticks: int, command: float) -> None:
-        self._machine.state[-2] = command
-        self._machine.run_free(ticks)
-        self.position = self._machine.state.item(0)
-
     @property
     def force(self) -> float:
         """True force on the mass at the sensor [N or N*m]."""
