@@ -15,7 +15,7 @@ import numpy as np
 
 from canhaptic.control.balance import Branch
 from canhaptic.control.damping import largest_stable_damping, least_oscillating_damping
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.control.passivity.internal_dissipation import (

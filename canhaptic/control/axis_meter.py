@@ -36,7 +36,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 
 if TYPE_CHECKING:
     from canhaptic.control.motion_checks import FrictionWatch, MassFelt

@@ -21,10 +21,10 @@ from typing import Final, NamedTuple, cast
 
 import numpy as np
 
+from canhaptic.control.environments import Environment
 from canhaptic.control.environments.coulomb_surface import CoulombSurface
 from canhaptic.control.environments.damper_wall import DamperWall
 from canhaptic.control.environments.detents import Detents
-from canhaptic.control.environments.environment import Environment
 from canhaptic.control.environments.free_space import FreeSpace
 from canhaptic.control.environments.hardening_wall import HardeningWall
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall

@@ -11,7 +11,7 @@ from random import Random
 from typing import Any, Final, NamedTuple, cast
 
 from canhaptic.axis_units import damping_unit, effort_unit
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 from canhaptic.errors import ParameterError
 from canhaptic.scene.hints import LEAN, advised_allowance
 from canhaptic.scene.models import AxisScene

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, cast
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.control.admittance import build_display_controller
 from canhaptic.control.axis_meter import Accuracy, AxisMeter, SilentMeter
-from canhaptic.control.environments.environment import Environment, plain
+from canhaptic.control.environments import Environment, plain
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.passivity import Controller, LoopProperties, build_controller
 from canhaptic.drive.axis_parameters import BusParameters

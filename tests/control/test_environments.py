@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.control.environments import ENVIRONMENTS
+from canhaptic.control.environments import ENVIRONMENTS, knows_turns, outside_of, plain
 from canhaptic.control.environments.coulomb_surface import CoulombSurface
 from canhaptic.control.environments.detents import Detents
-from canhaptic.control.environments.environment import knows_turns, outside_of, plain
 from canhaptic.control.environments.hardening_wall import HardeningWall
 from canhaptic.control.environments.own_environment import OwnEnvironment
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall

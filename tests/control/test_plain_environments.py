@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.control.environments import ENVIRONMENTS
-from canhaptic.control.environments.environment import plain
+from canhaptic.control.environments import ENVIRONMENTS, plain
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.registry import load

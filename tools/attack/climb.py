@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.control.environments.environment import Environment, plain
+from canhaptic.control.environments import Environment, plain
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from canhaptic.kernels import Buffer, Run

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final, cast
 
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS, LoopProperties
 from canhaptic.lab.batch.cases import BatchCase, many_loops

@@ -21,7 +21,7 @@ from pydantic import model_validator
 
 from canhaptic.control.admittance.port import AdmittanceProperties, Port
 from canhaptic.control.balance import AT_REST, EnergyBalance
-from canhaptic.control.environments.environment import plain
+from canhaptic.control.environments import plain
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.kernels import Buffer
 from canhaptic.units import Parameters, quantity

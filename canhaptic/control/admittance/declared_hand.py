@@ -69,7 +69,7 @@ from typing import Final, NamedTuple
 from canhaptic.control.admittance.admittance_environment import Commands
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, VelocityLoop, largest_square
-from canhaptic.control.environments.environment import plain
+from canhaptic.control.environments import plain
 
 
 class LargestForce(NamedTuple):

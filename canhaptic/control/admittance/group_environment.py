@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple, Self
 from pydantic import model_validator
 
 from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment, AdmittanceMass
-from canhaptic.control.environments.environment import plain
+from canhaptic.control.environments import plain
 from canhaptic.control.port_hamiltonian.network import dot, solve_linear
 from canhaptic.errors import ParameterError
 from canhaptic.kernels import Buffer

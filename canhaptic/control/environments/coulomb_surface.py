@@ -2,7 +2,7 @@
 
 from typing import Annotated, ClassVar
 
-from canhaptic.control.environments.environment import LinearSpring
+from canhaptic.control.environments import LinearSpring
 from canhaptic.units import quantity
 
 

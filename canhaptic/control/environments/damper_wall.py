@@ -2,7 +2,7 @@
 
 from typing import Annotated, ClassVar
 
-from canhaptic.control.environments.environment import OneSided, StoresNothing
+from canhaptic.control.environments import OneSided, StoresNothing
 from canhaptic.units import quantity
 
 

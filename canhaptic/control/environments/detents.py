@@ -3,7 +3,7 @@
 import math
 from typing import Annotated, ClassVar
 
-from canhaptic.control.environments.environment import Everywhere
+from canhaptic.control.environments import Everywhere
 from canhaptic.units import Parameters, quantity
 
 

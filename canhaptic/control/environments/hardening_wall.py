@@ -3,7 +3,7 @@
 import math
 from typing import Annotated
 
-from canhaptic.control.environments.environment import OneSided
+from canhaptic.control.environments import OneSided
 from canhaptic.units import quantity
 
 

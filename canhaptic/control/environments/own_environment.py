@@ -20,7 +20,7 @@ from weakref import WeakKeyDictionary
 
 from pydantic import model_validator
 
-from canhaptic.control.environments.environment import Everywhere, kept_on_side
+from canhaptic.control.environments import Everywhere, kept_on_side
 from canhaptic.errors import OwnCodeError
 from canhaptic.own_results import program_of
 from canhaptic.units import Parameters, quantity

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import model_validator
 
-from canhaptic.control.environments.environment import LinearSpring, kept_on_side
+from canhaptic.control.environments import LinearSpring, kept_on_side
 from canhaptic.units import quantity
 
 

@@ -3,7 +3,7 @@
 import math
 from typing import Annotated, ClassVar
 
-from canhaptic.control.environments.environment import LinearSpring
+from canhaptic.control.environments import LinearSpring
 from canhaptic.units import quantity
 
 

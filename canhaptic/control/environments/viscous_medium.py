@@ -2,7 +2,7 @@
 
 from typing import Annotated, ClassVar
 
-from canhaptic.control.environments.environment import StoresNothing
+from canhaptic.control.environments import StoresNothing
 from canhaptic.units import Parameters, quantity
 
 

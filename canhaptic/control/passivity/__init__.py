@@ -7,7 +7,7 @@ from typing import Annotated, Final, Protocol
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.certificates.scalar_bounds import HoldTiming, hold_timing
-from canhaptic.control.environments.environment import Environment, plain
+from canhaptic.control.environments import Environment, plain
 from canhaptic.registry import load, load_algorithm
 from canhaptic.units import Parameters, quantity
 

@@ -16,7 +16,7 @@ from typing import TypeAlias
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.control.certificates.certified_torque import keep, look_for_turn
 from canhaptic.control.damping import VelocityWindow, restart, update
-from canhaptic.control.environments.environment import StoresNothing
+from canhaptic.control.environments import StoresNothing
 from canhaptic.control.environments.free_space import FreeSpace
 from canhaptic.control.passivity import LoopProperties, guarded
 from canhaptic.control.passivity.guarded import book, certain_energy, end, permitted_size, start

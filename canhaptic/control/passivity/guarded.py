@@ -66,8 +66,8 @@ from canhaptic.control.certificates.certified_torque import (
 )
 from canhaptic.control.certificates.scalar_bounds import DisplacementResponse
 from canhaptic.control.damping import Alpha, damping_cap, modulated_damping, restart, update
-from canhaptic.control.environments.environment import Environment, outside_of
-from canhaptic.control.environments.environment import knows_turns as tells_turns
+from canhaptic.control.environments import Environment, outside_of
+from canhaptic.control.environments import knows_turns as tells_turns
 from canhaptic.control.passivity import LoopProperties, stepped
 from canhaptic.control.passivity.stepped import begin, clipped, efforts_inside, repeat, send, settle, towards_zero
 from canhaptic.errors import ParameterError

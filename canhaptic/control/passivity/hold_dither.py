@@ -26,7 +26,7 @@ from math import sqrt
 from typing import Final
 
 from canhaptic.control.balance import Certificate, EnergyBalance
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 

@@ -38,7 +38,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.damping import Alpha, DamperVelocity, damping_cap, modulated_damping
-from canhaptic.control.environments.environment import Environment, plain
+from canhaptic.control.environments import Environment, plain
 from canhaptic.control.passivity import LoopProperties, stepped
 from canhaptic.control.passivity.stepped import Hold, HoldAccount, begin, close_hold, open_hold, surplus_after
 from canhaptic.kernels import Kernel, Run, new

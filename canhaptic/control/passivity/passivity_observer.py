@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from canhaptic.control.balance import RunningSum, add
 from canhaptic.control.damping import DamperVelocity, damping_cap
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 from canhaptic.control.passivity import LoopProperties, unprotected
 from canhaptic.control.passivity.stepped import Hold, SteppedController
 from canhaptic.control.passivity.unprotected import Asked, Reply

@@ -17,7 +17,7 @@ from typing import Any, Generic, NamedTuple, TypeAlias
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.damping import DamperVelocity
-from canhaptic.control.environments.environment import Environment, plain
+from canhaptic.control.environments import Environment, plain
 from canhaptic.control.passivity import LoopProperties, stepped
 from canhaptic.control.passivity.stepped import Axis, Hold, HoldAccount, begin, close_hold, open_hold
 from canhaptic.kernels import GivenT, Kernel, MakeBuffer, Run, StateT, new

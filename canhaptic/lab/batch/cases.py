@@ -13,8 +13,8 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from canhaptic.control.environments import plain, plain_with
 from canhaptic.control.environments.damper_wall import DamperWall
-from canhaptic.control.environments.environment import plain, plain_with
 from canhaptic.control.environments.free_space import FreeSpace
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall

@@ -17,7 +17,7 @@ from math import inf, isfinite
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 from canhaptic.kernels import Buffer, Matrix, Run, new
 from canhaptic.lab.batch.mode_arrays import evaluate
 from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, diverge, miss, take

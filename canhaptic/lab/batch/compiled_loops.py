@@ -16,7 +16,7 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupModel, GroupMotion, why_not_world
 from canhaptic.errors import EventLimitError, InputError, ParameterError
 from canhaptic.kernels import Buffer, Kernel, Matrix, Run

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 from canhaptic.errors import ParameterError
 from canhaptic.lab.batch.cases import check_values
 from canhaptic.lab.loop.axis_loop import environment_of, viscous_friction

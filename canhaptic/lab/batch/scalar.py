@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.control.environments.environment import Environment, plain
+from canhaptic.control.environments import Environment, plain
 from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupMotion
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.stepped import Axis

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
 
 NEAR: Final = 0.05

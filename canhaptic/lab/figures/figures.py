@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 
 from canhaptic.control.balance import WEAKEST_LAST
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, diverge, take
 from canhaptic.lab.loop.admittance_loop import AdmittanceRun, felt, run_display
 from canhaptic.lab.loop.axis_loop import Array, LoopRun

@@ -9,7 +9,7 @@ from math import inf
 from typing import Final
 
 from canhaptic.control.balance import RANKS, Branch, EnergyBalance, along
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 from canhaptic.kernels import new
 
 _FREE, _START, _EXACT, _STICKY, _FALLBACK, _DEPLETED, _EXIT, _HELD = (branch.value for branch in list(Branch)[:8])

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.control.balance import Branch, EnergyBalance, residual
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 from canhaptic.control.ledger import Ledger, LedgerSummary
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.passivity import ALGORITHMS, Controller, LoopProperties, build_controller

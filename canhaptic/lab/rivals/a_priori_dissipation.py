@@ -24,7 +24,7 @@ applied in that very hold; holds are booked to the end as in `internal_dissipati
 from dataclasses import dataclass
 from typing import Literal
 
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 from canhaptic.control.passivity.internal_dissipation import (
     Storage,
     StoredModelParameters,

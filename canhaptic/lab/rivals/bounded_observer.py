@@ -20,7 +20,7 @@ from typing import Annotated, Any
 
 from canhaptic.control.balance import add
 from canhaptic.control.damping import DamperVelocity
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 from canhaptic.control.passivity import LoopProperties, unprotected
 from canhaptic.control.passivity.passivity_observer import ObserverState
 from canhaptic.control.passivity.stepped import Hold, SteppedController

@@ -16,7 +16,7 @@ from math import inf, sqrt
 
 from canhaptic.control.balance import Certificate, RunningSum, add
 from canhaptic.control.damping import DamperVelocity
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 from canhaptic.control.passivity import LoopProperties, unprotected
 from canhaptic.control.passivity.stepped import Hold, SteppedController, hold_settings, towards_zero
 from canhaptic.control.passivity.unprotected import Asked, Reply, SampledRun

@@ -4,8 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from canhaptic.control.environments import ENVIRONMENTS
-from canhaptic.control.environments.environment import plain
+from canhaptic.control.environments import ENVIRONMENTS, plain
 from canhaptic.lab.batch.cases import BatchCase
 from canhaptic.lab.batch.closed_loop import commanded, measured
 from canhaptic.lab.batch.scalar import loop_settings
