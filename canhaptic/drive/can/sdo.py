@@ -139,19 +139,16 @@ class SdoChannel:
         dictionary: Gives names, sizes and signs; an object that it lacks is read as unsigned.
         name: Name of the axis, for messages.
         timeout: Time limit of one answer [ns].
-        attempts: Number of attempts of an unanswered request.
 
     Attributes:
         changes: Writes so far, with the values before; None: not recorded.
     """
 
-    def __init__(
-        self, link: Link, node_id: int, dictionary: ObjectDictionary, name: str, timeout: int, attempts: int = ATTEMPTS
-    ) -> None:
+    def __init__(self, link: Link, node_id: int, dictionary: ObjectDictionary, name: str, timeout: int) -> None:
         self.dictionary = dictionary
         self._link, self._node_id, self._name = link, node_id, name
-        self._timeout, self._attempts = timeout, attempts
-        self._patience = f"{attempts} requests, {timeout / 1e9:g} s each"
+        self._timeout, self._attempts = timeout, ATTEMPTS
+        self._patience = f"{ATTEMPTS} requests, {timeout / 1e9:g} s each"
         self.changes: list[Written] | None = None
         self._object = b"\0\0\0"  # index and subindex of the transfer, as on the wire
         self._request = b""  # awaited for an answer; empty while none is
