@@ -29,8 +29,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
+from canhaptic.axis_units import si
 from canhaptic.errors import InputError
-from canhaptic.view.si import si
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 _MARK: Final = re.compile(

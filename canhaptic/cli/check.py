@@ -14,11 +14,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
 
-from canhaptic.axis_units import counted
+from canhaptic.axis_units import counted, si
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.cli.check_eds import WORDS
 from canhaptic.cli.options import scene_of
-from canhaptic.cli.output import write_json
 from canhaptic.drive.can.bus_budget import BusBudget, require_budget
 from canhaptic.drive.can.pdo_map import check_dictionary, choose_map
 from canhaptic.drive.profile.fitness import Finding, Verdict
@@ -31,8 +30,8 @@ from canhaptic.scene.hints import guarantee
 from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import AxisScene, Guess, Scene, refused_values, status_text, values_to_set
 from canhaptic.view.run_lines import make_console
-from canhaptic.view.si import si
 from canhaptic.view.table import Styled, Table
+from canhaptic.view.terminal import write_json
 
 
 class _HostSetting(NamedTuple):

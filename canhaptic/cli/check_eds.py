@@ -8,7 +8,6 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.cli.output import write_json
 from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan
 from canhaptic.drive.profile.admittance_parameters import Mode
 from canhaptic.drive.profile.fitness import Verdict
@@ -20,6 +19,7 @@ from canhaptic.scene.profiles import profile_of_vendor, profile_values
 from canhaptic.scene.starter import starter_scene
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.table import Cell, Styled, Table
+from canhaptic.view.terminal import write_json
 
 _COLOURS: Final = {Suitability.FIT: "green", Suitability.CONDITIONAL: "yellow", Suitability.UNFIT: "red"}
 WORDS: Final = {

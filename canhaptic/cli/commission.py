@@ -11,7 +11,6 @@ from typing import Final
 
 from canhaptic.cli.long_command import StopSignal, check_list
 from canhaptic.cli.options import check_place, scene_of
-from canhaptic.cli.output import failure, note_file, write_failure, write_file, write_json, write_note
 from canhaptic.commission.admittance_tests import REQUIRED as OF_DISPLAYS
 from canhaptic.commission.admittance_tests import commission_displays
 from canhaptic.commission.sequence import REQUIRED as OF_TORQUES
@@ -21,7 +20,7 @@ from canhaptic.errors import CanHapticError, InputError
 from canhaptic.scene.edited_text import Change, edited_scene
 from canhaptic.scene.models import CHECK_LIST, CheckItem, Scene
 from canhaptic.view.run_lines import make_console
-from canhaptic.view.terminal import visible
+from canhaptic.view.terminal import failure, note_file, visible, write_failure, write_file, write_json, write_note
 
 _TO_CORRECT: Final = 1  # exit status: the configuration differs from the rig, or the rig must not be used
 _LONGEST_LINE: Final = 4096  # bytes; a terminal hands over one line at a time

@@ -6,11 +6,11 @@ import shutil
 from pathlib import Path
 from typing import Final
 
-from canhaptic.cli.output import note_file, write_json
 from canhaptic.errors import InputError
 from canhaptic.files import FOLDERS, shipped
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.table import Table
+from canhaptic.view.terminal import note_file, write_json
 
 _COMMENT: Final = "#"
 _SENTENCE_END: Final = re.compile(r"\.\s+(?=[A-Z])")

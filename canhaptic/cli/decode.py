@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from canhaptic.cli.output import write_line, write_note
 from canhaptic.logs.bus_reader import SkippedKind, describe_skipped, read_bus_log
 from canhaptic.logs.decoder import BusDecoder
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.scene.recorded_names import Channels, describe_nodes
+from canhaptic.view.terminal import write_line, write_note
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -10,7 +10,6 @@ import can
 
 from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.options import scene_of
-from canhaptic.cli.output import write_note
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError, LinkError
 from canhaptic.host.realtime import Realtime
@@ -18,6 +17,7 @@ from canhaptic.scene.build import open_bus
 from canhaptic.scene.far_side import build_drive_group, with_effects
 from canhaptic.scene.models import NamedBus, Scene
 from canhaptic.sim.drive.can.drive_node import DriveGroup
+from canhaptic.view.terminal import write_note
 
 _LONGEST_WAIT = 50_000_000  # [ns] between two looks at the stop signal
 _POLL_PERIOD = 50_000  # [ns] between two looks at several buses that cannot be waited on together

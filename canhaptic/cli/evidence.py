@@ -16,7 +16,6 @@ from typing import Any, Final
 from canhaptic.cli.commission import dialogue_of, walk
 from canhaptic.cli.long_command import StopSignal, check_list
 from canhaptic.cli.options import scene_of
-from canhaptic.cli.output import note_file, write_file
 from canhaptic.commission.session import CommissioningLimits, Dialogue, Session
 from canhaptic.errors import InputError
 from canhaptic.scene.build import build
@@ -24,6 +23,7 @@ from canhaptic.scene.edited_text import Change, edited_text
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene, require_no_guesses
 from canhaptic.scene.overrides import split_override
+from canhaptic.view.terminal import note_file, write_file
 
 _TENTH: Final = 0.1
 _PACKAGES: Final = ("canhaptic", "python-can", "canopen", "numpy", "pydantic", "h5py")

@@ -8,11 +8,11 @@ from canhaptic.canopen import objects as od
 from canhaptic.cli.commission import dialogue_of
 from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.options import scene_of
-from canhaptic.cli.output import write_line, write_note
 from canhaptic.drive import homing
 from canhaptic.errors import InputError
 from canhaptic.scene.build import build
 from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.view.terminal import write_line, write_note
 
 _NOT_DONE = 1
 

@@ -11,7 +11,6 @@ from canhaptic.audit.recompute import recompute_all, scene_of
 from canhaptic.audit.user_checks import Checked, Outcome, check
 from canhaptic.axis_units import counted
 from canhaptic.cli.options import check_page, check_picture, check_place, require_new
-from canhaptic.cli.output import write_json
 from canhaptic.errors import InputError
 from canhaptic.files import CONVERTIBLE
 from canhaptic.logs.energy_reader import EnergyLog
@@ -20,6 +19,7 @@ from canhaptic.logs.repair import repair, require_readable
 from canhaptic.view.energy_table import inspection_report
 from canhaptic.view.run_lines import failure_text, make_console
 from canhaptic.view.run_picture import draw_energy
+from canhaptic.view.terminal import write_json
 
 _EXPORTS: Final = ("csv", "parquet", "mat", "mcap")
 

@@ -10,8 +10,8 @@ from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from canhaptic.axis_units import effort_unit
-from canhaptic.cli.output import write_note
 from canhaptic.scene.models import CHECK_LIST, AxisScene, CheckItem, Scene
+from canhaptic.view.terminal import write_note
 
 if TYPE_CHECKING:
     from canhaptic.scene.build import Experiment

@@ -18,9 +18,9 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from canhaptic.cli.options import add_arguments, table
-from canhaptic.cli.output import failure, write_failure, write_json, write_note
 from canhaptic.errors import CanHapticError, InputError, OverrideWarning
 from canhaptic.registry import nearest
+from canhaptic.view.terminal import failure, write_failure, write_json, write_note
 
 COMMANDS: Final = {name: of["about"] for name, of in table().items()}
 """Subcommand -> its description."""

@@ -4,8 +4,8 @@ import argparse
 
 from canhaptic.cli.check_eds import survey_of
 from canhaptic.cli.options import check_place
-from canhaptic.cli.output import note_file, write_file, write_line
 from canhaptic.scene.starter import starter_scene
+from canhaptic.view.terminal import note_file, write_file, write_line
 
 
 def execute(arguments: argparse.Namespace) -> int:

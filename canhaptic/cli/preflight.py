@@ -4,10 +4,10 @@ import argparse
 from typing import Final
 
 from canhaptic.cli.options import scene_of
-from canhaptic.cli.output import write_json
 from canhaptic.host.socketcan_state import PreflightFinding, preflight
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.table import Styled, Table
+from canhaptic.view.terminal import write_json
 
 _REFUSED: Final = 1
 _COLOURS: Final = {"well": "green", "note": "yellow", "refused": "red"}

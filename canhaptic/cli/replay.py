@@ -6,7 +6,6 @@ from rich.text import Text
 
 from canhaptic.audit.recompute import scene_of as scene_of_log
 from canhaptic.cli.options import scene_of
-from canhaptic.cli.output import write_json
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import describe_skipped
 from canhaptic.logs.energy_reader import EnergyLog
@@ -14,6 +13,7 @@ from canhaptic.logs.repair import require_readable
 from canhaptic.replay import FrameWords, ReplayResult, replay_bus_log
 from canhaptic.view.energy_table import energy_report
 from canhaptic.view.run_lines import make_console
+from canhaptic.view.terminal import write_json
 
 
 def execute(arguments: argparse.Namespace) -> int:

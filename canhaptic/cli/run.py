@@ -12,12 +12,11 @@ from typing import Final
 from canhaptic.axis_units import effort_unit
 from canhaptic.cli.long_command import StopSignal, notes, walls_first
 from canhaptic.cli.options import check_picture, require_new, scene_of
-from canhaptic.cli.output import failure, note_file, write_failure, write_json, write_line, write_note
 from canhaptic.errors import CanHapticError, ParameterError
 from canhaptic.result import RunResult
 from canhaptic.scene.build import Experiment, build, logs_elsewhere
 from canhaptic.scene.models import Scene, require_no_guesses
-from canhaptic.view.terminal import run_progress
+from canhaptic.view.terminal import failure, note_file, run_progress, write_failure, write_json, write_line, write_note
 
 _NOT_PASSIVE: Final = 1  # exit status of --strict
 _LARGE: Final = 0.01  # energy allowance that needs --large-allowance [J]

@@ -2,8 +2,8 @@
 
 import argparse
 
-from canhaptic.cli.output import write_json
 from canhaptic.scene.json_schema import scene_schema
+from canhaptic.view.terminal import write_json
 
 
 def execute(arguments: argparse.Namespace) -> int:

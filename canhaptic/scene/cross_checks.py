@@ -15,9 +15,8 @@ from canhaptic.host.interfaces import interface_faults
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation
 from canhaptic.scene.layout import bus_section
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import AxisScene, Scene, rests_on_hand_force
 from canhaptic.scene.parts import build_axis_controller, build_group
-from canhaptic.scene.timing import rests_on_hand_force
 from canhaptic.units import shown
 
 

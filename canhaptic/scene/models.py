@@ -154,6 +154,11 @@ def task_unit(kinematics: str, motor_unit: UnitT) -> UnitT | Literal["m"]:
     return "m" if kinematics in _MOVES_IN_METRES else motor_unit
 
 
+def rests_on_hand_force(passivity: ComponentSpec) -> bool:
+    """Whether an algorithm certifies torques for a hand of bounded force."""
+    return getattr(passivity.parameters, "hand_force", None) is not None
+
+
 CheckItem = Literal["motor_data", "dry_run", "torque", "zero", "limits", "brake", "sto", "emergency_stop"]
 CHECK_LIST: Final[Mapping[CheckItem, str]] = {
     "motor_data": "motor data and current limit are set with the vendor's tool",

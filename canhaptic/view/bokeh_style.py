@@ -10,7 +10,7 @@ from typing import Final
 from bokeh.models import CustomJSHover, CustomJSTickFormatter, HoverTool, Range
 from bokeh.plotting import figure
 
-from canhaptic.view.si import prefixes_of
+from canhaptic.axis_units import prefixes_of
 
 _TOOLS: Final = "xpan,xwheel_zoom,xbox_zoom,reset,save"
 _PREFIX: Final = """

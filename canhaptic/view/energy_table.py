@@ -8,7 +8,7 @@ from typing import Final
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from canhaptic.axis_units import counted, damping_unit, effort_unit
+from canhaptic.axis_units import counted, damping_unit, effort_unit, si
 from canhaptic.control.verdict import PASSIVE_TOLERANCE, Verdict
 from canhaptic.view.run_lines import (
     Result,
@@ -21,7 +21,6 @@ from canhaptic.view.run_lines import (
     ordered,
     rests_on,
 )  # fmt: skip
-from canhaptic.view.si import si
 from canhaptic.view.table import Cell, Styled, Table, in_lines
 
 _HEAD_WIDTH: Final = 18  # of the name of a port above its figures; longer ones go on in the next line

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from canhaptic.audit.inspection import rows_to_draw
-from canhaptic.axis_units import counted
+from canhaptic.axis_units import counted, si
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
 from canhaptic.signals import CycleTiming
@@ -20,7 +20,6 @@ from canhaptic.view.picture_style import BLUE, GREEN, PURPLE, VERMILION, drawing
 from canhaptic.view.run_lines import failure_text, first_active
 from canhaptic.view.run_picture import draw_energy
 from canhaptic.view.series import FAULTS, decimate, losses
-from canhaptic.view.si import si
 from canhaptic.view.table import Table
 
 if TYPE_CHECKING:

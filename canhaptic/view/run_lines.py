@@ -10,9 +10,8 @@ from rich.segment import Segment
 from rich.table import Table as TerminalTable
 from rich.text import Text
 
-from canhaptic.axis_units import counted, mass_unit
+from canhaptic.axis_units import counted, mass_unit, si
 from canhaptic.control.verdict import NO_PULL, Headline, PortResult
-from canhaptic.view.si import si
 from canhaptic.view.terminal import visible
 
 _INDENT: Final = "    "

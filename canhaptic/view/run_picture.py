@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from canhaptic.audit.inspection import contacts, rows_between, rows_to_draw
-from canhaptic.axis_units import counted
+from canhaptic.axis_units import counted, si
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
 from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, OVERLAID, VERMILION, drawing, save_picture, scale_of
 from canhaptic.view.series import TaskPlane, decimate, decimate_together, faults_of, notches_of, task_plane
-from canhaptic.view.si import si
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,7 +11,7 @@ from bokeh.layouts import column
 from bokeh.models import BoxAnnotation, ColumnDataSource, DataRange1d, Div, HoverTool, Range, Span
 from bokeh.plotting import figure
 
-from canhaptic.axis_units import counted
+from canhaptic.axis_units import counted, si
 from canhaptic.logs.decoder import state_text
 from canhaptic.logs.hdf5 import Array
 from canhaptic.result import with_groups
@@ -19,7 +19,6 @@ from canhaptic.view.bokeh_style import add_hover, finished, new_panel
 from canhaptic.view.html_page import verdict_bar
 from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION
 from canhaptic.view.series import FAULTS, LiveLog, News, PortFacts, decimate_together
-from canhaptic.view.si import si
 
 _POINTS: Final = 6000  # kept per line
 _BUCKETS: Final = 250  # per look; about twice as many rows

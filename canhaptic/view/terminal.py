@@ -1,20 +1,24 @@
-"""Safe output on a terminal: control characters are escaped, and progress never delays a cycle.
+"""Output of a command: results go to standard output; notes, errors and progress to standard error.
 
-Progress goes to standard error, for tasks longer than a second. A run at real pace writes a short line twice a second,
-and only if that does not block. A run at free pace shows a bar on a terminal or in a notebook, else a line every five
-seconds. No thread is started.
+Control characters in a text are escaped, and progress never delays a cycle. Progress is for tasks longer than a second.
+A run at real pace writes a short line twice a second, and only if that does not block. A run at free pace shows a bar
+on a terminal or in a notebook, else a line every five seconds. No thread is started.
 """
 
+import json
+import math
 import os
 import select
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from io import UnsupportedOperation
 from itertools import chain
-from typing import TYPE_CHECKING, Final, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from canhaptic.drive.clock import WallClock
+from canhaptic.errors import CanHapticError, InputError, SceneError
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -31,6 +35,64 @@ _SHOWN: Final = {code: f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" fo
 def visible(text: str) -> str:
     r"""Return a text with its control characters escaped (`\x1b`), except line ends and tabs."""
     return text if text.isprintable() else text.translate(_SHOWN)
+
+
+def write_json(value: Any) -> None:
+    """Write one JSON object to standard output; numbers that JSON lacks (inf, nan) become null."""
+    sys.stdout.write(json.dumps(_finite(value), indent=2, allow_nan=False) + "\n")
+
+
+def write_line(text: str = "") -> None:
+    """Write one line to standard output, with control characters escaped."""
+    sys.stdout.write(visible(text) + "\n")
+
+
+def write_note(text: str) -> None:
+    """Write one line to standard error, with control characters escaped."""
+    sys.stderr.write(visible(text) + "\n")
+    sys.stderr.flush()
+
+
+def note_file(what: str, path: Path) -> None:
+    """Note on standard error that a file was written."""
+    write_note(f"  {what:<10}  {path}")
+
+
+def write_file(path: Path, text: str) -> None:
+    """Write a text as UTF-8.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    from canhaptic.host.output_files import replacing
+
+    try:
+        with replacing(path) as file:
+            file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); name another file") from error
+
+
+def write_failure(error: CanHapticError) -> None:
+    """Write an error to standard error: one line, or one line per fault."""
+    text = str(error)
+    write_note(f"canhaptic: errors:\n{text}" if "\n" in text else f"canhaptic: error: {text}")
+
+
+def failure(error: CanHapticError) -> dict[str, Any]:
+    """Return an error as plain values."""
+    faults = list(error.faults) if isinstance(error, SceneError) else [str(error)]
+    return {"status": "error", "error": type(error).__name__, "exit_status": error.exit_status, "faults": faults}
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
 
 
 _FIRST: Final = 1_000_000_000  # [ns]

@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from canhaptic.axis_units import si
 from canhaptic.control.verdict import add_verdicts
 from canhaptic.view.energy_table import _events_table, energy_report
 from canhaptic.view.run_lines import brief_report, make_console
-from canhaptic.view.si import si
 
 
 def port(factor: float = 1.0) -> dict[str, object]:

@@ -4,12 +4,11 @@ import argparse
 
 from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.options import scene_of
-from canhaptic.cli.output import write_file, write_note
 from canhaptic.lab.commands.results import check_files, show, write_files
 from canhaptic.lab.studies.accuracy.accuracy_table import accuracy_report, markdown
 from canhaptic.lab.studies.accuracy.study import UNITS, study_accuracy
 from canhaptic.scene.method import dear_holds
-from canhaptic.view.terminal import run_progress
+from canhaptic.view.terminal import run_progress, write_file, write_note
 
 
 def execute(arguments: argparse.Namespace) -> int:

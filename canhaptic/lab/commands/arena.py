@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Final
 
 from canhaptic.cli.long_command import StopSignal
-from canhaptic.cli.output import note_file, write_file, write_note
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.lab.commands.results import scene_progress, show
 from canhaptic.lab.render.arena_picture import pictures_of, write_arena_page
@@ -16,6 +15,7 @@ from canhaptic.lab.studies.arena import ArenaPlan, ArenaStore, run_arena, scenes
 from canhaptic.lab.studies.runner import pool_of
 from canhaptic.view.picture_style import require_matplotlib
 from canhaptic.view.table import Table
+from canhaptic.view.terminal import note_file, write_file, write_note
 
 STORE: Final = "cases"
 

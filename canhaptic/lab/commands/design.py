@@ -3,7 +3,6 @@
 import argparse
 
 from canhaptic.cli.options import scene_of
-from canhaptic.cli.output import write_note
 from canhaptic.lab.commands.results import scene_progress, show
 from canhaptic.lab.render.design_report import design_report, snippet
 from canhaptic.lab.studies.compare import are_displays
@@ -11,6 +10,7 @@ from canhaptic.lab.studies.design.admittance_design import display_design_report
 from canhaptic.lab.studies.design.wall import design
 from canhaptic.lab.studies.runner import Progress
 from canhaptic.scene.method import plant_errors
+from canhaptic.view.terminal import write_note
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -4,12 +4,12 @@ import argparse
 from math import isnan
 from typing import Final
 
-from canhaptic.cli.output import write_json, write_line, write_note
 from canhaptic.lab.commands.results import check_files, write_files
 from canhaptic.lab.render.map_picture import draw_map, write_map
 from canhaptic.lab.studies.map import Chosen, Lines, Panel, fields_of, panels_of, passing_share, usual_judgement
 from canhaptic.lab.studies.sweep.chunk import UNRENDERED, UNTOUCHED
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable
+from canhaptic.view.terminal import write_json, write_line, write_note
 
 _WALLS: Final = (
     " walls: those tried, with the scene's hand and without reserve; `design` searches further and keeps a reserve;\n"

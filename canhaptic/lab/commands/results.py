@@ -11,10 +11,10 @@ from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from canhaptic.cli.options import check_page, check_picture, check_place
-from canhaptic.cli.output import note_file, write_json
 from canhaptic.drive.clock import WallClock
 from canhaptic.lab.studies.runner import Progress as Scenes
 from canhaptic.view.run_lines import make_console
+from canhaptic.view.terminal import note_file, write_json
 
 _FILES: Final = {"png": ("picture", check_picture), "html": ("page", check_page), "markdown": ("tables", check_place)}
 """Argument -> kind of file, and the check that it can be written."""

@@ -9,12 +9,12 @@ from typing import Final
 
 from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.options import scene_of
-from canhaptic.cli.output import note_file, write_note
 from canhaptic.errors import InputError
 from canhaptic.lab.commands.results import scene_progress, show
 from canhaptic.lab.studies.runner import Pool, Progress, dask_executor, pool_of
 from canhaptic.lab.studies.sweep.run_sweep import sweep
 from canhaptic.lab.studies.sweep.sweep_table import SweepTable, summary, summary_report
+from canhaptic.view.terminal import note_file, write_note
 
 _OPTIONS: Final = (
     "resume", "force", "controllers", "seed", "duration", "cycles", "metrics", "engine", "chunk", "beyond_bus",

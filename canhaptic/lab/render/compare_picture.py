@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.axis_units import counted, effort_unit
+from canhaptic.axis_units import counted, effort_unit, si
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
@@ -19,7 +19,6 @@ from canhaptic.lab.studies.compare import AxisComparison, Comparison
 from canhaptic.view import picture_style as style
 from canhaptic.view.picture_style import GREEN, VERMILION, save_picture
 from canhaptic.view.series import decimate
-from canhaptic.view.si import si
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,11 +10,10 @@ from typing import Any, Final, NamedTuple
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from canhaptic.axis_units import counted, damping_unit, effort_unit
+from canhaptic.axis_units import counted, damping_unit, effort_unit, si
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.lab.figures.figures import CONTINUOUS, METRICS, Figure
 from canhaptic.view.run_lines import rests_on
-from canhaptic.view.si import si
 from canhaptic.view.table import Cell, Styled, Table
 
 _Account = Mapping[str, Any]

@@ -4,10 +4,9 @@ import yaml
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from canhaptic.axis_units import damping_unit, effort_unit, stiffness_unit
+from canhaptic.axis_units import damping_unit, effort_unit, si, stiffness_unit
 from canhaptic.lab.studies import Row
 from canhaptic.view.run_lines import rests_on
-from canhaptic.view.si import si
 from canhaptic.view.table import Table
 
 

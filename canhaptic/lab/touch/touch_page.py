@@ -12,7 +12,7 @@ from bokeh.events import Pan, PanStart
 from bokeh.layouts import column, row
 from bokeh.plotting import figure
 
-from canhaptic.axis_units import effort_unit
+from canhaptic.axis_units import effort_unit, si
 from canhaptic.control.verdict import PASSIVE_TOLERANCE, passive_verdict
 from canhaptic.errors import CanHapticError
 from canhaptic.lab.loop.axis_loop import Array
@@ -22,7 +22,6 @@ from canhaptic.view.bokeh_style import finished, new_panel, si_ticks
 from canhaptic.view.html_page import verdict_bar
 from canhaptic.view.picture_style import BLUE, GREY, PALE, VERMILION
 from canhaptic.view.series import decimate
-from canhaptic.view.si import si
 
 _COLOURS: Final = (VERMILION, BLUE)
 _DELAYS: Final = {"event": "no delay", "synchronous": "one sample late"}

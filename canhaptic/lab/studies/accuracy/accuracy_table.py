@@ -12,13 +12,12 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from canhaptic.axis_units import effort_unit
+from canhaptic.axis_units import effort_unit, si
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy.admittance_accuracy import display_accuracy_table, display_heading
 from canhaptic.lab.studies.accuracy.plant_solvers import FLOOR, OURS
 from canhaptic.sim.plant.propagator import Array
-from canhaptic.view.si import si
 from canhaptic.view.table import Cell, Styled, Table
 
 PLANT_HEADS: Final = (

@@ -24,7 +24,7 @@ from typing import Any, Final, cast
 
 import numpy as np
 
-from canhaptic.axis_units import mass_unit
+from canhaptic.axis_units import mass_unit, si
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.drive.clock import WallClock
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
@@ -39,7 +39,6 @@ from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation, SimulatedForceSensor
-from canhaptic.view.si import si
 from canhaptic.view.table import Table
 
 HEADS: Final = ("changed", "to", "position", "energy", "mass felt", "given out", "guard acts", "us per\ncycle")

@@ -26,10 +26,10 @@ from canhaptic.lab.judge.reference_model import MotionError
 from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.reference import ContinuousMotion, continuous_run, textbook_model
 from canhaptic.lab.studies import Row
+from canhaptic.scene.load import with_loops
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_group
-from canhaptic.scene.timing import with_loops
 from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.propagator import Array
 

@@ -15,7 +15,7 @@ import yaml
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from canhaptic.axis_units import mass_unit
+from canhaptic.axis_units import mass_unit, si
 from canhaptic.control.admittance.admittance_environment import AdmittanceMass
 from canhaptic.control.admittance.group_environment import GroupMass, PathMass
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
@@ -28,7 +28,6 @@ from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.displays import display_properties
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
-from canhaptic.view.si import si
 
 _HANDS: Final = ((1.0, 1.0), (0.3, 1.0), (3.0, 1.0), (1.0, 0.3), (1.0, 3.0))
 """Hands that are tried: (mass at the grip, stiffness of the hand), as multiples of the scene's."""

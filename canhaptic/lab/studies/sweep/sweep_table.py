@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from canhaptic.axis_units import si
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import LogFormatError
 from canhaptic.lab.figures.figures import outcomes
@@ -29,7 +30,6 @@ from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.store import Store, create_store
 from canhaptic.lab.studies.sweep.chunk import COMPLETED, ENGINES, RADIUS, STATUS, UNRENDERED, UNTOUCHED, ChunkResult
 from canhaptic.lab.studies.sweep.vary import CONTROLLER, Column, Points, Varied
-from canhaptic.view.si import si
 from canhaptic.view.table import Table
 
 _KIND: Final = "sweep"
