@@ -36,7 +36,7 @@ from canhaptic.result import RunResult, run_result
 from canhaptic.scene import parts
 from canhaptic.scene.build import build_loss_meters, open_bus, private_channel
 from canhaptic.scene.models import Scene
-from canhaptic.scene.recorded_names import Channels, describe_nodes
+from canhaptic.scene.scene_logs import Channels, describe_nodes
 
 _ENABLE_BITS: Final = int(od.Controlword.ENABLE_OPERATION)
 
@@ -540,7 +540,7 @@ class OpenReplay:
             rig, parts.build_axis_controllers(scene), groups=groups, axis_meters=known, loss_meters=meters
         )
         if scene.run.code_runs_in == "process":
-            from canhaptic.scene.code_process import ask_in_cycle
+            from canhaptic.scene.own_code import ask_in_cycle
 
             ask_in_cycle(scene, self.cycle)
 

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import yaml
 
+from canhaptic.audit.recompute import GONE_KEYS, OLD_ALGORITHMS, OLD_KEYS
 from canhaptic.scene.document import compose
-from canhaptic.scene.old_forms import GONE_KEYS, OLD_ALGORITHMS, OLD_KEYS
 
 
 class Edit(NamedTuple):

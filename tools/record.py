@@ -28,7 +28,7 @@ from canhaptic.scene.far_side import build_drive_group
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_axis_controllers, build_servo_drive
-from canhaptic.scene.recorded_names import describe_nodes
+from canhaptic.scene.scene_logs import describe_nodes
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 FOLDER: Final = ROOT / "tests" / "recordings"

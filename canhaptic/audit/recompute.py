@@ -1,10 +1,14 @@
-"""Recomputation of a log: its controllers get the logged inputs again, and every output must agree bit for bit."""
+"""Recomputation of a log: its controllers get the logged inputs again, and every output must agree bit for bit.
+
+The scene of the run is found by the hash of its configuration, which for the log of an earlier release is that of the
+names and keys of that release. `tools/convert_scene.py` converts a scene of an earlier release to those of this one.
+"""
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple, TypedDict
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypedDict, get_args
 
 import numpy as np
 
@@ -182,7 +186,6 @@ def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = F
         InputError: The scene cannot be read, differs from the scene of the run, or names user code that has changed.
     """
     from canhaptic.scene.load import load_scene
-    from canhaptic.scene.old_forms import RELEASES, overrides_now
     from canhaptic.scene.own_code import require_same_code
 
     overrides = log.decoded("config_overrides", list[str]())
@@ -195,11 +198,92 @@ def scene_of(log: EnergyLog, config: Path | None = None, *, allow_code: bool = F
     resolved = log.decoded("config_resolved", dict[str, dict[str, str]]())
     require_same_code(scene.own_code, resolved.get("own_code", {}), str(log.path))
     if resolved.get("run", {}).get("code_runs_in") == "process":
-        from canhaptic.scene.code_process import apart
+        from canhaptic.scene.own_code import apart
 
         scene = apart(replace(scene, run=scene.run.model_copy(update={"code_runs_in": "process"})))
-    if log.attributes.get("config_hash") not in [scene.config_hash(release, resolved) for release in (None, *RELEASES)]:
+    hashes = [scene.config_hash(), *(earlier_hash(scene, release, resolved) for release in RELEASES)]
+    if log.attributes.get("config_hash") not in hashes:
         raise InputError(
             f"{path}: is not the scene of {log.path}, or was changed since; name the right one with --config"
         )
     return scene
+
+
+# --- logs of earlier releases -----------------------------------------------------------------------------------------
+
+
+OLD_KEYS: Final = {"lead": "prediction_holds", "credit": "energy_allowance", "lost_frames": "max_consecutive_losses"}
+"""Key of `passivity` in release 0.1 -> its name in release 0.2."""
+OLD_ALGORITHMS: Final = {"direct": "unprotected", "original": "a_priori_dissipation"}
+"""Algorithm of an axis in release 0.1 -> its name now."""
+GONE_KEYS: Final = ("compiled", "prediction_holds", "may_cut")
+"""Keys of `passivity` and `simulation` that were removed."""
+_Plain = dict[str, Any]
+"""A section of the configuration in effect, as JSON values."""
+Release = Literal["0.1", "0.2"]
+RELEASES: Final[tuple[Release, ...]] = get_args(Release)
+"""Earlier releases whose logs can be compared with their scenes."""
+_GONE: Final[dict[str, dict[str, _Plain]]] = {
+    "axes": {"guarded": {"prediction_holds": 0.75}},
+    "groups": {"": {"compiled": False}, "guarded": {"prediction_holds": 0.5, "may_cut": False}},
+}
+"""Owner -> algorithm ("" for all) -> removed key of `passivity` -> its default in release 0.2."""
+_SECTION: Final = "passivity"
+_SELECTOR: Final = "algorithm"
+
+
+def overrides_now(overrides: Iterable[str]) -> list[str]:
+    """Return overrides of an earlier release with today's names and without removed keys."""
+    found = []
+    for text in overrides:
+        path, equals, value = text.partition("=")
+        *owner, key = path.strip().split(".")
+        if owner[-1:] == [_SECTION]:
+            key = OLD_KEYS.get(key, key)
+            value = OLD_ALGORITHMS.get(value.strip(), value) if key == _SELECTOR else value
+        if not (owner[-1:] in ([_SECTION], ["simulation"]) and key in GONE_KEYS):
+            found.append(f"{'.'.join((*owner, key))}{equals}{value}")
+    return found
+
+
+def earlier_hash(scene: "Scene", release: Release, logged: Mapping[str, Any] | None = None) -> str:
+    """Return the hash that an earlier release would write into a log of a scene.
+
+    Args:
+        scene: Scene as loaded by this release.
+        release: Release that wrote the log.
+        logged: Configuration in effect in the log, for the values of removed keys; None: their defaults.
+    """
+    from canhaptic.scene.models import LATER_LOOP_KEYS, hash_of
+
+    old, logged = scene.hashed(), logged or {}
+    if old["simulation"] is not None:
+        old["simulation"]["compiled"] = (logged.get("simulation") or {}).get("compiled", False)
+    displays = {name for name, axis in old["axes"].items() if "admittance" in axis}
+    for kind, gone in _GONE.items():
+        for name, owner in old.get(kind, {}).items():
+            if not displays.intersection(owner.get("axes", (name,))):
+                then = logged.get(kind, {}).get(name, {}).get(_SECTION, {})
+                _put_gone(owner[_SECTION], gone, {OLD_KEYS.get(key, key): value for key, value in then.items()})
+    return hash_of(old if release == "0.2" else _in_old_names(old, LATER_LOOP_KEYS))
+
+
+def _put_gone(section: _Plain, gone: Mapping[str, Mapping[str, Any]], then: Mapping[str, Any]) -> None:
+    """Add the keys to a section `passivity` that its algorithm had then, in place."""
+    for algorithm in ("", section[_SELECTOR]):
+        section |= {key: then.get(key, default) for key, default in gone.get(algorithm, {}).items()}
+
+
+def _in_old_names(old: _Plain, later: Collection[str]) -> _Plain:
+    """Change a configuration to the names and keys of release 0.1, in place."""
+    keys, algorithms = ({new: name for name, new in table.items()} for table in (OLD_KEYS, OLD_ALGORITHMS))
+    for owner in (*old["axes"].values(), *old.get("groups", {}).values()):
+        section = {keys.get(key, key): value for key, value in owner[_SECTION].items()}
+        section[_SELECTOR] = algorithms.get(section[_SELECTOR], section[_SELECTOR])
+        if section.get("hand_push") == section.get("hand_force"):
+            section.pop("hand_push", None)
+        owner[_SECTION] = section
+    for axis in old["axes"].values():
+        axis["loop"] = {key: value for key, value in axis["loop"].items() if key not in later}
+        axis["loop"]["device_damping_bound"] = axis["loop"]["device_damping_bound"] or None
+    return old

@@ -25,7 +25,7 @@ from canhaptic.meters import RunMeters, promise_of
 from canhaptic.result import Verdicts, overall, port_account, with_groups
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_axis_controllers, build_axis_groups, build_axis_meters
-from canhaptic.scene.recorded_names import Channels
+from canhaptic.scene.scene_logs import Channels
 from canhaptic.signals import Sample
 
 

@@ -11,7 +11,7 @@ from canhaptic.logs.bus_reader import SkippedKind, describe_skipped, read_bus_lo
 from canhaptic.logs.decoder import BusDecoder
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
-from canhaptic.scene.recorded_names import Channels, describe_nodes
+from canhaptic.scene.scene_logs import Channels, describe_nodes
 from canhaptic.view.terminal import write_line, write_note
 
 

@@ -40,7 +40,7 @@ from canhaptic.signals import SimulatedPeer, Truth
 
 if TYPE_CHECKING:
     from canhaptic.logs.writer_process import BusLogWriter, EnergyLogWriter
-    from canhaptic.scene.code_process import CodeProcess
+    from canhaptic.scene.own_code import CodeProcess
     from canhaptic.sim.bus.faulty_bus import FaultyBus
     from canhaptic.sim.drive.can.drive_node import DriveGroup, Drives
     from canhaptic.sim.plant.plant import Plant
@@ -224,7 +224,7 @@ class Experiment:
         self.bus_log: BusLogWriter | None = None
         if not (energy_log or bus_log):
             return
-        from canhaptic.scene.log_writers import open_bus_log, open_energy_log
+        from canhaptic.scene.scene_logs import open_bus_log, open_energy_log
 
         scene, pace, lose = self.scene, self.pace, self._lose_log
         if energy_log:
@@ -239,7 +239,7 @@ class Experiment:
         run = self.scene.run
         if run.guard is not None or run.code_runs_in != "process" or not any(a.guard for a in self.scene.axes):
             return None
-        from canhaptic.scene.code_process import CodeProcess
+        from canhaptic.scene.own_code import CodeProcess
 
         code = CodeProcess(self.scene, self.cycle, self.pace)
         stack.callback(code.close)
@@ -348,7 +348,7 @@ def build(
         require_torque_axis(axis)  # before a log is made
     logs = (None if path is None else Path(path) for path in (energy_log, bus_log))
     if scene.own_code:
-        from canhaptic.scene.code_process import apart, require_law
+        from canhaptic.scene.own_code import apart, require_law
 
         require_law(scene)
         scene = apart(scene)

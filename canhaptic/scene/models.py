@@ -97,7 +97,6 @@ class LogParameters(Parameters):
 
 
 if TYPE_CHECKING:
-    from canhaptic.scene.old_forms import Release
     from canhaptic.sim.bus.faulty_bus import BusEffects
     from canhaptic.sim.drive import SimulatedDriveParameters
     from canhaptic.sim.plant.mechanism.task_hand import TaskHand
@@ -464,17 +463,16 @@ class Scene:
             **({"own_code": dict(self.own_code)} if self.own_code else {}),
         }
 
-    def config_hash(self, release: "Release | None" = None, logged: Mapping[str, Any] | None = None) -> str:
+    def config_hash(self) -> str:
         """Return the SHA-256 of the configuration in effect, dictionaries by content.
-
-        Args:
-            release: Earlier release, in whose form the configuration is hashed; None for this one.
-            logged: Configuration in effect in the log of that release, for the values of keys removed since; None:
-                their defaults.
 
         It does not depend on comments, the order of keys, log paths, the folder of the dictionaries, or on whether an
         automatic accuracy was already chosen. Absent keys that are newer than the first release do not change it.
         """
+        return hash_of(self.hashed())
+
+    def hashed(self) -> dict[str, Any]:
+        """Return the configuration in effect in the form of which `config_hash` is the hash."""
         resolved = self.resolved()
         del resolved["log"], resolved["run"]["confirmed"]
         resolved["run"] = {
@@ -496,12 +494,12 @@ class Scene:
                 _drop(owner, path, unchanged)
         if self.auto_accuracy is not None:
             del resolved["accuracy"]["chosen"]
-        if release is not None:
-            from canhaptic.scene.old_forms import in_form_of
+        return resolved
 
-            resolved = in_form_of(release, resolved, LATER_LOOP_KEYS, logged or {})
-        canonical = json.dumps(resolved, sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(canonical.encode()).hexdigest()
+
+def hash_of(configuration: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a configuration, given as plain values."""
+    return hashlib.sha256(json.dumps(configuration, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def _drop(plain: dict[str, Any], path: str, values: tuple[object, ...]) -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from canhaptic.logs.decoder import BusDecoder
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.recorded_names import describe_nodes
+from canhaptic.scene.scene_logs import describe_nodes
 from tests.view import typed
 
 ROOT = Path(__file__).parents[2]

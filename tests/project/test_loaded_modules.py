@@ -32,7 +32,7 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
     "force node": ("sim.drive.can.sensor_node",),
     "impedance algorithm": ("control.passivity.guarded", "control.certificates.certified_torque"),
     "own code": ("scene.own_code",),
-    "log": ("logs.bus_", "logs.columns", "logs.energy_", "logs.ring", "logs.writer", "scene.log_writers"),
+    "log": ("logs.bus_", "logs.columns", "logs.energy_", "logs.ring", "logs.writer", "scene.scene_logs"),
     "fault of the bus": ("sim.bus.faulty_bus",),
     "drive profile": ("scene.profiles",),
     "fault of the drive": ("canopen.code_texts",),

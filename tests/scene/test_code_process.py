@@ -21,11 +21,11 @@ from canhaptic.drive.profile.link_policy import StopReason
 from canhaptic.errors import InputError, OwnCodeError, OwnCodeLateError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.ring import allocate
-from canhaptic.scene import code_process
+from canhaptic.scene import own_code
 from canhaptic.scene.build import build, experiment_account
-from canhaptic.scene.code_process import CodeProcess, LaterLaw, apart, require_law
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
+from canhaptic.scene.own_code import CodeProcess, LaterLaw, apart, require_law
 from canhaptic.signals import Sample
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -99,7 +99,7 @@ def test_check_says_what_the_hold_costs(tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_a_record_that_is_being_written_is_not_read() -> None:
     memory = mmap.mmap(-1, 4096)
-    writer, reader = code_process._Slot(memory, 0, 2), code_process._Slot(memory, 0, 2)
+    writer, reader = own_code._Slot(memory, 0, 2), own_code._Slot(memory, 0, 2)
     assert reader.read() is None
     writer.write(7, 1, (0.5, -0.25))
     assert reader.read() == (7, 1, 0.5, -0.25, 7)
@@ -112,7 +112,7 @@ def test_a_record_that_is_being_written_is_not_read() -> None:
 
 def test_what_it_prints_is_bounded() -> None:
     stream = io.StringIO()
-    printed = code_process._Printed(stream)
+    printed = own_code._Printed(stream)
     for _ in range(100):
         assert printed.write("x" * 100_000) == 100_000
     assert len(stream.getvalue()) < 1_000_100
@@ -165,7 +165,7 @@ def test_the_law_is_bit_for_bit_the_one_in_the_cycle_a_hold_later(
 def test_what_it_does_wrong_ends_the_run_with_its_name(
     deed: str, error: type[Exception], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(code_process, "_FREE_WAIT", 0.5)
+    monkeypatch.setattr(own_code, "_FREE_WAIT", 0.5)
     with build(scene_in(tmp_path, deed), "free") as experiment:
         with pytest.raises((error, Exception), match=message) as raised:
             run(experiment.cycle, 1500)
@@ -190,7 +190,7 @@ class Asked:
 def test_late_holds_ask_for_nothing_and_are_counted_and_answers_count_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(code_process, "allocate", lambda size: seen_by_owner(allocate(size)))
+    monkeypatch.setattr(own_code, "allocate", lambda size: seen_by_owner(allocate(size)))
     controller, stopped = Asked(), list[tuple[StopReason, str]]()
 
     def end(reason: StopReason, what: str) -> RuntimeError:

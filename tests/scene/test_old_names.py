@@ -8,13 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from canhaptic.audit.recompute import recompute_all, scene_of
+from canhaptic.audit.recompute import OLD_ALGORITHMS, earlier_hash, overrides_now, recompute_all, scene_of
 from canhaptic.cli.main import main as canhaptic
 from canhaptic.errors import InputError, SceneError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.replay import replay_bus_log
 from canhaptic.scene.load import load_scene, scene_from_text
-from canhaptic.scene.old_forms import OLD_ALGORITHMS, overrides_now
 from tests.scene.scene_text import REPOSITORY, faults, scene_file
 from tools.convert_scene import converted, main
 
@@ -155,7 +154,7 @@ def test_a_log_of_the_second_release_is_of_its_scene_and_recomputes_to_the_bit(t
     other.write_text(path.read_text().replace("400 N/m", "401 N/m"))
     with EnergyLog.open(unpacked("axis_of_0_2.h5", tmp_path)) as log:
         assert log.attributes["canhaptic_version"] == "0.2.0"
-        assert log.attributes["config_hash"] == load_scene(path).config_hash("0.2") != load_scene(path).config_hash()
+        assert log.attributes["config_hash"] == earlier_hash(load_scene(path), "0.2") != load_scene(path).config_hash()
         [found] = recompute_all(log, path)
         assert (found["mismatch"], log.rows) == (None, 80)
         with pytest.raises(InputError, match="is not the scene of"):
@@ -172,19 +171,19 @@ def test_a_log_of_the_second_release_is_of_its_scene_and_recomputes_to_the_bit(t
 )
 def test_a_scene_has_the_hash_that_release_0_2_gave_it(name: str, recorded: str) -> None:
     """The hashes were computed by that release; groups of impedance displays had a key `compiled`, too."""
-    assert load_scene(OLD_LOGS / f"{name}.yaml").config_hash("0.2") == recorded
+    assert earlier_hash(load_scene(OLD_LOGS / f"{name}.yaml"), "0.2") == recorded
 
 
 def test_a_log_with_a_key_that_is_gone_is_of_its_scene_at_any_value_of_that_key() -> None:
     scene = load_scene(OLD_LOGS / "group_of_0_2.yaml")
-    found = {scene.config_hash("0.2")}
+    found = {earlier_hash(scene, "0.2")}
     for key, value in (("prediction_holds", 0.25), ("may_cut", True), ("compiled", True)):
-        found.add(scene.config_hash("0.2", {"groups": {"coupling": {"passivity": {key: value}}}}))
+        found.add(earlier_hash(scene, "0.2", {"groups": {"coupling": {"passivity": {key: value}}}}))
     assert len(found) == 4
     logged = {"groups": {"coupling": {"passivity": {"prediction_holds": 0.5, "hand_force": 7.0}}}}
-    assert scene.config_hash("0.2", logged) == scene.config_hash("0.2")  # what a scene can say, the scene says
+    assert earlier_hash(scene, "0.2", logged) == earlier_hash(scene, "0.2")  # what a scene can say, the scene says
     axis = load_scene(OLD_LOGS / "axis_of_0_2.yaml")
-    assert axis.config_hash("0.1", {"axes": {"handle": {"passivity": {"lead": 0.25}}}}) != axis.config_hash("0.1")
+    assert earlier_hash(axis, "0.1", {"axes": {"handle": {"passivity": {"lead": 0.25}}}}) != earlier_hash(axis, "0.1")
 
 
 def test_overrides_of_an_old_log_take_the_names_of_now() -> None:

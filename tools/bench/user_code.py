@@ -38,9 +38,9 @@ from canhaptic.cycle import run
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError
 from canhaptic.scene.build import Experiment, build
-from canhaptic.scene.code_process import CodeProcess, LaterLaw, apart, reports_of
 from canhaptic.scene.load import for_program, load_scene
 from canhaptic.scene.models import Scene
+from canhaptic.scene.own_code import CodeProcess, LaterLaw, apart, reports_of
 from canhaptic.signals import Sample
 from tools.bench import peers
 from tools.bench.demo import CONFIG, PERIOD

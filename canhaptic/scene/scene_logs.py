@@ -1,4 +1,7 @@
-"""The logs of a scene, with the attributes of the run that readers of the log need."""
+"""The logs of a scene: those of a run, with the attributes that their readers need, and the buses of recorded frames.
+
+A recorded frame names its bus by the second word of its line, or by the bus number in a binary log.
+"""
 
 import json
 from collections.abc import Callable, Sequence
@@ -8,15 +11,19 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
+from canhaptic.canopen.eds import read_dictionary
 from canhaptic.control.axis_meter import AxisMeter
+from canhaptic.drive.profile.quirks import quirks_of
+from canhaptic.errors import LogFormatError
 from canhaptic.logs.columns import ACTIVE_LIMITS, DRY_RUN, FRICTION_DECLARED, GROUP_AXES, Attribute, PortDescription
-from canhaptic.logs.writer_process import BusLogWriter
+from canhaptic.logs.writer_process import BusLogWriter, EnergyLogWriter
 from canhaptic.meters import active_limits, promise_of
 from canhaptic.scene.models import AxisScene, Port, Scene, task_unit
 from canhaptic.scene.parts import friction_declared
 
 if TYPE_CHECKING:
-    from canhaptic.logs.writer_process import EnergyLogWriter
+    from canhaptic.logs.bus_reader import Frame
+    from canhaptic.logs.decoder import NodeDescription
 
 _PRIVATE_NAME: Final = "vcan0"  # of a private virtual channel: the same in every run, so that logs can be compared
 _Pace = Literal["real", "free"]
@@ -25,7 +32,7 @@ _OnFailure = Callable[[str], None]
 
 def open_energy_log(
     scene: Scene, meters: Sequence[AxisMeter], path: Path, pace: _Pace, on_failure: _OnFailure, *, dry_run: bool = False
-) -> "EnergyLogWriter":
+) -> EnergyLogWriter:
     """Return an energy log that is ready to be written.
 
     Args:
@@ -39,8 +46,6 @@ def open_energy_log(
     Raises:
         LogWriteError: The file cannot be made.
     """
-    from canhaptic.logs.writer_process import EnergyLogWriter
-
     given = [axis.parameters for axis in scene.axes]
     ports = [PortDescription(axis.name, axis.unit, None, axis.admittance is not None) for axis in given]
     for group in scene.groups:
@@ -151,3 +156,47 @@ def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
 def _promise_attributes(name: str, parameters: object) -> dict[str, Attribute]:
     """Return the assumptions of the certificates that do not concern the device."""
     return {f"{name}.{key}": value for key, value in promise_of(parameters)._asdict().items() if value is not None}
+
+
+class Channels:
+    """Index of the buses of a scene by their names in a bus log.
+
+    The log has the name, the channel (`can0`) or the number of the bus, counted from 0. If the scene has one bus, every
+    frame belongs to it.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._source = scene.source
+        self._is_one = not scene.further_buses
+        self._places: dict[str, int] = {}
+        for place, (name, parameters) in enumerate(scene.buses):
+            for word in (name, str(parameters.channel), str(place)):
+                self._places.setdefault(word, place)
+
+    def place_of(self, frame: "Frame") -> int:
+        """Return the index of the frame's bus in the scene.
+
+        Raises:
+            LogFormatError: The scene has no such bus.
+        """
+        if self._is_one:
+            return 0
+        place = self._places.get(frame.channel)
+        if place is None:
+            text = f"frame {frame.number} is on bus {frame.channel!r}, which is not a name"
+            raise LogFormatError(f"{text}, channel or number of a bus of {self._source} ({', '.join(self._places)})")
+        return place
+
+
+def describe_nodes(scene: Scene) -> "list[NodeDescription]":
+    """Return the name, dictionary, units and bus of the node of every axis."""
+    from canhaptic.logs.decoder import NodeDescription  # of no use to a run that writes logs
+
+    places = {bus.name: place for place, bus in enumerate(scene.buses)}
+    nodes = []
+    for axis, bus in ((axis.parameters, axis.bus) for axis in scene.axes):
+        torque = axis.rated_torque and axis.rated_torque * quirks_of(axis.quirks).torque_scale
+        scales = axis.counts_per_unit, axis.unit, torque, axis.direction
+        dictionary = read_dictionary(axis.eds, axis.node_id)
+        nodes.append(NodeDescription(axis.node_id, axis.name, dictionary, *scales, places[bus]))
+    return nodes
