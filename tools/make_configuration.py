@@ -15,7 +15,7 @@ import yaml
 
 from canhaptic.cli.check_eds import survey_of
 from canhaptic.scene.json_schema import Schema, scene_schema
-from canhaptic.scene.starter import starter_scene
+from canhaptic.scene.scene_text import starter_scene
 from tools.page_part import write_page
 
 ROOT: Final = Path(__file__).resolve().parent.parent

@@ -16,7 +16,7 @@ from canhaptic.errors import InputError
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import status_text
 from canhaptic.scene.profiles import profile_of_vendor, profile_values
-from canhaptic.scene.starter import starter_scene
+from canhaptic.scene.scene_text import starter_scene
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.table import Cell, Styled, Table
 from canhaptic.view.terminal import write_json

@@ -17,8 +17,8 @@ from canhaptic.commission.sequence import REQUIRED as OF_TORQUES
 from canhaptic.commission.sequence import commission
 from canhaptic.commission.session import CommissioningLimits, Dialogue, Report, Session, Unattended
 from canhaptic.errors import CanHapticError, InputError
-from canhaptic.scene.edited_text import Change, edited_scene
 from canhaptic.scene.models import CHECK_LIST, CheckItem, Scene
+from canhaptic.scene.scene_text import Change, edited_scene
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.terminal import failure, note_file, visible, write_failure, write_file, write_json, write_note
 

@@ -19,10 +19,10 @@ from canhaptic.cli.options import scene_of
 from canhaptic.commission.session import CommissioningLimits, Dialogue, Session
 from canhaptic.errors import InputError
 from canhaptic.scene.build import build
-from canhaptic.scene.edited_text import Change, edited_text
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene, require_no_guesses
 from canhaptic.scene.overrides import split_override
+from canhaptic.scene.scene_text import Change, edited_text
 from canhaptic.view.terminal import note_file, write_file
 
 _TENTH: Final = 0.1

@@ -122,7 +122,7 @@ def _write_files(log: EnergyLog, result: Inspection, arguments: argparse.Namespa
         for path in pictures:
             draw_energy(log, path, arguments.start, arguments.stop, others)
         if arguments.html is not None:
-            from canhaptic.view.html_report import write_html
+            from canhaptic.view.html_page import write_html
 
             write_html(log, arguments.html, result, arguments.start, arguments.stop, others)
 

@@ -4,7 +4,7 @@ import argparse
 
 from canhaptic.cli.check_eds import survey_of
 from canhaptic.cli.options import check_place
-from canhaptic.scene.starter import starter_scene
+from canhaptic.scene.scene_text import starter_scene
 from canhaptic.view.terminal import note_file, write_file, write_line
 
 

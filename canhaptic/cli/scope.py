@@ -1,12 +1,29 @@
-"""`canhaptic scope LOG`: a live page of a log that is still being written, from a process that only reads."""
+"""`canhaptic scope LOG`: a live page of a log that is still being written, and the server of every live page.
+
+The page is drawn by a process that only reads the log. It is served on this host only, until SIGINT or SIGTERM, and the
+printed address contains a secret. Other web pages in the same browser can send requests to this host, and under DNS
+rebinding read the answers. A request is therefore admitted only if its Host header names this host, its Origin is the
+page itself or absent, and its path is a static script or contains the secret.
+"""
 
 import argparse
+import re
+import secrets
+import signal
+import socket
+import webbrowser
+from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
-from typing import Final
+from tempfile import TemporaryDirectory
+from typing import Any, Final
 
-from canhaptic.cli.page_server import serve_page
+from canhaptic.cli.long_command import SHELL_OFFSET
+from canhaptic.cli.main import say_interrupted
 from canhaptic.errors import InputError
+from canhaptic.extras import install_hint
 from canhaptic.scene.load import load_scene
+from canhaptic.view.run_lines import make_console
 from canhaptic.view.series import LiveLog
 
 _PERIOD: Final = 0.2  # [s] between two looks, about what the writer puts into one chunk
@@ -39,3 +56,115 @@ def _log_of(arguments: argparse.Namespace) -> Path:
     if energy is None:
         raise InputError(f"{arguments.config}: has no log.energy; add it, or name the energy log itself")
     return energy
+
+
+_HOST: Final = "127.0.0.1"  # no other computer may read, or load, what runs here
+_NAMES: Final = (_HOST, "localhost")
+_OURS: Final = re.compile(rf"({'|'.join(map(re.escape, _NAMES))})(:[0-9]{{1,5}})?")
+_SCRIPT: Final = re.compile(r"/static/js/[\w-][\w.-]*")
+_SECRET: Final = 16  # [B]
+_WAITING: Final = 2  # visitors whose browser has not come yet; those before them are ended
+_CHECK: Final = 1000  # [ms] between two looks for visitors to end
+
+
+class _Door:
+    """Matcher for tornado's router that admits only the requests of the served page; others get 404."""
+
+    def __init__(self, path: str) -> None:
+        self._paths = (path, f"{path}/", f"{path}/ws")
+
+    def match(self, request: Any) -> dict[str, Any] | None:
+        """Return an empty mapping for an admitted request, None for any other.
+
+        Any port is accepted, since the page may be reached through an ssh tunnel.
+        """
+        host = request.headers.get("Host", "")
+        is_ours = _OURS.fullmatch(host)
+        is_same_origin = request.headers.get("Origin", f"http://{host}") == f"http://{host}"
+        is_known = request.path in self._paths or _SCRIPT.fullmatch(request.path)
+        return {} if is_ours and is_same_origin and is_known else None
+
+
+def _usable_port(arguments: argparse.Namespace) -> int:
+    """Return the requested port, or a free one for port 0; check that Bokeh is installed."""
+    try:
+        import bokeh.server.server  # noqa: F401 - what serves every live page
+    except ImportError as error:
+        raise InputError(f"a live page needs Bokeh; install it with: {install_hint('report')}") from error
+    try:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((_HOST, arguments.port))
+            return int(probe.getsockname()[1])
+    except (OSError, OverflowError) as error:
+        raise InputError(f"port {arguments.port}: cannot be used ({error}); choose another with --port") from error
+
+
+def serve_page(page: Callable[[Any], object], arguments: argparse.Namespace, title: str) -> int:
+    """Serve a page until the process is interrupted; return 130 after SIGINT and 143 after SIGTERM.
+
+    Args:
+        page: Function that fills the Bokeh document of a visitor.
+        arguments: Parsed options `--port` (0: any free one) and `--open`.
+        title: Title of the page, printed before its address.
+
+    Raises:
+        InputError: Bokeh is not installed, or the port is taken.
+    """
+    port = _usable_port(arguments)
+    from bokeh.server.server import BaseServer
+    from bokeh.server.tornado import BokehTornado
+    from tornado.httpserver import HTTPServer
+    from tornado.ioloop import IOLoop
+    from tornado.routing import Rule, RuleRouter
+
+    path = f"/{secrets.token_urlsafe(_SECRET)}"
+
+    def visit(document: object) -> None:
+        for session in pages.get_sessions(path)[:-_WAITING]:
+            if session.connection_count == 0:
+                session.request_expiration()
+        page(document)
+
+    origins = [f"{name}:*" for name in _NAMES]
+    pages = BokehTornado({path: visit}, extra_websocket_origins=origins, check_unused_sessions_milliseconds=_CHECK)
+    http = HTTPServer(RuleRouter([Rule(_Door(path), pages)]))
+    http.listen(port, _HOST)
+    server = BaseServer(IOLoop.current(), pages, http)
+    ended_by = _stop_on_signals(server.io_loop)
+    make_console().print(f" {title} at http://{_HOST}:{port}{path}   Ctrl-C ends", soft_wrap=True)
+    with TemporaryDirectory(prefix="canhaptic-") if arguments.open else nullcontext("") as folder:
+        if folder:
+            server.io_loop.add_callback(_open_browser, f"http://{_HOST}:{port}{path}", Path(folder))
+        server.start()
+        server.io_loop.start()
+        server.stop()
+    if ended_by[0] == signal.SIGINT:
+        say_interrupted()
+    return SHELL_OFFSET + ended_by[0]
+
+
+def _open_browser(address: str, folder: Path) -> None:
+    """Open an address in a browser through a file in a private folder.
+
+    The address contains the secret, and other users of the computer can read the command line of the browser.
+    """
+    page = folder / "open.html"
+    page.write_text(f'<meta http-equiv="refresh" content="0; url={address}">', encoding="ascii")
+    webbrowser.open(page.as_uri())
+
+
+def _stop_on_signals(loop: Any) -> list[int]:
+    """Let SIGINT and SIGTERM stop the loop; return a list to which the signal is appended.
+
+    A KeyboardInterrupt could be swallowed by the callback that it interrupts.
+    """
+    ended_by: list[int] = []
+
+    def end(number: int) -> None:
+        ended_by.append(number)
+        loop.stop()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.asyncio_loop.add_signal_handler(number, end, number)
+    return ended_by

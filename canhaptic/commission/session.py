@@ -22,8 +22,8 @@ from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import ControlError, InputError
 from canhaptic.scene.build import Experiment, build
-from canhaptic.scene.edited_text import Change, is_written
 from canhaptic.scene.models import LOOP_KEYS, TO_SET, AxisScene, Scene
+from canhaptic.scene.scene_text import Change, is_written
 from canhaptic.signals import Truth
 from canhaptic.units import Parameters, quantity
 from canhaptic.view.table import Cell, Styled, Table

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from canhaptic.cli.page_server import _Door
+from canhaptic.cli.scope import _Door
 from tests.logs.patience import wait_for
 from tests.view.chromium import chromium
 
@@ -53,7 +53,7 @@ RIGHT: tuple[Mapping[str, str], ...] = (
 )
 OTHER_PATHS = ("/", "", "/ws", "/autoload.js", "/metadata", "/favicon.ico", "/none", "TOKEN/autoload.js",
                "TOKEN/autoload.js?bokeh-autoload-element=1", "TOKEN/metadata", "TOKEN/../TOKEN", "TOKENx", "TOKEN//",
-               "/static/extensions/none.js", "/static/../page_server.py", "http://evil.com/TOKEN", "/static/js/",
+               "/static/extensions/none.js", "/static/../scope.py", "http://evil.com/TOKEN", "/static/js/",
                "/static/js/%00", "/static/js/..", "/static/js/../../application.py", "/static/js//etc/passwd",
                "/static/js/..%2f..%2f..%2f..%2fetc%2fpasswd")  # fmt: skip
 

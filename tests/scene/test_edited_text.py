@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canhaptic.errors import InputError
-from canhaptic.scene.edited_text import Change, edited_scene, edited_text, is_written
 from canhaptic.scene.load import load_scene, scene_from_text
+from canhaptic.scene.scene_text import Change, edited_scene, edited_text, is_written
 from tests.drawn import examples
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"

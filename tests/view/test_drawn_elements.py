@@ -15,7 +15,7 @@ from canhaptic.logs.writer_process import EnergyLogWriter
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.signals import CycleTiming, Sample
-from canhaptic.view import html_report
+from canhaptic.view import html_page
 from canhaptic.view.run_picture import PortPicture
 from canhaptic.view.series import LiveLog
 from tests.view.synthetic_run import PORTS, write_run
@@ -27,7 +27,7 @@ bokeh = pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install
 def page_of(path: Path) -> str:
     """The page that `inspect --html` writes."""
     with EnergyLog.open(path) as log:
-        html_report.write_html(log, path.with_suffix(".html"), inspect(log))
+        html_page.write_html(log, path.with_suffix(".html"), inspect(log))
     return path.with_suffix(".html").read_text(encoding="utf-8")
 
 
@@ -181,7 +181,7 @@ def test_several_runs_lie_over_one_page(tmp_path: Path) -> None:
         write_run(tmp_path / name, cycles=1500)
     with ExitStack() as stack:
         log, *others = [stack.enter_context(EnergyLog.open(p)) for p in sorted(tmp_path.glob("*.h5"))]
-        html_report.write_html(log, tmp_path / "page.html", inspect(log), others=others)
+        html_page.write_html(log, tmp_path / "page.html", inspect(log), others=others)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     of_one = page.count("<!-- second.h5 -->")
     assert of_one == page.count("<!-- third.h5 -->") > 4

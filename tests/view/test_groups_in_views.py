@@ -11,7 +11,7 @@ from canhaptic.cycle import run
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.view import html_report
+from canhaptic.view import html_page
 from canhaptic.view.run_picture import energy_figure
 from canhaptic.view.series import LiveLog, port_facts, task_plane
 
@@ -86,7 +86,7 @@ def page(path: Path) -> str:
     """The page that `inspect --html` writes."""
     pytest.importorskip("matplotlib")
     with EnergyLog.open(path) as log:
-        html_report.write_html(log, path.with_suffix(".html"), inspect(log))
+        html_page.write_html(log, path.with_suffix(".html"), inspect(log))
     return path.with_suffix(".html").read_text(encoding="utf-8")
 
 

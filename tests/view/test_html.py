@@ -13,7 +13,7 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.view import html_report
+from canhaptic.view import html_page
 from canhaptic.view.html_page import words, write_page
 from canhaptic.view.run_picture import energy_figure
 from canhaptic.view.table import Table
@@ -32,7 +32,7 @@ def test_late_cycles_and_lost_frames_are_drawn(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "run.h5", "r+") as file:
         file["timing/dropped_before"][60] = 4
     with EnergyLog.open(tmp_path / "run.h5") as log:
-        panels, idle = html_report._further(log, slice(0, log.rows))
+        panels, idle = html_page._further(log, slice(0, log.rows))
     assert idle == ["handle: damping rendered"]
     time, lateness = panels["timing"][1]["wakeup lateness"]
     assert lateness.max() == pytest.approx(950e-6)  # [s]

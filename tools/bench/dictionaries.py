@@ -20,7 +20,7 @@ from canhaptic.drive.survey import Suitability, Survey
 from canhaptic.errors import CanHapticError
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.starter import starter_scene
+from canhaptic.scene.scene_text import starter_scene
 from tools.bench.report import out_folder, write_result
 
 ROOT = Path(__file__).resolve().parents[2]

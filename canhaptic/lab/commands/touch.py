@@ -4,7 +4,7 @@ import argparse
 from typing import TYPE_CHECKING, Final
 
 from canhaptic.cli.options import scene_of
-from canhaptic.cli.page_server import serve_page
+from canhaptic.cli.scope import serve_page
 from canhaptic.lab.touch.two_sides import two_sides
 
 if TYPE_CHECKING:

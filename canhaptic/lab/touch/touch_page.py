@@ -18,9 +18,9 @@ from canhaptic.errors import CanHapticError
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.touch.hand_process import TouchHand, TouchNews, TouchStatus
 from canhaptic.lab.touch.two_sides import TouchScene, TouchSlider
-from canhaptic.view.bokeh_style import finished, new_panel, si_ticks
 from canhaptic.view.html_page import verdict_bar
 from canhaptic.view.picture_style import BLUE, GREY, PALE, VERMILION
+from canhaptic.view.scope_page import finished, new_panel, si_ticks
 from canhaptic.view.series import decimate
 
 _COLOURS: Final = (VERMILION, BLUE)
