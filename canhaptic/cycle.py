@@ -8,7 +8,7 @@ One thread runs it. On any error zero torque is sent first and the exception is 
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
@@ -19,11 +19,12 @@ from canhaptic.drive.profile.link_policy import StopReason, reason_of
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CycleFailedError, EmergencyError, InputError, LogStoppedError, RigError, cause_of
 from canhaptic.meters import RunMeters
-from canhaptic.signals import CycleTiming, Measured, Sample, Truth
+from canhaptic.signals import CycleTiming, Sample, Truth
 
 if TYPE_CHECKING:
     from canhaptic.control.energy_audit import EnergyAudit
     from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupedControllers
+    from canhaptic.logs.writer_process import EnergyLogWriter
 
 _HELD, _NO_CERTIFICATE = Branch.HELD.value, Certificate.NONE.value
 _FEWEST_UNCHANGED: Final = 20  # SYNCs; or those of a second
@@ -37,32 +38,13 @@ _UNCHANGED: Final = (
 )
 
 
-class _CycleLog(Protocol):
-    """Log of the cycles; `append` must not block the control thread."""
-
-    def append(
-        self,
-        sync_index: int,
-        samples: Sequence[Sample],
-        balances: Sequence[EnergyBalance],
-        timing: CycleTiming,
-        truths: Sequence[Truth] | None = None,
-        deadline: int = 0,
-        measured: Sequence[Measured] = (),
-    ) -> None:
-        """Record one cycle."""
-
-    def event(self, sync_index: int, kind: str, port: str, text: str) -> None:
-        """Record one event."""
-
-
 class Cycle:
     """A rig, its controllers and their accounts; one `step` per SYNC.
 
     Args:
         rig: The rig; `run` starts it.
         controllers: Controllers, one per axis of the rig, in its order; none for the axes of groups.
-        log: Log of every cycle; None without one.
+        log: Log of every cycle, which must not block the control thread; None without one.
         truths: True motion and energy of the simulated axes, read right after their SYNC; None with real drives.
         groups: Groups of axes; a group renders one network and has one account.
         axis_meters: Accuracy of the sensors and the device of each axis; None where they are ideal.
@@ -86,7 +68,7 @@ class Cycle:
         self,
         rig: Rig,
         controllers: Sequence[Controller],
-        log: _CycleLog | None = None,
+        log: "EnergyLogWriter | None" = None,
         truths: Callable[[], Sequence[Truth]] | None = None,
         groups: "Sequence[AxisGroup]" = (),
         axis_meters: Sequence[AxisMeter] | None = None,
@@ -113,7 +95,7 @@ class Cycle:
         self.cycles = self.uneven = 0
         self.turn: Callable[[Sequence[Sample]], None] | None = None
         self._is_timed = not isinstance(rig.clock, VirtualClock)  # virtual time does not advance within a cycle
-        self._log = log
+        self._log: EnergyLogWriter | _FailedLog | None = log
         self._truths = truths
         self._loss_meters = tuple(loss_meters)
         self._period = rig.bus.sample_time_ns

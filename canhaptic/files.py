@@ -1,16 +1,20 @@
-"""Reading of input files, and the scenes and dictionaries that come with the package.
+"""Reading of input files, writing of output files, and the scenes and dictionaries that come with the package.
 
-An input file must be regular and of bounded size, since a pipe or a device has no end.
+An input file must be regular and of bounded size, since a pipe or a device has no end. An output file must be regular
+or new, and it is replaced as a whole or not at all; symbolic links are not followed.
 """
 
 import errno
 import os
+import secrets
 import stat
 import sysconfig
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from canhaptic.errors import SceneError
+from canhaptic.errors import InputError, SceneError
 from canhaptic.registry import nearest
 
 _KINDS: Final = {
@@ -24,7 +28,7 @@ _KINDS: Final = {
 }
 
 
-def kind_of(mode: int) -> str:
+def _kind_of(mode: int) -> str:
     """Return the kind of a file that is not regular, such as "a folder"; "" for a regular file."""
     return _KINDS.get(stat.S_IFMT(mode), "no file")
 
@@ -41,7 +45,7 @@ def require_regular(path: str | Path) -> os.stat_result:
         raise FileNotFoundError(error.errno, "no such file", str(path)) from error
     except ValueError as error:  # a text that no path can be
         raise OSError(errno.EINVAL, str(error), str(path)) from error
-    if kind := kind_of(found.st_mode):
+    if kind := _kind_of(found.st_mode):
         raise OSError(errno.EINVAL, f"is {kind}", str(path))
     return found
 
@@ -62,6 +66,47 @@ def read_regular(path: str | Path, most: int) -> bytes:
     if len(content) > most:
         raise OSError(errno.EFBIG, f"larger than {most} bytes", str(path))
     return content
+
+
+def why_not_written(path: Path) -> str:
+    """Return why a path cannot be written; "" if it is free or a regular file."""
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return ""
+    except OSError as error:
+        return f"{path}: {error.strerror}; choose a folder that exists and may be written"
+    kind = _kind_of(mode)
+    return f"{path}: is {kind}, expected a regular file or none; name another file" if kind else ""
+
+
+def require_writable_place(path: Path) -> None:
+    """Refuse a path that is neither free nor a regular file.
+
+    Raises:
+        InputError: The path is a folder, a link, a device or the like.
+    """
+    if reason := why_not_written(path):
+        raise InputError(reason)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a new, empty file in the folder of `path`; it replaces `path` if the block ends well.
+
+    Raises:
+        InputError: `path` is neither free nor a regular file.
+        OSError: The new file cannot be created.
+    """
+    require_writable_place(path)
+    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(8)}{path.suffix}")
+    os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
 
 
 CONVERTIBLE: Final = frozenset({".blf", ".trc", ".asc"})

@@ -617,12 +617,5 @@ class OpenReplay:
             "speed": duration / elapsed if elapsed else 0.0,
             "ended": "at the first difference" if side.departure is not None else ended,
             "difference": difference,
-            "account": run_result(
-                self.cycle,
-                [(axis.parameters.name, axis.parameters.unit) for axis in scene.axes],
-                status="replayed",
-                config_hash=scene.config_hash(),
-                sample_time=scene.bus.sample_time,
-                method="",
-            ),
+            "account": run_result(self.cycle, status="replayed", config_hash=scene.config_hash(), method=""),
         }

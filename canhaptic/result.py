@@ -88,28 +88,24 @@ def overall(ports: Mapping[str, PortResult]) -> Verdicts:
     return found
 
 
-def run_result(
-    cycle: Cycle, ports: Sequence[tuple[str, str]], *, status: str, config_hash: str, sample_time: float, method: str
-) -> RunResult:
+def run_result(cycle: Cycle, *, status: str, config_hash: str, method: str) -> RunResult:
     """Return the account of a run; energies in [J], times in [s].
 
     Args:
         cycle: Cycle after the run has ended.
-        ports: (name, unit "m" or "rad") of each axis.
         status: "completed", "stopped" or the reason of a stop.
         config_hash: Hash of the configuration in effect.
-        sample_time: Sample time [s].
         method: One line on how the rig was simulated; "" with real drives.
     """
-    truth = _truth(cycle, [*(name for name, _ in ports), *(group.name for group in cycle.groups)])
-    accounts = _accounts(cycle, ports, sample_time, truth)
+    truth = _truth(cycle)
+    accounts = _accounts(cycle, truth)
     result = cast(
         "RunResult",
         {
             "status": status,
             "config_hash": config_hash,
             "cycles": cycle.cycles,
-            "duration": (cycle.cycles + cycle.rig.skipped_syncs) * sample_time,
+            "duration": (cycle.cycles + cycle.rig.skipped_syncs) * cycle.rig.bus.sample_time,
             **overall(accounts),
             "ports": accounts,
             "truth": truth,
@@ -123,17 +119,15 @@ def run_result(
     return result
 
 
-def _accounts(
-    cycle: Cycle, ports: Sequence[tuple[str, str]], sample_time: float, truth: Mapping[str, TruthResult]
-) -> dict[str, PortResult]:
+def _accounts(cycle: Cycle, truth: Mapping[str, TruthResult]) -> dict[str, PortResult]:
     """Return the account of each axis, then of each group."""
-    drives, grouped = cycle.rig.drives, {axis for group in cycle.groups for axis in group.axes}
-    alone, known = iter(cycle.controllers), cycle.meters.ports
+    axes, grouped = [drive.axis for drive in cycle.rig.drives], {axis for group in cycle.groups for axis in group.axes}
+    alone, known, sample_time = iter(cycle.controllers), cycle.meters.ports, cycle.rig.bus.sample_time
     accounts: dict[str, PortResult] = {}
-    for axis, (name, unit) in enumerate(ports):
-        drive, promise = drives[axis], Promise() if axis in grouped else promise_of(next(alone))
+    for axis, drive in enumerate(cycle.rig.drives):
+        promise, name = Promise() if axis in grouped else promise_of(next(alone)), drive.axis.name
         accounts[name] = {
-            "unit": unit,
+            "unit": drive.axis.unit,
             **port_account(known[axis], cycle.ledgers[axis].summary().as_json(sample_time), promise, sample_time),
             "read_back": drive.map.read_back,
             "read_back_bound": drive.read_back_bound,
@@ -142,10 +136,10 @@ def _accounts(
             accounts[name]["hold"] = drive.hold
         if cycle.rig.dry_run:
             accounts[name]["withheld_torque"] = drive.withheld
-    for place, group in enumerate(cycle.groups, len(ports)):
+    for place, group in enumerate(cycle.groups, len(axes)):
         sums = group.ledger.summary().as_json(sample_time)
         accounts[group.name] = {
-            "unit": ports[group.axes[0]][1],
+            "unit": axes[group.axes[0]].unit,
             **port_account(known[place], sums, promise_of(group.controller), sample_time),
             "supplied": group.supplied,
             "unsure": group.uncertainty,
@@ -153,7 +147,7 @@ def _accounts(
         }
     for account in accounts.values() if cycle.rig.dry_run else ():
         verdicts.claim_nothing(account)
-    groups = {group.name: [ports[axis][0] for axis in group.axes] for group in cycle.groups}
+    groups = {group.name: [axes[axis].name for axis in group.axes] for group in cycle.groups}
     return with_groups(accounts, groups, truth)
 
 
@@ -271,10 +265,11 @@ def with_groups(
     return found
 
 
-def _truth(cycle: Cycle, names: Sequence[str]) -> dict[str, TruthResult]:
+def _truth(cycle: Cycle) -> dict[str, TruthResult]:
     """Return the energies of the simulated plant for each axis, then for each group; empty with real drives."""
     if (judge := cycle.judge) is None:
         return {}
     sums = zip(judge.interaction, judge.least, judge.least_at_handle, judge.believed_error, strict=True)
+    names = (*(drive.axis.name for drive in cycle.rig.drives), *(group.name for group in cycle.groups))
     keys = TruthResult.__annotations__
     return {name: cast("TruthResult", dict(zip(keys, of, strict=True))) for name, of in zip(names, sums, strict=True)}

@@ -5,7 +5,7 @@ log or a faulty logger: numbers that are not finite, counts that decrease, and r
 """
 
 from collections.abc import Callable, Sequence
-from math import inf
+from math import inf, isfinite
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final, NotRequired, TypedDict, TypeVar, cast
 
@@ -629,8 +629,14 @@ def _depths(log: EnergyLog, name: str, rows: slice) -> Array | None:
     port = log.ports[name]
     if not _is_requested(log, name):
         return np.abs(port.read("state", rows.start, rows.stop))
-    wall, side = (log.attributes.get(f"{name}.wall_{key}") for key in ("position", "side"))
-    if not isinstance(wall, float) or f"{name}.wall_pitch" in log.attributes:
+    if (wall := wall_of(log, name)) is None:
         return None
-    beyond = port.read("position", rows.start, rows.stop) - wall
+    beyond, side = port.read("position", rows.start, rows.stop) - wall, log.attributes.get(f"{name}.wall_side")
     return np.maximum({"below": -beyond, "above": beyond}.get(str(side), np.abs(beyond)), 0.0)
+
+
+def wall_of(log: EnergyLog, name: str) -> float | None:
+    """Return the position of the wall of a port [m or rad]; None without one, as with detents."""
+    wall = log.attributes.get(f"{name}.wall_position")
+    is_wall = f"{name}.wall_pitch" not in log.attributes
+    return float(wall) if is_wall and isinstance(wall, int | float) and isfinite(wall) else None

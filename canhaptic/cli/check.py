@@ -49,14 +49,11 @@ def host_settings() -> list[_HostSetting]:
     governor = _read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
     source = _read("/sys/devices/system/clocksource/clocksource0/current_clocksource")
     late = "no PREEMPT_RT: wake-ups may be late by milliseconds"
+    alone = "the log writer shares the only processor with the cycle"
     slow = "cpupower frequency-set -g performance keeps the clock up"
     settings = [
         ("kernel", f"{platform.system()} {platform.release()}", "" if is_realtime else late),
-        (
-            "processors",
-            str(processors),
-            "" if processors > 1 else "the log writer shares the only processor with the cycle",
-        ),
+        ("processors", str(processors), "" if processors > 1 else alone),
         _limit("real-time priority", "RLIMIT_RTPRIO", "rtprio"),
         _limit("locked memory", "RLIMIT_MEMLOCK", "memlock"),
         ("real-time share", "all" if runtime == "-1" else runtime and f"{runtime} us of each second", ""),
@@ -74,11 +71,8 @@ def _limit(name: str, key: str, item: str) -> tuple[str, str, str]:
     except (ImportError, AttributeError):  # the first on Windows
         return name, "not on this system", ""
     advice = "" if soft else f"not permitted; grant `{item}` in /etc/security/limits.conf"
-    return (
-        name,
-        "unlimited" if soft == resource.RLIM_INFINITY else f"{soft} B" if item == "memlock" else str(soft),
-        advice,
-    )
+    granted = "unlimited" if soft == resource.RLIM_INFINITY else f"{soft} B" if item == "memlock" else str(soft)
+    return name, granted, advice
 
 
 def _read(path: str) -> str:

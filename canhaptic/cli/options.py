@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from canhaptic.errors import InputError
-from canhaptic.files import CONVERTIBLE
+from canhaptic.files import CONVERTIBLE, require_writable_place
 
 if TYPE_CHECKING:
     from canhaptic.scene.models import Scene
@@ -107,8 +107,6 @@ def check_place(path: Path, force: bool) -> None:
     """
     if not path.absolute().parent.is_dir():
         raise InputError(f"{path}: no such folder {path.absolute().parent}; make it first")
-    from canhaptic.host.output_files import require_writable_place
-
     require_writable_place(path)
     if not force:
         require_new(path)

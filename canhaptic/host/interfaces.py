@@ -8,7 +8,7 @@ import ast
 import importlib.util
 import logging
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -23,29 +23,20 @@ from canhaptic.registry import nearest
 class BusSettings(Protocol):
     """Settings of one CAN bus, as a scene has them."""
 
-    @property
-    def interface(self) -> str:
-        """Name of python-can's back end."""
-
-    @property
-    def channel(self) -> str | int | None:
-        """Channel of the back end, such as can0."""
-
-    @property
-    def bitrate(self) -> int:
-        """Bit rate [bit/s]."""
-
-    @property
-    def options(self) -> Mapping[str, Any]:
-        """Further options of the back end."""
+    interface: str
+    """Name of python-can's back end."""
+    channel: str | int | None
+    """Channel of the back end, such as can0."""
+    bitrate: int
+    """Bit rate [bit/s]."""
+    options: dict[str, Any]
+    """Further options of the back end."""
+    stop_cycles: int
+    """Missed cycles after which the rig stops."""
 
     @property
     def sample_time(self) -> float:
         """Sample time [s]."""
-
-    @property
-    def stop_cycles(self) -> int:
-        """Missed cycles after which the rig stops."""
 
 
 _OF_THE_SCENE: Final = ("interface", "channel", "bitrate")

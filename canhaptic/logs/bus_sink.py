@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from canhaptic.host.output_files import replacing
+from canhaptic.files import replacing
 from canhaptic.logs.ring import LogSink, RingShape, SharedArea, open_regular
 
 FRAME_RING: Final = RingShape("=qIBBBx8s", 65_536)  # timestamp [ns], identifier, length, is_rx, bus, data

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
-from canhaptic.host.output_files import replacing
+from canhaptic.files import replacing
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 
 _BLOCK: Final = 65_536  # rows held in memory at a time

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from canhaptic.errors import InputError, LogFormatError
-from canhaptic.host.output_files import require_writable_place
+from canhaptic.files import require_writable_place
 from canhaptic.logs import log_file
 from canhaptic.logs.energy_reader import DAMAGE, Columns, EnergyLog, found_columns, open_file, read_safely, usual_length
 from canhaptic.logs.energy_sink import repack, unfinished

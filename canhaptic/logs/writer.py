@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.errors import CanHapticError, LogWriteError
-from canhaptic.host.output_files import why_not_written
+from canhaptic.files import why_not_written
 from canhaptic.logs.ring import LogSink, RingShape, SharedArea, cause_of
 
 

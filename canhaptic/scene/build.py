@@ -90,7 +90,10 @@ _PROMISE_PASSIVITY: Final = frozenset({"guarded", "energy_bounding"})
 
 
 def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
-    """Return a meter for each port that has a limit on the energy it may generate beyond the declared energy."""
+    """Return a meter for each port that has a limit on the energy it may generate beyond the declared energy.
+
+    The energy that declared dry friction dissipates is counted by the cycle.
+    """
     meters = []
     for name, passivity, places in scene.ports:
         axes = [scene.axes[place] for place in places]
@@ -99,9 +102,7 @@ def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
         limits = [limit for one in given if isinstance(limit := default if one is None else one, float)]
         if not limits or (axes[0].parameters.admittance is not None and not axes[0].group):
             continue
-        damping = [
-            0.0 if axis.loop.device_friction else axis.loop.device_damping or 0.0 for axis in axes
-        ]  # see `Cycle`
+        damping = [0.0 if axis.loop.device_friction else axis.loop.device_damping or 0.0 for axis in axes]
         allowance = getattr(passivity.parameters, "energy_allowance", 0.0)
         meters.append(EnergyLossMeter(name, places, min(limits), allowance, damping, scene.bus.sample_time))
     return meters
@@ -421,14 +422,7 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
         elapsed: Duration of the run [s].
     """
     scene, cycle = experiment.scene, experiment.cycle
-    account = run_result(
-        cycle,
-        [(axis.parameters.name, axis.parameters.unit) for axis in scene.axes],
-        status=status,
-        config_hash=scene.config_hash(),
-        sample_time=scene.bus.sample_time,
-        method=_method(experiment),
-    )
+    account = run_result(cycle, status=status, config_hash=scene.config_hash(), method=_method(experiment))
     names = [axis.parameters.name for axis in scene.axes if axis.simulation is not None]  # with a plant of its own
     _add_of_axes(experiment, account["ports"])
     account["plants"] = {

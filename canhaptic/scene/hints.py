@@ -318,24 +318,13 @@ def _felt_hints(axis: AxisScene, response: bounds.DisplacementResponse, lag: int
     limit = bounds.renderable_by_hand_force(response, lag, push)
     what = f"stiffness felt at a push of {push:.3g} {effort_unit(axis.parameters.unit)}"
     slowest = bounds.start_speed(response, axis.loop.sample_time, lag, axis.loop.encoder_count)
-    begins, name = (
-        "without stored energy; a slower approach feels torque deeper in the wall or never",
-        axis.parameters.name,
-    )
-    unit = f"{axis.parameters.unit}/s"
+    begins = "without stored energy; a slower approach feels torque deeper in the wall or never"
+    slow, unit = "slowest approach with torque in the first cycle", f"{axis.parameters.unit}/s"
     if friction := axis.loop.device_friction:
         slowest, begins = 0.0, f"up to device_friction {friction:g} at once, more with the energy below"
     return [
         _hint(axis, what, limit, f"{text}{_share(limit, stiffness)}"),
-        Hint(
-            name,
-            "slowest approach with torque in the first cycle",
-            slowest,
-            None,
-            unit,
-            f"{begins}; {text}",
-            concerns=False,
-        ),
+        Hint(axis.parameters.name, slow, slowest, None, unit, f"{begins}; {text}", concerns=False),
         *_energy_hint(axis, response, lag, min(stiffness or limit, limit)),
     ]
 

@@ -19,7 +19,7 @@ from canhaptic.audit.inspection import rows_to_draw
 from canhaptic.axis_units import counted, si
 from canhaptic.control.verdict import Headline, PortResult
 from canhaptic.errors import InputError
-from canhaptic.host.output_files import replacing
+from canhaptic.files import replacing
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
 from canhaptic.signals import CycleTiming

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
-from canhaptic.files import read_regular
-from canhaptic.host.output_files import replacing
+from canhaptic.files import read_regular, replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

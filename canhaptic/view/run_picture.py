@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from canhaptic.audit.inspection import contacts, rows_between, rows_to_draw
+from canhaptic.audit.inspection import contacts, rows_between, rows_to_draw, wall_of
 from canhaptic.axis_units import counted, si
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.logs.energy_reader import EnergyLog
@@ -146,7 +146,7 @@ class PortPicture:
         common, own = self._lines(panel), self._own_lines(panel)
         lines = [*own, *common] if panel == "torque" else [*common, *own]
         largest = max(abs(float(limit(line, initial=0.0))) for line, _ in lines for limit in (np.nanmin, np.nanmax))
-        if panel == "position" and (wall := self._wall()) is not None:
+        if panel == "position" and (wall := wall_of(self._log, self._name)) is not None:
             largest = max(largest, abs(wall))
         self.scales[panel], prefix = scale_of(largest)
         scale, unit = self.scales[panel], self._movers[0].unit(_COLUMNS[panel])
@@ -161,16 +161,9 @@ class PortPicture:
         _finish(axes, title + " commanded" * (panel == "velocity" and bool(self._axes)), f"{prefix}{unit}")
         axes.margins(x=0.0)
 
-    def _wall(self) -> float | None:
-        """Return the position of the wall [m or rad]; None without one, as with detents."""
-        wall = self._log.attributes.get(f"{self._name}.wall_position")
-        if f"{self._name}.wall_pitch" in self._log.attributes or not isinstance(wall, int | float):
-            return None
-        return float(wall) if np.isfinite(wall) else None
-
     def _draw_wall(self, axes: "Axes", scale: float) -> None:
         """Mark the notches of detents, or shade the inside of a wall."""
-        wall = self._wall()
+        wall = wall_of(self._log, self._name)
         low, high = (scale * end for end in axes.get_ylim())
         notches = notches_of(self._log, self._name, low, high)
         for place in notches:

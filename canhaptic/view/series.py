@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.audit.inspection import PortRecord, contacts
+from canhaptic.audit.inspection import PortRecord, contacts, wall_of
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis import NETWORKS
@@ -112,11 +112,9 @@ def port_facts(log: EnergyLog, name: str) -> PortFacts:
     }
     pitch, start = (log.number(f"{name}.wall_{key}") for key in ("pitch", "position"))
     reach = 0.49 * _MOST_NOTCHES * pitch
-    wall = None if pitch else log.attributes.get(f"{name}.wall_position")
     side = str(log.attributes.get(f"{name}.wall_side", "below"))
-    place = float(wall) if isinstance(wall, int | float) else None
     notches = notches_of(log, name, start - reach, start + reach)
-    return PortFacts(name, name in log.groups, name in log.group_of, units, place, side, notches)
+    return PortFacts(name, name in log.groups, name in log.group_of, units, wall_of(log, name), side, notches)
 
 
 _MOST_NOTCHES: Final = 200

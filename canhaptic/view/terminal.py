@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import CanHapticError, InputError, SceneError
+from canhaptic.files import replacing
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -64,8 +65,6 @@ def write_file(path: Path, text: str) -> None:
     Raises:
         InputError: The file cannot be written.
     """
-    from canhaptic.host.output_files import replacing
-
     try:
         with replacing(path) as file:
             file.write_text(text, encoding="utf-8")

@@ -247,8 +247,7 @@ def test_a_group_whose_axes_are_heard_in_turn_is_stopped(name: str, loses_comman
         assert experiment.cycle.cycles <= begin + end
         assert experiment.far_side is not None
         assert [drive.torque for drive in experiment.far_side.drives] == [0.0, 0.0]
-        ports = [(axis.parameters.name, axis.parameters.unit) for axis in scene.axes]
-        result = run_result(experiment.cycle, ports, status="", config_hash="", sample_time=1e-3, method="")
+        result = run_result(experiment.cycle, status="", config_hash="", method="")
         assert result["passive"] == "in doubt"
         assert result["truth"][GROUP[name]]["least_interaction"] > -0.01
         assert result["link"]["missed_tpdos"] == pytest.approx(end, abs=1)  # each SYNC lost the TPDO of one axis

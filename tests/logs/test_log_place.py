@@ -12,7 +12,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError, LogWriteError
-from canhaptic.host.output_files import replacing
+from canhaptic.files import replacing
 from canhaptic.logs import writer_process
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog

@@ -44,10 +44,7 @@ def couple(max_consecutive_losses: int, drop: float) -> Coupled:
         path = Path(folder) / "run.h5"
         with build(scene, "free", path) as experiment:
             run(experiment.cycle, CYCLES)
-            ports = run_result(
-                experiment.cycle, [(axis.parameters.name, axis.parameters.unit) for axis in scene.axes],
-                status="completed", config_hash="", sample_time=scene.bus.sample_time, method="",
-            )["ports"]  # fmt: skip
+            ports = run_result(experiment.cycle, status="completed", config_hash="", method="")["ports"]
         with EnergyLog.open(path) as log:
             return _judge(log, ports["coupling"]["longest_hold"], ports["coupling"]["certificate"])
 

@@ -13,7 +13,7 @@ after any hold, by the resolution of that hold: the account is judged at every m
 """
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from math import inf
 from typing import Any, Final
@@ -157,8 +157,7 @@ def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
     status, text = "completed", ""
     with experiment:
         watch, asked, faults = HandWatch(experiment, scene.outward), _Asked(experiment), FaultWatch(experiment, scene)
-        axes = [(axis.parameters.name, axis.parameters.unit) for axis in loaded.axes]
-        losses, moments = LossWatch(experiment), _Moments(experiment, axes, scene.passivity)
+        losses, moments = LossWatch(experiment), _Moments(experiment, scene.passivity)
         program = next((tag.partition(":")[2] for tag in scene.tags if tag.startswith("program:")), "")
         if program:
             experiment.cycle.turn = asking = Asking(experiment, scene.seed, program)
@@ -174,7 +173,7 @@ def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
             run(experiment.cycle, max(1, round(scene.duration / loaded.bus.sample_time)), progress=each)
         except CanHapticError as error:
             status, text = "stopped", str(error)
-        account = account_of(experiment.cycle, axes, status)
+        account = account_of(experiment.cycle, status)
         moments.judge(account)
         reaction, to_zero = "", 0
         if status == "stopped":
@@ -222,10 +221,10 @@ class _Moments:
     Once a true sum was below minus allowance and resolution, no later resolution makes a promise of it true again.
     """
 
-    def __init__(self, experiment: Experiment, axes: Sequence[tuple[str, str]], section: Mapping[str, Any]) -> None:
-        self._cycle, self._axes, self._section = experiment.cycle, axes, section
+    def __init__(self, experiment: Experiment, section: Mapping[str, Any]) -> None:
+        self._cycle, self._section = experiment.cycle, section
         groups = experiment.cycle.groups
-        self._names = [*(name for name, _ in axes), *(group.name for group in groups)]
+        self._names = [*(axis.parameters.name for axis in experiment.scene.axes), *(group.name for group in groups)]
         grouped = {axis for group in groups for axis in group.axes}
         self._places = [place for place in range(len(self._names)) if place not in grouped]
         self._error, self._active = [0.0] * len(self._names), [0] * len(self._names)
@@ -256,7 +255,7 @@ class _Moments:
                     self._claim(name, "active", f"active, true least {least:.3g} J")
             self._active[place] = port.activity.active
         if due:
-            self.judge(account_of(self._cycle, self._axes, "running"))
+            self.judge(account_of(self._cycle, "running"))
 
     def judge(self, account: Mapping[str, Any]) -> None:
         """Takes an account, of a moment or of the end."""
@@ -283,15 +282,14 @@ class _Moments:
         return list(self._said.values())
 
 
-def account_of(cycle: Cycle, axes: Sequence[tuple[str, str]], status: str) -> RunResult:
+def account_of(cycle: Cycle, status: str) -> RunResult:
     """Returns the account of a run so far.
 
     Args:
         cycle: The run.
-        axes: (name, unit "m" or "rad") of each axis.
         status: How it ended.
     """
-    return run_result(cycle, axes, status=status, config_hash="", sample_time=cycle.rig.bus.sample_time, method="")
+    return run_result(cycle, status=status, config_hash="", method="")
 
 
 def _outcome(
