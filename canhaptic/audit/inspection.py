@@ -26,8 +26,7 @@ from canhaptic.result import TruthResult, Verdicts, overall, port_account, with_
 from canhaptic.signals import CycleTiming, Measured
 
 if TYPE_CHECKING:
-    from canhaptic.audit.recompute import Recomputed
-    from canhaptic.audit.rederive import Rederived
+    from canhaptic.audit.recompute import Recomputed, Rederived
     from canhaptic.audit.user_checks import Outcome
 
 

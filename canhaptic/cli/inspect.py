@@ -7,7 +7,7 @@ from typing import Final
 from rich.console import Console
 
 from canhaptic.audit.inspection import CHANGED, Inspection, compare, inspect
-from canhaptic.audit.recompute import recompute_all, scene_of
+from canhaptic.audit.recompute import recompute_all, rederive, scene_of
 from canhaptic.audit.user_checks import Checked, Outcome, check
 from canhaptic.axis_units import counted
 from canhaptic.cli.options import check_page, check_picture, check_place, require_new
@@ -72,8 +72,6 @@ def _judge(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) ->
     if arguments.recompute and is_finite:  # controllers take finite numbers
         result["recomputed"] = recompute_all(log, arguments.config, allow_code=arguments.allow_code)
     if arguments.bus_log is not None:
-        from canhaptic.audit.rederive import rederive
-
         scene = scene_of(log, arguments.config, allow_code=arguments.allow_code)
         result["rederived"] = rederive(arguments.bus_log, scene, log)
 
@@ -129,7 +127,6 @@ def _write_files(log: EnergyLog, result: Inspection, arguments: argparse.Namespa
 
 def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
     """Print the account derived from a bus log; return 1 if a check fails, else 0."""
-    from canhaptic.audit.rederive import rederive
     from canhaptic.scene.load import load_scene
 
     if arguments.config is None:

@@ -12,8 +12,7 @@ import pytest
 
 import canhaptic
 from canhaptic.audit.inspection import inspect
-from canhaptic.audit.recompute import recompute_all
-from canhaptic.audit.rederive import rederive
+from canhaptic.audit.recompute import recompute_all, rederive
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
 from canhaptic.errors import InputError

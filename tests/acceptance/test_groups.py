@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from canhaptic.audit.inspection import inspect
-from canhaptic.audit.recompute import recompute_all
-from canhaptic.audit.rederive import rederive
+from canhaptic.audit.recompute import recompute_all, rederive
 from canhaptic.cli.main import main
 from canhaptic.control.balance import Branch
 from canhaptic.control.mechanisms.five_bar import FiveBar as MastersFiveBar

@@ -78,7 +78,7 @@ def test_a_replay_sends_what_the_same_program_sent_and_finds_another_one(tmp_pat
 
 
 def test_frames_alone_do_not_say_what_a_program_asked_for(tmp_path: Path) -> None:
-    from canhaptic.audit.rederive import rederive
+    from canhaptic.audit.recompute import rederive
 
     touched(bus_log=tmp_path / "b.log", duration=0.01)
     with pytest.raises(InputError, match="energy log"):

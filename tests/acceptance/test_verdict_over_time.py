@@ -8,8 +8,7 @@ import pytest
 
 import canhaptic
 from canhaptic.audit.inspection import inspect
-from canhaptic.audit.recompute import recompute_all, scene_of
-from canhaptic.audit.rederive import rederive
+from canhaptic.audit.recompute import recompute_all, rederive, scene_of
 from canhaptic.cli.main import main
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import with_groups

@@ -4,7 +4,7 @@ from pathlib import Path
 import h5py
 import pytest
 
-from canhaptic.audit.rederive import rederive
+from canhaptic.audit.recompute import rederive
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
 from canhaptic.scene.load import load_scene

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from canhaptic.audit.inspection import inspect
-from canhaptic.audit.recompute import recompute_all, scene_of
-from canhaptic.audit.rederive import rederive
+from canhaptic.audit.recompute import recompute_all, rederive, scene_of
 from canhaptic.cli import run as run_command
 from canhaptic.cli.options import add_arguments
 from canhaptic.commission import mass_and_friction, torque_tests

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from canhaptic.audit.rederive import rederive
+from canhaptic.audit.recompute import rederive
 from canhaptic.cycle import run
 from canhaptic.errors import InputError, LogFormatError
 from canhaptic.logs.bus_reader import read_bus_log

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from canhaptic.audit.rederive import rederive
+from canhaptic.audit.recompute import rederive
 from canhaptic.cli.decode import _decode_log
 from canhaptic.cycle import run
 from canhaptic.errors import LogFormatError, RigError, SceneError
