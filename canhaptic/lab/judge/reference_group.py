@@ -10,9 +10,12 @@ from functools import partial
 from itertools import accumulate
 from typing import Any
 
+import numpy as np
+
 from canhaptic.errors import InputError
 from canhaptic.lab.judge import reference_model
-from canhaptic.lab.judge.reference_model import POSITION, VELOCITY, Floats, Model, Modes, Transition
+from canhaptic.lab.judge.reference_model import MOTOR_WORK, POSITION, VELOCITY, Floats, Model, Modes, Transition
+from canhaptic.sim.plant.direct_rig import Motion
 from canhaptic.sim.plant.mechanism import MechanismParameters
 from canhaptic.sim.plant.mechanism import five_bar_linkage as five_bar
 from canhaptic.sim.plant.mechanism.five_bar_linkage import Inertia, LinkagePose, hand_pull, quadratic
@@ -22,12 +25,45 @@ from canhaptic.sim.plant.mechanism.xy_stage import XYStage
 State = Sequence[float]
 
 
-class AxesModel:
+class _Motors:
+    """Motors of a group.
+
+    Args:
+        places: Indices of their positions in the state.
+        speeds: Indices of their velocities.
+        works: Indices of the works of the motors; the work of a user follows each.
+    """
+
+    def __init__(self, places: Sequence[int], speeds: Sequence[int], works: Sequence[int]) -> None:
+        self._places, self._speeds, self._works = places, speeds, works
+
+    def positions(self, state: State) -> Floats:
+        """Return the positions of the motors [m or rad]."""
+        return [float(state[place]) for place in self._places]
+
+    def velocities(self, state: State) -> Floats:
+        """Return the velocities of the motors [m/s or rad/s]."""
+        return [float(state[place]) for place in self._speeds]
+
+    def works(self, state: State) -> tuple[float, float]:
+        """Return the works of all motors and of the user since the start [J]."""
+        return sum(float(state[place]) for place in self._works), sum(float(state[place + 1]) for place in self._works)
+
+    def motion(self, states: Sequence[State]) -> Motion:
+        """Return a motion from the states at the ends of the holds; its motors in columns."""
+        rows = ((self.positions(state), self.velocities(state), *self.works(state)) for state in states)
+        return Motion(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+class AxesModel(_Motors):
     """Motors with a separate plant each; the modes are those of all plants in sequence."""
 
     def __init__(self, models: Sequence[Model], masses: Sequence[float]) -> None:
         self._models, self._masses = models, masses
         self._parts = _slices([len(model.start) for model in models])
+        places = [part.start + POSITION for part in self._parts]
+        speeds = [part.start + VELOCITY for part in self._parts]
+        super().__init__(places, speeds, [part.stop + MOTOR_WORK for part in self._parts])
         self._modes = _slices([len(model.first) for model in models])
         self.start = [value for model in models for value in model.start]
         self.first: Modes = tuple(mode for model in models for mode in model.first)
@@ -38,19 +74,6 @@ class AxesModel:
     def evaluations(self) -> int:
         """Number of evaluations of the forces."""
         return max(model.evaluations for model in self._models)
-
-    def positions(self, state: State) -> Floats:
-        """Return the positions of the motors [m or rad]."""
-        return [float(state[part.start + POSITION]) for part in self._parts]
-
-    def velocities(self, state: State) -> Floats:
-        """Return the velocities of the motors [m/s or rad/s]."""
-        return [float(state[part.start + VELOCITY]) for part in self._parts]
-
-    def works(self, state: State) -> tuple[float, float]:
-        """Return the works of all motors and of the user since the start [J]."""
-        motor = sum(float(state[part.stop + reference_model.MOTOR_WORK]) for part in self._parts)
-        return motor, sum(float(state[part.stop + reference_model.USER_WORK]) for part in self._parts)
 
     def inertia(self, positions: State) -> list[Floats]:
         """Return the inertia at each motor [kg or kg*m^2]."""
@@ -95,13 +118,14 @@ def _of_motor(way: Transition, motor: int, part: slice, first: int) -> Transitio
     return Transition(first + way.element, way.mode, value, way.rounding, reset)
 
 
-class _TwoMotors:
+class _TwoMotors(_Motors):
     """Two motors and a handle in the plane; state: two positions, two velocities, work of the motors and the user."""
 
     first: Modes = ()
     switches = False
 
     def __init__(self, hand: TaskHand | None, positions: Sequence[float]) -> None:
+        super().__init__((0, 1), (2, 3), (4,))
         self._hand = five_bar.force_of_hand(hand)
         self.start, self.breaks = [*positions, 0.0, 0.0, 0.0, 0.0], list[float]()
         self.evaluations = 0
@@ -109,18 +133,6 @@ class _TwoMotors:
     def ways(self, modes: Modes) -> list[Transition]:
         """Every transition out of these modes; see `SwitchedModel`."""
         return []
-
-    def positions(self, state: State) -> Floats:
-        """Return the positions of the motors [m or rad]."""
-        return [float(value) for value in state[:2]]
-
-    def velocities(self, state: State) -> Floats:
-        """Return the velocities of the motors [m/s or rad/s]."""
-        return [float(value) for value in state[2:4]]
-
-    def works(self, state: State) -> tuple[float, float]:
-        """Return the works of all motors and of the user since the start [J]."""
-        return float(state[4]), float(state[5])
 
 
 class StageModel(_TwoMotors):

@@ -7,7 +7,7 @@ work of the user. Every effect that acts on the motion is included; effects of t
 `rates`, and has its own transitions between modes. Signs, units and sources are those of the effect of the same name
 in `canhaptic.sim.plant.effects`.
 
-`motion_of` and `difference` turn states into motions and compare two motions.
+`difference` compares two motions.
 """
 
 import math
@@ -527,6 +527,11 @@ class Model:
         self._asked = modes
         return [way for i, element in enumerate(self._elements) for way in element.ways(i, modes[i])]
 
+    def motion(self, states: Sequence[State]) -> Motion:
+        """Return a motion from the states at the ends of the holds."""
+        table = np.array(states, dtype=float).reshape(len(states), -1)
+        return Motion(*(table[:, place] for place in (POSITION, VELOCITY, MOTOR_WORK, USER_WORK)))
+
     @property
     def dynamic_size(self) -> int:
         """Return the number of states without the work of motor and user, on which no rate depends."""
@@ -565,12 +570,6 @@ class MotionError(NamedTuple):
         return bool(np.isfinite(self.position) and np.isfinite(self.force) and np.isfinite(self.energy))
 
 
-def motion_of(states: list[Floats]) -> Motion:
-    """Return a motion from the states at the ends of the holds."""
-    table = np.array(states, dtype=float).reshape(len(states), -1)
-    return Motion(table[:, 0], table[:, 1], table[:, MOTOR_WORK], table[:, USER_WORK])
-
-
 def difference(one: Motion, other: Motion, mass: float, sample_time: float) -> MotionError:
     """Difference of two motions; infinite where one of them is not finite.
 
@@ -583,9 +582,9 @@ def difference(one: Motion, other: Motion, mass: float, sample_time: float) -> M
     with np.errstate(all="ignore"):
         kicks = np.diff(one.velocity - other.velocity, prepend=0.0) * (mass / sample_time)
         works = (one.motor - other.motor, one.user - other.user, 0.5 * mass * (one.velocity**2 - other.velocity**2))
-        largest = [_largest(one.position - other.position), _largest(kicks), max(_largest(work) for work in works)]
-    return MotionError(*largest)
+        return largest_error(one.position - other.position, kicks, np.array(works))
 
 
-def _largest(values: Array) -> float:
-    return float(np.abs(values).max(initial=0.0)) if np.all(np.isfinite(values)) else float("inf")
+def largest_error(*apart: Array) -> MotionError:
+    """Return the largest size of each difference, of position, force and energy; infinite where one is not finite."""
+    return MotionError(*(float(np.abs(of).max(initial=0.0)) if np.isfinite(of).all() else math.inf for of in apart))

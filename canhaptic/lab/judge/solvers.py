@@ -18,7 +18,7 @@ import numpy as np
 
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
-from canhaptic.lab.judge.reference_model import Floats, Model, Modes, State, Transition, motion_of
+from canhaptic.lab.judge.reference_model import Floats, Model, Modes, State, Transition
 from canhaptic.sim.plant.direct_rig import Motion
 from canhaptic.sim.plant.propagator import Array
 
@@ -51,36 +51,28 @@ class SwitchedModel(Protocol):
         """Every transition out of these modes; valid until the next call."""
 
 
-def reference(model: SwitchedModel, torques: Sequence[float], sample_time_ns: int, stop: _Stop = None) -> Motion:
-    """Return the motion under the torques by DOP853 with relative tolerance 1e-12.
+class MovedModel(SwitchedModel, Protocol):
+    """Equations of a plant, or of the motors of a group."""
 
-    Args:
-        model: The plant.
-        torques: Torque of each hold [N or N*m].
-        sample_time_ns: Duration of a hold [ns].
-        stop: Polled regularly; true aborts.
+    def motion(self, states: Sequence[Any]) -> Motion:
+        """Return a motion from the states at the ends of the holds."""
 
-    Raises:
-        InputError: scipy is missing, the solver fails, or it was stopped.
-    """
+
+def reference(model: MovedModel, torques: Sequence[Any], sample_time_ns: int, stop: _Stop = None) -> Motion:
+    """Return the motion under the torques by DOP853 with relative tolerance 1e-12; arguments as for `located`."""
     return located(model, torques, sample_time_ns, "DOP853", 1e-12, 1e-15, stop)
 
 
-def located(model: SwitchedModel, torques: Sequence[float], sample_time_ns: int, *how: Any) -> Motion:
-    """Return the motion under the torques; arguments and errors as for `located_states`."""
-    return motion_of(located_states(model, torques, sample_time_ns, *how))
-
-
-def located_states(
-    model: SwitchedModel,
+def located(
+    model: MovedModel,
     torques: Sequence[Any],
     sample_time_ns: int,
     method: str,
     rtol: float,
     atol: float,
     stop: _Stop = None,
-) -> list[Floats]:
-    """Return every state at the end of each hold, by a solver of `scipy.integrate.solve_ivp`.
+) -> Motion:
+    """Return the motion under the torques, by a solver of `scipy.integrate.solve_ivp`.
 
     Args:
         model: The plant.
@@ -104,7 +96,7 @@ def located_states(
         for start, finish in pairwise([begin, *(t for t in sorted(model.breaks) if begin < t < end), end]):
             run.advance(torque, start, finish)
         states.append(list(run.state))
-    return states
+    return model.motion(states)
 
 
 def states_at(
@@ -213,15 +205,10 @@ def _event(way: Transition) -> Any:
 _Step = Callable[[Model, float, Floats, float, Modes, float], Floats]
 
 
-def fixed_step(model: Model, torques: Sequence[float], sample_time_ns: int, step: _Step, substeps: int) -> Motion:
-    """Return the motion under the torques; arguments as for `fixed_step_states`."""
-    return motion_of(fixed_step_states(model, torques, sample_time_ns, step, substeps))
-
-
-def fixed_step_states(
-    model: SwitchedModel, torques: Sequence[Any], sample_time_ns: int, step: Callable[..., Floats], substeps: int
-) -> list[Floats]:
-    """Return the state at the end of each hold; not finite after a divergence.
+def fixed_step(
+    model: MovedModel, torques: Sequence[Any], sample_time_ns: int, step: Callable[..., Floats], substeps: int
+) -> Motion:
+    """Return the motion under the torques; not finite after a divergence.
 
     Args:
         model: The plant.
@@ -232,7 +219,7 @@ def fixed_step_states(
     """
     period = sample_time_ns * 1e-9
     length = period / substeps
-    state, modes, states = list(model.start), model.first, []
+    state, modes, states = list(model.start), model.first, list[Floats]()
     for k, torque in enumerate(torques):
         for i in range(substeps):
             now = k * period + i * length
@@ -243,12 +230,11 @@ def fixed_step_states(
             except (OverflowError, np.linalg.LinAlgError):
                 state = [float("inf")] * len(state)
             if not abs(state[0]) < 1e6:  # [m or rad]
-                states += [[float("inf")] * len(state)] * (len(torques) - k)
-                return states
+                return model.motion([*states, *[[float("inf")] * len(state)] * (len(torques) - k)])
         if model.switches:
             state, modes = settled(model, (k + 1) * period, state, torque, modes)
         states.append(list(state))
-    return states
+    return model.motion(states)
 
 
 def _semi_implicit_euler(model: Model, now: float, state: Floats, torque: float, modes: Modes, step: float) -> Floats:

@@ -20,7 +20,7 @@ from canhaptic.control.multi_axis.group_kernel import (
 from canhaptic.lab.batch.group_loop import Motors
 from canhaptic.lab.batch.scalar import render_group
 from canhaptic.lab.judge.reference_group import mechanism_model
-from canhaptic.lab.judge.solvers import located_states
+from canhaptic.lab.judge.solvers import located
 from canhaptic.lab.loop.axis_loop import at_rate
 from canhaptic.lab.reference import continuous_group, group_model
 from canhaptic.lab.studies.accuracy.loop_sensitivity import engines_of, variants
@@ -165,7 +165,7 @@ ROUGH: dict[str, Any] = {
 def test_a_stage_that_sticks_and_slides_is_the_exact_one() -> None:
     model, exact = mechanism_model(XYStage(**{**STAGE, **ROUGH}), HAND), stage(**ROUGH)
     torques = [(1.5 * np.sin(0.06 * k), 0.6 * np.cos(0.09 * k)) for k in range(400)]
-    states = np.array(located_states(model, torques, MS, "DOP853", 1e-12, 1e-15))
+    motion = located(model, torques, MS, "DOP853", 1e-12, 1e-15)
     exact.begin(0)
     found = []
     for k, pair in enumerate(torques):
@@ -174,9 +174,9 @@ def test_a_stage_that_sticks_and_slides_is_the_exact_one() -> None:
     still = (np.abs(np.array(found)[:, 2:]) < 1e-9).sum(axis=0)
     assert exact.events >= 6  # changes between sticking and sliding
     assert (still >= 5).all()  # both guides were stuck for some holds
-    assert np.abs(states[:, :4] - found).max() < 1e-9
+    assert np.abs(np.hstack([motion.position, motion.velocity]) - found).max() < 1e-9
     works = [sum(getattr(exact.energy(axis), of) for axis in (0, 1)) for of in ("motor", "user")]
-    assert model.works(states[-1]) == pytest.approx(works, abs=1e-9)
+    assert (motion.motor[-1], motion.user[-1]) == pytest.approx(works, abs=1e-9)
 
 
 def test_a_group_is_compiled_where_one_size_of_it_runs_long_enough() -> None:

@@ -9,12 +9,10 @@ In a group, motors with separate plants are compared one by one, and a setting i
 mechanism is compared with its equations of motion, solved by DOP853.
 """
 
-import importlib.util
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, Final, TypeVar
+from functools import cached_property, partial
+from typing import Any, Final
 from warnings import catch_warnings
 
 import numpy as np
@@ -25,7 +23,7 @@ from canhaptic.lab.batch.group_loop import Motors
 from canhaptic.lab.batch.scalar import render_group
 from canhaptic.lab.judge import solvers
 from canhaptic.lab.judge.reference_group import ReferenceGroup
-from canhaptic.lab.judge.reference_model import Model, MotionError, difference
+from canhaptic.lab.judge.reference_model import Model, MotionError, difference, largest_error
 from canhaptic.lab.reference import group_model, textbook_model
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy.loop_sensitivity import finely_solved
@@ -38,7 +36,6 @@ from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array
 
 Stop = Callable[[], bool]
-_M = TypeVar("_M", Model, ReferenceGroup)
 OURS: Final = "canhaptic"
 LSODA: Final = "LSODA, located"
 FLOOR: Final = 2e-13
@@ -56,7 +53,6 @@ _RUNGE_KUTTA: Final = (1, 2, 4, 8)
 _TOLERANCES: Final = (1e-3, 1e-5, 1e-7, 1e-9)
 _ABSOLUTE: Final = 1e-3
 """Ratio of the absolute to the relative tolerance."""
-_REFERENCE: Final = 1e-12
 _MOST_WORK: Final = 130_000
 """Largest number of evaluations of a fixed-step method in one run; finer settings are left out."""
 _WORK: Final = {"semi-implicit Euler": 1, "implicit midpoint": 8, "RK4": 4}
@@ -89,20 +85,6 @@ class Candidate:
     def name(self) -> str:
         """Name of method and setting, for tables."""
         return f"{self.method}, {self.setting}"
-
-
-def _textbook(
-    make: Callable[[], _M], solve: Callable[[_M], Motion], method: str, setting: str, substeps: int | None = None,
-    order: int | None = None,
-) -> Candidate:  # fmt: skip
-    """Return a textbook method that solves the equations of a plant, which are set up again for every run."""
-
-    def run() -> tuple[Motion, int, int]:
-        model = make()
-        motion = solve(model)
-        return motion, model.evaluations, 0
-
-    return Candidate(method, setting, substeps and 1.0 / substeps, order, None, run, run)
 
 
 def ladder(simulation: AxisSimulation, sample_time_ns: int) -> list[AccuracyParameters]:
@@ -239,7 +221,58 @@ def fitted_order(sizes: Sequence[float], errors: Sequence[float], travel: float)
     return float(np.polyfit(x, y, 1)[0])
 
 
-class PlantSide(Plants):
+class _Solved(Plants):
+    """One plant, or one mechanism, and the solvers of its textbook equations.
+
+    Args:
+        make: Sets up the equations.
+        torques: Torque of each hold [N or N*m]; of a mechanism one for each motor.
+        period: Length of a hold [ns].
+        stop: Polled regularly; true aborts.
+    """
+
+    def __init__(
+        self, make: Callable[[], Model | ReferenceGroup], torques: Sequence[Any], period: int, stop: Stop
+    ) -> None:
+        super().__init__()
+        self.torques, self._make, self._period, model = torques, make, period, make()
+        self.exact: Motion = solvers.reference(model, torques, period, stop)
+        self.evaluations, self._switches = model.evaluations, model.switches
+        self.travel = max(float(np.ptp(self.exact.position, axis=0).max()), 1e-9)
+        works = (self.exact.motor, self.exact.user, self._kinetic(self.exact))
+        self.energy = max(float(np.abs(work).max()) for work in works)
+
+    def _kinetic(self, motion: Motion) -> Array:
+        """Return the kinetic energy at the end of each hold [J]."""
+        raise NotImplementedError
+
+    def _textbook(
+        self, method: str, setting: str, solve: Callable[..., Motion], substeps: int | None = None
+    ) -> Candidate:
+        """Return a textbook method; the equations are set up again for every run."""
+
+        def run() -> tuple[Motion, int, int]:
+            model = self._make()
+            motion = solve(model)
+            return motion, model.evaluations, 0
+
+        order = None if substeps is None else 1 if self._switches else solvers.METHODS[method][0]
+        return Candidate(method, setting, substeps and 1.0 / substeps, order, None, run, run)
+
+    def _fixed(self, method: str, substeps: int) -> Candidate:
+        def solve(model: solvers.MovedModel) -> Motion:
+            return solvers.fixed_step(model, self.torques, self._period, solvers.METHODS[method][1](), substeps)
+
+        return self._textbook(method, counted(substeps, "step"), solve, substeps)
+
+    def _adaptive(self) -> list[Candidate]:
+        def solve(tolerance: float, model: solvers.MovedModel) -> Motion:
+            return solvers.located(model, self.torques, self._period, "LSODA", tolerance, tolerance * _ABSOLUTE)
+
+        return [self._textbook(LSODA, f"tolerance {t:.0e}", partial(solve, t)) for t in _TOLERANCES]
+
+
+class PlantSide(_Solved):
     """Methods to compute the plant of one axis under recorded torques, and their results.
 
     Args:
@@ -255,35 +288,18 @@ class PlantSide(Plants):
         self, axis: AxisScene, scene: Scene, holds: int, stop: Stop, *, torques: Sequence[float] | None = None,
         settings: Sequence[AccuracyParameters] | None = None,
     ) -> None:  # fmt: skip
-        super().__init__()
-        self._simulation, self._period = simulation_of(axis), scene.bus.sample_time_ns
-        self.torques = torque_history(axis, scene, holds) if torques is None else torques
-        model = textbook_model(self._simulation)
-        self.exact: Motion = solvers.reference(model, self.torques, self._period, stop)
-        self.evaluations = model.evaluations
-        self.travel = max(float(np.ptp(self.exact.position)), 1e-9)
-        kinetic = 0.5 * self._simulation.plant.mass * self.exact.velocity**2
-        self.energy = max(float(np.abs(work).max()) for work in (self.exact.motor, self.exact.user, kinetic))
-        settings = settings or own_ladder(self._simulation, self._period)
-        self.candidates = [ours(self._simulation, of, self.torques, self._period) for of in settings]
-        for method, (order, _) in solvers.METHODS.items():
-            work, own = _WORK[method] * len(self.torques), 1 if model.switches else order
-            self.candidates += [self._fixed(method, n, own) for n in _SUBSTEPS if n * work <= _MOST_WORK]
-        if importlib.util.find_spec("scipy"):
-            self.candidates += [self._adaptive(tolerance) for tolerance in _TOLERANCES]
+        self._simulation, period = simulation_of(axis), scene.bus.sample_time_ns
+        held = torque_history(axis, scene, holds) if torques is None else torques
+        super().__init__(partial(textbook_model, self._simulation), held, period, stop)
+        settings = settings or own_ladder(self._simulation, period)
+        self.candidates = [ours(self._simulation, of, held, period) for of in settings]
+        for method in solvers.METHODS:
+            work = _WORK[method] * len(held)
+            self.candidates += [self._fixed(method, n) for n in _SUBSTEPS if n * work <= _MOST_WORK]
+        self.candidates += self._adaptive()
 
-    def _fixed(self, method: str, substeps: int, order: int | None) -> Candidate:
-        def solve(model: Model) -> Motion:
-            return solvers.fixed_step(model, self.torques, self._period, solvers.METHODS[method][1](), substeps)
-
-        make = partial(textbook_model, self._simulation)
-        return _textbook(make, solve, method, counted(substeps, "step"), substeps, order)
-
-    def _adaptive(self, tolerance: float) -> Candidate:
-        def solve(model: Model) -> Motion:
-            return solvers.located(model, self.torques, self._period, "LSODA", tolerance, tolerance * _ABSOLUTE)
-
-        return _textbook(partial(textbook_model, self._simulation), solve, LSODA, f"tolerance {tolerance:.0e}")
+    def _kinetic(self, motion: Motion) -> Array:
+        return np.asarray(0.5 * self._simulation.plant.mass * motion.velocity**2)
 
     def _judged(self, motion: Motion) -> MotionError:
         return difference(motion, self.exact, self._simulation.plant.mass, self._period * 1e-9)
@@ -450,39 +466,28 @@ def _worst(rows: Sequence[Row]) -> Row:
     return {**rows[0], **errors, **prices}
 
 
-class _Mechanism(Plants):
+class _Mechanism(_Solved):
     """A mechanism that the motors of the group move together; its motions have a column for each motor."""
 
     def __init__(self, scene: Scene, torques: Array, stop: Stop) -> None:
-        super().__init__()
-        self._scene, self.torques, self._stop = scene, torques, stop
-        self._period = scene.bus.sample_time_ns
-        model, order = group_model(scene), getattr(scene.mechanisms[0].mechanism.parameters, "order", None)
-        self._exact = exact = self._solved(model, "DOP853", _REFERENCE)
-        self._inertia = np.array([model.inertia(row) for row in exact.position])  # shape (holds, axes, axes)
-        self.evaluations, self.travel = model.evaluations, max(float(np.ptp(exact.position, axis=0).max()), 1e-9)
-        works = (exact.motor, exact.user, self._kinetic(exact))
-        self.energy = max(float(np.abs(work).max()) for work in works)
-        make = partial(group_model, scene)
+        self._scene, order = scene, getattr(scene.mechanisms[0].mechanism.parameters, "order", None)
+        super().__init__(partial(group_model, scene), torques.tolist(), scene.bus.sample_time_ns, stop)
         self.candidates = [self._ours(n, order) for n in (_OUR_SUBSTEPS if order else (1,))]
-        self.candidates += [
-            _textbook(make, partial(self._runge_kutta, n), "RK4", counted(n, "step"), n, 1 if model.switches else 4)
-            for n in _RUNGE_KUTTA
-        ]
-        self.candidates += [
-            _textbook(make, partial(self._solved, method="LSODA", rtol=t), LSODA, f"tolerance {t:.0e}")
-            for t in _TOLERANCES
-        ]
+        self.candidates += [*(self._fixed("RK4", n) for n in _RUNGE_KUTTA), *self._adaptive()]
+
+    @cached_property
+    def _inertia(self) -> Array:
+        """Inertia at the motors along the reference, shape (holds, axes, axes)."""
+        model = group_model(self._scene)
+        return np.array([model.inertia(row) for row in self.exact.position])
 
     def _judged(self, motion: Motion) -> MotionError:
-        exact, period = self._exact, self._scene.bus.sample_time
+        exact, period = self.exact, self._scene.bus.sample_time
         with np.errstate(all="ignore"):
             apart = np.einsum("kij,kj->ki", self._inertia, motion.velocity - exact.velocity)
             kicks = np.diff(apart, axis=0, prepend=np.zeros((1, apart.shape[1]))) / period
             works = (motion.motor - exact.motor, motion.user - exact.user, self._kinetic(motion) - self._kinetic(exact))
-            found = [motion.position - exact.position, kicks, np.array(works)]
-        largest = [float(np.abs(values).max()) if np.isfinite(values).all() else math.inf for values in found]
-        return MotionError(*largest)
+            return largest_error(motion.position - exact.position, kicks, np.array(works))
 
     def _kinetic(self, motion: Motion) -> Array:
         return np.asarray(0.5 * np.einsum("ki,kij,kj->k", motion.velocity, self._inertia, motion.velocity))
@@ -494,7 +499,7 @@ class _Mechanism(Plants):
 
         def run(look: Callable[[Motors], object]) -> tuple[list[Any], int]:
             motors, found = Motors(scene, axes), []
-            for k, torques in enumerate(self.torques.tolist()):
+            for k, torques in enumerate(self.torques):
                 motors.advance_to((k + 1) * self._period, tuple(torques))
                 found.append(look(motors))
             return found, motors.evaluations() or len(found)
@@ -505,21 +510,3 @@ class _Mechanism(Plants):
 
         setting, accuracy = counted(substeps, "substep") if order else "exact", AccuracyParameters(substeps=substeps)
         return Candidate(OURS, setting, 1.0 / substeps, order, accuracy, observe, lambda: run(lambda _motors: None))
-
-    def _runge_kutta(self, substeps: int, model: ReferenceGroup) -> Motion:
-        torques, step = self.torques.tolist(), solvers.runge_kutta_4
-        return _motion_of(model, solvers.fixed_step_states(model, torques, self._period, step, substeps))
-
-    def _solved(self, model: ReferenceGroup, method: str, rtol: float) -> Motion:
-        """Return the motion computed by a solver of scipy, hold by hold; it raises errors like `located_states`."""
-        torques = self.torques.tolist()
-        return _motion_of(
-            model, solvers.located_states(model, torques, self._period, method, rtol, _ABSOLUTE * rtol, self._stop)
-        )  # fmt: skip
-
-
-def _motion_of(model: ReferenceGroup, states: Sequence[Any]) -> Motion:
-    works = np.array([model.works(state) for state in states])
-    positions = np.array([model.positions(state) for state in states])
-    velocities = np.array([model.velocities(state) for state in states])
-    return Motion(positions, velocities, works[:, 0], works[:, 1])
