@@ -1,4 +1,4 @@
-"""Equations of motion of several motors: separate axes, an X-Y stage, a five-bar.
+"""Equations of motion of several motors - separate axes, an X-Y stage, a five-bar - and of an admittance display.
 
 The five-bar has the same links as the simulated one, but other equations: `M(q) v' = torque + ... - C(q, v)`, for
 accelerations and any solver. The simulated one takes discrete-gradient steps in momenta.
@@ -21,6 +21,9 @@ from canhaptic.sim.plant.mechanism import five_bar_linkage as five_bar
 from canhaptic.sim.plant.mechanism.five_bar_linkage import Inertia, LinkagePose, hand_pull, quadratic
 from canhaptic.sim.plant.mechanism.task_hand import TaskHand
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
+from canhaptic.sim.plant.plant import PlantParameters
+from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
+from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation
 
 State = Sequence[float]
 
@@ -33,6 +36,9 @@ class _Motors:
         speeds: Indices of their velocities.
         works: Indices of the works of the motors; the work of a user follows each.
     """
+
+    first: Modes = ()
+    switches = False
 
     def __init__(self, places: Sequence[int], speeds: Sequence[int], works: Sequence[int]) -> None:
         self._places, self._speeds, self._works = places, speeds, works
@@ -53,6 +59,10 @@ class _Motors:
         """Return a motion from the states at the ends of the holds; its motors in columns."""
         rows = ((self.positions(state), self.velocities(state), *self.works(state)) for state in states)
         return Motion(*(np.array(column) for column in zip(*rows, strict=True)))
+
+    def ways(self, modes: Modes) -> list[Transition]:
+        """Every transition out of these modes; see `SwitchedModel`."""
+        return []
 
 
 class AxesModel(_Motors):
@@ -121,18 +131,11 @@ def _of_motor(way: Transition, motor: int, part: slice, first: int) -> Transitio
 class _TwoMotors(_Motors):
     """Two motors and a handle in the plane; state: two positions, two velocities, work of the motors and the user."""
 
-    first: Modes = ()
-    switches = False
-
     def __init__(self, hand: TaskHand | None, positions: Sequence[float]) -> None:
         super().__init__((0, 1), (2, 3), (4,))
         self._hand = five_bar.force_of_hand(hand)
         self.start, self.breaks = [*positions, 0.0, 0.0, 0.0, 0.0], list[float]()
         self.evaluations = 0
-
-    def ways(self, modes: Modes) -> list[Transition]:
-        """Every transition out of these modes; see `SwitchedModel`."""
-        return []
 
 
 class StageModel(_TwoMotors):
@@ -233,6 +236,43 @@ class FiveBarModel(_TwoMotors):
         if self._stop is None:
             return 0.0
         return self._stop.stiffness * (max(0.0, span - self._stop.most) - max(0.0, self._stop.least - span))
+
+
+class DisplayModel(_Motors):
+    """An admittance display and its hand, on both sides of the force sensor; `torque` is the command r of the velocity.
+
+        M v' = c (r - v) + f_I + F - b v,   f_I' = k (r - v),   F = k_g (x - q) + d_g (w - v)
+        m x'' = -F + K (x_u - x) + D (x_u' - w) + push,          E' = F v
+
+    q, v: mass on the motor's side; x, w: mass on the hand's side; f_I: integral part of the velocity loop; F: force at
+    the sensor; E: energy through it, booked as the user's work. Effects and torque limits are omitted.
+
+    Args:
+        plant: Mass on the motor's side, and its start.
+        display: Velocity loop, and grip on the hand's side.
+        user: The hand; None without a hand.
+    """
+
+    def __init__(self, plant: PlantParameters, display: AdmittanceSimulation, user: UserParameters | None) -> None:
+        super().__init__((0,), (1,), (4,))
+        self._plant, self._display, self._user = plant, display, user or UserParameters()
+        begin = (plant.initial_position, plant.initial_velocity)
+        self.start, self.breaks = [*begin, *begin, 0.0, 0.0], list[float]()  # q, v, x, w, f_I, E
+
+    def rates(self, time: float, state: State, torque: float, modes: Modes) -> Floats:
+        """Return the rate of every state; see `SwitchedModel`."""
+        q, v, x, w, integral, _ = (float(value) for value in state)
+        plant, user, loop, grip = self._plant, self._user, self._display.loop, self._display.grip
+        motion = user.sinusoid or SinusoidMotion(amplitude=0.0, frequency=1.0)
+        omega = 2.0 * math.pi * motion.frequency
+        angle = omega * time + motion.phase
+        place = user.rest + motion.offset + motion.amplitude * math.sin(angle)
+        speed = motion.amplitude * omega * math.cos(angle)
+        force = grip.stiffness * (x - q) + grip.damping * (w - v)
+        hand = user.stiffness * (place - x) + user.damping * (speed - w) + user.push
+        driven = loop.gain * (torque - v) + integral - plant.damping * v
+        forced = (driven + force) / plant.mass, (hand - force) / grip.mass
+        return [v, forced[0], w, forced[1], loop.integral_gain * (torque - v), force * v]
 
 
 ReferenceGroup = AxesModel | StageModel | FiveBarModel

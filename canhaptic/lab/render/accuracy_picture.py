@@ -14,7 +14,7 @@ from canhaptic.axis_units import mass_unit
 from canhaptic.errors import InputError
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy import accuracy_table
-from canhaptic.lab.studies.accuracy.admittance_accuracy import display_accuracy_table, display_heading
+from canhaptic.lab.studies.accuracy.accuracy_table import display_accuracy_table, display_heading
 from canhaptic.lab.studies.accuracy.plant_solvers import FLOOR, OURS
 from canhaptic.view import picture_style as style
 from canhaptic.view.html_page import picture, words, write_page

@@ -13,8 +13,8 @@ from canhaptic.lab.judge.reference_model import difference
 from canhaptic.lab.judge.solvers import located
 from canhaptic.lab.reference import textbook_model
 from canhaptic.lab.studies.accuracy.accuracy_table import LEAST_ORDER, advice_lines
-from canhaptic.lab.studies.accuracy.loop_sensitivity import continuous_loop
-from canhaptic.lab.studies.accuracy.plant_solvers import fitted_order, holds_of
+from canhaptic.lab.studies.accuracy.loop_sensitivity import continuous_loop, holds_of
+from canhaptic.lab.studies.accuracy.plant_solvers import fitted_order
 from canhaptic.lab.studies.accuracy.study import AccuracyStudy
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene

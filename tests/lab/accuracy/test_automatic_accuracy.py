@@ -11,7 +11,8 @@ from canhaptic.errors import InputError, SceneError
 from canhaptic.lab.judge.reference_model import difference
 from canhaptic.lab.judge.solvers import reference
 from canhaptic.lab.reference import textbook_model
-from canhaptic.lab.studies.accuracy.plant_solvers import holds_of, ladder
+from canhaptic.lab.studies.accuracy.loop_sensitivity import holds_of
+from canhaptic.lab.studies.accuracy.plant_solvers import ladder
 from canhaptic.lab.studies.accuracy.study import with_chosen_accuracy
 from canhaptic.scene.build import build
 from canhaptic.scene.far_side import build_plant

@@ -13,7 +13,8 @@ from canhaptic.lab.judge.reference_model import difference
 from canhaptic.lab.judge.solvers import located
 from canhaptic.lab.reference import textbook_model
 from canhaptic.lab.studies.accuracy.accuracy_table import advice, line, markdown, meets
-from canhaptic.lab.studies.accuracy.plant_solvers import FLOOR, OURS, PlantSide, holds_of, ladder
+from canhaptic.lab.studies.accuracy.loop_sensitivity import holds_of
+from canhaptic.lab.studies.accuracy.plant_solvers import FLOOR, OURS, PlantSide, ladder
 from canhaptic.lab.studies.accuracy.study import choose
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene

@@ -10,7 +10,7 @@ from canhaptic.cli.main import main
 from canhaptic.errors import InputError
 from canhaptic.lab.loop.admittance_loop import run_display
 from canhaptic.lab.render.accuracy_picture import draw_accuracy
-from canhaptic.lab.studies.accuracy.admittance_accuracy import integrate, study_display, why_no_equations
+from canhaptic.lab.studies.accuracy.loop_sensitivity import exact_display, study_display, why_no_equations
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import simulation_of
 
@@ -22,13 +22,13 @@ NODE = SCENES / "force_node.yaml"
 def test_the_plant_is_that_of_a_solver_which_shares_nothing_with_it(name: str) -> None:
     scene = load_scene(SCENES / f"{name}.yaml")
     run, simulation = run_display(scene, 60), simulation_of(scene.axes[0])
-    exact = integrate(simulation, run.torque[:, 0].tolist(), scene.bus.sample_time)
-    assert np.abs(run.motion[:, 0, 0] - exact[:, 0]).max() < 1e-12
-    assert np.abs(run.interaction - exact[:, 1]).max() < 1e-10
+    exact = exact_display(simulation, run.torque[1:, 0].tolist(), scene.bus.sample_time_ns)
+    assert np.abs(run.motion[1:, 0, :1] - exact.position).max() < 1e-12
+    assert np.abs(run.interaction[1:] - exact.user).max() < 1e-10
     assert max(run.interaction) > 1e-4
     lighter = load_scene(SCENES / f"{name}.yaml", ["simulation.plant.mass=1.9 kg"])
-    wrong = integrate(simulation_of(lighter.axes[0]), run.torque[:, 0].tolist(), scene.bus.sample_time)
-    assert np.abs(run.motion[:, 0, 0] - wrong[:, 0]).max() > 1e-7
+    wrong = exact_display(simulation_of(lighter.axes[0]), run.torque[1:, 0].tolist(), scene.bus.sample_time_ns)
+    assert np.abs(run.motion[1:, 0, :1] - wrong.position).max() > 1e-7
 
 
 @pytest.mark.slow

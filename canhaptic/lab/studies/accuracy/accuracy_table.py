@@ -12,10 +12,9 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from canhaptic.axis_units import effort_unit, si
+from canhaptic.axis_units import effort_unit, mass_unit, si
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.accuracy.admittance_accuracy import display_accuracy_table, display_heading
 from canhaptic.lab.studies.accuracy.plant_solvers import FLOOR, OURS
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.view.table import Cell, Styled, Table
@@ -368,6 +367,47 @@ def _short(value: float | None, digits: int) -> str:
 
 def _plain(value: int | None) -> str:
     return "exact" if value is None else str(value)
+
+
+DISPLAY_HEADS: Final = ("changed", "to", "position", "energy", "mass felt", "given out", "guard acts", "us per\ncycle")
+
+
+def display_accuracy_table(result: Row) -> Table:
+    """Return one row for each change of the scene."""
+    return Table("", DISPLAY_HEADS, [_display_cells(row, result["unit"]) for row in result["loop"]], keys=2)
+
+
+def display_heading(result: Row) -> list[str]:
+    """Return the heading: the studied part, its reference, and the difference of the plant from a solver."""
+    unit, reference = result["unit"], result["reference"]
+    lines = [
+        f"{result['scene']}, {result['axis']}: {result['holds']} sample times at {result['rate']:g} Hz, "
+        f"{result['status']}",
+        f"errors against an ideal display: travel {si(reference['travel'], unit)}, "
+        f"energy {si(reference['energy'], 'J')}; certain to about {si(reference['apart'], unit, 2)}",
+    ]
+    for row in result["plant"]:
+        text = row["status"]
+        if row["status"] == "ok":
+            energy = f", energy {si(row['energy_error'], 'J', 2)}" if "energy_error" in row else ""
+            text = f"errors against DOP853: position {si(row['position_error'], unit, 2)}{energy}"
+        lines.append(f"simulated plant of {row['axis']}: {text}")
+    return lines
+
+
+def _display_cells(row: Row, unit: str) -> list[str]:
+    if "position_error" not in row:
+        return [row["changed"], f"{row['to']}: refused", *[""] * (len(DISPLAY_HEADS) - 2)]
+    return [
+        row["changed"],
+        row["to"] + ("" if row["status"] == "ok" else f" (ended: {row['status'][:40]})"),
+        si(row["position_error"], unit, 3),
+        si(row["energy_error"], "J", 3),
+        "-" if np.isnan(row["mass_felt"]) else si(row["mass_felt"], mass_unit(unit), 3),
+        si(row["given_out"], "J", 3),
+        f"{100.0 * row['guard_acts']:.2g} %",
+        f"{row['us_per_cycle']:.0f}",
+    ]
 
 
 _ADVICE_CLOCK: Final = 0.05

@@ -26,7 +26,7 @@ from canhaptic.lab.judge.reference_group import ReferenceGroup
 from canhaptic.lab.judge.reference_model import Model, MotionError, difference, largest_error
 from canhaptic.lab.reference import group_model, textbook_model
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.accuracy.loop_sensitivity import finely_solved
+from canhaptic.lab.studies.accuracy.loop_sensitivity import Stop, finely_solved
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.method import declared_order, simulation_of, torque_history
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
@@ -35,7 +35,6 @@ from canhaptic.sim.plant.direct_rig import Motion, observed
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import Array
 
-Stop = Callable[[], bool]
 OURS: Final = "canhaptic"
 LSODA: Final = "LSODA, located"
 FLOOR: Final = 2e-13
@@ -379,17 +378,6 @@ def _named(candidate: Candidate) -> Row:
 def _errors_of(found: MotionError) -> Row:
     """Return the columns of the errors."""
     return {f"{name}_error": value for name, value in found._asdict().items()}
-
-
-HOLDS: Final = 1000
-"""Number of holds of a comparison; a shorter scene is compared over its whole length."""
-
-
-def holds_of(scene: Scene, duration: float | None = None) -> int:
-    """Return the number of holds over which a scene is compared."""
-    whole = duration or scene.run.duration
-    holds = HOLDS if whole is None else round(whole / scene.bus.sample_time)
-    return max(2, holds if duration is not None else min(HOLDS, holds))
 
 
 def group_side(scene: Scene, holds: int, stop: Stop) -> Plants:

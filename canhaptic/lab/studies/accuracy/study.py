@@ -212,13 +212,13 @@ class StudiedPart:
     scene: Scene
     whole: Scene
 
-    def plants(self, holds: int, stop: plant_solvers.Stop) -> plant_solvers.Plants:
+    def plants(self, holds: int, stop: loop_sensitivity.Stop) -> plant_solvers.Plants:
         """Return the plants of this part under its recorded torques; see `PlantSide`."""
         if self.scene.groups:
             return plant_solvers.group_side(self.scene, holds, stop)
         return plant_solvers.PlantSide(self.scene.axes[0], self.whole, holds, stop)
 
-    def continuous(self, step_ns: int, steps: int, stop: plant_solvers.Stop) -> ContinuousMotion:
+    def continuous(self, step_ns: int, steps: int, stop: loop_sensitivity.Stop) -> ContinuousMotion:
         """Return motion and force of this part in the continuous environment."""
         if self.scene.groups:
             return continuous_group(self.scene, step_ns, steps, stop)
@@ -289,8 +289,8 @@ def length_of(scene: Scene, name: str | None, duration: float | None = None) -> 
     """
     part = chosen_part(scene, name)
     if part.scene.groups:
-        return Length(scene, plant_solvers.holds_of(scene, duration))
-    most = plant_solvers.holds_of(scene, duration) if duration is not None else _LONGEST
+        return Length(scene, loop_sensitivity.holds_of(scene, duration))
+    most = loop_sensitivity.holds_of(scene, duration) if duration is not None else _LONGEST
     if duration is None and scene.run.duration is not None:
         most = min(_LONGEST, round(scene.run.duration / scene.bus.sample_time))
     (own,), remark = part.scene.axes, ""
@@ -303,7 +303,7 @@ def length_of(scene: Scene, name: str | None, duration: float | None = None) -> 
             scene, remark = plain, f"this loop gives no torque; judged with {_JUDGED_WITH}"
     if duration is not None:
         return Length(scene, most, remark)
-    last = begins[1] + _AFTER if len(begins) > 1 else (begins[0] if begins else 0) + plant_solvers.HOLDS
+    last = begins[1] + _AFTER if len(begins) > 1 else (begins[0] if begins else 0) + loop_sensitivity.HOLDS
     return Length(scene, min(most, last), remark)
 
 
@@ -333,7 +333,7 @@ def study_accuracy(
     *,
     duration: float | None = None,
     progress: Callable[[int], None] | None = None,
-    stop: plant_solvers.Stop = lambda: False,
+    stop: loop_sensitivity.Stop = lambda: False,
     **options: Any,
 ) -> Row:
     """Return the study of an axis, a group or an admittance display of a scene, as plain values.
@@ -351,9 +351,9 @@ def study_accuracy(
     """
     studied = next((of for of in scene.axes if axis in (None, of.parameters.name, of.group)), None)
     if studied is not None and studied.parameters.admittance is not None:
-        from canhaptic.lab.studies.accuracy.admittance_accuracy import study_display
-
-        return study_display(scene, axis, duration, stop, lambda share: progress and progress(round(UNITS * share)))
+        return loop_sensitivity.study_display(
+            scene, axis, duration, stop, lambda share: progress and progress(round(UNITS * share))
+        )
     chosen = length_of(scene, axis, duration)
     return AccuracyStudy(
         chosen.scene, axis, duration=chosen.holds * scene.bus.sample_time, judged=chosen.remark, progress=progress,
@@ -388,12 +388,12 @@ class AccuracyStudy:
     budget: float = DEFAULT_BUDGET
     engine: Engine = "auto"
     progress: Callable[[int], None] | None = None
-    stop: plant_solvers.Stop = lambda: False
+    stop: loop_sensitivity.Stop = lambda: False
     judged: str = ""
     say: Callable[[str], None] | None = None
 
     def __post_init__(self) -> None:
-        self.part, self.holds = chosen_part(self.scene, self.axis), plant_solvers.holds_of(self.scene, self.duration)
+        self.part, self.holds = chosen_part(self.scene, self.axis), loop_sensitivity.holds_of(self.scene, self.duration)
         counts = max(abs(axis.parameters.counts_per_unit) for axis in self.part.scene.axes)
         self._tolerance = self.tolerance or self.scene.accuracy_tolerance or _TENTH / counts
         self._done = 0
@@ -440,7 +440,7 @@ class AccuracyStudy:
         if self.budget > 0.0:
             self._time(plant)
 
-    def _counted_stop(self, part: str) -> plant_solvers.Stop:
+    def _counted_stop(self, part: str) -> loop_sensitivity.Stop:
         """Return a `stop` that also advances the bar by ever smaller steps, for a reference without progress."""
         asked = itertools.count(1)
 
@@ -586,7 +586,7 @@ def with_chosen_accuracy(scene: Scene) -> Scene:
     """
     if scene.accuracy_tolerance is None or scene.accuracy_choices or scene.simulation is None:
         return scene
-    axes, choices, holds = [], {}, plant_solvers.holds_of(scene)
+    axes, choices, holds = [], {}, loop_sensitivity.holds_of(scene)
     for axis in scene.axes:
         require_own_axis(axis, scene)
         chosen, simulation = choose(axis, scene, scene.accuracy_tolerance), simulation_of(axis)
@@ -608,7 +608,7 @@ def choose(axis: AxisScene, scene: Scene, tolerance: float) -> Row:
         InputError: scipy is missing, no setting keeps the tolerance, or the errors do not fall as declared.
     """
     settings = plant_solvers.ladder(simulation_of(axis), scene.bus.sample_time_ns)
-    side = plant_solvers.PlantSide(axis, scene, plant_solvers.holds_of(scene), lambda: False, settings=settings)
+    side = plant_solvers.PlantSide(axis, scene, loop_sensitivity.holds_of(scene), lambda: False, settings=settings)
     side.candidates = [candidate for candidate in side.candidates if candidate.method == plant_solvers.OURS]
     list(side.measure())
     found = advice(side.rows, [], tolerance, side.orders())
