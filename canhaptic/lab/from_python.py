@@ -151,7 +151,7 @@ def design(
     Examples:
         >>> canhaptic.design("demo")["stiffness"]  # doctest: +SKIP
     """
-    from canhaptic.lab.studies.design.wall import design as design_scene
+    from canhaptic.lab.studies.design.search import design as design_scene
 
     options = _given(margin=margin, tolerance=tolerance)
     return design_scene(load_any(scene, changes or {}, allow_code), **options)

@@ -16,7 +16,7 @@ from canhaptic.cli.options import add_arguments
 from canhaptic.commission.session import CommissioningLimits
 from canhaptic.drive.clock import WallClock
 from canhaptic.lab.studies.accuracy.study import DEFAULT_BUDGET
-from canhaptic.lab.studies.design.wall import MARGIN, TOLERANCE
+from canhaptic.lab.studies.design.search import MARGIN, TOLERANCE
 from canhaptic.lab.studies.map import JUDGEMENTS
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -6,8 +6,7 @@ from canhaptic.cli.options import scene_of
 from canhaptic.lab.commands.results import scene_progress, show
 from canhaptic.lab.render.design_report import design_report, snippet
 from canhaptic.lab.studies.compare import are_displays
-from canhaptic.lab.studies.design.admittance_design import display_design_report, display_snippet
-from canhaptic.lab.studies.design.wall import design
+from canhaptic.lab.studies.design.search import design, display_design_report, display_snippet
 from canhaptic.lab.studies.runner import Progress
 from canhaptic.scene.method import plant_errors
 from canhaptic.view.terminal import write_note

@@ -11,9 +11,10 @@ from canhaptic.errors import CheckFailedError, InputError
 from canhaptic.lab.batch.scalar import run_scalar
 from canhaptic.lab.render.design_report import snippet
 from canhaptic.lab.studies.compare import compare
-from canhaptic.lab.studies.design import wall
+from canhaptic.lab.studies.design import search
+from canhaptic.lab.studies.design.contact_quality import felt_of
+from canhaptic.lab.studies.design.search import _rounded, design
 from canhaptic.lab.studies.design.trial import Trial
-from canhaptic.lab.studies.design.wall import _rounded, design, felt_of
 from canhaptic.scene.load import load_scene
 
 DEMO = str(Path(__file__).resolve().parents[3] / "configs" / "demo.yaml")
@@ -42,7 +43,7 @@ def progress():
 def designed(engine, progress):
     progress.clear()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(wall, "_ONE_BY_ONE", wall._Places((8, 5), (4, 3), 3))  # a third of them
+        patch.setattr(search, "_ONE_BY_ONE", search._Places((8, 5), (4, 3), 3))  # a third of them
         return design(load_scene(DEMO, RIG), engine=engine, progress=lambda *seen: progress.append(seen))
 
 
@@ -135,7 +136,7 @@ def test_a_wall_on_a_plant_with_friction_is_tried_in_the_loop_of_a_batch_and_in_
     verdict = trial.verdict(np.array([200.0]), np.zeros(1))
     assert trial.engine == "python"
     assert 0.5 < verdict.stiffness_share[0] < 1.0
-    assert wall._ONE_BY_ONE.most < 300
+    assert search._ONE_BY_ONE.most < 300
 
 
 def test_the_lines_can_be_pasted_into_the_scene(designed):

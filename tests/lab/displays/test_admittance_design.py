@@ -8,8 +8,8 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.errors import CheckFailedError
 from canhaptic.lab.figures.figures import display_figures
-from canhaptic.lab.studies.design import admittance_design
-from canhaptic.lab.studies.design.admittance_design import design_displays
+from canhaptic.lab.studies.design import search
+from canhaptic.lab.studies.design.search import design_displays
 from canhaptic.scene.load import load_scene
 
 SCENES = Path(__file__).parents[3] / "configs" / "admittance"
@@ -20,8 +20,8 @@ NODE = SCENES / "force_node.yaml"
 def test_the_mass_is_felt_as_asked_and_a_lighter_one_is_not(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(admittance_design, "_PLACES", (9, 3))
-    monkeypatch.setattr(admittance_design, "_DURATION", 1.0)
+    monkeypatch.setattr(search, "_MASSES", (9, 3))
+    monkeypatch.setattr(search, "_MASS_DURATION", 1.0)
     assert main(["design", str(NODE), "--margin", "0", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     found = result["displays"]["handle"]
@@ -47,24 +47,24 @@ def test_what_cannot_be_designed_for_is_refused_in_words(
     name: str, overrides: list[str], status: int, words: str, capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    monkeypatch.setattr(admittance_design, "_PLACES", (2,))
-    monkeypatch.setattr(admittance_design, "_DURATION", 0.3)
+    monkeypatch.setattr(search, "_MASSES", (2,))
+    monkeypatch.setattr(search, "_MASS_DURATION", 0.3)
     changes = [word for override in overrides for word in ("--set", override)]
     assert main(["design", str(SCENES / f"{name}.yaml"), *changes]) == status
     assert words in capsys.readouterr().err
 
 
 def test_masses_that_no_run_is_long_enough_to_feel_are_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(admittance_design, "_PLACES", (2,))
-    monkeypatch.setattr(admittance_design, "_DURATION", 0.02)
+    monkeypatch.setattr(search, "_MASSES", (2,))
+    monkeypatch.setattr(search, "_MASS_DURATION", 0.02)
     with pytest.raises(CheckFailedError, match="no mass is felt as asked by every hand"):
         design_displays(load_scene(NODE), 0.0, 0.3)
 
 
 @pytest.mark.slow
 def test_progress_counts_up_to_what_is_said_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(admittance_design, "_PLACES", (3,))
-    monkeypatch.setattr(admittance_design, "_DURATION", 0.5)
+    monkeypatch.setattr(search, "_MASSES", (3,))
+    monkeypatch.setattr(search, "_MASS_DURATION", 0.5)
     seen: list[tuple[int, int]] = []
     design_displays(load_scene(NODE), 0.0, 0.3, lambda tried, most: seen.append((tried, most)))
     tried = [count for count, _ in seen]

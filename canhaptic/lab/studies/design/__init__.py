@@ -1,4 +1,4 @@
-"""The stiffest and most damped wall that a rig renders.
+"""The stiffest and most damped wall that a rig renders, and the lightest mass of an admittance display.
 
-`trial` judges walls, `wall` searches, `design_report` shows the result.
+`trial` judges walls, `search` searches walls and masses, `contact_quality` tells what a hand feels at a wall.
 """

@@ -15,6 +15,15 @@ Initial oscillations must have died away by the damping of device and hand when 
 `enter` lets a slow hand enter a wall and stop there, for its depth at rest and the drag in front of the wall. This hand
 is a spring whose outer end moves at a constant speed through free space and into the wall, and stops. The handle begins
 with that speed, so that it does not swing on the spring.
+
+`felt_of` computes what the hand of a scene feels at walls on its rig:
+
+held    the largest wall within the tolerance at rest, for a push that rises slowly to a fraction of the torque limit
+drag    the largest torque in front of a wall, against a hand that approaches at an ordinary speed
+start   the least speed at which the wall holds a hand on a spring, with at least half the force of the ideal wall at
+        rest, instead of letting it pass
+drags   the same for possible declared drags, after the distance over which drag and declared friction of the device
+        earn the energy of a start
 """
 
 from collections.abc import Iterable, Sequence
@@ -23,9 +32,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from canhaptic.control.certificates.scalar_bounds import displacement_response, renderable_by_hand_force
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.passivity.guarded import GuardedParameters, hand_response, kept_for_contacts
 from canhaptic.lab.batch.scalar import render
-from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Reach
+from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Reach, able_under, loop_case, plant_parts
+from canhaptic.lab.studies import Row
+from canhaptic.scene.hints import DRAG, LEAN
+from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.sim.plant.assembly import PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
@@ -265,3 +279,108 @@ def enter(bench: Bench, wall: SpringDamperWall, hand: SlowHand) -> Entered:
     before = run.torque[: int(inside[0])] if len(inside) else run.torque
     depth = -float(run.true_position[-max(2, round(hand.rest / period)) :].mean())
     return Entered(depth, float(np.abs(before).max(initial=0.0)), run.least_interaction, run)
+
+
+_PUSHES: Final = (0.5 * LEAN, LEAN, 2.0 * LEAN)
+"""Pushes, as fractions of the torque limit."""
+_DEEPEST: Final = 0.1
+"""Depth [m or rad] of the softest wall that is tried."""
+_STIFFEST: Final = 4.0
+"""Stiffness as a multiple of m / T^2, above which no certificate covers a wall."""
+_ORDINARY: Final = {"m": 0.15, "rad": 1.5}
+"""Ordinary speed of a hand [m/s or rad/s]."""
+_SPEEDS: Final = (0.1, 10.0)
+"""Slowest and fastest contact tried, as multiples of the ordinary speed."""
+_HALVINGS: Final = 5
+_HELD: Final = 0.5
+_LONGEST: Final = 5.0  # leaning [s]
+_FURTHER: Final = 1.25
+"""Ratio of the free distance in front of a wall to the distance in which drag earns the energy that contact needs."""
+_LONGEST_WAY: Final = {"m": 0.5, "rad": 5.0}
+"""Longest distance tried in front of a wall [m or rad]."""
+
+
+def felt_of(scene: Scene, algorithm: str, hand: dict[str, float], tolerance: float, stiffness: float) -> Row:
+    """Return the figures felt on the rig of a scene, as plain values.
+
+    Args:
+        scene: Scene of one simulated axis, with a wall.
+        algorithm: Name of the algorithm that renders.
+        hand: Stiffness and damping of the grip [N/m, N*s/m or N*m/rad, N*m*s/rad].
+        tolerance: Largest relative difference of a stiffness from the requested one.
+        stiffness: Stiffness of the wall that is entered slowly [N/m or N*m/rad].
+    """
+    axis = able_under(scene.axes[0], algorithm, scene).axis
+    limit, (plant, _, effects, seed) = axis.parameters.torque_limit, plant_parts(axis)
+    bench = Bench(loop_case(axis, scene), plant, effects, seed)
+    period, speed = scene.bus.sample_time, _ORDINARY[axis.parameters.unit]
+    duration = min(_LONGEST, 1.0 + settling_time(plant.mass, plant.damping + hand["damping"]))
+    leaning = Leaning(duration=duration, tolerance=tolerance, damping=hand["damping"], per_decade=5, fine=0.02)
+    walls = []
+    for push in (part * limit for part in _PUSHES):
+        found = largest_held(bench, replace(leaning, push=push), push / _DEEPEST, _STIFFEST * plant.mass / period**2)
+        walls.append(
+            {"push": push, "held": found.stiffness, "certified": _certified(axis, push), "softer": found.softer,
+             "softer_not_held": found.failing}
+        )  # fmt: skip
+    comes = SlowHand(
+        speed, hand["stiffness"], hand["damping"], 0.1 * speed, LEAN * limit / hand["stiffness"], settling=1.0, rest=0.3
+    )
+    wall = SpringDamperWall(stiffness=stiffness)
+    return {
+        "walls": walls,
+        "drag": enter(bench, wall, comes).drag,
+        "speed": speed,
+        "start_speed": _start_speed(bench, wall, comes),
+        "slowest": _SPEEDS[0] * speed,
+        "drags": _drags(bench, axis, wall, comes),
+    }
+
+
+def _drags(bench: Bench, axis: AxisScene, wall: SpringDamperWall, comes: SlowHand) -> list[dict[str, float | None]]:
+    """Return rows on the energy earned by drag; none if every contact is felt without, or hand or mass are unknown."""
+    parameters, loop = bench.case.parameters, axis.loop
+    if not isinstance(parameters, GuardedParameters):
+        return []
+    asks = parameters.model_copy(update={"earned_energy": None, "drag": 0.0})
+    energy = kept_for_contacts(wall, asks, loop, hand_response(asks, loop))
+    rows: list[dict[str, float | None]] = []
+    for drag in sorted({0.0, parameters.drag, DRAG}) if energy else ():
+        earning = drag + (loop.device_friction or 0.0)
+        way, start = energy / earning if earning > 0.0 else None, None
+        if way is not None and _FURTHER * way <= _LONGEST_WAY[axis.parameters.unit]:
+            tried = replace(bench, case=replace(bench.case, parameters=asks.model_copy(update={"drag": drag})))
+            start = _start_speed(tried, wall, replace(comes, free=max(comes.free, _FURTHER * way)))
+        rows.append({"drag": drag, "energy": energy, "way": way, "start_speed": start})
+    return rows
+
+
+def _certified(axis: AxisScene, push: float) -> float | None:
+    """Return the stiffness that the hand-force certificate covers at a push; None if no hand force is declared."""
+    force, loop = getattr(axis.passivity.parameters, "hand_force", None), axis.loop
+    if force is None or loop.moving_mass is None:
+        return None
+    pull, most = force + (loop.device_friction_bound or 0.0), loop.device_damping_bound or 0.0
+    least = loop.device_damping or 0.0
+    response = displacement_response(loop.sample_time, loop.moving_mass, pull, least, most, timing=loop.timing)
+    return renderable_by_hand_force(response, loop.delay, push)
+
+
+def _start_speed(bench: Bench, wall: SpringDamperWall, comes: SlowHand) -> float | None:
+    """Return the speed of approach [m/s or rad/s] from which the wall holds the hand; None if it never does."""
+
+    def is_held(speed: float) -> bool:
+        hand = replace(comes, speed=speed)
+        ideal = comes.into * comes.stiffness / (comes.stiffness + wall.stiffness)
+        lacking = comes.into - enter(bench, wall, hand).depth
+        return lacking >= _HELD * (comes.into - ideal)
+
+    slow, fast = (part * comes.speed for part in _SPEEDS)
+    if is_held(slow):
+        return slow
+    if not is_held(fast):
+        return None
+    for _ in range(_HALVINGS):
+        middle = (slow * fast) ** 0.5
+        slow, fast = (slow, middle) if is_held(middle) else (middle, fast)
+    return fast
