@@ -17,7 +17,7 @@ from canhaptic.scene.models import Scene
 from canhaptic.simulation import load_any
 
 if TYPE_CHECKING:
-    from canhaptic.lab.studies.sweep.vary import Column
+    from canhaptic.lab.studies.vary import Column
 
 _SceneLike = str | PathLike[str] | Mapping[str, object] | Scene
 _Changes = Mapping[str, object]
@@ -92,9 +92,9 @@ def sweep(
     Examples:
         >>> canhaptic.sweep("demo", {"environment.damping": [0, 5, 10]}, duration=2.0)  # doctest: +SKIP
     """
-    from canhaptic.lab.studies.sweep.run_sweep import sweep as run_sweep
-    from canhaptic.lab.studies.sweep.sweep_table import SweepTable
-    from canhaptic.lab.studies.sweep.vary import listed
+    from canhaptic.lab.studies.store import SweepTable
+    from canhaptic.lab.studies.sweep import sweep as run_sweep
+    from canhaptic.lab.studies.vary import listed
 
     loaded = load_any(scene, changes or {}, allow_code)
     varied = [listed(key, values) for key, values in vary.items()] if isinstance(vary, Mapping) else list(vary)

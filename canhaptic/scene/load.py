@@ -18,8 +18,7 @@ from pydantic import ValidationError
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
-from canhaptic.control.passivity import ALGORITHMS
-from canhaptic.control.passivity import LoopProperties
+from canhaptic.control.passivity import ALGORITHMS, LoopProperties
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.bus_budget import torque_latency, worst_frame
 from canhaptic.drive.can.pdo_map import choose_map

@@ -22,9 +22,8 @@ from canhaptic.lab.loop.axis_loop import (
     with_algorithm,
 )
 from canhaptic.lab.reference import ContinuousReference
-from canhaptic.lab.render import compare_picture
-from canhaptic.lab.render.compare_picture import draw_comparison
-from canhaptic.lab.render.compare_table import comparison_report
+from canhaptic.lab.render import comparison as compare_picture
+from canhaptic.lab.render.comparison import comparison_report, draw_comparison
 from canhaptic.lab.studies.compare import compare
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import load_scene

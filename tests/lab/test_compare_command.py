@@ -11,7 +11,7 @@ import pytest
 from canhaptic import compare, simulate
 from canhaptic.cli.main import main
 from canhaptic.lab.figures.figures import ALL, Figure, metrics_of
-from canhaptic.lab.render.compare_table import row_of
+from canhaptic.lab.render.comparison import row_of
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FIGURE = str(REPOSITORY / "configs" / "paper_fig5_100hz.yaml")

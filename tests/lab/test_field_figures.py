@@ -8,7 +8,8 @@ import pytest
 from canhaptic.control.environments.free_space import FreeSpace
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.lab.batch.scalar import render
-from canhaptic.lab.figures.field_figures import (
+from canhaptic.lab.figures.figures import (
+    FIELD_FIGURES,
     _moved_in_a_hold,
     asked_impedance,
     drag,
@@ -19,7 +20,6 @@ from canhaptic.lab.figures.field_figures import (
     rendered_impedance,
     stiffest_walls,
 )
-from canhaptic.lab.figures.figures import FIELD_FIGURES
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tools.bench.standard_cases import standard_case

@@ -18,9 +18,9 @@ from canhaptic.lab.batch import chosen_engine
 from canhaptic.lab.judge.solvers import reference
 from canhaptic.lab.reference import textbook_model
 from canhaptic.lab.studies.accuracy.loop_sensitivity import continuous_loop
-from canhaptic.lab.studies.sweep.chunk import make_recipe
-from canhaptic.lab.studies.sweep.chunk import scene_of as scene_of_row
-from canhaptic.lab.studies.sweep.vary import make_points, parse_vary
+from canhaptic.lab.studies.chunk import make_recipe
+from canhaptic.lab.studies.chunk import scene_of as scene_of_row
+from canhaptic.lab.studies.vary import make_points, parse_vary
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant import AccuracyParameters

@@ -11,7 +11,7 @@ import numpy as np
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.files import shipped
 from canhaptic.lab.batch.scalar import render
-from canhaptic.lab.figures.field_figures import energy_beyond_device
+from canhaptic.lab.figures.figures import energy_beyond_device
 from canhaptic.lab.loop.axis_loop import LoopRun, cycles_of, loop_case
 from canhaptic.lab.studies.arena import scene_under, with_loop
 from canhaptic.lab.studies.map import theory_of

@@ -14,7 +14,7 @@ import numpy as np
 
 from canhaptic.files import shipped
 from canhaptic.lab.batch.scalar import render, run_case
-from canhaptic.lab.figures.field_figures import m_width
+from canhaptic.lab.figures.figures import m_width
 from canhaptic.lab.loop.axis_loop import LoopRun, environment_of, loop_case
 from canhaptic.lab.studies.arena import rounded, with_loop
 from canhaptic.lab.studies.map import colgate_stiffness

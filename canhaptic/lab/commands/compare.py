@@ -6,8 +6,7 @@ from canhaptic.cli.options import scene_of
 from canhaptic.errors import InputError
 from canhaptic.lab.commands.results import check_files, show, write_files
 from canhaptic.lab.loop.axis_loop import cycles_of
-from canhaptic.lab.render.compare_picture import draw_comparison
-from canhaptic.lab.render.compare_table import comparison_report
+from canhaptic.lab.render.comparison import comparison_report, draw_comparison
 from canhaptic.lab.studies.compare import are_displays, compare, compared_algorithms
 from canhaptic.scene.method import plant_errors
 from canhaptic.view.terminal import run_progress, write_note

@@ -2,13 +2,20 @@
 
 import argparse
 
+import yaml
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from canhaptic.axis_units import damping_unit, effort_unit, si, stiffness_unit
 from canhaptic.cli.options import scene_of
 from canhaptic.lab.commands.results import scene_progress, show
-from canhaptic.lab.render.design_report import design_report, snippet
+from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import are_displays
 from canhaptic.lab.studies.design.search import design, display_design_report, display_snippet
 from canhaptic.lab.studies.runner import Progress
 from canhaptic.scene.method import plant_errors
+from canhaptic.view.run_lines import rests_on
+from canhaptic.view.table import Table
 from canhaptic.view.terminal import write_note
 
 
@@ -31,3 +38,92 @@ def execute(arguments: argparse.Namespace) -> int:
     every = {name: display_snippet(of) for name, of in found["displays"].items()} if displays else snippet(found)
     show(arguments, {**found, "yaml": every}, lambda: (display_design_report if displays else design_report)(found))
     return 0
+
+
+def snippet(result: Row) -> str:
+    """Return wall and algorithm as YAML lines for a scene."""
+    stiffness, damping = stiffness_unit(result["unit"]), damping_unit(result["unit"])
+    passivity: Row = {"algorithm": "guarded", **result["loop"], **result["hand"]}
+    if "network" in result:
+        group = {"name": result["group"], "network": result["network"], "passivity": passivity}
+        return str(yaml.safe_dump({"groups": [group]}, sort_keys=False))
+    wall = {"type": "spring_damper_wall"}
+    wall |= {"stiffness": f"{result['stiffness']:g} {stiffness}", "damping": f"{result['damping']:g} {damping}"}
+    return str(yaml.safe_dump({"environment": wall, "passivity": passivity}, sort_keys=False))
+
+
+def design_report(result: Row) -> RenderableType:
+    """Return the text of a design for a terminal.
+
+    Args:
+        result: Plain values, as `canhaptic design --json` prints them.
+    """
+    target = f"target: within {100.0 * result['tolerance']:g} %, {100.0 * result['margin']:g} % reserve"
+    heading = Text.assemble(" ", (str(result["scene"]), "bold"), f"   {result['walls']} walls simulated; {target}")
+    stiffness, damping = stiffness_unit(result["unit"]), damping_unit(result["unit"])
+    heads = f"stiffness [{stiffness}]", f"largest damping [{damping}]"
+    rows = [[f"{wall['stiffness']:g}", f"{wall['damping']:g}"] for wall in result["trade"]]
+    trade = Table("less stiffness permits more damping", heads, rows, keys=0)
+    simulated = " simulated on this rig, with a reserve; `check` computes what is certified for every hand as declared"
+    return Group(heading, Text(simulated), Text(), Text(snippet(result)), *_price(result), trade, *_felt(result))
+
+
+def _price(result: Row) -> list[Text]:
+    share, damped = result["stiffness_rendered"], result["damping_rendered"]
+    rendered = f"stiffness {100.0 * share:.1f} %" + (f", damping {100.0 * damped:.1f} %" if damped else "")
+    lines, unit = [f" rendered, of requested: {rendered}"], stiffness_unit(result["unit"])
+    lines += [
+        f" largest stiffness certified by {name}: {si(limit, unit, 3)}" for name, limit in result["certified"].items()
+    ]
+    guarantee = [f" {text}" for text in result.get("guarantee", ()) if text]
+    lines += guarantee or [f" guarantee rests on: {rests_on(str(result['certificate']))}"]
+    rest = si(max(0.0, -result["least_judged"]), "J", 3)
+    covered = f" at the motor, {rest} at the handle" if "device_damping" in result["loop"] else ""
+    given = si(max(0.0, -result["least_interaction"]), "J", 3)
+    lines.append(f" energy given out beyond the energy received: {given}{covered}")
+    if result["remark"]:
+        lines.append(f" {result['remark']}; for a real rig declare a lower bound")
+    texts = [Text(line) for line in lines]
+    if result["failing_below"]:
+        count = f"{result['failing_below']} of {result['tried_below']}"
+        words = f" {count} smaller walls are not rendered within the tolerance; try --margin 0.5"
+        texts.append(Text(words, style="yellow"))
+    return texts
+
+
+def _felt(result: Row) -> list[RenderableType]:
+    """Return what the hand feels: the wall that holds a given push, the drag, and the slowest contact felt."""
+    if "felt" not in result:
+        return []
+    felt, motion = result["felt"], result["unit"]
+    stiffness, effort = stiffness_unit(motion), effort_unit(motion)
+    heads = (f"push [{effort}]", f"held [{stiffness}]", f"certified by hand force [{stiffness}]")
+    table = Table(
+        f"stiffest wall rendered within {100.0 * result['tolerance']:g} %, hand at rest in it", heads,
+        [[_short(wall[key]) for key in ("push", "held", "certified")] for wall in felt["walls"]], keys=0,
+    )  # fmt: skip
+    speed, start = f"{felt['speed']:g} {motion}/s", felt["start_speed"]
+    contact = "at no speed: a hand goes through it"
+    if start is not None:
+        contact = f"at approach speeds above {start:.2g} {motion}/s"
+    lines = [f" drag before contact, at {speed}: {si(felt['drag'], effort, 2)}", f" this wall is felt {contact}"]
+    walls = [wall for wall in felt["walls"] if wall["softer_not_held"]]
+    uneven = [f"{wall['softer_not_held']} of {wall['softer']} at {wall['push']:.3g} {effort}" for wall in walls]
+    if uneven:
+        lines.append(f" softer walls that are not held within the tolerance: {', '.join(uneven)}")
+    held = Text(" The wall above is for a hand that moves in it; for one that rests in a wall the limits are these:")
+    return [held, table, *map(Text, lines), *_drags(felt["drags"], motion)]
+
+
+def _drags(rows: list[Row], motion: str) -> list[RenderableType]:
+    """Return the table of drags in free motion, whose energy is available to later contacts."""
+    if not rows:
+        return []
+    title = f"with the energy of drag before a contact, {si(rows[0]['energy'], 'J', 2)}, slower contacts are felt"
+    heads = f"drag [{effort_unit(motion)}]", f"over a distance of [{motion}]", f"felt from [{motion}/s]"
+    cells = [[_short(row[key], 2, "-") for key in ("drag", "way", "start_speed")] for row in rows]
+    return [Table(title, heads, cells, keys=0)]
+
+
+def _short(value: float | None, digits: int = 3, none: str = "") -> str:
+    return none if value is None else f"{value:.{digits}g}"

@@ -6,9 +6,9 @@ from typing import Final
 
 from canhaptic.lab.commands.results import check_files, write_files
 from canhaptic.lab.render.map_picture import draw_map, write_map
+from canhaptic.lab.studies.chunk import UNRENDERED, UNTOUCHED
 from canhaptic.lab.studies.map import Chosen, Lines, Panel, fields_of, panels_of, passing_share, usual_judgement
-from canhaptic.lab.studies.sweep.chunk import UNRENDERED, UNTOUCHED
-from canhaptic.lab.studies.sweep.sweep_table import SweepTable
+from canhaptic.lab.studies.store import SweepTable
 from canhaptic.view.terminal import write_json, write_line, write_note
 
 _WALLS: Final = (

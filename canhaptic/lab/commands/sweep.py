@@ -1,19 +1,33 @@
 """`canhaptic sweep CONFIG`: many scenes with some keys varied, each judged by the figures of `compare`."""
 
 import argparse
+from collections import Counter
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from canhaptic.axis_units import si
 from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.options import scene_of
+from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
 from canhaptic.lab.commands.results import scene_progress, show
+from canhaptic.lab.loop.axis_loop import Array
+from canhaptic.lab.studies import Row
+from canhaptic.lab.studies.chunk import COMPLETED, RADIUS, STATUS, UNRENDERED, UNTOUCHED
 from canhaptic.lab.studies.runner import Pool, Progress, dask_executor, pool_of
-from canhaptic.lab.studies.sweep.run_sweep import sweep
-from canhaptic.lab.studies.sweep.sweep_table import SweepTable, summary, summary_report
+from canhaptic.lab.studies.store import SweepTable
+from canhaptic.lab.studies.sweep import sweep
+from canhaptic.lab.studies.vary import CONTROLLER
+from canhaptic.view.table import Table
 from canhaptic.view.terminal import note_file, write_note
 
 _OPTIONS: Final = (
@@ -67,3 +81,127 @@ def _note(out: Path | None, state: Progress, stopped: bool) -> None:
     if stopped:
         kept = f"; finished work is kept: --resume goes on with {out}" if out is not None else ""
         write_note(f"  stopped     {state.done} of {state.total} scenes are finished{kept}")
+
+
+_MOST_REMARKS: Final = 20
+
+
+def summary(table: SweepTable) -> Row:
+    """Return the summary of a sweep as plain values, as `canhaptic sweep --json` prints it."""
+    remarks, status, engines = Counter[tuple[str, str, str]](), Counter[str](), Counter[str]()
+    for ended, engine, remark, number in table.remarks():
+        remarks[ended, engine, remark] += number
+        status[ended] += number
+        engines[engine] += number
+    return {
+        "file": str(table.folder),
+        "scene": table.note("source"),
+        "varied": [varied["given"] for varied in table.identity["varied"]],
+        "samples": table.identity["samples"],
+        "scenes": len(table),
+        "finished": table.finished(),
+        "status": dict(status),
+        "engines": dict(engines),
+        "remarks": [
+            {**dict(zip(("status", "engine", "remark"), kind, strict=True)), "scenes": number}
+            for kind, number in remarks.most_common()
+            if kind[2]
+        ][:_MOST_REMARKS],
+        "figures": {axis: _figures(table, axis) for axis in table.axes},
+    }
+
+
+def _figures(table: SweepTable, axis: str) -> Row:
+    """Return shares and medians over the completed scenes, by algorithm."""
+    status = table.status(axis)
+    if CONTROLLER not in table.keys:
+        return {"of the scene": _shares(table, axis, status)}
+    numbers = table.points.numbers(CONTROLLER)
+    names = next(one.values for one in table.points.varied if one.key == CONTROLLER)
+    return {str(name): _shares(table, axis, np.where(numbers == i, status, 0)) for i, name in enumerate(names)}
+
+
+def _shares(table: SweepTable, axis: str, status: NDArray[np.uint8]) -> Row:
+    """Return shares, least values and medians of some scenes that were touched; None where there are none."""
+    rows = status == COMPLETED
+    found: Row = {"scenes": int(rows.sum())}
+    for key, number in _PROVE_NOTHING.items():
+        if count := int((status == number).sum()):
+            found[key] = count
+    for name, (_, metric, figure) in _SHARES.items():
+        if metric in table.metrics:
+            values = table.figure(axis, metric)[rows]
+            found[name] = figure(values) if len(values) else None
+    return found
+
+
+def _kept(values: Array) -> float:
+    return float((values >= -PASSIVE_TOLERANCE).mean())
+
+
+def _finite(figure: Callable[[Array], Any]) -> Callable[[Array], float | None]:
+    """Return a function that applies `figure` to the finite values only; None if there are none."""
+
+    def of(values: Array) -> float | None:
+        finite = values[np.isfinite(values)]
+        return float(figure(finite)) if len(finite) else None
+
+    return of
+
+
+_SHARES: Final[Mapping[str, tuple[str, str, Callable[[Array], float | None]]]] = {
+    "passive": ("passive, by the plant", "least_interaction", _kept),
+    "margin_kept": ("margin kept", "margin", _kept),
+    "least_margin": ("smallest margin", "margin", _finite(np.min)),
+    "diverged": ("diverged", "diverged", lambda values: float((values == 1.0).mean())),
+    "stable": ("linear loop stable", RADIUS, _finite(lambda values: (values < 1.0).mean())),
+    "stiffness_rendered": ("stiffness, median", "stiffness_rendered.share", _finite(np.median)),
+    "mass_felt": ("mass felt, median", "mass_felt.share", _finite(np.median)),
+    "guard_acts": ("guard acts, median", "guard_acts", _finite(np.median)),
+}
+"""Name -> heading, metric, and the function from its values to one number."""
+_PROVE_NOTHING: Final = {"no_contact": UNTOUCHED, "nothing_rendered": UNRENDERED}
+"""Name -> status of scenes that count neither as passive nor as active."""
+
+
+def summary_report(found: Row) -> RenderableType:
+    """Return the tables of a summary for a terminal."""
+    heading = Text.assemble(" ", (found["scene"], "bold"), f"   {found['finished']} of {found['scenes']} scenes   ",
+                            "  ".join(found["varied"]))  # fmt: skip
+    engines = {_ENGINES[name]: number for name, number in found["engines"].items()}
+    lines = [Text(f" computed: {_listed(engines)}"), Text(f" status:   {_listed(found['status'])}")]
+    style = {"refused": "yellow", "failed": "red"}
+    lines += [
+        Text(f" {of['scenes']} {of['status']} ({_ENGINES[of['engine']]}): {of['remark']}", style.get(of["status"], ""))
+        for of in found["remarks"]
+        if of["engine"] != "scalar" or not of["remark"].startswith("only ")
+    ]
+    return Group(heading, *lines, _shares_table(found))
+
+
+def _listed(counts: dict[str, int]) -> str:
+    return ", ".join(f"{number} {name}" for name, number in counts.items()) or "nothing yet"
+
+
+_ENGINES: Final = {"none": "not run", "scalar": "one at a time", "python": "in batches", "numba": "in compiled batches",
+                   "closed form": "in closed form"}  # fmt: skip
+
+
+def _shares_table(found: Row) -> Table:
+    entries = {(axis, name): entry for axis, of in found["figures"].items() for name, entry in of.items()}
+    heads = {key: STATUS[number] for key, number in _PROVE_NOTHING.items()}
+    heads |= {key: head for key, (head, _, _) in _SHARES.items()}
+    shown = [key for key in heads if any(key in entry for entry in entries.values())]
+    rows = [
+        [f"{axis}, {name}", str(entry["scenes"]), *(_cell(key, entry.get(key)) for key in shown)]
+        for (axis, name), entry in entries.items()
+    ]
+    return Table("", ["axis, algorithm", "scenes", *(heads[key] for key in shown)], rows, keys=1)
+
+
+def _cell(key: str, value: float | None) -> str:
+    if value is None:
+        return "-"
+    if key in _PROVE_NOTHING:
+        return str(value)
+    return si(value, "J", 3) if key == "least_margin" else f"{100.0 * value:.3g} %"

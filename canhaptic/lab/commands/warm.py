@@ -5,9 +5,9 @@ from dataclasses import replace
 
 from canhaptic.cli.options import scene_of
 from canhaptic.errors import CheckFailedError
-from canhaptic.lab.studies.sweep.chunk import ENGINES, run_chunk
-from canhaptic.lab.studies.sweep.run_sweep import make_sweep
-from canhaptic.lab.studies.sweep.vary import listed
+from canhaptic.lab.studies.chunk import ENGINES, run_chunk
+from canhaptic.lab.studies.sweep import make_sweep
+from canhaptic.lab.studies.vary import listed
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.terminal import write_json
 

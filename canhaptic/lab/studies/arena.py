@@ -20,7 +20,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -36,13 +36,13 @@ from canhaptic.lab.batch.cases import why_not_batchable
 from canhaptic.lab.batch.marching import run_batch
 from canhaptic.lab.batch.scalar import render, run_scalar
 from canhaptic.lab.batch.varied import scene_with
-from canhaptic.lab.figures import field_figures
-from canhaptic.lab.figures.figures import OUTCOME_METRICS, OUTCOMES, figures, outcomes
+from canhaptic.lab.figures import figures as run_figures
+from canhaptic.lab.figures.figures import OUTCOME_METRICS, OUTCOMES, outcomes
 from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.compare import reference_of
+from canhaptic.lab.studies.compare import reference_of, run_axis
 from canhaptic.lab.studies.map import theory_of
 from canhaptic.lab.studies.runner import Count, Job, Pool, Progress, run_jobs
 from canhaptic.lab.studies.store import Store, create_store
@@ -156,25 +156,21 @@ def group_figures(group: "ArenaPlan", known: Collection[tuple[int, str]] = ()) -
 def _figures_of(scene: Scene, cycles: int, reference: ContinuousReference | None) -> Row:
     """Return the figures of a run, to four digits."""
     [axis], environment, sample_time = scene.axes, axis_loop.environment_of(scene.axes[0]), scene.bus.sample_time
-    run = render(
-        axis_loop.loop_case(axis, scene),
-        cycles,
-        axis_loop.EVERYWHERE if reference is None else axis_loop.Reach.around(reference.position),
-    )
-    found = figures(environment, run, reference, sample_time, axis.parameters.torque_limit)
+    run = run_axis(axis, scene, reference, cycles)
+    found = run_figures.figures(environment, run, reference, sample_time, axis.parameters.torque_limit)
     stiffness = getattr(environment, "stiffness", None)
-    hardness = field_figures.rate_hardness(run, environment, sample_time)
+    hardness = run_figures.rate_hardness(run, environment, sample_time)
     error, ratio, share = ((found[key] or {}).get(part) for key, part in _PARTS.items())
     travel = None if reference is None else reference.travel
     values: dict[str, float | None] = {
-        "energy_given_out": field_figures.energy_given_out(run),
-        "energy_beyond_device": field_figures.energy_beyond_device(run, axis.loop.device_damping or 0.0, sample_time),
+        "energy_given_out": run_figures.energy_given_out(run),
+        "energy_beyond_device": run_figures.energy_beyond_device(run, axis.loop.device_damping or 0.0, sample_time),
         "position_error": error / travel if error is not None and travel else None,
         "force_variation": ratio,
         "stiffness_error": None if share is None else abs(share - 1.0),
         "rate_hardness": hardness / stiffness if hardness is not None and stiffness else None,
         "limit_cycle": found["limit_cycle"],
-        "drag": field_figures.drag(run),
+        "drag": run_figures.drag(run),
     }
     ended = run.ended or found["outcome"] or "completed"
     status = {"status": ended, "certificate": run.summary.certificate.name.lower()}
@@ -231,7 +227,7 @@ def borders(rig: Path, algorithm: str, delay: int, per_decade: int, *, allow_cod
     kept = (found["diverged"] == 0.0) & (found["least_covered"] >= -PASSIVE_TOLERANCE)
     kept &= outcomes(found.__getitem__) == 0
     border = zip(
-        DAMPINGS, *field_figures.stiffest_walls(stiffnesses, kept, found["stiffness_rendered.share"]), strict=True
+        DAMPINGS, *run_figures.stiffest_walls(stiffnesses, kept, found["stiffness_rendered.share"]), strict=True
     )
     return [
         {"algorithm": label_of(algorithm), "delay": delay, "damping": damping, "passive": rounded(passive),
@@ -290,8 +286,8 @@ def impedances(rig: Path, algorithm: str, delay: int, *, allow_code: bool = Fals
         return found
     for frequency in FREQUENCIES:
         run, period = _shaken(scene, frequency), scene.bus.sample_time
-        asked = field_figures.asked_impedance(_SPRING.stiffness, _SPRING.damping, frequency)
-        ratio = complex(np.nan) if run.ended else field_figures.rendered_impedance(run, period, frequency) / asked
+        asked = run_figures.asked_impedance(_SPRING.stiffness, _SPRING.damping, frequency)
+        ratio = complex(np.nan) if run.ended else run_figures.rendered_impedance(run, period, frequency) / asked
         size, angle = (rounded(float(part)) if np.isfinite(part) else None for part in (abs(ratio), np.angle(ratio)))
         case = {"algorithm": label_of(algorithm), "delay": delay, "frequency": frequency}
         found.append({**case, "size": size, "angle": angle})
@@ -326,7 +322,7 @@ def mass_widths(rig: Path) -> Rows:
         {"rate": rate, "delay": delay}
         | {
             key: rounded(value)
-            for key, value in field_figures.m_width(plant.mass, plant.damping, 1 / rate, delay)._asdict().items()
+            for key, value in run_figures.m_width(plant.mass, plant.damping, 1 / rate, delay)._asdict().items()
         }
         for rate in _RATES
         for delay in (0, 1)
@@ -521,6 +517,11 @@ class ArenaPlan:
         """Split the plan into one for each scene and rate, whose cases share one continuous run."""
         return [replace(self, scenes=(path,), rates=(rate,)) for path in self.scenes for rate in self.rates]
 
+    @property
+    def each(self) -> int:
+        """Number of cases of one scene at one rate."""
+        return len(self.delays) * len(self.algorithms)
+
     def names(self) -> list[str]:
         """Return the names of the algorithms in results, each once."""
         return list(dict.fromkeys(map(label_of, self.algorithms)))
@@ -564,11 +565,11 @@ def run_arena(
         InputError: A scene, an algorithm or the store cannot be used.
     """
     plan.check()
-    groups, each = plan.groups(), len(plan.delays) * len(plan.algorithms)
+    groups = plan.groups()
     known = [store.finished(group) for group in groups]
-    count = Count(each * len(groups), sum(map(len, known)), progress)
-    jobs = [_job(group, of, store, count) for group, of in zip(groups, known, strict=True)]
-    run_jobs(jobs, executor, stop_requested, store.folder)
+    count = Count(plan.each * len(groups), sum(map(len, known)), progress)
+    jobs = [_job(group, of, store) for group, of in zip(groups, known, strict=True)]
+    run_jobs(jobs, executor, stop_requested, store.folder, count)
     if count.state.done < count.state.total:
         return None
     cases, names = [case for group in groups for case in store.finished(group)], plan.names()
@@ -588,16 +589,11 @@ def run_arena(
     return found | (_of_rig(plan, stop_requested) if plan.per_decade else {})
 
 
-def _job(group: ArenaPlan, finished: Sequence[Row], store: ArenaStore, count: Count) -> Job:
+def _job(group: ArenaPlan, finished: Sequence[Row], store: ArenaStore) -> Job:
     """Return the job that runs the cases of a group that are not in the store."""
-
-    def take(found: Sequence[Row]) -> None:
-        store.add(group, found)
-        count.add(len(found))
-
     known = [(case["delay"], case["algorithm"]) for case in finished]
     what = f"{group.scenes[0].stem} at {group.rates[0]:g} Hz"
-    return Job(what, group_figures, lambda: (group, known), take)
+    return Job(what, group.each - len(known), group_figures, lambda: (group, known), partial(store.add, group))
 
 
 def _of_rig(plan: ArenaPlan, stop_requested: Callable[[], bool]) -> Row:

@@ -170,7 +170,7 @@ def _of_axes(
         known = [one for one in able if isinstance(one, axis_loop.AbleAxis)]
         if engine is not None:
             runs = [
-                None if isinstance(one, str) else _direct(scene, one, reference, cycles, counter, engine)
+                None if isinstance(one, str) else run_axis(one.axis, scene, reference, cycles, engine, counter)
                 for one, (reference, _) in zip(able, references, strict=True)
             ]
         elif len(known) == len(able):
@@ -186,12 +186,13 @@ def _of_axes(
     return Comparison({**result, "axes": accounts}, tuple(axis for axis, _ in axes), scene.bus.sample_time)
 
 
-def _direct(
-    scene: Scene, able: axis_loop.AbleAxis, reference: ContinuousReference | None, cycles: int,
-    counter: Callable[[], None], engine: Engine,
+def run_axis(
+    axis: AxisScene, scene: Scene, reference: ContinuousReference | None, cycles: int, engine: Engine = "python",
+    counter: Callable[[], None] | None = None,
 ) -> axis_loop.LoopRun:  # fmt: skip
+    """Return the run of an axis without a bus; it diverged where it left the reach of its continuous run."""
     reach = axis_loop.EVERYWHERE if reference is None else axis_loop.Reach.around(reference.position)
-    case = axis_loop.loop_case(able.axis, scene)
+    case = axis_loop.loop_case(axis, scene)
     return render_by(chosen_engine(engine, work_of(case, cycles) >= WORTH_COMPILING), case, cycles, reach, counter)
 
 

@@ -30,12 +30,12 @@ from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch.radius import spectral_radius
 from canhaptic.lab.batch.varied import scene_with
-from canhaptic.lab.figures.field_figures import NEAR, stiffest_walls
+from canhaptic.lab.figures.figures import NEAR, stiffest_walls
 from canhaptic.lab.loop.admittance_loop import is_display
 from canhaptic.lab.loop.axis_loop import Array, display_under, viscous_friction, with_algorithm
-from canhaptic.lab.studies.sweep.chunk import BATCHED, COMPLETED, RADIUS, STATUS, UNRENDERED, UNTOUCHED, batch_key
-from canhaptic.lab.studies.sweep.sweep_table import SweepTable
-from canhaptic.lab.studies.sweep.vary import CONTROLLER
+from canhaptic.lab.studies.chunk import BATCHED, COMPLETED, RADIUS, STATUS, UNRENDERED, UNTOUCHED, batch_key
+from canhaptic.lab.studies.store import SweepTable
+from canhaptic.lab.studies.vary import CONTROLLER
 from canhaptic.scene.hints import quantisation_bound, stability_hints
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import Scene

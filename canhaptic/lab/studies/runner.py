@@ -40,6 +40,7 @@ class Job(NamedTuple):
     """Some cases of a study that a worker computes together."""
 
     what: str  # description for messages, such as "scenes 0 to 49"
+    cases: int  # number of its cases
     run: Callable[..., Any]  # function that a worker calls
     arguments: Callable[[], tuple[Any, ...]]  # makes its arguments when the job is submitted
     take: Callable[[Any], None]  # stores its result
@@ -171,6 +172,7 @@ def run_jobs(
     executor: Executor | Pool | None,
     stop_requested: Callable[[], bool],
     where: object,
+    count: Count,
     in_flight: int = 4,
 ) -> None:
     """Run jobs until all are finished or a stop is requested; running jobs are still completed and stored.
@@ -180,6 +182,7 @@ def run_jobs(
         executor: Executor; None: this thread. A `Pool` gets two jobs per process at a time.
         stop_requested: Polled regularly.
         where: Place of the results, for messages.
+        count: Count of the finished cases.
         in_flight: Largest number of jobs submitted to another executor and not yet taken.
 
     Raises:
@@ -188,14 +191,17 @@ def run_jobs(
     """
     if executor is None or isinstance(executor, Pool):
         in_flight = 1 if executor is None else 2 * executor.workers
-    _Run(jobs, executor or SerialExecutor(), in_flight, where).until(stop_requested)
+    _Run(jobs, executor or SerialExecutor(), in_flight, where, count).until(stop_requested)
 
 
 class _Run:
     """State of `run_jobs`: jobs that wait, and jobs that are submitted."""
 
-    def __init__(self, jobs: Sequence[Job], executor: Executor | Pool, in_flight: int, where: object) -> None:
-        self._waiting, self._executor, self._in_flight, self._where = [*jobs][::-1], executor, in_flight, where
+    def __init__(
+        self, jobs: Sequence[Job], executor: Executor | Pool, in_flight: int, where: object, count: Count
+    ) -> None:
+        self._waiting, self._executor, self._in_flight = [*jobs][::-1], executor, in_flight
+        self._where, self._count = where, count
         self._out: dict[Future[Any], Job] = {}
         self._losses = 0
 
@@ -242,6 +248,7 @@ class _Run:
             ) from error
         else:
             job.take(result)
+            self._count.add(job.cases)
             self._losses = 0
 
     def _lost(self, error: BrokenExecutor) -> None:

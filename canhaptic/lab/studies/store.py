@@ -2,20 +2,39 @@
 
 A file is written under another name, flushed to the disk and renamed, so that after a kill it exists completely or not
 at all, and the study can be resumed. Disk space for all results is checked before anything runs.
+
+The chunks of a sweep are NumPy archives of consecutive scenes (`SweepTable`):
+
+KEY                    values of each scene: numbers in SI, or texts
+AXIS/METRIC            figures; NaN where a metric does not apply
+status, engine         indices in `STATUS` and `ENGINES` of `chunk`
+remark                 0 for none, else 1 + index in texts
+texts                  remarks of the chunk
 """
 
 import errno
+import io
 import json
 import os
 import re
+from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import fields
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
 
 from canhaptic.errors import InputError, LogFormatError, LogWriteError
 from canhaptic.files import read_regular
+from canhaptic.lab.figures.figures import outcomes
+from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.studies import Row
+from canhaptic.lab.studies.chunk import COMPLETED, ENGINES, STATUS, UNRENDERED, UNTOUCHED, ChunkResult
+from canhaptic.lab.studies.vary import Column, Points, Varied
 
 _LARGEST: Final = 1_000_000_000  # [B] of one file
 _NAME: Final = "study.json"
@@ -160,3 +179,159 @@ def _write_error(path: Path, error: OSError, kept: str) -> LogWriteError:
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return LogWriteError(f"{path}: the disk has no room for it ({reason}); make room, {kept}")
     return LogWriteError(f"{path}: cannot be written ({reason}); {kept}")
+
+
+_SWEEP: Final = "sweep"
+_BYTES: Final = 8  # of one figure
+
+
+class SweepTable(Store):
+    """The folder of a sweep: its scenes, and the figures computed so far.
+
+    Args:
+        path: Folder made by `create`.
+        writable: Whether chunks will be written; only one process can write.
+
+    Attributes:
+        points: Scenes of the sweep.
+        identity: Facts that a resumed sweep must match.
+        chunk: Scenes per chunk.
+        keys: Keys that vary, in the order given.
+        axes: Names of the axes, in the order of the scene.
+        metrics: Names of the figures, the same for every axis.
+
+    Raises:
+        LogFormatError: The folder holds no sweep, or one of a newer version.
+        LogWriteError: Another process writes it.
+    """
+
+    def __init__(self, path: Path, *, writable: bool = False) -> None:
+        super().__init__(path, _SWEEP, writable=writable)
+        self.identity: Row = self.document["identity"]
+        self.chunk = int(self.document["chunk"])
+        self.points = _points(self.identity)
+        self.keys = [one.key for one in self.points.varied]
+        self.axes: list[str] = self.identity["axes"]
+        self.metrics: list[str] = self.identity["metrics"]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def note(self, name: str) -> str:
+        """Return a note on the sweep by name; "" if there is none."""
+        return str(self.document["notes"].get(name, ""))
+
+    def done(self) -> NDArray[np.bool_]:
+        """Return which chunks exist, shape (n_chunks,)."""
+        flags = np.zeros(-(-len(self) // self.chunk), dtype=bool)
+        flags[[int(name.partition(".")[0]) for name in self.chunks]] = True
+        return flags
+
+    def span(self, chunk: int) -> tuple[int, int]:
+        """Return the indices [start, stop) of the scenes of a chunk."""
+        return chunk * self.chunk, min(len(self), (chunk + 1) * self.chunk)
+
+    def finished(self) -> int:
+        """Return the number of scenes in chunks that exist."""
+        return sum(stop - start for start, stop in map(self.span, np.flatnonzero(self.done()).tolist()))
+
+    def values(self, key: str) -> Column:
+        """Return the values of a key: numbers in SI of shape (n,), or a list of texts."""
+        return self.points.columns(0, len(self))[key]
+
+    def figure(self, axis: str, metric: str) -> Array:
+        """Return a figure of every scene, shape (n,); NaN where it does not apply or is not computed yet."""
+        return self._column(f"{axis}/{metric}", np.full(len(self), np.nan))
+
+    def status(self, axis: str = "") -> NDArray[np.uint8]:
+        """Return the status of every scene, for one axis or for all, as indices in `STATUS`, shape (n,)."""
+
+        def outcome(name: str) -> Any:
+            return outcomes(lambda metric: self.figure(name, metric) if metric in self.metrics else np.nan)
+
+        status = self._column("status", np.zeros(len(self), dtype=np.uint8))
+        found = np.stack([outcome(name) for name in ([axis] if axis else self.axes)])
+        # completed scenes in which no axis was touched and rendered say nothing about passivity
+        marks = np.where((found == 0).any(axis=0), 0, found.max(axis=0))
+        return np.where(status == COMPLETED, np.array([COMPLETED, UNTOUCHED, UNRENDERED], np.uint8)[marks], status)
+
+    def engine(self) -> NDArray[np.uint8]:
+        """Return the engine of every scene as indices in `ENGINES`, shape (n,)."""
+        return self._column("engine", np.zeros(len(self), dtype=np.uint8))
+
+    def remark(self, scene: int) -> str:
+        """Return the remark on a scene: why it was refused or ran alone, or which properties came from the plant."""
+        texts, numbers = self._read(scene // self.chunk, "texts", "remark")
+        number = int(numbers[scene % self.chunk])
+        return str(texts[number - 1]) if number else ""
+
+    def remarks(self) -> Iterator[tuple[str, str, str, int]]:
+        """Yield (status, engine, remark, number of scenes), chunk by chunk, with equal scenes counted together."""
+        ended, engines = self.status(), self.engine()
+        for chunk in np.flatnonzero(self.done()).tolist():
+            (texts, numbers), rows = self._read(chunk, "texts", "remark"), slice(*self.span(chunk))
+            kinds, counts = np.unique(np.stack([ended[rows], engines[rows], numbers]), axis=1, return_counts=True)
+            for (status, engine, number), count in zip(kinds.T.tolist(), counts.tolist(), strict=True):
+                yield STATUS[status], ENGINES[engine], str(texts[number - 1]) if number else "", count
+
+    def store(self, chunk: int, result: ChunkResult) -> None:
+        """Store a chunk; it is on the disk on return.
+
+        Raises:
+            LogWriteError: The chunk cannot be written; finished chunks are kept.
+        """
+        columns: dict[str, Any] = {**self.points.columns(*self.span(chunk)), **result.figures}
+        columns |= {"status": result.status, "engine": result.engine, "remark": result.remark}
+        content = io.BytesIO()
+        np.savez(content, **columns, texts=np.array(result.texts, dtype=np.str_))
+        self.write(_name(chunk), content.getvalue())
+
+    def _column(self, name: str, found: NDArray[Any]) -> NDArray[Any]:
+        """Fill a column with the rows of the finished chunks, and return it."""
+        for chunk in np.flatnonzero(self.done()).tolist():
+            (found[slice(*self.span(chunk))],) = self._read(chunk, name)
+        return found
+
+    def _read(self, chunk: int, *names: str) -> list[NDArray[Any]]:
+        """Return arrays of a chunk.
+
+        Raises:
+            LogFormatError: The chunk is damaged or missing.
+        """
+        path = self.folder / _name(chunk)
+        try:
+            with np.load(path, allow_pickle=False) as found:
+                return [np.asarray(found[name]) for name in names]
+        except (OSError, ValueError, KeyError, BadZipFile) as error:
+            raise LogFormatError(f"{path}: cannot be read ({error}); remove it and --resume") from error
+
+
+def create(path: Path, chunk: int, identity: Row, notes: dict[str, str], *, replace: bool) -> None:
+    """Create the folder of a sweep, without results; it appears completely or not at all.
+
+    Args:
+        path: Folder.
+        chunk: Scenes per chunk.
+        identity: Facts that a resumed sweep must match.
+        notes: Texts about the sweep.
+        replace: Whether to replace an existing sweep.
+
+    Raises:
+        InputError: The folder exists already.
+        LogWriteError: The folder is missing or read-only, the disk is too small for all results, or another process
+            writes it.
+    """
+    columns = len(identity["axes"]) * len(identity["metrics"]) + len(identity["varied"])
+    room = len(_points(identity)) * (_BYTES * columns + 3)
+    document = {"identity": identity, "chunk": chunk, "notes": notes}
+    create_store(path, _SWEEP, document, room=room, replace=replace)
+
+
+def _points(identity: Row) -> Points:
+    keys = [field.name for field in fields(Varied)]
+    varied = ({key: one[key] for key in keys} | {"values": tuple(one["values"])} for one in identity["varied"])
+    return Points(tuple(Varied(**one) for one in varied), identity["samples"], identity["seed"])
+
+
+def _name(chunk: int) -> str:
+    return f"{chunk:08d}.npz"

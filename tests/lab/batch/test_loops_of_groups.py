@@ -13,10 +13,10 @@ from canhaptic.errors import ParameterError
 from canhaptic.lab.batch.group_loop import GroupMeter, LinearMotors, group_case, shares
 from canhaptic.lab.batch.scalar import group_meter, render_group
 from canhaptic.lab.loop.axis_loop import Recorder
+from canhaptic.lab.studies.chunk import ENGINES
 from canhaptic.lab.studies.compare import compare
+from canhaptic.lab.studies.store import SweepTable
 from canhaptic.lab.studies.sweep import sweep
-from canhaptic.lab.studies.sweep.chunk import ENGINES
-from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import simulation_of

@@ -8,8 +8,8 @@ from canhaptic.lab.batch.closed_loop import CycleState, pass_frames
 from canhaptic.lab.batch.marching import run_batch
 from canhaptic.lab.figures.figures import METRICS
 from canhaptic.lab.loop.over_can import render_over_can
+from canhaptic.lab.studies.store import SweepTable
 from canhaptic.lab.studies.sweep import sweep
-from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.scene.load import load_scene
 
 STIFFNESS = np.array([300.0, 1000.0, 3000.0])

@@ -12,7 +12,7 @@ from canhaptic.cli.main import main
 from canhaptic.lab.commands.results import scene_progress
 from canhaptic.lab.studies.map import Cells, Chosen, fields_of, panels_of
 from canhaptic.lab.studies.runner import Progress
-from canhaptic.lab.studies.sweep.sweep_table import SweepTable
+from canhaptic.lab.studies.store import SweepTable
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 DEMO = str(REPOSITORY / "configs" / "demo.yaml")

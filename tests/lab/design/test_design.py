@@ -9,7 +9,7 @@ import yaml
 
 from canhaptic.errors import CheckFailedError, InputError
 from canhaptic.lab.batch.scalar import run_scalar
-from canhaptic.lab.render.design_report import snippet
+from canhaptic.lab.commands.design import snippet
 from canhaptic.lab.studies.compare import compare
 from canhaptic.lab.studies.design import search
 from canhaptic.lab.studies.design.contact_quality import felt_of

@@ -23,8 +23,8 @@ from canhaptic.lab.studies.map import (
     theory_at,
     usual_judgement,
 )
+from canhaptic.lab.studies.store import SweepTable
 from canhaptic.lab.studies.sweep import sweep
-from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.scene.load import load_scene
 
 DEMO = str(Path(__file__).resolve().parents[3] / "configs" / "demo.yaml")

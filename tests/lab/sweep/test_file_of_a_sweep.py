@@ -14,9 +14,9 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError, LogFormatError, LogWriteError
+from canhaptic.lab.studies.chunk import ChunkResult
+from canhaptic.lab.studies.store import SweepTable
 from canhaptic.lab.studies.sweep import sweep
-from canhaptic.lab.studies.sweep.chunk import ChunkResult
-from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.scene.load import load_scene
 from tests.lab.sweep.conftest_sweep import DEMO, VARY, content
 
@@ -168,7 +168,7 @@ def test_two_sweeps_cannot_write_one_folder(demo, tmp_path):
     path = tmp_path / "a"
     sweep(demo, VARY, path, **ONE)
     code = (
-        "from pathlib import Path; from canhaptic.lab.studies.sweep.sweep_table import SweepTable; "
+        "from pathlib import Path; from canhaptic.lab.studies.store import SweepTable; "
         f"SweepTable(Path({str(path)!r}), writable=True)"
     )
     with SweepTable(path, writable=True):

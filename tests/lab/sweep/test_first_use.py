@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from canhaptic.lab.studies.chunk import ENGINES, SLOTS, ChunkResult, run_chunk
 from canhaptic.lab.studies.runner import begin_worker
-from canhaptic.lab.studies.sweep.chunk import ENGINES, SLOTS, ChunkResult, run_chunk
-from canhaptic.lab.studies.sweep.run_sweep import Asked, joined, make_sweep
+from canhaptic.lab.studies.sweep import Asked, joined, make_sweep
 from tests.lab.sweep.conftest_sweep import VARY
 
 
@@ -22,7 +22,7 @@ def first_use(tmp_path, monkeypatch):
     """The module, where no loop is compiled yet."""
     pytest.importorskip("numba", reason="needs numba (the extra fast)")
     from canhaptic.lab.batch.compiled_loops import compiled_loops
-    from canhaptic.lab.studies.sweep import run_sweep
+    from canhaptic.lab.studies import sweep as run_sweep
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     compiled_loops.cache_clear()

@@ -11,11 +11,11 @@ from hypothesis.extra.numpy import arrays
 
 from canhaptic.errors import InputError, SceneError
 from canhaptic.lab.batch.scalar import run_scalar
+from canhaptic.lab.commands.sweep import _shares, summary
 from canhaptic.lab.loop.axis_loop import with_algorithm
-from canhaptic.lab.studies.sweep import sweep
-from canhaptic.lab.studies.sweep.chunk import _MORE, SLOTS
-from canhaptic.lab.studies.sweep.run_sweep import _pays
-from canhaptic.lab.studies.sweep.sweep_table import SweepTable, _shares, summary
+from canhaptic.lab.studies.chunk import _MORE, SLOTS
+from canhaptic.lab.studies.store import SweepTable
+from canhaptic.lab.studies.sweep import _pays, sweep
 from canhaptic.scene.load import load_scene
 from tests.lab.sweep.conftest_sweep import DEMO, VARY
 

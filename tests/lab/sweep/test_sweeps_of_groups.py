@@ -11,8 +11,8 @@ from canhaptic.errors import InputError
 from canhaptic.lab.batch.cases import why_not_batchable
 from canhaptic.lab.batch.scalar import run_scalar
 from canhaptic.lab.studies.compare import compare
+from canhaptic.lab.studies.store import SweepTable
 from canhaptic.lab.studies.sweep import sweep
-from canhaptic.lab.studies.sweep.sweep_table import SweepTable
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import load_scene
 from tests.lab.sweep.conftest_sweep import REPOSITORY

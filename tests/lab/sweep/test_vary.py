@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canhaptic.errors import InputError
-from canhaptic.lab.studies.sweep.vary import CONTROLLER, make_points, parse_vary, scene_seeds
+from canhaptic.lab.studies.vary import CONTROLLER, make_points, parse_vary, scene_seeds
 
 
 def test_a_range_has_its_ends_exactly_and_equal_steps():

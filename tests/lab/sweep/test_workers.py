@@ -116,10 +116,10 @@ def test_a_long_sweep_that_python_runs_gets_a_process_a_core(demo, tmp_path, ser
             super().__init__(workers)
 
     monkeypatch.setattr("canhaptic.lab.studies.runner.Pool", Watched)
-    monkeypatch.setattr("canhaptic.lab.studies.sweep.run_sweep.os.cpu_count", lambda: 2)
+    monkeypatch.setattr("canhaptic.lab.studies.sweep.os.cpu_count", lambda: 2)
     sweep(demo, VARY, tmp_path / "short", processes=True, **OPTIONS)
     assert made == []
-    monkeypatch.setattr("canhaptic.lab.studies.sweep.run_sweep._WORTH_A_POOL", 32 * 40.0)
+    monkeypatch.setattr("canhaptic.lab.studies.sweep._WORTH_A_POOL", 32 * 40.0)
     sweep(demo, VARY, tmp_path / "long", processes=True, **OPTIONS)
     assert made == [2]
     assert content(tmp_path / "long") == serial

@@ -21,7 +21,7 @@ import yaml
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from canhaptic.axis_units import mass_unit, stiffness_unit
+from canhaptic.axis_units import mass_unit, si, stiffness_unit
 from canhaptic.control.admittance.admittance_environment import AdmittanceMass
 from canhaptic.control.admittance.group_environment import GroupMass, PathMass
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
@@ -31,11 +31,11 @@ from canhaptic.lab.batch import Engine
 from canhaptic.lab.figures.figures import display_figures
 from canhaptic.lab.loop.axis_loop import Array, parts_of, require_design_room
 from canhaptic.lab.studies import Row
+from canhaptic.lab.studies.chunk import places_of
 from canhaptic.lab.studies.compare import are_displays, compare
 from canhaptic.lab.studies.design import trial as trials
 from canhaptic.lab.studies.design.contact_quality import felt_of
 from canhaptic.lab.studies.runner import pool_of
-from canhaptic.lab.studies.sweep.chunk import places_of
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.displays import display_properties
 from canhaptic.scene.hints import ENCODER, guarantee, stability_hints

@@ -49,9 +49,8 @@ from canhaptic.lab.batch.cases import why_not_beforehand
 from canhaptic.lab.batch.group_loop import group_case, shares
 from canhaptic.lab.batch.scalar import group_meter, render_group
 from canhaptic.lab.loop.axis_loop import Array
-from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.sweep import chunk
-from canhaptic.lab.studies.sweep.vary import CONTROLLER, Column, listed, make_points, ranged
+from canhaptic.lab.studies import Row, chunk
+from canhaptic.lab.studies.vary import CONTROLLER, Column, listed, make_points, ranged
 from canhaptic.scene.hints import LEAN
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.method import simulation_of

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, replace
+from functools import partial
 from importlib.metadata import version
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -29,8 +30,7 @@ from canhaptic.lab.batch.group_loop import group_case
 from canhaptic.lab.loop.admittance_loop import is_display
 from canhaptic.lab.loop.axis_loop import cycles_of, parts_of, with_algorithm
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.runner import Count, Job, Pool, Progress, begin_worker, pool_of, run_jobs
-from canhaptic.lab.studies.sweep.chunk import (
+from canhaptic.lab.studies.chunk import (
     FIGURES,
     RATE,
     SLOTS,
@@ -43,8 +43,9 @@ from canhaptic.lab.studies.sweep.chunk import (
     scene_of,
     usual_figures,
 )
-from canhaptic.lab.studies.sweep.sweep_table import SweepTable, create
-from canhaptic.lab.studies.sweep.vary import Column, Points, Varied, make_points, parse_vary, short
+from canhaptic.lab.studies.runner import Count, Job, Pool, Progress, begin_worker, pool_of, run_jobs
+from canhaptic.lab.studies.store import SweepTable, create
+from canhaptic.lab.studies.vary import Column, Points, Varied, make_points, parse_vary, short
 from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
 
@@ -119,20 +120,17 @@ def sweep(
             first = FirstUse(count.compiling, begin_worker)
             stack.callback(first.close)
             run = first.run
-        jobs = [_job(table, chunk, asked.recipe, run, count) for chunk in np.flatnonzero(~table.done()).tolist()]
-        run_jobs(jobs, executor, stop_requested, path, in_flight)
+        jobs = [_job(table, chunk, asked.recipe, run) for chunk in np.flatnonzero(~table.done()).tolist()]
+        run_jobs(jobs, executor, stop_requested, path, count, in_flight)
         return count.state
 
 
-def _job(table: SweepTable, chunk: int, recipe: Recipe, run: Callable[..., ChunkResult], count: Count) -> Job:
+def _job(table: SweepTable, chunk: int, recipe: Recipe, run: Callable[..., ChunkResult]) -> Job:
     start, stop = table.span(chunk)
-
-    def take(result: ChunkResult) -> None:
-        table.store(chunk, result)
-        count.add(stop - start)
-
-    arguments = lambda: (recipe, start, table.points.columns(start, stop))  # noqa: E731
-    return Job(f"scenes {start} to {stop - 1}", run, arguments, take)
+    return Job(
+        f"scenes {start} to {stop - 1}", stop - start, run,
+        lambda: (recipe, start, table.points.columns(start, stop)), partial(table.store, chunk),
+    )  # fmt: skip
 
 
 def make_sweep(

@@ -34,7 +34,7 @@ from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.loop.admittance_loop import is_display
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.loop.over_can import known_algorithms
-from canhaptic.lab.studies.sweep.vary import CONTROLLER, Column, Points, Value, Varied, scene_seeds
+from canhaptic.lab.studies.vary import CONTROLLER, Column, Points, Value, Varied, scene_seeds
 from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, parse_yaml
 from canhaptic.scene.layout import OWN_SECTIONS
 from canhaptic.scene.load import scene_from_text
