@@ -6,7 +6,7 @@ changed setting, with the errors against the ideal display, the mass felt and th
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -35,16 +35,17 @@ _PRICES: Final = {
     "us_per_period": "wall time per period [us], least of interleaved repeats",
     _WORK: "evaluations of the equations of motion per period",
 }
-_GROUPS: Final[dict[str, str]] = {
-    "as it is": "#000000",
-    "sample rate": BLUE,
+_COLOURS: Final[dict[str, str]] = {
+    **dict.fromkeys(("as it is", "the scene"), "#000000"),
+    **dict.fromkeys(("sample rate", "rate"), BLUE),
     "RPDO": VERMILION,
     "algorithm": GREEN,
-    "velocity": ORANGE,
-    "torque step": PURPLE,
-    "encoder count": SKY,
+    **dict.fromkeys(("velocity", "sampling"), ORANGE),
+    **dict.fromkeys(("torque step", "sensor"), PURPLE),
+    **dict.fromkeys(("encoder count", "encoder"), SKY),
     "effect": PALE,
 }
+"""Kind of a changed setting, of the loop of an axis or of an admittance display -> its colour."""
 
 
 def draw_accuracy(result: Row, path: str | Path) -> None:
@@ -141,25 +142,34 @@ def _lines(own: Sequence[Row]) -> list[list[Row]]:
     return [[row for row in own if row["accuracy"]["event_bits"] == b] for b in bits]
 
 
+def _draw_rows(
+    panel: "Axes", names: Sequence[str], colours: Sequence[str], values: Sequence[float], mark: str = "o"
+) -> None:
+    """Draw a row with a mark for each name, from top to bottom."""
+    look: Row = {"markersize": 6.0} if mark == "o" else {"markersize": 9.0, "markeredgewidth": 1.6}
+    for place, (colour, value) in enumerate(zip(colours, values, strict=True)):
+        panel.plot([value], [place], mark, color=colour, **look)
+    panel.set_yticks(range(len(names)), names, fontsize=8.0)
+    panel.set_ylim(len(names) - 0.2, -0.8)
+
+
 def _draw_loop(panel: "Axes", loop: Sequence[Row], result: Row) -> None:
     """Draw a row for each changed setting: position and energy error, computing time, bus load."""
-    places = list(range(len(loop)))[::-1]
-    for place, row in zip(places, loop, strict=True):
-        colour = _GROUPS[row["group"]]
-        panel.plot([row["position_error"]], [place], "o", color=colour, markersize=6.0)
-        panel.plot([row["energy_error"]], [place], "|", color=colour, markersize=9.0, markeredgewidth=1.6)
+    names = [f"{row['group']}: {row['setting'].replace('_', ' ')}" for row in loop]
+    colours = [_COLOURS[row["group"]] for row in loop]
+    _draw_rows(panel, names, colours, [row["position_error"] for row in loop])
+    _draw_rows(panel, names, colours, [row["energy_error"] for row in loop], "|")
     base = next((row for row in loop if row["is_scene"]), None)
     if base is not None:
         panel.axvline(base["position_error"], color="black", linewidth=0.8, linestyle=":")
-    panel.set_yticks(places, [f"{row['group']}: {row['setting'].replace('_', ' ')}" for row in loop], fontsize=8.0)
-    for label, row in zip(panel.get_yticklabels(), loop, strict=True):
-        label.set_color(_GROUPS[row["group"]])
+    for label, colour in zip(panel.get_yticklabels(), colours, strict=True):
+        label.set_color(colour)
     panel.grid(axis="y", visible=False)
     panel.set_title("loop: one setting changed", fontweight="bold")
     panel.set_xlabel(f"error against the continuous axis:  o position [{result['unit']}],  | energy [J]")
-    panel.set(xscale="log", ylim=(-0.8, len(loop) + 0.2))
-    _write_right(panel, len(loop) - 0.1, "control, bus load")
-    for place, row in zip(places, loop, strict=True):
+    panel.set_xscale("log")
+    _write_right(panel, -0.9, "control, bus load")
+    for place, row in enumerate(loop):
         thread = row.get("control_thread_us")
         words = [] if thread is None else [f"{thread:.0f} us"]
         words.append(f"{100.0 * row['bus_load']:.0f} %" + ("" if row["bus_fits"] else " !"))
@@ -174,22 +184,19 @@ def _write_right(panel: "Axes", place: float, text: str) -> None:
 
 def _draw_effects(panel: "Axes", effects: Sequence[Row], result: Row) -> None:
     """Draw a row for each simulated effect: the error if it is left out, and the computing time saved."""
+    names = [row["effect"].replace("_", " ") for row in effects]
+    _draw_rows(panel, names, [VERMILION] * len(names), [row["position_error"] for row in effects])
     for place, row in enumerate(effects):
-        panel.plot([row["position_error"]], [place], "o", color=VERMILION, markersize=6.0)
         saved = row["us_saved_per_period"]
         price = f"{row['evaluations_saved_per_period']:.3g} evaluations" if saved is None else f"{saved:.3g} us"
         _write_right(panel, place, f"saves {price}")
     panel.axvline(result["tolerance"], color="#CC0000", linewidth=1.0, linestyle=":")
-    panel.set_yticks(range(len(effects)), [row["effect"].replace("_", " ") for row in effects], fontsize=8.0)
-    panel.set(xscale="log", ylim=(len(effects) - 0.2, -0.8), xlabel=f"error without it [{result['unit']}]")
+    panel.set(xscale="log", xlabel=f"error without it [{result['unit']}]")
     panel.margins(x=0.15)
     panel.grid(axis="y", visible=False)
     panel.set_title("an effect left out", fontweight="bold")
 
 
-_COLOURS: Final = {
-    "the scene": "#000000", "rate": BLUE, "algorithm": GREEN, "sampling": ORANGE, "sensor": PURPLE, "encoder": SKY,
-}  # fmt: skip
 _LEAST: Final = 1e-12
 """Value drawn for zero on a logarithmic axis."""
 
@@ -201,23 +208,20 @@ def _name(row: Row) -> str:
 
 def _draw_display(result: Row, path: str | Path) -> None:
     """Draw the study of an admittance display; errors as for `draw_accuracy`."""
-    unit = result["unit"]
-    columns: dict[str, Callable[[Row], float]] = {
-        f"largest error of the position [{unit}]": lambda row: max(row["position_error"], _LEAST),
-        "largest error of the energy [J]": lambda row: max(row["energy_error"], _LEAST),
-        f"mass felt [{mass_unit(unit)}]": lambda row: row["mass_felt"],
-        "energy given out [J]": lambda row: max(0.0, row["given_out"]),
+    unit, rows = result["unit"], [row for row in result["loop"] if "position_error" in row]
+    columns: dict[str, list[float]] = {
+        f"largest error of the position [{unit}]": [max(row["position_error"], _LEAST) for row in rows],
+        "largest error of the energy [J]": [max(row["energy_error"], _LEAST) for row in rows],
+        f"mass felt [{mass_unit(unit)}]": [row["mass_felt"] for row in rows],
+        "energy given out [J]": [max(0.0, row["given_out"]) for row in rows],
     }
+    names, colours = [_name(row) for row in rows], [_COLOURS.get(row["changed"], VERMILION) for row in rows]
     with style.drawing() as figure_type:
-        rows = [row for row in result["loop"] if "position_error" in row]
         if not rows:
             raise InputError("nothing was measured, so there is nothing to draw; run the study for longer")
-        places = list(range(len(rows)))[::-1]
         figure = figure_type(figsize=(14.5, 2.2 + 0.3 * len(rows)), dpi=110, layout="constrained")
-        for panel, (title, value) in zip(figure.subplots(1, len(columns), sharey=True), columns.items(), strict=True):
-            values = [value(row) for row in rows]
-            for place, row, shown in zip(places, rows, values, strict=True):
-                panel.plot([shown], [place], "o", color=_COLOURS.get(row["changed"], VERMILION), markersize=6.0)
+        for panel, (title, values) in zip(figure.subplots(1, len(columns), sharey=True), columns.items(), strict=True):
+            _draw_rows(panel, names, colours, values)
             panel.set_xlabel(title)
             if title.startswith("largest"):
                 panel.set_xscale("log")
@@ -226,6 +230,5 @@ def _draw_display(result: Row, path: str | Path) -> None:
                 panel.set_xticks([0.0])
             if not math.isnan(values[0]):
                 panel.axvline(max(values[0], _LEAST), color="black", linewidth=0.8, linestyle=":")
-            panel.set_yticks(places, [_name(row) for row in rows], fontsize=8.5)
         figure.suptitle("\n".join(display_heading(result)), x=0.01, ha="left", fontsize=9.0, color="#404040")
         style.save_picture(figure, path)

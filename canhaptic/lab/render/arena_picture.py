@@ -5,12 +5,14 @@ The line of `guarded` is thick and black in every picture.
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from canhaptic.lab.figures.figures import FIELD_FIGURES
+from canhaptic.lab.render.map_picture import BLACK, MARKS, WHITE
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.arena import COLUMNS
 from canhaptic.view.html_page import picture, words, write_page
@@ -19,68 +21,90 @@ from canhaptic.view.table import Cell, Styled, Table, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 Found = Mapping[str, Any]
 _COLOURS: Final = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, GREY)
-_MARKS: Final = "osv^<>DPX*hpd"
 _THEORY: Final = {"C": ("--", "#404040"), "e": ("-.", "#404040"), "l": (":", "#000000")}
 """First letter of a theoretical border -> line style and colour: Colgate, eigenvalues, largest certificate."""
 _OUR: Final = "guarded"
 _PLAIN: Final = "unprotected"
-_WORDS: Final = {"passive": "stiffest wall that stays passive", "near": "and is rendered within 5 %"}
 _DPI: Final = 110
 _LEAST: Final = 1e-6
 """Least energy given out for which a cell is coloured [J]."""
-_WHITE, _BLACK = "#fffffe", "#000001"  # on coloured cells; no greys, which a dark page would turn over
 
 
-def _draw_borders(found: Found, path: Path) -> None:
-    """Draw the stiffest wall over its damping: passive, and also rendered within 5 %, each without and with delay.
+def _draw_lines(
+    found: Found, path: Path, part: str, x: tuple[str, str], labels: Mapping[str, str],
+    compared: Callable[[Row], float], finish: Callable[["Axes", int, str], None],
+) -> None:  # fmt: skip
+    """Draw a line for each algorithm: a row of panels for each figure, a column for each delay.
+
+    Args:
+        found: Result of an arena.
+        path: File of the picture.
+        part: Key of the result with a row for each point.
+        x: Key of the x axis, and its label.
+        labels: Figure -> label of its y axis.
+        compared: Function of a row, by whose mean the algorithms are compared.
+        finish: Completes a panel: (panel, delay, figure).
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
     """
-    delays = sorted({border["delay"] for border in found["borders"]})
+    delays = sorted({row["delay"] for row in found[part]})
     with drawing() as figure_type:
-        figure = figure_type(figsize=(5.4 * len(_WORDS) + 2.6, 4.4 * len(delays)), dpi=_DPI, layout="constrained")
-        panels = figure.subplots(len(delays), len(_WORDS), sharex=True, sharey=True, squeeze=False)
-        lines = _lines(found, "borders", lambda border: float(np.log(max(border["near"], 1.0))))
-        for row, delay in zip(panels, delays, strict=True):
-            for panel, (key, said) in zip(row, _WORDS.items(), strict=True):
-                _draw_border(panel, found, delay, key, lines)
-                panel.set_title(f"{said}; {'one sample late' if delay else 'no delay'}", fontweight="bold")
-            row[0].set_ylabel("stiffest wall [N/m]")
-        for panel in panels[-1]:
-            panel.set_xlabel("damping of the wall [N*s/m]")
-        _save_with_legend(figure, panels[0, 0], path)
+        figure = figure_type(figsize=(5.3 * len(delays) + 2.6, 3.8 * len(labels)), dpi=_DPI, layout="constrained")
+        panels = figure.subplots(len(labels), len(delays), sharex=True, sharey="row", squeeze=False)
+        lines = _lines(found, part, compared)
+        for (row, key), (column, delay) in product(enumerate(labels), enumerate(delays)):
+            for name, line in lines.items():
+                own = [of for of in found[part] if (of["algorithm"], of["delay"]) == (name, delay)]
+                known = [np.nan if of[key] is None else of[key] for of in own]
+                panels[row, column].plot([of[x[0]] for of in own], known, **line)
+            finish(panels[row, column], delay, key)
+        for first, label in zip(panels[:, 0], labels.values(), strict=True):
+            first.set_ylabel(label)
+        for top, bottom, delay in zip(panels[0], panels[-1], delays, strict=True):
+            top.set_title("one sample late" if delay else "no delay", fontweight="bold")
+            bottom.set_xlabel(x[1])
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside right upper", fontsize=8.0)
+        save_picture(figure, path)
 
 
-def _save_with_legend(figure: "Figure", panel: "Axes", path: Path) -> None:
-    """Save a picture with the legend of one panel on its right."""
-    figure.legend(*panel.get_legend_handles_labels(), loc="outside right upper", fontsize=8.0)
-    save_picture(figure, path)
+def _draw_borders(found: Found, path: Path) -> None:
+    """Draw the stiffest wall over its damping: passive, and also rendered within 5 %; see `_draw_lines`."""
+
+    def finish(panel: "Axes", delay: int, key: str) -> None:
+        for name, points in found["theory"][str(delay)].items():
+            style, colour = _THEORY[name[0]]
+            places = [p["damping"] for p in points], [p["stiffness"] for p in points]
+            panel.plot(*places, linestyle=style, color=colour, linewidth=1.3, label=name)
+        if key == "passive" and any(border["open"] and border["delay"] == delay for border in found["borders"]):
+            most = max(border["passive"] for border in found["borders"])
+            text = "passive up to the stiffest wall that was tried"
+            panel.annotate(text, (0.0, most), xytext=(4, -12), textcoords="offset points", fontsize=7.0)
+        panel.set_yscale("log", nonpositive="mask")  # 0: not even the least wall
+        panel.set_xscale("symlog", linthresh=0.05)
+        panel.set_xlim(left=-0.004)
+        ticks = [d for d in sorted({b["damping"] for b in found["borders"]}) if d in (0.0, 0.1, 1.0, 10.0, 100.0)]
+        panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        panel.set_xticks([], minor=True)
+
+    labels = {"passive": "stiffest wall that stays passive [N/m]", "near": "and is rendered within 5 % [N/m]"}
+    x = "damping", "damping of the wall [N*s/m]"
+    _draw_lines(found, path, "borders", x, labels, lambda of: float(np.log(max(of["near"], 1.0))), finish)
 
 
-def _draw_border(panel: "Axes", found: Found, delay: int, key: str, lines: Mapping[str, Row]) -> None:
-    for name, line in lines.items():
-        own = [b for b in found["borders"] if b["algorithm"] == name and b["delay"] == delay]
-        panel.plot([b["damping"] for b in own], [b[key] if b[key] > 0.0 else np.nan for b in own], **line)
-    for name, points in found["theory"][str(delay)].items():
-        style, colour = _THEORY[name[0]]
-        places = [p["damping"] for p in points], [p["stiffness"] for p in points]
-        panel.plot(*places, linestyle=style, color=colour, linewidth=1.3, label=name)
-    if key == "passive" and any(border["open"] and border["delay"] == delay for border in found["borders"]):
-        most = max(border["passive"] for border in found["borders"])
-        text = "passive up to the stiffest wall that was tried"
-        panel.annotate(text, (0.0, most), xytext=(4, -12), textcoords="offset points", fontsize=7.0)
-    panel.set_yscale("log")
-    panel.set_xscale("symlog", linthresh=0.05)
-    panel.set_xlim(left=-0.004)
-    ticks = [d for d in sorted({b["damping"] for b in found["borders"]}) if d in (0.0, 0.1, 1.0, 10.0, 100.0)]
-    panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    panel.set_xticks([], minor=True)
+def _draw_impedance(found: Found, path: Path) -> None:
+    """Draw magnitude and angle of the rendered over the requested impedance; see `_draw_lines`."""
+
+    def finish(panel: "Axes", _delay: int, key: str) -> None:
+        panel.axhline(1.0 if key == "size" else 0.0, color="#808080", linewidth=0.8)
+        panel.set(xscale="log", yscale="log" if key == "size" else "linear")
+
+    labels = {"size": "rendered / requested impedance", "angle": "angle to the requested one [rad]"}
+    _draw_lines(found, path, "impedance", ("frequency", "frequency [Hz]"), labels, _size, finish)
 
 
 def _lines(found: Found, part: str, figure: Callable[[Row], float]) -> dict[str, Row]:
@@ -103,7 +127,7 @@ def _lines(found: Found, part: str, figure: Callable[[Row], float]) -> dict[str,
         if name == _OUR:
             looks[name] = {"color": "black", "linewidth": 2.6, "zorder": 5, "label": name}
         elif name in (*named, _PLAIN):
-            mark = {"marker": _MARKS[number], "markersize": 4.5, "fillstyle": "none", "zorder": 4}
+            mark = {"marker": MARKS[number], "markersize": 4.5, "fillstyle": "none", "zorder": 4}
             looks[name] = {**mark, "color": _COLOURS[number], "linewidth": 1.3, "label": name}
         else:
             looks[name] = {"color": "#B0B0B0", "linewidth": 0.9, "label": rest}
@@ -114,37 +138,6 @@ def _lines(found: Found, part: str, figure: Callable[[Row], float]) -> dict[str,
 def _size(row: Row) -> float:
     """Return the deviation of an impedance from the request: octaves of its magnitude plus radians of its angle."""
     return 0.0 if row["size"] is None else abs(float(np.log2(row["size"]))) + abs(row["angle"])
-
-
-def _draw_impedance(found: Found, path: Path) -> None:
-    """Draw magnitude and angle of the rendered over the requested impedance, without and with delay.
-
-    Raises:
-        InputError: matplotlib is not installed, or the file cannot be written.
-    """
-    delays = sorted({one["delay"] for one in found["impedance"]})
-    with drawing() as figure_type:
-        figure = figure_type(figsize=(5.0 * len(delays) + 2.6, 6.0), dpi=_DPI, layout="constrained")
-        panels = figure.subplots(2, len(delays), sharex=True, sharey="row", squeeze=False)
-        lines = _lines(found, "impedance", _size)
-        for column, delay in enumerate(delays):
-            for row, key in enumerate(("size", "angle")):
-                _draw_ratio(panels[row, column], found, delay, key, lines)
-            panels[0, column].set_title("one sample late" if delay else "no delay", fontweight="bold")
-            panels[1, column].set_xlabel("frequency [Hz]")
-        panels[0, 0].set_ylabel("rendered / requested impedance")
-        panels[1, 0].set_ylabel("angle to the requested one [rad]")
-        _save_with_legend(figure, panels[0, 0], path)
-
-
-def _draw_ratio(panel: "Axes", found: Found, delay: int, key: str, lines: Mapping[str, Row]) -> None:
-    for name, line in lines.items():
-        own = [one for one in found["impedance"] if one["algorithm"] == name and one["delay"] == delay]
-        panel.plot([one["frequency"] for one in own], [np.nan if one[key] is None else one[key] for one in own], **line)
-    panel.axhline(1.0 if key == "size" else 0.0, color="#808080", linewidth=0.8)
-    panel.set_xscale("log")
-    if key == "size":
-        panel.set_yscale("log")
 
 
 def _draw_given_out(found: Found, path: Path) -> None:
@@ -170,7 +163,7 @@ def _draw_given_out(found: Found, path: Path) -> None:
                 cases = _cell(found, name, scene, "cases")
                 dark = cases > 0 and most[row, column] > 3e-3  # [J]
                 text = "" if np.isnan(cases) else f"{cases:.0f}"
-                colour = _WHITE if dark else _BLACK if most[row, column] > _LEAST else "black"
+                colour = WHITE if dark else BLACK if most[row, column] > _LEAST else "black"
                 panel.text(column, row, text, ha="center", va="center", color=colour)
         panel.set_xticks(range(len(scenes)), scenes, rotation=35, ha="right")
         panel.set_yticks(range(len(names)), names)
@@ -193,24 +186,19 @@ def pictures_of(found: Found) -> Sequence[tuple[str, str, Callable[[Found, Path]
     return whole
 
 
-_CASE: Final = (
-    "scene", "rate", "delay", "algorithm", "status", "certificate", "energy_given_out", "energy_beyond_device",
-    "position_error", "force_variation", "stiffness_error", "rate_hardness", "limit_cycle", "drag",
-)  # fmt: skip
-
-
 def write_arena_page(found: Found, path: Path) -> None:
     """Write an arena as one self-contained page.
 
     Raises:
         InputError: matplotlib is not installed, or the page cannot be written.
     """
+    heads = [*dict.fromkeys(key for case in found["cases"] for key in case if key != "remark")]
     parts: list[str | Table] = [
         words(_about(found), "In brackets: the rank, 1 is best."),
         _standings(found),
         *(picture(partial(draw, found), title) for _, title, draw in pictures_of(found)),
         *([_plain(found["m_width"])] if "m_width" in found else ()),
-        _table("Every case", _CASE, [[case.get(key) for key in _CASE] for case in found["cases"]]),
+        _table("Every case", heads, [[case.get(key) for key in heads] for case in found["cases"]]),
         _table(
             "Definitions",
             ("figure", "what it is", "unit", "source"),

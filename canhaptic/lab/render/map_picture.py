@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from canhaptic.lab.figures.figures import NEAR
+from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.map import Cells, Lines, Panel, common_limits
+from canhaptic.lab.studies.map import Cells, Lines, Panel, is_log
 from canhaptic.view.html_page import picture, words, write_page
-from canhaptic.view.picture_style import GREY, drawing, save_picture
+from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, drawing, save_picture
 from canhaptic.view.table import Cell, Table
 
 if TYPE_CHECKING:
@@ -21,16 +23,23 @@ if TYPE_CHECKING:
 
 _LETTERS: Final = 80
 """Number of caption characters on a line, per column of panels."""
+_COLOURS: Final = (BLUE, GREEN, PURPLE, ORANGE, SKY, VERMILION, GREY)
 _LINES: Final[dict[str, Row]] = {
     "measured": {"linewidth": 1.4, "markersize": 4.5, "fillstyle": "none"},
-    "ours": {"linewidth": 2.6, "markersize": 4.5, "fillstyle": "none", "zorder": 5},
+    "ours": {"linewidth": 2.6, "markersize": 4.5, "fillstyle": "none", "zorder": 5, "color": "#000000"},
     "colgate": {"linewidth": 1.4, "linestyle": "--", "zorder": 4},
-    "abbott_okamura": {"linewidth": 1.4, "linestyle": ":"},
-    "eigenvalues": {"linewidth": 1.2, "linestyle": "-."},
-    "certificate": {"linewidth": 1.2, "linestyle": (0, (10, 3))},
+    "abbott_okamura": {"linewidth": 1.4, "linestyle": ":", "color": "#000000"},
+    "eigenvalues": {"linewidth": 1.2, "linestyle": "-.", "color": "#000000"},
+    "certificate": {"linewidth": 1.2, "linestyle": (0, (10, 3)), "color": "#000000"},
 }
-_WHITE, _BLACK = "#fffffe", "#000001"  # on coloured cells; no grey, which a dark page would turn over
-_MARKS: Final = "osv^<>DPX*hpd"
+"""Kind of a line -> its look; without a colour, that of the number of the line."""
+WHITE, BLACK = "#fffffe", "#000001"
+"""Ink on coloured cells; no greys, which a dark page would turn over."""
+MARKS: Final = "osv^<>DPX*hpd"
+_FEW: Final = 8
+"""Largest number of values that are all ticks of a logarithmic axis."""
+_FAULTS: Final = ("energy", "error")
+"""Kinds of figures of which more is worse."""
 _OF_STATUS: Final = {"no contact": "x", "nothing rendered": "_"}
 """Status of a scene that is drawn grey -> its mark."""
 
@@ -78,12 +87,13 @@ def _table(panel: Panel) -> Table:
 
 
 def _draw_row(figure: "Figure", axes: "Sequence[Axes]", panels: Sequence[Panel]) -> None:
-    limits = common_limits(panels)
+    limits = _common_limits([panel for panel in panels if isinstance(panel, Cells)])
     for place, panel in zip(axes, panels, strict=True):
+        x_log, marks = is_log(panel.x), np.unique(panel.x)
         place.set_title(panel.title, loc="left", fontweight="bold", fontsize=9.0)
         place.set(xlabel=panel.x_label, ylabel=panel.y_label)
-        place.set(xscale="log" if panel.x_log else "linear", yscale="log" if panel.y_log else "linear")
-        if marks := panel.marks():  # the values themselves, where those are few
+        place.set(xscale="log" if x_log else "linear", yscale="log" if panel.y_log else "linear")
+        if x_log and len(marks) <= _FEW and not (isinstance(panel, Cells) and panel.dots):
             place.set_xticks(marks, [f"{float(f'{value:.3g}'):g}" for value in marks])
             place.set_xticks([], minor=True)
         if isinstance(panel, Lines):
@@ -92,57 +102,86 @@ def _draw_row(figure: "Figure", axes: "Sequence[Axes]", panels: Sequence[Panel])
             _draw_cells(figure, place, panel, limits)
 
 
+def _common_limits(cells: Sequence[Cells]) -> tuple[float, float]:
+    """Return the range of the colours for all panels of cells in a row."""
+    if not cells or cells[0].kind == "share":
+        return 0.0, 1.2
+    known = np.concatenate([panel.values[np.isfinite(panel.values)] for panel in cells])
+    low, high = (float(known.min()), float(known.max())) if known.size else (1.0, 1.0)
+    if cells[0].kind != "plain":
+        return low, max(high, 10.0 * low)
+    return low, high if high > low else low + 1.0
+
+
 def _draw_lines(place: "Axes", panel: Lines) -> None:
     place.grid(visible=True)
     low, high = panel.y_range or (-np.inf, np.inf)
     for line in panel.lines:
-        mark = _MARKS[line.number % len(_MARKS)] if line.style in ("measured", "ours") else None
+        mark = MARKS[line.number % len(MARKS)] if line.style in ("measured", "ours") else None
         is_beyond = not np.any((line.y >= low) & (line.y <= high))
         label = f"{line.label} (beyond what was tried)" if is_beyond else line.label
-        place.plot(line.x, line.y, label=label, color=line.colour, marker=mark, **_LINES[line.style])
+        look: Row = {"color": _COLOURS[line.number % len(_COLOURS)], **_LINES[line.style]}
+        place.plot(line.x, line.y, label=label, marker=mark, **look)
     if panel.y_range is not None:
         room = 0.05 * (high - low)
         place.set_ylim(*((0.8 * low, 1.25 * high) if panel.y_log else (low - room, high + room)))
     if panel.note:
         note = textwrap.fill(panel.note, _LETTERS - 20)
         place.text(0.0, -0.17, note, transform=place.transAxes, fontsize=8.0, color="#606060", va="top")
-    look: Row = {"framealpha": 0.85, "edgecolor": "none", "handlelength": 4.0}  # room for two long dashes
-    place.legend(fontsize=8.0 if len(panel.lines) <= 5 else 6.5, loc="best", **look)
+    frame: Row = {"framealpha": 0.85, "edgecolor": "none", "handlelength": 4.0}  # room for two long dashes
+    place.legend(fontsize=8.0 if len(panel.lines) <= 5 else 6.5, loc="best", **frame)
 
 
 def _draw_cells(figure: "Figure", place: "Axes", panel: Cells, limits: tuple[float, float]) -> None:
     from matplotlib.colors import LogNorm, Normalize
 
-    norm = (LogNorm if panel.value_log else Normalize)(*limits)
+    norm = (Normalize if panel.kind in ("share", "plain") else LogNorm)(*limits)
     drawn: ScalarMappable
-    colours = "YlOrRd" if panel.more_is_worse else "viridis"  # neither ends in black, which looks like a gap
+    colours = "YlOrRd" if panel.kind in _FAULTS else "viridis"  # neither ends in black, which looks like a gap
     if panel.dots:
         look: Row = {"norm": norm, "cmap": colours, "rasterized": True}
         drawn = place.scatter(panel.x, panel.y, c=panel.values, s=14.0, edgecolors="none", **look)
+        x, y = panel.x, panel.y
     else:
-        drawn = place.pcolormesh(*panel.edges(), panel.values, norm=norm, cmap=colours, rasterized=True)
-        _draw_contour(place, panel)
-    x, y = (panel.x, panel.y) if panel.dots else np.meshgrid(panel.x, panel.y)
+        edges = edges_of(panel.x), edges_of(panel.y)
+        drawn = place.pcolormesh(*edges, panel.values, norm=norm, cmap=colours, rasterized=True)
+        if panel.kind == "share":
+            _draw_contour(place, panel)
+        x, y = np.meshgrid(panel.x, panel.y)
     for status, mask in panel.marked.items():
         if not mask.any():
             continue
         if not panel.dots:
             grey = np.where(mask, 0.3, np.nan)
-            place.pcolormesh(*panel.edges(), grey, cmap="Greys", vmin=0.0, vmax=1.0, rasterized=True)
-        ink = GREY if panel.dots else _BLACK
+            place.pcolormesh(*edges, grey, cmap="Greys", vmin=0.0, vmax=1.0, rasterized=True)
+        ink = GREY if panel.dots else BLACK
         place.scatter(x[mask], y[mask], color=ink, marker=_OF_STATUS[status], s=14.0, label=status)
         place.legend(loc="best", fontsize=8.0, labelcolor=ink)
     figure.colorbar(drawn, ax=place, label=panel.value_label, pad=0.02)
 
 
 def _draw_contour(place: "Axes", panel: Cells) -> None:
-    if panel.contour is None or min(panel.values.shape) < 2 or not np.isfinite(panel.values).any():
+    """Draw the line at which a share is `1 - NEAR`, or in words between which ends the whole panel lies."""
+    if min(panel.values.shape) < 2 or not np.isfinite(panel.values).any():
         return
     least, most = np.nanmin(panel.values), np.nanmax(panel.values)
-    if not least < panel.contour < most:
+    if not least < 1.0 - NEAR < most:
         ends = dict.fromkeys(f"{100.0 * end:.3g} %" for end in (least, most))
         text = f"{' to '.join(ends)} everywhere"
-        place.text(0.5, 0.5, text, transform=place.transAxes, ha="center", color=_BLACK)
+        place.text(0.5, 0.5, text, transform=place.transAxes, ha="center", color=BLACK)
         return
-    drawn = place.contour(panel.x, panel.y, panel.values, levels=[panel.contour], colors=_WHITE, linewidths=1.2)
-    place.clabel(drawn, fmt=f"{100.0 * panel.contour:g} %%", fontsize=8.0)
+    drawn = place.contour(panel.x, panel.y, panel.values, levels=[1.0 - NEAR], colors=WHITE, linewidths=1.2)
+    place.clabel(drawn, fmt=f"{100.0 * (1.0 - NEAR):g} %%", fontsize=8.0)
+
+
+def edges_of(values: Array) -> Array:
+    """Return the edges of cells around sorted values, shape (n + 1,): halfway between neighbours on the axis."""
+    log = is_log(values)
+    scaled = np.log(values) if log else values
+    if len(values) == 1:
+        half = np.array([0.5 * max(abs(float(values[0])), 1.0)])
+        edges = np.concatenate([scaled - half, scaled + half])
+    else:
+        middle = 0.5 * (scaled[1:] + scaled[:-1])
+        edges = np.concatenate([[2.0 * scaled[0] - middle[0]], middle, [2.0 * scaled[-1] - middle[-1]]])
+    return np.asarray(np.exp(edges) if log else edges)

@@ -40,7 +40,6 @@ from canhaptic.scene.hints import quantisation_bound, stability_hints
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import Scene
 from canhaptic.units import Parameters
-from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 
 Mask = NDArray[np.bool_]
 
@@ -345,13 +344,12 @@ def border_of(field: MapField, key: str, kept: list[str], judgement: str, *, nea
     return _Border(np.where(known, walls.near if near else walls.passive, np.nan), known & walls.is_open)
 
 
-_COLOURS: Final = (BLUE, GREEN, PURPLE, ORANGE, SKY, VERMILION, GREY)
-_BLACK: Final = ("ours", "abbott_okamura", "eigenvalues", "certificate")
-_FEW: Final = 8
 _LOG_SPAN: Final = 8.0
 """Ratio of largest to least value from which an axis is logarithmic."""
 CurveStyle = Literal["measured", "ours", "colgate", "abbott_okamura", "eigenvalues", "certificate"]
 """Kind of a line: measured, measured under `guarded`, or a theory."""
+Kind = Literal["border", "share", "energy", "error", "plain"]
+"""Kind of a figure in coloured cells: a border, a share of the requested value, a fault, or anything else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -364,11 +362,6 @@ class PanelCurve:
     style: CurveStyle
     number: int = 0
 
-    @property
-    def colour(self) -> str:
-        """Return the colour as #RRGGBB; black for `guarded`, and for limits that do not depend on `number`."""
-        return "#000000" if self.style in _BLACK else _COLOURS[self.number % len(_COLOURS)]
-
 
 @dataclass(frozen=True, slots=True)
 class Lines:
@@ -378,18 +371,14 @@ class Lines:
     x_label: str
     y_label: str
     lines: tuple[PanelCurve, ...]
-    x_log: bool
     y_log: bool
     note: str = ""
     y_range: tuple[float, float] | None = None  # values of y that were tried, where y is a varied key
 
-    def marks(self) -> list[float]:
-        """Return the ticks of a logarithmic x axis: all values, or none if there are too many."""
-        return _few(np.concatenate([line.x for line in self.lines] or [np.empty(0)])) if self.x_log else []
-
-    def has_something(self) -> bool:
-        """Whether there is anything to draw."""
-        return True
+    @property
+    def x(self) -> Array:
+        """Places of all lines."""
+        return np.concatenate([line.x for line in self.lines] or [np.empty(0)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -403,67 +392,31 @@ class Cells:
     y: Array  # of the rows, (ny,); of each dot, (n,)
     values: Array  # (ny, nx), or (n,); NaN is blank
     value_label: str
-    x_log: bool
-    y_log: bool
-    value_log: bool = False
-    limits: tuple[float, float] | None = None
-    contour: float | None = None
-    dots: bool = False
-    more_is_worse: bool = False
+    kind: Kind
     marked: Mapping[str, Mask] = field(default_factory=dict)  # status -> its scenes, of the shape of `values`
 
-    def marks(self) -> list[float]:
-        """Return the ticks of a logarithmic x axis: all values, or none if there are too many, or dots."""
-        return _few(self.x) if self.x_log and not self.dots else []
+    @property
+    def y_log(self) -> bool:
+        """Whether the y axis is logarithmic."""
+        return is_log(self.y)
 
-    def has_something(self) -> bool:
-        """Whether there is anything to draw."""
-        return bool(np.isfinite(self.values).any() or any(mask.any() for mask in self.marked.values()))
-
-    def edges(self) -> tuple[Array, Array]:
-        """Return the edges of the cells along x and y, shapes (nx + 1,) and (ny + 1,)."""
-        return _edges_of(self.x, log=self.x_log), _edges_of(self.y, log=self.y_log)
+    @property
+    def dots(self) -> bool:
+        """Whether the scenes are samples."""
+        return self.values.ndim == 1
 
 
 Panel = Lines | Cells
 
 
-def _few(values: Array) -> list[float]:
-    found: list[float] = np.unique(values).tolist()
-    return found if len(found) <= _FEW else []
-
-
-def _edges_of(values: Array, *, log: bool) -> Array:
-    """Return the edges of cells around sorted values, shape (n + 1,): halfway between neighbours."""
-    scaled = np.log(values) if log else values
-    if len(values) == 1:
-        half = np.array([0.5 if log else 0.5 * max(abs(float(values[0])), 1.0)])
-        edges = np.concatenate([scaled - half, scaled + half])
-    else:
-        middle = 0.5 * (scaled[1:] + scaled[:-1])
-        edges = np.concatenate([[2.0 * scaled[0] - middle[0]], middle, [2.0 * scaled[-1] - middle[-1]]])
-    return np.asarray(np.exp(edges) if log else edges)
-
-
-def common_limits(panels: Sequence[Panel | None]) -> tuple[float, float]:
-    """Return the range of the colours for all panels of cells in a row."""
-    cells = [panel for panel in panels if isinstance(panel, Cells)]
-    if not cells:
-        return 0.0, 1.0
-    if cells[0].limits is not None:
-        return cells[0].limits
-    known = np.concatenate([panel.values[np.isfinite(panel.values)] for panel in cells])
-    if not len(known):
-        return (1.0, 10.0) if cells[0].value_log else (0.0, 1.0)
-    low, high = float(known.min()), float(known.max())
-    if cells[0].value_log:
-        return low, max(high, 10.0 * low)
-    return low, high if high > low else low + 1.0
+def _has_something(panel: Panel) -> bool:
+    marked = isinstance(panel, Cells) and any(mask.any() for mask in panel.marked.values())
+    return isinstance(panel, Lines) or marked or bool(np.isfinite(panel.values).any())
 
 
 def is_log(values: Array) -> bool:
     """Return whether an axis with these values should be logarithmic."""
-    return bool(values.min() > 0.0 and values.max() / values.min() >= _LOG_SPAN)
+    return bool(values.size and values.min() > 0.0 and values.max() / values.min() >= _LOG_SPAN)
 
 
 def positive(values: Array) -> Array:
@@ -539,9 +492,9 @@ def _border_along(
 def _lines(field: MapField, title: str, x: str, z: str, curves: Sequence[PanelCurve], note: str) -> Lines:
     """Return a panel with all curves that have at least one point."""
     shown = tuple(curve for curve in curves if np.isfinite(curve.y).any())
-    log, tried = (is_log(field.values[x]), is_log(field.values[z])), field.values[z]
+    tried = field.values[z]
     y_range = float(tried.min()), float(tried.max())
-    return Lines(title, field.label(x), field.label(z), shown, *log, note, y_range)
+    return Lines(title, field.label(x), field.label(z), shown, is_log(tried), note, y_range)
 
 
 def _theory(
@@ -592,7 +545,7 @@ def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel | None]
     is_shared = chosen.judgement is None and len(fields[0].keys) > 1
     together = headline(fields, *_keys(fields[0], chosen)) if is_shared else []
     columns = [_usual_panels(one, chosen, beside=bool(together)) for one in fields]
-    rows = [row for row in zip(*columns, strict=True) if any(panel.has_something() for panel in row)]
+    rows = [row for row in zip(*columns, strict=True) if any(map(_has_something, row))]
     shown = [list(column) for column in zip(*rows, strict=True)] or columns
     if not together:
         return [[*column] for column in shown]
@@ -650,10 +603,7 @@ def _width(field: MapField, z: str, x: str, y: str | None, judgement: str) -> Pa
     if y is not None and len(levels) > _MOST_LINES:
         order, ranks = (np.argsort(field.values[key]) for key in (x, y))
         cells, rows = positive(border.value[order][:, ranks].T), field.values[y][ranks]
-        return Cells(
-            f"{title}, {note}", field.label(x), field.label(y), places, rows, cells, field.label(z),
-            is_log(places), is_log(rows), value_log=True,
-        )  # fmt: skip
+        return Cells(f"{title}, {note}", field.label(x), field.label(y), places, rows, cells, field.label(z), "border")
     lines: list[PanelCurve] = []
     for colour, at in enumerate(levels):
         measured = _border_along(field, z, x, at, judgement)
@@ -692,16 +642,11 @@ def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
         for status, mask in marked.items():
             folded: Any = np.moveaxis(mask, keys, [0, 1]).any(axis=tuple(range(2, mask.ndim)))
             marked[status] = folded[rows][:, columns]
-    is_share, is_bad = kind == "share", kind in ("energy", "error")
-    return Cells(
-        title, field.label(x), field.label(y), *places, values, label, is_log(places[0]), is_log(places[1]),
-        value_log=is_bad, limits=(0.0, 1.2) if is_share else None, contour=0.95 if is_share else None,
-        dots=not field.is_grid, more_is_worse=is_bad,
-        marked={status: mask & np.isnan(values) for status, mask in marked.items()},
-    )  # fmt: skip
+    marked = {status: mask & np.isnan(values) for status, mask in marked.items()}
+    return Cells(title, field.label(x), field.label(y), *places, values, label, kind, marked)
 
 
-def _shown(field: MapField, metric: str) -> tuple[Array, str, str]:
+def _shown(field: MapField, metric: str) -> tuple[Array, str, Kind]:
     """Return the values to draw for a figure, its label and kind; of an energy, the amount that is missing to zero."""
     values = field.figure(metric)
     if metric in ("margin", "least_interaction", "believed_margin"):
@@ -715,7 +660,7 @@ def _shown(field: MapField, metric: str) -> tuple[Array, str, str]:
     return values, metric, "plain"
 
 
-def _worst(values: Array, kind: str) -> Array:
+def _worst(values: Array, kind: Kind) -> Array:
     """Return the worst value over all dimensions but the first two.
 
     The worst is the largest error or missing energy, the share furthest from one, or the least of any other figure.
@@ -732,5 +677,4 @@ def _profile(field: MapField, key: str, metric: str) -> Panel:
     order = np.argsort(field.values[key])
     flat = _worst(values.reshape(len(order), 1, -1), kind)[:, 0]
     line = PanelCurve(field.algorithm, field.values[key][order], flat[order], "measured")
-    is_steep = kind in ("energy", "error")
-    return Lines(f"{field.algorithm}: {label}", field.label(key), label, (line,), is_log(field.values[key]), is_steep)
+    return Lines(f"{field.algorithm}: {label}", field.label(key), label, (line,), kind in ("energy", "error"))

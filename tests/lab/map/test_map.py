@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from canhaptic.errors import InputError
-from canhaptic.lab.render.map_picture import draw_map, write_map
+from canhaptic.lab.render.map_picture import draw_map, edges_of, write_map
 from canhaptic.lab.studies.map import (
     Cells,
     Chosen,
     Lines,
     _Border,
-    _edges_of,
     _passes,
     border_of,
     colgate_stiffness,
@@ -287,8 +286,8 @@ def test_pictures_and_pages_are_made_of_grids_of_samples_and_of_one_key(request,
 
 
 def test_edges_lie_halfway_between_neighbours():
-    assert _edges_of(np.array([1.0, 2.0, 4.0]), log=False).tolist() == [0.5, 1.5, 3.0, 5.0]
-    assert _edges_of(np.array([1.0, 100.0]), log=True) == pytest.approx([0.1, 10.0, 1000.0])
+    assert edges_of(np.array([1.0, 2.0, 4.0])).tolist() == [0.5, 1.5, 3.0, 5.0]
+    assert edges_of(np.array([1.0, 100.0])) == pytest.approx([0.1, 10.0, 1000.0])
 
 
 @pytest.mark.parametrize(
