@@ -22,6 +22,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -205,20 +206,27 @@ def tried_stiffnesses(per_decade: int) -> Array:
     return np.geomspace(least, most, 1 + round(per_decade * np.log10(most / least)))
 
 
-def borders(rig: Path, algorithm: str, delay: int, per_decade: int, *, allow_code: bool = False) -> Rows:
-    """Return the K-B plot of an algorithm: for each damping, the stiffest passive wall and the stiffest accurate one.
+def on_rig(rig: Path, algorithm: str, delay: int, *, allow_code: bool = False) -> Scene:
+    """Return the rig under an algorithm at a delay; errors as of `scene_under`.
 
     Args:
         rig: Scene of one axis with a wall.
         algorithm: Name, or `FILE.py:Class`.
         delay: Whole holds, 0 or 1.
-        per_decade: Number of stiffnesses per decade.
         allow_code: Whether the file may run.
     """
+    scene = scene_under(rig, algorithm, allow_code=allow_code)
+    return with_loop(scene, scene.bus.rate, delay)
+
+
+def borders(scene: Scene, per_decade: int) -> Rows:
+    """Return the K-B plot of a rig: for each damping, the stiffest passive wall and the stiffest accurate one.
+
+    Args:
+        scene: Rig under an algorithm.
+        per_decade: Number of stiffnesses per decade.
+    """
     stiffnesses = tried_stiffnesses(per_decade)
-    scene = _on_rig(rig, algorithm, delay, allow_code)
-    if scene is None:
-        return []
     walls = {
         "environment.stiffness": np.repeat(stiffnesses, len(DAMPINGS)),
         "environment.damping": np.tile(DAMPINGS, len(stiffnesses)),
@@ -226,14 +234,11 @@ def borders(rig: Path, algorithm: str, delay: int, per_decade: int, *, allow_cod
     found = {name: values.reshape(-1, len(DAMPINGS)) for name, values in _tried(scene, walls).items()}
     kept = (found["diverged"] == 0.0) & (found["least_covered"] >= -PASSIVE_TOLERANCE)
     kept &= outcomes(found.__getitem__) == 0
-    border = zip(
-        DAMPINGS, *run_figures.stiffest_walls(stiffnesses, kept, found["stiffness_rendered.share"]), strict=True
-    )
+    border = run_figures.stiffest_walls(stiffnesses, kept, found["stiffness_rendered.share"])
     return [
-        {"algorithm": label_of(algorithm), "delay": delay, "damping": damping, "passive": rounded(passive),
-         "near": rounded(near), "open": bool(is_open)}
-        for damping, passive, near, is_open in border
-    ]  # fmt: skip
+        {"damping": damping, "passive": rounded(passive), "near": rounded(near), "open": bool(is_open)}
+        for damping, passive, near, is_open in zip(DAMPINGS, *border, strict=True)
+    ]
 
 
 def _tried(scene: Scene, walls: Mapping[str, Array]) -> Mapping[str, Array]:
@@ -246,22 +251,13 @@ def _tried(scene: Scene, walls: Mapping[str, Array]) -> Mapping[str, Array]:
     return {name: np.array([one[name] for one in found]) for name in _METRICS}
 
 
-def _on_rig(rig: Path, algorithm: str, delay: int, allow_code: bool = False) -> Scene | None:
-    """Return the rig under an algorithm at a delay; None if the algorithm refuses the rig."""
-    try:
-        scene = scene_under(rig, algorithm, allow_code=allow_code)
-    except ParameterError:
-        return None
-    return with_loop(scene, scene.bus.rate, delay)
-
-
 def theory(rig: Path, delay: int) -> dict[str, Rows]:
     """Return the theoretical limits in the K-B plot: name -> points of damping and stiffness.
 
     Two limits apply to the plain wall; the third is the largest stiffness that `guarded` certifies. See
     `lab.studies.map`.
     """
-    plain, ours = (with_loop(s, s.bus.rate, delay) for s in (scene_under(rig, n) for n in ("unprotected", "guarded")))
+    plain, ours = (on_rig(rig, name, delay) for name in ("unprotected", "guarded"))
     device = simulation_of(plain.axes[0]).plant.damping
     fine = [*np.linspace(0.0, device, 21).tolist(), *(damping for damping in DAMPINGS if damping > device)]
     found = {d: theory_of(scene_with(plain, {"environment.damping": d})) for d in fine}
@@ -276,21 +272,18 @@ def theory(rig: Path, delay: int) -> dict[str, Rows]:
     }
 
 
-def impedances(rig: Path, algorithm: str, delay: int, *, allow_code: bool = False) -> Rows:
-    """Return the rendered over the requested impedance, as magnitude and angle [rad], at each of `FREQUENCIES`.
+def impedances(scene: Scene) -> Rows:
+    """Return the rendered over the requested impedance of a rig at each of `FREQUENCIES`: magnitude and angle [rad].
 
     The environment is a spring with a damper, always in contact.
     """
-    scene, found = _on_rig(rig, algorithm, delay, allow_code), Rows()
-    if scene is None:
-        return found
+    found = Rows()
     for frequency in FREQUENCIES:
         run, period = _shaken(scene, frequency), scene.bus.sample_time
         asked = run_figures.asked_impedance(_SPRING.stiffness, _SPRING.damping, frequency)
         ratio = complex(np.nan) if run.ended else run_figures.rendered_impedance(run, period, frequency) / asked
         size, angle = (rounded(float(part)) if np.isfinite(part) else None for part in (abs(ratio), np.angle(ratio)))
-        case = {"algorithm": label_of(algorithm), "delay": delay, "frequency": frequency}
-        found.append({**case, "size": size, "angle": angle})
+        found.append({"frequency": frequency, "size": size, "angle": angle})
     return found
 
 
@@ -319,13 +312,9 @@ def mass_widths(rig: Path) -> Rows:
     """Return the M-width of the rig at several rates and delays; it does not depend on the algorithm."""
     plant = simulation_of(scene_under(rig, "unprotected").axes[0]).plant
     return [
-        {"rate": rate, "delay": delay}
-        | {
-            key: rounded(value)
-            for key, value in run_figures.m_width(plant.mass, plant.damping, 1 / rate, delay)._asdict().items()
-        }
-        for rate in _RATES
-        for delay in (0, 1)
+        {"rate": rate, "delay": delay, "least": rounded(width.least), "most": rounded(width.most)}
+        for rate, delay in product(_RATES, (0, 1))
+        for width in (run_figures.m_width(plant.mass, plant.damping, 1 / rate, delay),)
     ]
 
 
@@ -599,11 +588,15 @@ def _job(group: ArenaPlan, finished: Sequence[Row], store: ArenaStore) -> Job:
 def _of_rig(plan: ArenaPlan, stop_requested: Callable[[], bool]) -> Row:
     """Return the figures measured on the rig; those after a request to stop are missing."""
     found: dict[str, list[Row]] = {"borders": [], "impedance": []}
-    for name in plan.algorithms:
-        for delay in plan.delays:
-            if not stop_requested():
-                found["borders"] += borders(plan.rig, name, delay, plan.per_decade, allow_code=plan.allow_code)
-                found["impedance"] += impedances(plan.rig, name, delay, allow_code=plan.allow_code)
+    for name, delay in product(plan.algorithms, plan.delays):
+        try:
+            scene = on_rig(plan.rig, name, delay, allow_code=plan.allow_code)
+        except ParameterError:  # the algorithm refuses the rig
+            continue
+        if not stop_requested():
+            case = {"algorithm": label_of(name), "delay": delay}
+            found["borders"] += [case | row for row in borders(scene, plan.per_decade)]
+            found["impedance"] += [case | row for row in impedances(scene)]
     return {
         "rig": plan.rig.stem,
         **found,

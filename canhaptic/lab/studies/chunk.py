@@ -315,17 +315,15 @@ def _under(scene: Scene, controller: str) -> Built:
     """Return the scene with every axis under an algorithm; needed properties that are missing come from the plant."""
     if scene.groups:
         return Built(None, f"{CONTROLLER} {controller}: group {scene.groups[0].name!r} has algorithms of its own")
-    found: list[axis_loop.AbleAxis] = []
-    for axis in scene.axes:
-        try:
-            display = axis.parameters.admittance is not None
-            found.append(
-                axis_loop.AbleAxis(axis_loop.display_under(axis, controller))
-                if display
-                else axis_loop.able_under(axis, controller, scene)
-            )
-        except ParameterError as error:
-            return Built(None, _first_line(error))
+    try:
+        found = [
+            axis_loop.able_under(axis, controller, scene)
+            if axis.parameters.admittance is None
+            else axis_loop.AbleAxis(axis_loop.display_under(axis, controller))
+            for axis in scene.axes
+        ]
+    except ParameterError as error:
+        return Built(None, _first_line(error))
     last = next((able for able in reversed(found) if able.from_plant), found[-1])
     return Built(replace(scene, axes=tuple(able.axis for able in found)), last.remark, last.from_plant)
 

@@ -10,7 +10,7 @@ neither has a continuous reference.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import count, product
 from typing import Final
 
 import numpy as np
@@ -104,9 +104,9 @@ def compare(
         scene = axis_loop.at_rate(scene, rate)
     cycles = axis_loop.cycles_of(scene, duration)
     if not displays and not scene.groups:
-        return _of_axes(scene, names, cycles, _Counter(progress), None if over_can else engine, repeats)
+        return _of_axes(scene, names, cycles, _counter(progress), None if over_can else engine, repeats)
     if displays:
-        result = _of_displays(scene, names, cycles, progress)
+        result = {**heading_of(scene, cycles), "axes": _over_can(scene, names, cycles, progress)}
     else:
         result = _of_groups(scene, names, cycles, "python" if over_can else engine, progress)
     return Comparison(result, (), scene.bus.sample_time)
@@ -126,16 +126,16 @@ def _require_rate(scene: Scene, *, displays: bool, over_can: bool) -> None:
         raise InputError("--rate: changes the loop without a bus; with --can, use --set bus.rate=...")
 
 
-class _Counter:
-    """Counts cycles and reports every `_BATCH` of them."""
+def _counter(progress: Progress | None) -> Callable[[], None]:
+    """Return a function that counts cycles and reports every `_BATCH` of them."""
+    cycles = count(1)
 
-    def __init__(self, progress: Progress | None) -> None:
-        self._progress, self._done = progress, 0
+    def tick() -> None:
+        done = next(cycles)
+        if progress is not None and done % _BATCH == 0:
+            progress(done)
 
-    def __call__(self) -> None:
-        self._done += 1
-        if self._progress is not None and self._done % _BATCH == 0:
-            self._progress(self._done)
+    return tick
 
 
 def reference_of(axis: AxisScene, scene: Scene, cycles: int) -> tuple[ContinuousReference | None, str]:
@@ -234,12 +234,11 @@ def _of_axis(
     return AxisComparison(axis.parameters.name, axis.parameters.unit, reference, runs), account
 
 
-def _of_displays(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> Row:
+def _over_can(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> dict[str, Row]:
+    """Return the accounts of each display or group over the whole CAN path, by algorithm."""
     runs = accounts_over_can(scene, names, cycles, _under, progress)
-    axes = {
-        axis: {name: _of_display(axis, found) for name, found in runs.items()} for axis in axis_loop.parts_of(scene)
-    }
-    return {**heading_of(scene, cycles), "axes": axes}
+    account = _of_display if are_displays(scene) else _of_group
+    return {part: {name: account(part, of) for name, of in runs.items()} for part in axis_loop.parts_of(scene)}
 
 
 def _of_display(axis: str, found: Row) -> Row:
@@ -259,7 +258,7 @@ def _of_groups(scene: Scene, names: Sequence[str], cycles: int, engine: Engine, 
     if alone := ", ".join(axis.parameters.name for axis in scene.axes if not axis.group):
         raise InputError(f"{scene.source}: has groups, and axes outside groups ({alone}); make a scene of each")
     chosen = chosen_engine(engine, len(names) * len(scene.groups) * cycles >= WORTH_COMPILING_GROUPS)
-    accounts = _groups_over_can if chosen == "python" else _groups_compiled
+    accounts = _over_can if chosen == "python" else _groups_compiled
     found = accounts(scene, names, cycles, progress)
     groups = {
         group.name: {
@@ -279,11 +278,6 @@ def _under(scene: Scene, name: str) -> Scene:
     group_under = axis_loop.display_group_under if displays else axis_loop.group_under
     axes = tuple(axis_loop.display_under(a, name) if displays and not a.group else a for a in scene.axes)
     return replace(scene, axes=axes, groups=tuple(group_under(group, name) for group in scene.groups))
-
-
-def _groups_over_can(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> dict[str, Row]:
-    runs = accounts_over_can(scene, names, cycles, _under, progress)
-    return {group.name: {name: _of_group(group.name, found) for name, found in runs.items()} for group in scene.groups}
 
 
 def _of_group(name: str, found: Row) -> Row:

@@ -5,7 +5,7 @@ import pytest
 
 from canhaptic.files import shipped
 from canhaptic.lab.studies import arena
-from canhaptic.lab.studies.arena import DAMPINGS, borders, impedances, mass_widths, theory, tried_stiffnesses
+from canhaptic.lab.studies.arena import DAMPINGS, borders, impedances, mass_widths, on_rig, theory, tried_stiffnesses
 
 RIG = shipped("configs") / "arena_rig.yaml"
 
@@ -25,7 +25,7 @@ def test_the_lines_of_theory_begin_where_the_books_say() -> None:
 def test_the_plain_wall_is_late_by_half_a_hold_and_a_whole_one_of_delay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arena, "FREQUENCIES", (5.0, 20.0))
     for delay in (0, 1):
-        for found in impedances(RIG, "unprotected", delay):
+        for found in impedances(on_rig(RIG, "unprotected", delay)):
             lag = 2.0 * np.pi * found["frequency"] * (0.5 + delay) * 1e-3
             assert found["size"] == pytest.approx(1.0, abs=0.04)
             assert found["angle"] == pytest.approx(-lag, abs=0.02)
@@ -40,7 +40,7 @@ def test_the_m_width_of_the_rig_hardly_depends_on_the_rate() -> None:
 
 @pytest.mark.slow  # 200,000 cycles
 def test_the_plain_wall_ends_between_colgates_line_and_its_eigenvalues() -> None:
-    plain = {row["damping"]: row for row in borders(RIG, "unprotected", 0, 2)}
+    plain = {row["damping"]: row for row in borders(on_rig(RIG, "unprotected", 0), 2)}
     stable = {point["damping"]: point["stiffness"] for point in theory(RIG, 0)["eigenvalues, plain wall"]}
     step = tried_stiffnesses(2)[1] / tried_stiffnesses(2)[0]
     assert plain[0.0]["passive"] >= 200.0 / step
