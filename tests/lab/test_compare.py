@@ -11,6 +11,7 @@ from rich.console import Console
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS, LoopProperties, build_controller
 from canhaptic.errors import InputError, ParameterError
+from canhaptic.lab import render
 from canhaptic.lab.figures.figures import figures
 from canhaptic.lab.loop.axis_loop import (
     LoopRun,
@@ -22,7 +23,6 @@ from canhaptic.lab.loop.axis_loop import (
     with_algorithm,
 )
 from canhaptic.lab.reference import ContinuousReference
-from canhaptic.lab.render import comparison as compare_picture
 from canhaptic.lab.render.comparison import comparison_report, draw_comparison
 from canhaptic.lab.studies.compare import compare
 from canhaptic.scene.components import ComponentSpec
@@ -273,7 +273,7 @@ def test_many_algorithms_are_drawn_in_bands_below_each_other(scene, monkeypatch)
     [axis], names = comparison.axes, [f"algorithm {k}" for k in range(7)]
     [account] = comparison.result["axes"][axis.name]["algorithms"].values()
     comparison.result["axes"][axis.name]["algorithms"] = dict.fromkeys(names, account)
-    monkeypatch.setattr(compare_picture, "save_picture", lambda figure, _: kept.append(figure))
+    monkeypatch.setattr(render, "save_picture", lambda figure, _: kept.append(figure))
     draw_comparison(replace(comparison, axes=(replace(axis, runs=dict.fromkeys(names, axis.runs["unprotected"])),)), "")
     [figure] = kept
     shown = {title: panel for panel in figure.axes if (title := panel.get_title(loc="left")) in names}
@@ -286,7 +286,7 @@ def test_many_algorithms_are_drawn_in_bands_below_each_other(scene, monkeypatch)
 def test_each_column_of_a_picture_says_whether_its_algorithm_gave_energy_out(monkeypatch):
     scene, kept = load_scene(REPOSITORY / "configs" / "hard" / "stiff_wall.yaml"), []
     comparison = compare(scene, ["unprotected", "guarded"], duration=0.6, repeats=0)
-    monkeypatch.setattr(compare_picture, "save_picture", lambda figure, _: kept.append(figure))
+    monkeypatch.setattr(render, "save_picture", lambda figure, _: kept.append(figure))
     draw_comparison(comparison, "")
     said = {panel.get_title(loc="left"): panel.texts[0].get_text() for panel in kept[0].axes if panel.texts}
     assert said["guarded"] == "passive"

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Final
 
 from canhaptic.axis_units import mass_unit
 from canhaptic.errors import InputError
+from canhaptic.lab.render import sheet
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy import accuracy_table
 from canhaptic.lab.studies.accuracy.accuracy_table import display_accuracy_table, display_heading
 from canhaptic.lab.studies.accuracy.plant_solvers import FLOOR, OURS
-from canhaptic.view import picture_style as style
 from canhaptic.view.html_page import picture, words, write_page
 from canhaptic.view.picture_style import BLUE, GREEN, ORANGE, PALE, PURPLE, SKY, VERMILION
 
@@ -30,6 +30,7 @@ _STYLES: Final[dict[str, tuple[str, str]]] = {
     "RK4": (VERMILION, "^"),
     "LSODA, located": (BLUE, "D"),
 }
+_NOTHING: Final = "nothing was measured, so there is nothing to draw; run the study for longer"
 _WORK: Final = "evaluations_per_period"
 _PRICES: Final = {
     "us_per_period": "wall time per period [us], least of interleaved repeats",
@@ -57,17 +58,14 @@ def draw_accuracy(result: Row, path: str | Path) -> None:
     if accuracy_table.is_of_display(result):
         _draw_display(result, path)
         return
-    with style.drawing() as figure_type:
-        if not result["plant"]:
-            raise InputError("nothing was measured, so there is nothing to draw; run the study for longer")
-        base = accuracy_table.base_loop(result)
-        felt = base is None or base["largest_torque"] > 0.0
-        loop = [row for row in result["loop"] if row["position_error"]] if felt else []
-        effects = [row for row in (result["advice"] or {"effects": ()})["effects"] if row.get("position_error")]
-        widths = [1.0, 1.0, *([1.05] if loop else []), *([0.6] if effects else [])]
-        figure = figure_type(
-            figsize=(4.8 * sum(widths), max(6.4, 1.6 + 0.22 * len(loop))), dpi=110, layout="constrained"
-        )
+    if not result["plant"]:
+        raise InputError(_NOTHING)
+    base = accuracy_table.base_loop(result)
+    felt = base is None or base["largest_torque"] > 0.0
+    loop = [row for row in result["loop"] if row["position_error"]] if felt else []
+    effects = [row for row in (result["advice"] or {"effects": ()})["effects"] if row.get("position_error")]
+    widths = [1.0, 1.0, *([1.05] if loop else []), *([0.6] if effects else [])]
+    with sheet(path, 4.8 * sum(widths), max(6.4, 1.6 + 0.22 * len(loop)), _caption(result)) as figure:
         panels = figure.subplots(1, len(widths), width_ratios=widths)
         price = next(price for price in _PRICES if any(row.get(price) for row in result["plant"]) or price == _WORK)
         _draw_ladder(panels[0], result, price, "position_error")
@@ -81,8 +79,6 @@ def draw_accuracy(result: Row, path: str | Path) -> None:
         if effects:
             _draw_effects(panels[-1], effects, result)
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower left", ncols=5, fontsize=8.5)
-        figure.suptitle(_caption(result), x=0.01, ha="left", fontsize=9.5, color="#404040")
-        style.save_picture(figure, path)
 
 
 def write_accuracy_page(result: Row, path: Path) -> None:
@@ -216,10 +212,9 @@ def _draw_display(result: Row, path: str | Path) -> None:
         "energy given out [J]": [max(0.0, row["given_out"]) for row in rows],
     }
     names, colours = [_name(row) for row in rows], [_COLOURS.get(row["changed"], VERMILION) for row in rows]
-    with style.drawing() as figure_type:
-        if not rows:
-            raise InputError("nothing was measured, so there is nothing to draw; run the study for longer")
-        figure = figure_type(figsize=(14.5, 2.2 + 0.3 * len(rows)), dpi=110, layout="constrained")
+    if not rows:
+        raise InputError(_NOTHING)
+    with sheet(path, 14.5, 2.2 + 0.3 * len(rows), "\n".join(display_heading(result))) as figure:
         for panel, (title, values) in zip(figure.subplots(1, len(columns), sharey=True), columns.items(), strict=True):
             _draw_rows(panel, names, colours, values)
             panel.set_xlabel(title)
@@ -230,5 +225,3 @@ def _draw_display(result: Row, path: str | Path) -> None:
                 panel.set_xticks([0.0])
             if not math.isnan(values[0]):
                 panel.axvline(max(values[0], _LEAST), color="black", linewidth=0.8, linestyle=":")
-        figure.suptitle("\n".join(display_heading(result)), x=0.01, ha="left", fontsize=9.0, color="#404040")
-        style.save_picture(figure, path)

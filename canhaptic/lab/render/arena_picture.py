@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from canhaptic.lab.figures.figures import FIELD_FIGURES
-from canhaptic.lab.render.map_picture import BLACK, MARKS, WHITE
+from canhaptic.lab.render import BLACK, MARKS, WHITE, sheet
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.arena import COLUMNS
 from canhaptic.view.html_page import picture, words, write_page
-from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, drawing, save_picture
+from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 from canhaptic.view.table import Cell, Styled, Table, shown
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ _THEORY: Final = {"C": ("--", "#404040"), "e": ("-.", "#404040"), "l": (":", "#0
 """First letter of a theoretical border -> line style and colour: Colgate, eigenvalues, largest certificate."""
 _OUR: Final = "guarded"
 _PLAIN: Final = "unprotected"
-_DPI: Final = 110
 _LEAST: Final = 1e-6
 """Least energy given out for which a cell is coloured [J]."""
 
@@ -53,8 +52,7 @@ def _draw_lines(
         InputError: matplotlib is not installed, or the file cannot be written.
     """
     delays = sorted({row["delay"] for row in found[part]})
-    with drawing() as figure_type:
-        figure = figure_type(figsize=(5.3 * len(delays) + 2.6, 3.8 * len(labels)), dpi=_DPI, layout="constrained")
+    with sheet(path, 5.3 * len(delays) + 2.6, 3.8 * len(labels)) as figure:
         panels = figure.subplots(len(labels), len(delays), sharex=True, sharey="row", squeeze=False)
         lines = _lines(found, part, compared)
         for (row, key), (column, delay) in product(enumerate(labels), enumerate(delays)):
@@ -69,7 +67,6 @@ def _draw_lines(
             top.set_title("one sample late" if delay else "no delay", fontweight="bold")
             bottom.set_xlabel(x[1])
         figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside right upper", fontsize=8.0)
-        save_picture(figure, path)
 
 
 def _draw_borders(found: Found, path: Path) -> None:
@@ -149,12 +146,9 @@ def _draw_given_out(found: Found, path: Path) -> None:
     names, scenes = found["algorithms"], found["scenes"]
     of_all = len(found["rates"]) * len(found["delays"])
     most = np.array([[_cell(found, name, scene, "most") for scene in scenes] for name in names])
-    with drawing() as figure_type:
+    with sheet(path, 5.0 + 0.75 * len(scenes), 2.4 + 0.34 * len(names)) as figure:
         from matplotlib.colors import LogNorm
 
-        figure = figure_type(
-            figsize=(5.0 + 0.75 * len(scenes), 2.4 + 0.34 * len(names)), dpi=_DPI, layout="constrained"
-        )
         panel = figure.subplots()
         norm = LogNorm(_LEAST, max(1e-5, float(np.nanmax(most, initial=1e-5))))
         drawn = panel.imshow(np.where(most > _LEAST, most, np.nan), norm=norm, cmap="magma_r", aspect="auto")
@@ -170,7 +164,6 @@ def _draw_given_out(found: Found, path: Path) -> None:
         panel.grid(visible=False)
         panel.set_title(f"cases of {of_all} that gave out\nenergy beyond the device", loc="left")
         figure.colorbar(drawn, ax=panel, label="the most of one case [J]")
-        save_picture(figure, path)
 
 
 def _cell(found: Found, name: str, scene: str, key: str) -> float:

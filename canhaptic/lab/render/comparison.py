@@ -23,10 +23,11 @@ from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
 from canhaptic.lab.figures.figures import CONTINUOUS, METRICS, Figure
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
+from canhaptic.lab.render import sheet
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import AxisComparison, Comparison
 from canhaptic.view import picture_style as style
-from canhaptic.view.picture_style import GREEN, VERMILION, save_picture
+from canhaptic.view.picture_style import GREEN, VERMILION
 from canhaptic.view.run_lines import rests_on
 from canhaptic.view.series import decimate
 from canhaptic.view.table import Cell, Styled, Table
@@ -236,24 +237,20 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
     Raises:
         InputError: matplotlib is not installed, the file cannot be written, or no algorithm ran.
     """
-    style.require_matplotlib()
     most = max(len(_drawn(axis)) for axis in comparison.axes)
     if most == 0:
         raise InputError("no algorithm ran, so there is nothing to draw; see the reasons in the table")
     bands = -(-most // _ACROSS)
     columns = -(-most // bands)
     rows = 3 * bands * len(comparison.axes)
-    with style.drawing() as figure_type:
-        figure = figure_type(figsize=(1.2 + 3.0 * columns, 0.9 + 2.1 * rows), dpi=110, layout="constrained")
+    result = comparison.result
+    way = "over the simulated CAN bus" if result["path"] == "can" else "without a bus"
+    loop = f"{si(result['rate'], 'Hz', 3)}, delay {counted(result['delay'], 'sample')}, {way}"
+    caption = f"{result['scene']}   {loop}   grey: continuous"
+    with sheet(path, 1.2 + 3.0 * columns, 0.9 + 2.1 * rows, caption) as figure:
         panels = figure.subplots(rows, columns, sharex=True, sharey="row", squeeze=False)
         for index, axis in enumerate(comparison.axes):
             _draw_axis(axis, comparison, panels[3 * bands * index : 3 * bands * (index + 1)])
-        result = comparison.result
-        way = "over the simulated CAN bus" if result["path"] == "can" else "without a bus"
-        loop = f"{si(result['rate'], 'Hz', 3)}, delay {counted(result['delay'], 'sample')}"
-        caption = f"{result['scene']}   {loop}, {way}   grey: continuous"
-        figure.suptitle(caption, x=0.01, ha="left", fontsize=9.5, color="#404040")
-        save_picture(figure, path)
 
 
 def _drawn(axis: AxisComparison) -> dict[str, LoopRun]:

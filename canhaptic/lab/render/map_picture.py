@@ -9,10 +9,11 @@ import numpy as np
 
 from canhaptic.lab.figures.figures import NEAR
 from canhaptic.lab.loop.axis_loop import Array
+from canhaptic.lab.render import BLACK, MARKS, WHITE, sheet
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.map import Cells, Lines, Panel, is_log
 from canhaptic.view.html_page import picture, words, write_page
-from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, drawing, save_picture
+from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 from canhaptic.view.table import Cell, Table
 
 if TYPE_CHECKING:
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_LETTERS: Final = 80
-"""Number of caption characters on a line, per column of panels."""
+_LETTERS: Final = 60
+"""Letters of a note on a line."""
 _COLOURS: Final = (BLUE, GREEN, PURPLE, ORANGE, SKY, VERMILION, GREY)
 _LINES: Final[dict[str, Row]] = {
     "measured": {"linewidth": 1.4, "markersize": 4.5, "fillstyle": "none"},
@@ -33,9 +34,6 @@ _LINES: Final[dict[str, Row]] = {
     "certificate": {"linewidth": 1.2, "linestyle": (0, (10, 3)), "color": "#000000"},
 }
 """Kind of a line -> its look; without a colour, that of the number of the line."""
-WHITE, BLACK = "#fffffe", "#000001"
-"""Ink on coloured cells; no greys, which a dark page would turn over."""
-MARKS: Final = "osv^<>DPX*hpd"
 _FEW: Final = 8
 """Largest number of values that are all ticks of a logarithmic axis."""
 _FAULTS: Final = ("energy", "error")
@@ -51,17 +49,13 @@ def draw_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: str 
         InputError: matplotlib is not installed, or the file cannot be written.
     """
     rows = max(len(column) for column in columns)
-    with drawing() as figure_type:
-        figure = figure_type(figsize=(0.8 + 5.0 * len(columns), 0.6 + 3.6 * rows), dpi=110, layout="constrained")
+    with sheet(path, 0.8 + 5.0 * len(columns), 0.6 + 3.6 * rows, caption) as figure:
         grid = figure.add_gridspec(rows, len(columns))
         for row in range(rows):
             panels = [panel for column in columns if (panel := column[row] if row < len(column) else None) is not None]
             last = len(columns) - len(panels)  # a row with few panels is filled by its last one
             spans = (slice(k, k + 1 + last * (k == len(panels) - 1)) for k in range(len(panels)))
             _draw_row(figure, [figure.add_subplot(grid[row, span]) for span in spans], panels)
-        lines = textwrap.wrap(caption, _LETTERS * len(columns), break_long_words=False)
-        figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=9.5, color="#404040")
-        save_picture(figure, path)
 
 
 def write_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: Path) -> None:
@@ -126,7 +120,7 @@ def _draw_lines(place: "Axes", panel: Lines) -> None:
         room = 0.05 * (high - low)
         place.set_ylim(*((0.8 * low, 1.25 * high) if panel.y_log else (low - room, high + room)))
     if panel.note:
-        note = textwrap.fill(panel.note, _LETTERS - 20)
+        note = textwrap.fill(panel.note, _LETTERS)
         place.text(0.0, -0.17, note, transform=place.transAxes, fontsize=8.0, color="#606060", va="top")
     frame: Row = {"framealpha": 0.85, "edgecolor": "none", "handlelength": 4.0}  # room for two long dashes
     place.legend(fontsize=8.0 if len(panel.lines) <= 5 else 6.5, loc="best", **frame)
