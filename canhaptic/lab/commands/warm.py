@@ -30,7 +30,7 @@ def execute(arguments: argparse.Namespace) -> int:
     result = run_chunk(replace(asked.recipe, alone=""), 0, columns)
     names = [str(name) for name in columns.get("controller", ["algorithm of the scene"])]
     found = {
-        name: {"engine": ENGINES[engine], "remark": ("", *result.texts)[remark]}
+        name: {"engine": ENGINES[engine], "remark": remark}
         for name, engine, remark in zip(names, result.engine.tolist(), result.remark.tolist(), strict=True)
     }
     if arguments.json:

@@ -352,9 +352,6 @@ def usual_figures(scene: Scene) -> tuple[str, ...]:
 STATUS: Final = ("pending", "completed", "refused", "failed", *OUTCOMES[1:])
 COMPLETED, REFUSED, _FAILED, UNTOUCHED, UNRENDERED = range(1, len(STATUS))
 ENGINES: Final = ("none", "closed form", "python", "numba", "scalar")
-SLOTS: Final = 32
-"""Largest number of different remarks in a chunk."""
-_MORE: Final = "more remarks than a chunk keeps; canhaptic check CONFIG --set with its values says which"
 
 _CLOSED_FORM, _SCALAR = ENGINES.index("closed form"), ENGINES.index("scalar")
 BATCHED: Final = frozenset(f"{section}.{name}" for section, names in BATCH_KEYS.items() for name in names)
@@ -368,8 +365,7 @@ class ChunkResult(NamedTuple):
     figures: dict[str, Array]  # by "axis/metric"; NaN where a metric does not apply
     status: NDArray[np.uint8]  # index in STATUS
     engine: NDArray[np.uint8]  # index in ENGINES
-    remark: NDArray[np.uint8]  # 0 for none, else 1 + index in texts
-    texts: tuple[str, ...]  # remarks
+    remark: NDArray[np.object_]  # why it was refused or ran alone, or which properties came from the plant; "" for none
     of_plant: str = ""  # note on the properties taken from the simulated plant; "" for none
 
 
@@ -399,8 +395,8 @@ class _Chunk:
         self._free = _free_keys(recipe)
         names = [f"{axis}/{metric}" for axis in recipe.axes for metric in recipe.metrics]
         self._figures = {name: np.full(self._count, np.nan) for name in names}
-        self._status, self._engine, self._remark = np.zeros((3, self._count), dtype=np.uint8)
-        self._texts: list[str] = []
+        self._status, self._engine = np.zeros((2, self._count), dtype=np.uint8)
+        self._remark = np.full(self._count, "", dtype=np.object_)
         self._of_plant = ""
 
     def run(self) -> ChunkResult:
@@ -412,7 +408,7 @@ class _Chunk:
         permitted = self._permitted()
         for rows in self._groups(apart, permitted):
             self._run_group(rows, tuple(sorted(batched)))
-        return ChunkResult(self._figures, self._status, self._engine, self._remark, tuple(self._texts), self._of_plant)
+        return ChunkResult(self._figures, self._status, self._engine, self._remark, self._of_plant)
 
     def _permitted(self) -> _Rows:
         """Return the rows whose values are permitted; store the others as refused."""
@@ -530,13 +526,7 @@ class _Chunk:
             self._note(row, _FAILED if failure else COMPLETED, engine, remark)
 
     def _note(self, rows: _Rows | int, status: int, engine: int, remark: str) -> None:
-        self._status[rows], self._engine[rows], self._remark[rows] = status, engine, self._slot(remark)
-
-    def _slot(self, remark: str) -> int:
-        """Return the number of a remark, 0 for none; remarks beyond `SLOTS` share the last number."""
-        if remark and remark not in self._texts and len(self._texts) < SLOTS:
-            self._texts.append(remark if len(self._texts) < SLOTS - 1 else _MORE)
-        return ["", *self._texts].index(remark) if remark in ("", *self._texts) else SLOTS
+        self._status[rows], self._engine[rows], self._remark[rows] = status, engine, remark
 
 
 def row_of(columns: Mapping[str, Column], row: int, keys: set[str] | None = None) -> Row:

@@ -253,21 +253,22 @@ def _stable_stiffness(scene: Scene) -> float | None:
     return float(_TRIED[count - 1]) if count else 0.0
 
 
+class Judgement(NamedTuple):
+    """A condition for passing."""
+
+    energy: str  # figure that must not be negative; "" for stability
+    words: str
+
+
+_ENERGY: Final = "energy in less energy out of the plant >= 0"
 JUDGEMENTS: Final = {
-    "stable": "stable",
-    "passive": "energy in less energy out of the plant >= 0 at the motor, as `run` judges it",
-    "margin": "margin of (4) >= 0",
-    "settled": "energy in less energy out of the plant >= 0 at the end",
-    "covered": "energy in less energy out of the plant >= 0 at the handle, friction and damping of the device included "
-    "(`run` judges the motor alone unless they are declared: --by passive)",
-}
-"""Name of a judgement -> the condition for passing."""
-_ENERGIES: Final = {
-    "passive": "least_interaction",
-    "margin": "margin",
-    "settled": "interaction",
-    "covered": "least_covered",
-}
+    "stable": Judgement("", "stable"),
+    "passive": Judgement("least_interaction", f"{_ENERGY} at the motor, as `run` judges it"),
+    "margin": Judgement("margin", "margin of (4) >= 0"),
+    "settled": Judgement("interaction", f"{_ENERGY} at the end"),
+    "covered": Judgement("least_covered", f"{_ENERGY} at the handle, friction and damping of the device included "
+                         "(`run` judges the motor alone unless they are declared: --by passive)"),
+}  # fmt: skip
 SHARE: Final = "stiffness_rendered.share"
 
 
@@ -288,14 +289,14 @@ def usual_judgement(field: MapField) -> str:
     if field.algorithm == "unprotected":
         if field.has(RADIUS) and np.isfinite(field.figure(RADIUS)).any():
             return "stable"
-        return next((name for name in ("covered", "settled") if field.has(_ENERGIES[name])), "passive")
+        return next((name for name in ("covered", "settled") if field.has(JUDGEMENTS[name].energy)), "passive")
     return "passive" if field.has("least_interaction") else "margin"
 
 
 def _passes(field: MapField, judgement: str) -> Mask:
     """Return which scenes pass a judgement, in the shape of a figure."""
     if judgement != "stable":
-        return np.asarray(field.figure(_ENERGIES[judgement]) >= -PASSIVE_TOLERANCE)
+        return np.asarray(field.figure(JUDGEMENTS[judgement].energy) >= -PASSIVE_TOLERANCE)
     passed = field.has_status(COMPLETED)
     if field.has("diverged"):
         passed &= field.figure("diverged") == 0.0
@@ -313,7 +314,7 @@ def passing_share(field: MapField, judgement: str) -> float:
 
 def common_judgement(field: MapField) -> str:
     """Return the judgement for a panel with all algorithms: display with device, if the sweep has their energy."""
-    return next((name for name in ("covered", "passive") if field.has(_ENERGIES[name])), "margin")
+    return next((name for name in ("covered", "passive") if field.has(JUDGEMENTS[name].energy)), "margin")
 
 
 def border_of(field: MapField, key: str, kept: list[str], judgement: str, *, near: bool = False) -> _Border:
@@ -476,7 +477,7 @@ def _judged(field: MapField, judgement: str) -> str:
     """Return a note on the condition that a wall had to pass, and for which hand."""
     user: Any = field.scene.axes[0].simulation and field.scene.axes[0].simulation.user
     motion = getattr(getattr(user, "motion", None), "type", "own")
-    return f"{JUDGEMENTS[judgement]}; for the scene's hand alone ({motion} motion)"
+    return f"{JUDGEMENTS[judgement].words}; for the scene's hand alone ({motion} motion)"
 
 
 def _border_along(

@@ -17,7 +17,7 @@ import io
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
@@ -183,6 +183,9 @@ def _write_error(path: Path, error: OSError, kept: str) -> LogWriteError:
 
 _SWEEP: Final = "sweep"
 _BYTES: Final = 8  # of one figure
+SLOTS: Final = 32
+"""Largest number of different remarks in a chunk."""
+MORE: Final = "more remarks than a chunk keeps; canhaptic check CONFIG --set with its values says which"
 
 
 class SweepTable(Store):
@@ -281,9 +284,10 @@ class SweepTable(Store):
             LogWriteError: The chunk cannot be written; finished chunks are kept.
         """
         columns: dict[str, Any] = {**self.points.columns(*self.span(chunk)), **result.figures}
-        columns |= {"status": result.status, "engine": result.engine, "remark": result.remark}
+        texts, numbers = numbered(result.remark.tolist())
+        columns |= {"status": result.status, "engine": result.engine, "remark": np.array(numbers, dtype=np.uint8)}
         content = io.BytesIO()
-        np.savez(content, **columns, texts=np.array(result.texts, dtype=np.str_))
+        np.savez(content, **columns, texts=np.array(texts, dtype=np.str_))
         self.write(_name(chunk), content.getvalue())
 
     def _column(self, name: str, found: NDArray[Any]) -> NDArray[Any]:
@@ -304,6 +308,18 @@ class SweepTable(Store):
                 return [np.asarray(found[name]) for name in names]
         except (OSError, ValueError, KeyError, BadZipFile) as error:
             raise LogFormatError(f"{path}: cannot be read ({error}); remove it and --resume") from error
+
+
+def numbered(remarks: Sequence[str]) -> tuple[list[str], list[int]]:
+    """Return the different remarks of a chunk, and the number of each scene's: 0 for none, else 1 + its index.
+
+    At most `SLOTS` are kept; the others share the last number.
+    """
+    texts = list(dict.fromkeys(filter(None, remarks)))
+    if len(texts) > SLOTS:
+        texts[SLOTS - 1 :] = [MORE]
+    numbers = {text: number for number, text in enumerate(["", *texts])}
+    return texts, [numbers.get(remark, SLOTS) for remark in remarks]
 
 
 def create(path: Path, chunk: int, identity: Row, notes: dict[str, str], *, replace: bool) -> None:

@@ -33,7 +33,6 @@ from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.chunk import (
     FIGURES,
     RATE,
-    SLOTS,
     ChunkResult,
     Recipe,
     is_batch_key,
@@ -353,14 +352,10 @@ def _compile(begin: Callable[[], None], recipe: Recipe, start: int, columns: Map
 
 def joined(parts: list[ChunkResult]) -> ChunkResult:
     """Concatenate the results of consecutive parts of a chunk."""
-    texts = list(dict.fromkeys(text for part in parts for text in part.texts))
-    slots = [[0, *(min(texts.index(text) + 1, SLOTS) for text in part.texts)] for part in parts]
-    remarks = [np.array(of, dtype=np.uint8)[part.remark] for of, part in zip(slots, parts, strict=True)]
     return ChunkResult(
         {name: np.concatenate([part.figures[name] for part in parts]) for name in parts[0].figures},
         np.concatenate([part.status for part in parts]),
         np.concatenate([part.engine for part in parts]),
-        np.concatenate(remarks),
-        tuple(texts[:SLOTS]),
+        np.concatenate([part.remark for part in parts]),
         next((part.of_plant for part in parts if part.of_plant), ""),
     )

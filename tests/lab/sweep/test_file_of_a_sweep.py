@@ -147,7 +147,9 @@ def test_chunks_of_an_earlier_sweep_are_not_taken_for_those_of_another(demo, tmp
 
 def table_result(scenes):
     nothing = np.zeros(scenes, dtype=np.uint8)
-    return ChunkResult({"handle/travel": np.full(scenes, np.nan)}, nothing + 1, nothing, nothing, ())
+    return ChunkResult(
+        {"handle/travel": np.full(scenes, np.nan)}, nothing + 1, nothing, np.full(scenes, "", dtype=object)
+    )
 
 
 def test_a_damaged_chunk_is_named(demo, tmp_path):

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canhaptic.lab.studies.chunk import ENGINES, SLOTS, ChunkResult, run_chunk
+from canhaptic.lab.studies.chunk import ENGINES, ChunkResult, run_chunk
 from canhaptic.lab.studies.runner import begin_worker
+from canhaptic.lab.studies.store import MORE, SLOTS, numbered
 from canhaptic.lab.studies.sweep import Asked, joined, make_sweep
 from tests.lab.sweep.conftest_sweep import VARY
 
@@ -69,23 +70,23 @@ def test_what_cannot_be_compiled_elsewhere_is_compiled_here(demo, first_use):
     assert found.engine.tolist()[4:] == [ENGINES.index("numba")] * (len(asked.points) - 4)
 
 
-def result(texts: tuple[str, ...], remarks: list[int], of_plant: str = "") -> ChunkResult:
-    count = len(remarks)
-    numbers = np.arange(count, dtype=np.uint8)
+def result(remarks: list[str], of_plant: str = "") -> ChunkResult:
+    numbers = np.arange(len(remarks), dtype=np.uint8)
     return ChunkResult(
-        {"a/b": 0.5 * np.arange(count, dtype=float)}, numbers, numbers, np.array(remarks, np.uint8), texts, of_plant
+        {"a/b": 0.5 * np.arange(len(remarks), dtype=float)}, numbers, numbers, np.array(remarks, dtype=object), of_plant
     )
 
 
 def test_results_of_slices_are_one_with_every_remark_at_its_scene():
-    whole = joined([result(("x", "y"), [0, 2, 1]), result(("y", "z"), [1, 2], "mass"), result((), [0])])
-    assert [("", *whole.texts)[at] for at in whole.remark] == ["", "y", "x", "y", "z", ""]
+    whole = joined([result(["", "y", "x"]), result(["y", "z"], "mass"), result([""])])
+    assert whole.remark.tolist() == ["", "y", "x", "y", "z", ""]
     assert whole.figures["a/b"].tolist() == [0.0, 0.5, 1.0, 0.0, 0.5, 0.0]
     assert whole.status.tolist() == whole.engine.tolist() == [0, 1, 2, 0, 1, 0]
     assert whole.of_plant == "mass"
 
 
 def test_more_remarks_than_a_chunk_keeps_share_the_last_one():
-    parts = [result((f"{i}", f"{i}b"), [1, 2]) for i in range(SLOTS)]
-    whole = joined(parts)
-    assert len(whole.texts) == SLOTS == whole.remark.max()
+    texts, numbers = numbered(["", *(f"{i}" for i in range(2 * SLOTS)), "0"])
+    assert texts == [*(f"{i}" for i in range(SLOTS - 1)), MORE]
+    assert numbers == [*range(SLOTS), *[SLOTS] * (SLOTS + 1), 1]
+    assert numbered(["b", "", "a", "b"]) == (["b", "a"], [1, 0, 2, 1])

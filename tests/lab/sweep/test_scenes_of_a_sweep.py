@@ -13,8 +13,7 @@ from canhaptic.errors import InputError, SceneError
 from canhaptic.lab.batch.scalar import run_scalar
 from canhaptic.lab.commands.sweep import _shares, summary
 from canhaptic.lab.loop.axis_loop import with_algorithm
-from canhaptic.lab.studies.chunk import _MORE, SLOTS
-from canhaptic.lab.studies.store import SweepTable
+from canhaptic.lab.studies.store import MORE, SLOTS, SweepTable
 from canhaptic.lab.studies.sweep import _pays, sweep
 from canhaptic.scene.load import load_scene
 from tests.lab.sweep.conftest_sweep import DEMO, VARY
@@ -76,8 +75,8 @@ def test_a_range_beyond_what_the_bus_carries_is_refused_exactly_where_the_scene_
 def test_more_reasons_than_a_chunk_keeps_are_said_to_be_more(demo, tmp_path):
     with run(demo, ["bus.rate=1500:9000:60"], tmp_path / "a", cycles=20, chunk=60) as table:
         assert table.status().tolist() == [2] * 60
-        assert table.remark(0) != table.remark(1) != _MORE
-        assert {table.remark(row) for row in range(SLOTS - 1, 60)} == {_MORE}
+        assert table.remark(0) != table.remark(1) != MORE
+        assert {table.remark(row) for row in range(SLOTS - 1, 60)} == {MORE}
 
 
 def test_an_algorithm_without_what_it_rests_on_takes_it_from_the_plant_in_every_row(tmp_path):

@@ -312,7 +312,7 @@ class Trial:
         self.walls += count
         result = chunk.run_chunk(self._recipe, 0, columns)
         if (result.status == chunk.REFUSED).all():
-            raise InputError(f"{self.scene.source}: no wall can be tried: {result.texts[0]}")
+            raise InputError(f"{self.scene.source}: no wall can be tried: {result.remark[0]}")
         self.engine, self.remark = chunk.ENGINES[int(result.engine.max())], result.of_plant or self.remark
         figures = {metric: result.figures[f"{name}/{metric}"].reshape(2, count) for metric in _METRICS}
         damped = figures["damping_rendered.share"][1]
