@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 from canhaptic.commission.session import CommissioningLimits, OpenLoop, Session, Unattended
 from canhaptic.drive.profile.quirks import quirks_of
+from canhaptic.errors import SdoError
 from canhaptic.scene.models import AxisScene, Scene
 
 
@@ -44,6 +45,19 @@ class FreeMass:
         return command
 
 
+class Sdo:
+    """The objects of a drive by index and subindex; one that is missing is not answered."""
+
+    def __init__(self, objects: dict[tuple[int, int], int]) -> None:
+        self._objects = objects
+
+    def read(self, index: int, subindex: int = 0) -> int:
+        """As `ObjectAccess`."""
+        if (index, subindex) not in self._objects:
+            raise SdoError("does not exist", index, subindex)
+        return self._objects[index, subindex]
+
+
 class PlayedSession(Session):
     """Plays on axes of a test, and keeps what was asked for.
 
@@ -52,6 +66,7 @@ class PlayedSession(Session):
         axes: What each of its axes moves.
         refused: Word of the questions that the person does not agree to.
         limits: Of the session.
+        objects: Of every drive.
 
     Attributes:
         played: Axis, torques, cycles and travels of each call of `play`.
@@ -60,8 +75,9 @@ class PlayedSession(Session):
     """
 
     def __init__(
-        self, scene: Scene, axes: Sequence[Axis], refused: str = "", limits: CommissioningLimits | None = None
-    ) -> None:
+        self, scene: Scene, axes: Sequence[Axis], refused: str = "", limits: CommissioningLimits | None = None,
+        objects: dict[tuple[int, int], int] | None = None,
+    ) -> None:  # fmt: skip
         self.said: list[str] = []
         said = self.said
 
@@ -74,6 +90,7 @@ class PlayedSession(Session):
         self.played: list[tuple[int, list[float], int, float]] = []
         self.hands: list[bool] = []
         self.quanta = [0.01 for _ in axes]
+        self._sdo = Sdo(objects or {})
 
     @contextmanager
     def rig_of(self, *, with_hand: bool, hand: Callable[[AxisScene], object] | None = None) -> Iterator[None]:
@@ -82,10 +99,21 @@ class PlayedSession(Session):
         yield
 
     @property
+    def rig(self) -> Any:
+        """A rig without a bus."""
+        return SimpleNamespace(links=[], drives=self.drives)
+
+    @property
     def drives(self) -> Sequence[Any]:
-        """What the steps ask of a drive: the scale of its torque."""
-        scaling = SimpleNamespace(torque_quantum=0.01)
-        return [SimpleNamespace(scaling=scaling, quirks=quirks_of(())) for _ in self.moving]
+        """What the steps ask of a drive: the scale of its torque, and its objects."""
+        scaling, information = SimpleNamespace(torque_quantum=0.01), SimpleNamespace(vendor_number=7, product_number=8)
+        dictionary = SimpleNamespace(device_information=information)
+        return [
+            SimpleNamespace(
+                scaling=scaling, quirks=quirks_of(()), sdo=self._sdo, axis=axis.parameters, dictionary=dictionary
+            )
+            for axis in self.axes
+        ]
 
     def note_objects(self, axis: int) -> None:
         """There are none."""
@@ -99,6 +127,10 @@ class PlayedSession(Session):
         law = OpenLoop(torques, travel, step) if torques else OpenLoop()
         self.run_alone(axis, law, cycles, ready)
         return law
+
+    def truth(self, axis: int) -> float | None:
+        """The position of the axis."""
+        return self.moving[axis].position
 
     def run_alone(self, axis: int, law: OpenLoop, cycles: int, ready: Callable[[], bool]) -> None:
         """Move the axis; a command acts at once, or as many SYNCs later as the scene says."""

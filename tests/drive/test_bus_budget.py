@@ -86,3 +86,12 @@ def test_the_offered_rate_fits(bitrate: int, axes: int) -> None:
         require_budget(bus, maps(axes))
     rate = float(str(caught.value).partition("rate: ")[2].partition(" ")[0])
     require_budget(bus.model_copy(update={"rate": rate}), maps(axes))
+
+
+def test_the_longest_frames_come_first_in_the_arithmetic() -> None:
+    budget = bus_budget(BusParameters(rate=500.0), [*maps(1), *maps(2, "none")[1:]])
+    assert [(row.what, row.frames, row.bits_each) for row in budget.rows[1:4]] == [
+        ("TPDO", 1, 135),
+        ("TPDO", 1, 115),
+        ("RPDO", 2, 95),
+    ]

@@ -10,7 +10,7 @@ import pytest
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
-from canhaptic.drive.clock import VirtualClock, WallClock
+from canhaptic.drive.clock import DurationHistogram, VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.drive.can.drive_node import DriveGroup, SimulatedDrive
@@ -286,3 +286,16 @@ def test_a_deadline_is_skipped_when_it_is_overslept_by_more_than_half_a_period(b
     assert bench.rig.skipped_syncs == skipped
     assert bench.clock.now() == last + (2 * MS if skipped else MS + MS // 2)
     bench.close()
+
+
+def test_durations_have_quantiles_to_a_microsecond_and_an_exact_maximum() -> None:
+    durations = DurationHistogram()
+    assert durations.quantile(0.5) == 0.0
+    for duration in (*[1_500] * 98, 7_200, 41_000_000):
+        durations.add(duration)
+    assert durations.total == 100
+    assert [durations.quantile(part) for part in (0.5, 0.98, 0.99)] == pytest.approx([2e-6, 2e-6, 8e-6])
+    assert durations.quantile(1.0) == pytest.approx(41e-3)  # beyond the bins
+    assert durations.summary() == pytest.approx({"p50": 2e-6, "p99": 8e-6, "p99.9": 41e-3, "max": 41e-3})
+    durations.add(-5)
+    assert durations.quantile(0.001) == pytest.approx(1e-6)

@@ -151,3 +151,10 @@ def test_the_command_gives_a_node_its_id(capsys: pytest.CaptureFixture[str], tmp
             thread.join()
     assert slave.stored == 7
     assert "node 7 has booted" in capsys.readouterr().err
+
+
+def test_all_four_bytes_of_a_number_name_a_node(make: type[LssBench]) -> None:
+    identity = (0x8000_009A, 0x8765_4321, 0xFFFF_0001, 0x9123_4567)
+    b = make((identity, NO_NODE_ID))
+    assert b.give(6, identity)
+    assert "0x8000009a, 0x87654321, 0xffff0001, 0x91234567" in b.told[0]

@@ -110,3 +110,10 @@ def test_objects_that_nobody_wants_are_skipped_and_shift_nothing() -> None:
 def test_a_pdo_that_cannot_be_decoded_right_is_refused(entries: list[MappedObject]) -> None:
     with pytest.raises(DictionaryError):
         codec(entries, [0x6064])
+
+
+@pytest.mark.parametrize(("bits", "data", "value"), [(8, "f0", -16), (16, "f0 ff", -16), (64, "f0" + 7 * "ff", -16)])
+def test_every_length_of_an_integer_is_decoded(bits: int, data: str, value: int) -> None:
+    signed, unsigned = (MappedObject(0x2100, 0, bits, sign) for sign in (True, False))
+    assert codec([signed], [0x2100]).unpack(bytes.fromhex(data)) == (value,)
+    assert codec([unsigned], [0x2100]).unpack(bytes.fromhex(data)) == (value + (1 << bits),)

@@ -1,0 +1,306 @@
+"""What the steps of commissioning conclude, from axes whose motion is computed here; without a bus."""
+
+from collections.abc import Callable, Sequence
+from itertools import groupby
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from canhaptic.commission import sequence, torque_tests
+from canhaptic.commission.sequence import STANDSTILL, commission, identify, move_by_hand, stand_still, time_the_cycle
+from canhaptic.commission.session import CommissioningLimits, OpenLoop, StepFinding, StepVerdict
+from canhaptic.commission.torque_tests import SCALE, RisingTorque, identify_dynamics, pulse, verified_axes
+from canhaptic.drive.clock import DurationHistogram
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import Scene
+from tests.commission.played import Axis, FreeMass, PlayedSession
+
+DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
+TIME, MASS = 1e-3, 0.25
+
+
+def scene_of(*overrides: str) -> Scene:
+    return load_scene(DEMO, list(overrides))
+
+
+class Still:
+    """An axis that does not move."""
+
+    position = 0.0
+
+    def advance(self, command: float) -> float:
+        """As `Axis`."""
+        return command
+
+
+class Moved(Still):
+    """An axis whose position is a function of the time since the start [s]."""
+
+    def __init__(self, position: Callable[[float], float]) -> None:
+        self._at, self.holds = position, 0
+        self.position = position(0.0)
+
+    def advance(self, command: float) -> float:
+        """As `Axis`."""
+        self.holds += 1
+        self.position = self._at(self.holds * TIME)
+        return command
+
+
+class Weight(Still):
+    """A weight on its support, as many newtons heavy, that moves 10 um per sample time while it is lifted.
+
+    One that `sticks` does not come down again.
+    """
+
+    def __init__(self, force: float, *, sticks: bool = False) -> None:
+        self._force, self._down = force, 0.0 if sticks else 1e-5
+
+    def advance(self, command: float) -> float:
+        """As `Axis`."""
+        up = command > self._force
+        self.position = max(0.0, self.position + (1e-5 if up else -self._down))
+        return command
+
+
+def played(axis: Axis, *overrides: str, refused: str = "", **values: object) -> PlayedSession:
+    return PlayedSession(scene_of(*overrides), [axis], refused, **values)  # type: ignore[arg-type]
+
+
+def row(session: PlayedSession, item: str) -> StepFinding:
+    [found] = [each for each in session.report.findings if each.item == item]
+    return found
+
+
+def test_an_axis_that_drifts_a_quarter_of_the_travel_does_not_stand_still() -> None:
+    travel = CommissioningLimits().travel
+    for part, stands in ((0.2, True), (0.3, False)):
+        session = played(Moved(lambda time, part=part: part * travel * time))  # type: ignore[misc]
+        assert stand_still(session, 0) is stands
+        assert row(session, STANDSTILL).verdict is (StepVerdict.AGREES if stands else StepVerdict.FAILED)
+        assert float(row(session, STANDSTILL).found.split()[0]) == pytest.approx(part * travel, rel=0.01)
+
+
+@pytest.mark.parametrize(("counts", "is_told"), [(199, False), (202, True)])
+def test_a_distance_of_two_hundred_counts_tells_the_scale_of_the_encoder(counts: int, is_told: bool) -> None:
+    session = played(Moved(lambda time: counts * 1e-6 * min(1.0, 10.0 * time)))
+    move_by_hand(session, 0)
+    rows = [each.item for each in session.report.findings]
+    assert ("encoder counts" in rows) is is_told
+    if not is_told:
+        assert "at least 200" in row(session, "encoder").text
+
+
+def test_a_person_has_two_minutes_for_a_motion_and_may_leave_it_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    session = played(Moved(lambda time: 0.1 * time))
+    move_by_hand(session, 0)
+    assert session.played[-1][2] == round(120.0 / TIME)
+    monkeypatch.setattr(PlayedSession, "play", lambda *_: OpenLoop())  # the operator's stop before the first cycle
+    move_by_hand(session, 0)
+    assert session.report.findings[-1][1:4] == ("encoder", "", "not tried")
+
+
+DRIVE = {(0x1000, 0): 0x00020192, (0x1018, 1): 7, (0x1018, 2): 8, (0x6502, 0): 0x3FF, (0x6076, 0): 10_000}
+
+
+def identified(*overrides: str, **objects: int) -> PlayedSession:
+    changed = {(int(name[1:5], 16), int(name[6:])): value for name, value in objects.items()}
+    session = played(Still(), *overrides, objects=DRIVE | changed)
+    identify(session)
+    return session
+
+
+def test_each_drive_is_compared_with_its_profile_and_its_dictionary() -> None:
+    right = identified()
+    verdicts = {each.item: (each.configured, each.found, each.verdict) for each in right.report.findings}
+    assert verdicts["device profile"] == ("0x0192", "0x0192", StepVerdict.AGREES)
+    assert verdicts["vendor id"] == ("0x00000007", "0x00000007", StepVerdict.AGREES)
+    assert verdicts["product code"] == ("0x00000008", "0x00000008", StepVerdict.AGREES)
+    assert row(identified(x1000_0=0x00020191), "device profile").verdict is StepVerdict.FAILED
+    assert row(identified(x1018_2=9), "product code").verdict is StepVerdict.DIFFERS
+
+
+def test_a_rated_torque_is_compared_at_the_axis_and_shown_where_none_is_configured() -> None:
+    def seen(*overrides: str, counts: int) -> tuple[str, str, StepVerdict]:
+        found = row(identified(*overrides, x6076_0=counts), "rated torque (0x6076)")
+        return found.configured, found.found, found.verdict
+
+    assert seen(counts=10_000) == ("10 N", "10 N", StepVerdict.AGREES)
+    assert seen(counts=10_200) == ("10 N", "10.2 N", StepVerdict.DIFFERS)
+    geared = ("axes.0.transmission=4",)
+    assert seen(*geared, counts=2_500) == ("10 N", "10 N (2.5 N*m at the motor)", StepVerdict.AGREES)
+    assert seen("axes.0.rated_torque=null", counts=9_000) == ("", "9 N", StepVerdict.AGREES)
+
+
+def test_the_hand_is_on_the_handle_for_the_encoder_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sequence, "time_the_cycle", lambda *_: None)
+    session = played(Still(), refused="watchdog", objects=DRIVE)
+    session.dialogue.choose = lambda *_: "no"  # type: ignore[method-assign]
+    commission(session, 0.1)
+    assert session.hands == [False, True, False, False]  # standstill, encoder, first torque, all that follows
+
+
+def test_an_axis_that_no_pulse_moves_gives_none() -> None:
+    session = played(Still())
+    assert pulse(session, 0) is None
+    assert row(session, "torque sign").found.startswith("no motion at 1 N")
+    cycles = {len(torques) for _, torques, _, _ in session.played}
+    assert cycles == {160}  # four parts of 40 ms
+
+
+def test_a_pulse_that_leaves_the_travel_before_the_encoder_can_tell_its_sign_gives_none() -> None:
+    session = played(FreeMass(0.001, TIME), "axes.0.counts_per_unit=500")  # 20 counts are twice the travel
+    assert pulse(session, 0) is None
+    assert row(session, "torque sign").found == "stopped"
+    assert row(session, "torque sign").text.startswith("moved faster than")
+
+
+def test_a_pulse_of_a_free_mass_gives_its_mass_and_one_against_the_encoder_fails() -> None:
+    first = pulse(played(FreeMass(MASS, TIME)), 0)
+    assert first is not None
+    assert first.mass == pytest.approx(MASS, rel=0.1)
+    assert pulse(played(FreeMass(-MASS, TIME)), 0) is None
+
+
+def test_the_axis_is_at_rest_within_two_counts_of_a_coarse_encoder() -> None:
+    """A millimetre is a count: one that still swings over three is waited for."""
+    for counts, waits in ((2.0, False), (2.9, True)):
+        axis = Moved(lambda time, counts=counts: 1e-3 * counts * (time % 0.02 > 0.01) * (time < 0.5))  # type: ignore[misc]
+        session = played(axis, "axes.0.counts_per_unit=1000")
+        session.coast(0)
+        assert (axis.holds > 500) is waits
+
+
+def test_the_torque_of_the_sweep_keeps_a_light_axis_within_its_travel() -> None:
+    """A mass m swings by tau / (m w^2) at the lowest frequency, 2 Hz: a quarter of the travel."""
+    session = played(FreeMass(0.05, 0.01), "bus.rate=100", refused="Reversals")
+    identify_dynamics(session, 0, 0.05)
+    torques = next(torques for _, torques, _, _ in session.played if torques)
+    assert max(torques) == pytest.approx(0.05 * (2.0 * 3.14159265 * 2.0) ** 2 * 0.02 / 4.0, rel=1e-3)
+
+
+def swept(*overrides: str, mass: float = MASS, count: float = 1e-6) -> PlayedSession:
+    """The sweep and the shake of a free mass; the reversals are refused."""
+    session = played(FreeMass(mass, TIME, count), *overrides, refused="Reversals")
+    identify_dynamics(session, 0, mass)
+    return session
+
+
+def test_a_mass_is_measured_and_compared_with_the_declared_one() -> None:
+    right = swept()
+    assert row(right, "moving mass")[2:5] == ("at most 0.2 kg", "0.25 kg", StepVerdict.AGREES)
+    assert row(right, "mass on a shaft").verdict is StepVerdict.AGREES
+    assert row(right, "mass on a shaft").found.startswith("none: 0.249 kg at 83.3 Hz")
+    assert row(right, "dry friction").text.endswith(" N")
+    wrong = swept("passivity.moving_mass=0.3")
+    assert row(wrong, "moving mass").verdict is StepVerdict.FAILED
+    assert "must not exceed" in row(wrong, "moving mass").text
+
+
+def test_a_mass_that_nothing_declares_is_measured_alone() -> None:
+    session = swept("passivity={algorithm: unprotected}")
+    assert row(session, "moving mass").verdict is StepVerdict.MEASURED
+
+
+def test_an_axis_that_does_not_move_has_an_unclear_mass_and_names_the_limit_to_raise() -> None:
+    for mass, limit in ((MASS, "--travel"), (25.0, "--torque")):  # by the pulse before
+        session = played(Still(), "bus.rate=100", refused="Reversals")
+        identify_dynamics(session, 0, mass)
+        assert row(session, "moving mass").found == "unclear"
+        assert f"raise {limit}" in row(session, "moving mass").text
+
+
+def test_where_no_friction_by_speed_is_known_the_least_one_stays_open_and_not_the_mass(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(torque_tests, "friction_curve", lambda *_: None)
+    session = swept()
+    assert row(session, "dry friction, least").text.startswith("too little motion in both directions")
+    assert row(session, "moving mass").found == "0.25 kg"
+
+
+def verified(axis: Axis, means: str, *overrides: str, number: float | None, **limits: float) -> PlayedSession:
+    session = played(axis, *overrides, limits=CommissioningLimits(**limits))
+    session.dialogue.choose = lambda *_: means  # type: ignore[method-assign]
+    session.dialogue.number = lambda *_: number  # type: ignore[method-assign]
+    verified_axes(session)
+    return session
+
+
+def test_a_known_mass_gives_the_scale_of_the_torque() -> None:
+    assert row(verified(FreeMass(MASS, TIME), "mass", number=0.25), SCALE).found == "1"
+    assert row(verified(FreeMass(MASS, TIME), "mass", number=0.5), SCALE).found == "2"
+
+
+def test_the_parts_of_a_doublet_are_four_cycles_at_least() -> None:
+    """A light axis at a slow rate would leave its travel within one or two, which no encoder resolves."""
+    session = verified(FreeMass(0.00083, 0.01), "mass", "bus.rate=100", number=0.00083)
+    parts = [torques for _, torques, _, _ in session.played if torques][1:]
+    assert parts
+    for torques in parts:
+        assert max(len(list(part)) for _, part in groupby(torques)) == 2 * 4  # of the two middle parts together
+
+
+def weighed(force: float, number: float | None, *, sticks: bool = False) -> tuple[str, StepVerdict]:
+    session = verified(
+        Weight(force, sticks=sticks), "weight", "bus.rate=100", "axes.0.torque_limit=1 N", number=number, torque=0.05
+    )
+    found = row(session, SCALE)
+    return found.found, found.verdict
+
+
+def test_a_weight_that_is_lifted_and_comes_down_gives_the_scale_and_one_that_stays_up_none() -> None:
+    ratio, verdict = weighed(0.3, 0.3)
+    assert verdict is StepVerdict.AGREES
+    assert float(ratio) == pytest.approx(1.0, abs=0.05)
+    assert weighed(0.3, 0.3, sticks=True) == ("not compared", StepVerdict.UNKNOWN)
+    assert weighed(0.3, None) == ("not compared", StepVerdict.UNKNOWN)
+
+
+def test_a_weight_counts_as_down_as_soon_as_it_has_come_back_by_what_counts_as_lifted() -> None:
+    law = RisingTorque(0.25, 4.0, 1, 8.0, 8.0, 0.5, lifts=True)
+    for position in (0.0, 0.0, 1.0, 1.0, 0.5):
+        law.step(position, 0.0)
+    assert law.up > 0.0
+    assert law.down > 0.0
+    assert law.has_ended
+
+
+class TimedSession(PlayedSession):
+    """A run at some pace whose latest SYNC was 25 us late; nothing was lost."""
+
+    pace = "free"
+
+    @property
+    def experiment(self) -> Any:
+        """As built."""
+        return SimpleNamespace(pace=self.pace)
+
+    @property
+    def rig(self) -> Any:
+        """A rig that lost nothing."""
+        counts = dict.fromkeys(("skipped_syncs", "missed_tpdos", "late", "error_frames"), 0)
+        return SimpleNamespace(link_statistics=lambda: counts)
+
+    def run(self, laws: Sequence[OpenLoop], cycles: int, ready: Callable[[], bool] = bool) -> Any:
+        """The times of a run."""
+        histogram = DurationHistogram()
+        histogram.add(25_000)
+        return SimpleNamespace(cycles=cycles, timing={"wakeup_lateness": histogram})
+
+
+@pytest.mark.parametrize(
+    ("pace", "declared", "proposed"), [("free", 0.03, 0.03), ("free", 0.0, 0.01), ("real", 0.03, 0.05)]
+)
+def test_the_jitter_to_declare_is_twice_what_was_seen_where_a_clock_ran(
+    pace: str, declared: float, proposed: float
+) -> None:
+    session = TimedSession(scene_of(f"passivity.sync_jitter={declared}"), [Still()])
+    session.pace = pace
+    time_the_cycle(session, 0.5)
+    [found] = [value.value for value in session.report.values if value.key == "passivity.sync_jitter"]
+    assert found == pytest.approx(proposed)
+    assert row(session, "cycle").found == "500 cycles, no frame lost"
+    assert session.report.findings[-1].item == ("timing" if pace == "free" else "wakeup lateness")
