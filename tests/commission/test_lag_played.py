@@ -54,8 +54,8 @@ def holds(monkeypatch: pytest.MonkeyPatch) -> list[HoldTimes]:
     return given
 
 
-def timed(holds: int) -> PlayedSession:
-    session = PlayedSession(load_scene(DEMO), [LateMass(holds)])
+def timed(holds: int, *overrides: str) -> PlayedSession:
+    session = PlayedSession(load_scene(DEMO, list(overrides)), [LateMass(holds)])
     session.reported = []  # type: ignore[attr-defined]
     time_the_torque(session, 0, 1.0, MASS, KNOWN)
     return session
@@ -134,3 +134,13 @@ def test_before_a_real_drive_moves_the_stop_is_looked_at_twenty_times_a_second(m
     assert torque_tests._Announced(lambda _: None, stop, scene).confirm("x: Reversals, now?")  # type: ignore[arg-type]
     assert times[-1] == 4 * 10**9
     assert max(after - before for before, after in pairwise(looks)) <= 50_000_000
+
+
+def test_a_declared_lag_that_covers_what_is_not_excluded_is_kept(
+    holds: list[HoldTimes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    holds += [hold_of(0, 0.3)]
+    monkeypatch.setattr(mass_and_friction, "estimate_lateness", lambda *_: (0.0, 10e-6))
+    session = timed(0, "passivity.current_lag=100 us")
+    assert [each.value for each in session.report.values if each.key == "passivity.current_lag"] == [None]
+    assert lag(timed(0, "passivity.current_lag=20 us"))[0] == pytest.approx(1.1 * 20e-6)

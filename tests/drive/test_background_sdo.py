@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
+import can
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -334,3 +335,20 @@ def test_a_cycle_that_is_too_long_by_half_a_bit_has_no_room_for_a_request_either
     for bits, room in ((0.0, True), (0.5, False)):
         full = replace(budget, sample_time=budget.worst_cycle - bits / budget.bitrate)
         assert has_room_for_sdo(full, parameters) is room
+
+
+def test_a_part_that_is_not_answered_was_asked_for_once_whatever_came_before(bench: MakeBench) -> None:
+    b = started(bench([axis(5, sdo_timeout=0.01)]))
+    answers: list[bytes] = []
+
+    def first_alone(message: can.Message) -> can.Message | None:
+        if message.arbitration_id == 0x585:
+            answers.append(bytes(message.data))
+            return message if len(answers) == 1 else None
+        return message
+
+    b.tampered.on_receive = first_alone
+    future = b.rig.sdo(0).upload(0x1008)
+    b.run(50, torque=1.0)
+    with pytest.raises(SdoError, match=r"no answer \(1 requests"):
+        future.result(SOON)

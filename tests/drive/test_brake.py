@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from canhaptic.canopen.attached_devices import Brake
-from canhaptic.errors import DictionaryError
+from canhaptic.errors import DictionaryError, StartError
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.drive_bench import OUR_EDS, Bench, FreeMass, MakeBench, axis
 
@@ -119,3 +119,11 @@ def test_outputs_that_cannot_be_written_are_refused(bench: MakeBench, tmp_path: 
 def test_who_works_the_brake_and_how_is_stated_once(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="output"):
         Brake(**TIMES, **wrong)
+
+
+def test_a_start_refused_before_the_outputs_were_read_opens_none_of_them(bench: MakeBench, tmp_path: Path) -> None:
+    b = hung(bench, Brake(by="host", output=3, **TIMES), eds=with_outputs(tmp_path), vendor_id=0xBAD)
+    with pytest.raises(StartError, match="vendor"):
+        b.rig.start()
+    outputs = [data[4:] for data in b.sent(0x605) if data.startswith(bytes.fromhex("23fe6001"))]
+    assert set(outputs) == {bytes(4)}

@@ -15,7 +15,7 @@ from canhaptic.drive.rig import Rig
 from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.drive.can.drive_node import DriveGroup, SimulatedDrive
 from canhaptic.sim.drive.profile.state_machine import DriveState
-from tests.drive.drive_bench import FreeMass, axis, dictionary, make_bench, private_channel
+from tests.drive.drive_bench import FreeMass, MakeBench, axis, dictionary, make_bench, private_channel
 
 MS = 1_000_000
 
@@ -299,3 +299,14 @@ def test_durations_have_quantiles_to_a_microsecond_and_an_exact_maximum() -> Non
     assert durations.summary() == pytest.approx({"p50": 2e-6, "p99": 8e-6, "p99.9": 41e-3, "max": 41e-3})
     durations.add(-5)
     assert durations.quantile(0.001) == pytest.approx(1e-6)
+
+
+def test_a_hold_is_uneven_by_what_it_differs_from_its_sample_times(bench: MakeBench) -> None:
+    b = bench()
+    b.rig.start()
+    b.run(3)
+    assert (b.rig.uneven, b.rig.periods) == (0, 1)
+    b.clock.wait_until(b.clock.now() + 1_200_000)  # after the SYNC due at 1 ms
+    b.run(1)
+    assert b.rig.periods == 1
+    assert b.rig.uneven == pytest.approx(200_000, abs=20_000)

@@ -74,3 +74,9 @@ def test_quirks_add_up_and_those_that_are_unknown_or_contradict_are_refused() ->
         quirks_of(("torque_per_cent", "torque_per_ten_thousand"))
     with pytest.raises(ParameterError, match="quirks: got 'nothing'"):
         axis(quirks=("nothing",))
+
+
+def test_what_is_not_given_has_the_value_of_the_manual() -> None:
+    bus, of = BusParameters(rate=1000.0), axis()
+    assert (bus.hold_cycles, bus.stop_cycles, bus.rpdo) == (2, 20, "synchronous")
+    assert (of.sdo_timeout, of.step_timeout, of.demand_reported, of.watchdog) == (0.3, 1.0, "before", True)

@@ -246,3 +246,43 @@ def test_the_deadline_is_no_fault_of_a_run_that_goes_well(bench: MakeBench) -> N
     assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
     b.rig.start()
     b.run(5)
+
+
+@pytest.mark.parametrize("shown", [0, 1, 99])
+def test_a_drive_that_gives_less_than_it_was_asked_for_is_covered_to_the_last_count(
+    bench: MakeBench, shown: int
+) -> None:
+    b = bench()
+    tampered = Tampered(b)
+    b.rig.start()
+    b.run(10, torque=1.0)  # 100 per mille
+    tampered.torque = shown
+    b.run(1, torque=1.0)
+    assert b.rig.drives[0].uncommanded == 0
+    tampered.torque = 101
+    b.run(1, torque=1.0)
+    assert b.rig.drives[0].uncommanded == 1
+
+
+@pytest.mark.parametrize("read_back", ["demand", "actual"])
+def test_an_old_torque_is_borne_with_for_as_many_holds_as_a_lost_frame_however_it_is_read_back(
+    bench: MakeBench, read_back: str
+) -> None:
+    b = bench([axis(read_back=read_back)])
+    tampered = Tampered(b)
+    b.rig.start()
+    b.run(10)
+    tampered.torque = 0
+    b.run(STOP + 1, torque=4.0)  # the first is shown by the TPDO of the SYNC after it acted
+    with pytest.raises(CommandLostError):
+        b.run(1, torque=4.0)
+
+
+def test_a_measured_torque_before_the_first_hold_is_none_that_nobody_asked_for(bench: MakeBench) -> None:
+    b = bench([axis(read_back="actual")])
+    tampered = Tampered(b)
+    tampered.torque = 80  # per mille, of a current that is not zero yet
+    b.rig.start()
+    assert b.rig.drives[0].uncommanded == 0
+    b.run(1)
+    assert b.rig.drives[0].uncommanded == 0

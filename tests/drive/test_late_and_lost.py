@@ -7,7 +7,7 @@ import pytest
 
 from canhaptic.errors import LinkError
 from canhaptic.sim.drive.profile.state_machine import DriveState
-from tests.drive.drive_bench import MakeBench, started
+from tests.drive.drive_bench import MakeBench, axis, started
 
 
 @pytest.mark.parametrize("late", [0, 1, 5, 6, 9])
@@ -130,3 +130,18 @@ def test_what_may_have_acted_in_lost_holds_is_known(bench: MakeBench) -> None:
     assert (sample.torque_applied, drive.open_time, drive.open_torque) == (1.5, 2, pytest.approx(0.2))
     b.run(1, torque=1.9)
     assert drive.open_time == 0
+
+
+def test_where_only_a_sum_of_displacements_is_known_the_bound_counts_the_farthest_that_the_speed_allows(
+    bench: MakeBench,
+) -> None:
+    b = bench([axis(read_back="none", speed_limit=1.0)])
+    b.rig.start()
+    b.run(10, torque=1.0)
+    before = b.rig.drives[0].read_back_bound
+    b.tampered.drop(0x185)
+    b.run(1, torque=-1.0)
+    b.tampered.drop()
+    b.run(1, torque=-1.0)
+    rise = b.rig.drives[0].read_back_bound - before
+    assert 1e-3 < rise < 2.0 * 3 * 2e-3  # [J]: 2 N over two or three holds of 1 m/s

@@ -10,7 +10,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.sdo import SdoChannel
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.errors import LinkError, SdoError
-from tests.drive.drive_bench import OUR_EDS, TamperedBus, axis, dictionary, private_channel
+from tests.drive.drive_bench import OUR_EDS, MakeBench, TamperedBus, axis, dictionary, private_channel
 
 
 class ScriptedNode:
@@ -247,3 +247,15 @@ def test_a_frame_that_was_received_does_not_change_when_the_next_one_is_sent(wir
     assert [frame.dlc for frame in (first, second)] == [2, 1]
     expected = can.Message(arbitration_id=0x205, is_extended_id=False, channel=first.channel, data=[1, 2])
     assert first.equals(expected, timestamp_delta=None)
+
+
+@pytest.mark.parametrize(("doubled", "is_doubled"), [(4, False), (12, True), (2, False)])
+def test_two_nodes_with_one_id_answer_most_requests_twice(bench: MakeBench, doubled: int, is_doubled: bool) -> None:
+    """A bus may double a frame now and then."""
+    b = bench()
+    sdo = b.rig.drives[0].sdo
+    for request in range(16 if doubled > 2 else 2):
+        sdo.read(0x6502)
+        if request < doubled:
+            b.links[0]._handlers[0x585](bytearray.fromhex("4302650000000000"))
+    assert sdo.is_doubled is is_doubled

@@ -1,15 +1,21 @@
 """The choice of PDOs from a dictionary and a configuration, and the codec of each."""
 
+import re
 from pathlib import Path
 from typing import Any
 
+import can
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.pdo_map import AxisMap, MappedObject, choose_map, codec, decode_entry
+from canhaptic.drive.can.servo_drive import ServoDrive
+from canhaptic.drive.clock import VirtualClock
 from canhaptic.errors import DictionaryError
-from tests.drive.drive_bench import OUR_EDS, axis, dictionary
+from tests.drive.drive_bench import OUR_EDS, axis, dictionary, private_channel
 
 
 def chosen(path: Path, **values: Any) -> AxisMap:
@@ -117,3 +123,45 @@ def test_every_length_of_an_integer_is_decoded(bits: int, data: str, value: int)
     signed, unsigned = (MappedObject(0x2100, 0, bits, sign) for sign in (True, False))
     assert codec([signed], [0x2100]).unpack(bytes.fromhex(data)) == (value,)
     assert codec([unsigned], [0x2100]).unpack(bytes.fromhex(data)) == (value + (1 << bits),)
+
+
+def edited(folder: Path, changes: dict[str, dict[str, str]], without: tuple[str, ...] = ()) -> Path:
+    """Our dictionary with other values of some keys, and without some sections."""
+    sections = OUR_EDS.read_text(encoding="utf-8").split("\n[")
+    made = []
+    for section in sections:
+        name, _, body = section.partition("]")
+        for key, value in changes.get(name, {}).items():
+            body = re.sub(f"\n{key}=[^\n]*", f"\n{key}={value}", body)
+        if name not in without:
+            made.append(f"{name}]{body}")
+    path = folder / "edited.eds"
+    path.write_text("\n[".join(made), encoding="utf-8")
+    return path
+
+
+FIXED = {"AccessType": "const"}
+SPLIT = {  # TPDO 1 has the statusword and the position, TPDO 2 the torque, and neither can be changed
+    **{f"1A0{n}sub{sub}": FIXED for n in range(4) for sub in range(9)},
+    "1A00sub0": {**FIXED, "DefaultValue": "2"},
+    "1A01sub0": {**FIXED, "DefaultValue": "1"},
+    "1A01sub1": {**FIXED, "DefaultValue": "0x60740010"},
+}
+
+
+def test_the_tpdos_of_a_sample_are_named_by_the_bits_of_those_that_are_missing(tmp_path: Path) -> None:
+    of = axis(eds=edited(tmp_path, SPLIT))
+    with can.Bus(interface="virtual", channel=private_channel()) as bus:
+        drive = ServoDrive(Link(bus, VirtualClock()), of, dictionary(of), BusParameters(rate=1000.0))
+        names = [drive.part(bits) for bits in range(4)]
+    assert names == ["", "TPDO 0x185", "TPDO 0x285", "TPDO 0x185, TPDO 0x285"]
+
+
+def test_an_rpdo_with_room_for_two_objects_alone_is_written(tmp_path: Path) -> None:
+    small = edited(tmp_path, {"1600sub0": {"HighLimit": "2"}}, tuple(f"1600sub{sub}" for sub in range(3, 9)))
+    assert summary(chosen(small))[0] == RPDO1
+
+
+def test_a_cob_id_that_cannot_be_written_is_the_one_that_the_dictionary_states(tmp_path: Path) -> None:
+    stated = {"AccessType": "ro", "DefaultValue": "0x40000311"}
+    assert summary(chosen(edited(tmp_path, {"1400sub1": stated})))[0][1] == 0x311

@@ -279,3 +279,10 @@ def test_rated_torques_that_disagree_by_more_than_a_thousandth_are_refused() -> 
 
 def test_a_transmission_scales_the_rated_torque_of_the_motor() -> None:
     assert agreed_rated_torque(axis(rated_torque=None, transmission=50.0), 500) == pytest.approx(25.0)
+
+
+@pytest.mark.parametrize("modes", [0x1FF, 0x400, 0x100])
+def test_a_neighbouring_mode_does_not_stand_for_cyclic_torque(bench: MakeBench, modes: int) -> None:
+    """Bit 9 of 0x6502 is mode 10."""
+    with pytest.raises(StartError, match="0x6502"):
+        bench(objects={0x6502: modes}).rig.start()
