@@ -2,6 +2,7 @@
 
 import math
 import random
+from types import SimpleNamespace
 
 import pytest
 
@@ -133,3 +134,37 @@ def test_a_silent_meter_knows_the_position_alone() -> None:
     meter.take(0.5, 1.0, 0, touches=True)
     meter.take(0.7, 2.0, 1, touches=True)
     assert (meter.position, meter.resolution, meter.dissipated) == (0.7, 0.0, 0.0)
+
+
+def test_an_accuracy_that_declares_nothing_leaves_nothing_open_but_the_dissipation() -> None:
+    ideal = Accuracy()
+    assert (ideal.sample_time, ideal.position, ideal.torque_share, ideal.torque_offset) == (1e-3, 0.0, 0.0, 0.0)
+    assert (ideal.late, ideal.late_speed, ideal.device_damping, ideal.device_friction) == (0.0, None, None, None)
+    assert not ideal.is_estimate
+    assert ideal.most_dissipated == math.inf
+    meter = AxisMeter()
+    assert not meter.is_damped
+    for at, place in enumerate((0.0, 1e-3, 5e-3, -2e-3)):
+        meter.take(place, 3.0 * at, at, touches=True)
+    assert (meter.resolution, meter.dissipated, meter.asked) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("late", "speed", "is_estimate"), [(1e-4, None, True), (1e-4, 0.4, False), (0.0, None, False)])
+def test_lateness_is_an_estimate_where_no_speed_bounds_it(late: float, speed: float | None, is_estimate: bool) -> None:
+    assert Accuracy(late=late, late_speed=speed).is_estimate is is_estimate
+
+
+def test_a_device_dissipates_at_most_its_bounds_at_the_largest_speed() -> None:
+    known = {"device_damping_bound": 2.0, "device_friction_bound": 3.0, "largest_speed": 0.5}
+    assert Accuracy(**known).most_dissipated == pytest.approx((2.0 * 0.5 + 3.0) * 0.5)
+    for missing in known:
+        assert Accuracy(**{key: value for key, value in known.items() if key != missing}).most_dissipated == math.inf
+
+
+def test_a_silent_meter_books_the_least_and_gives_its_motion_to_the_fit() -> None:
+    taken: list[tuple[float, float, int]] = []
+    felt = SimpleNamespace(take=lambda *hold: taken.append(hold))
+    meter = SilentMeter(felt)  # type: ignore[arg-type]
+    meter.take(0.5, 1.0, 3, touches=False)
+    assert (meter.felt, taken) == (felt, [(0.5, 1.0, 3)])
+    assert (SilentMeter.books_least, AxisMeter.books_least, AxisMeter.felt) == (True, False, None)
