@@ -5,8 +5,8 @@ from pathlib import Path
 
 import can
 import pytest
-from canhaptic.canopen.force_node import ForceNode
 
+from canhaptic.canopen.attached_devices import ForceNode
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.admittance_drive import AdmittanceDrive

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from canhaptic.control.mass_felt import MassAsked
 
 from canhaptic.control.admittance.port import AdmittanceProperties
-from canhaptic.control.mass_felt import MassAsked
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.displays import (
     build_group_of_displays,
