@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 
@@ -55,7 +56,7 @@ def holds(monkeypatch: pytest.MonkeyPatch) -> list[HoldTimes]:
 
 
 def timed(holds: int, *overrides: str) -> PlayedSession:
-    session = PlayedSession(load_scene(DEMO, list(overrides)), [LateMass(holds)])
+    session = PlayedSession(load_scene(DEMO, list(overrides)), cast(Any, [LateMass(holds)]))
     session.reported = []  # type: ignore[attr-defined]
     time_the_torque(session, 0, 1.0, MASS, KNOWN)
     return session
@@ -70,7 +71,7 @@ def lengths(session: PlayedSession) -> list[int]:
 def lag(session: PlayedSession) -> tuple[float, StepVerdict]:
     [found] = [each for each in session.report.findings if each.item == "torque lag"]
     proposed = [each.value for each in session.report.values if each.key == "passivity.current_lag"]
-    return (float(proposed[0] or 0.0) if proposed else -1.0), found.verdict  # type: ignore[arg-type]
+    return (float(proposed[0] or 0.0) if proposed else -1.0), found.verdict
 
 
 def test_a_sure_hold_is_timed_once_and_one_that_is_not_must_be_seen_twice(holds: list[HoldTimes]) -> None:

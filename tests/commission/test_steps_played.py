@@ -15,7 +15,7 @@ from canhaptic.commission.torque_tests import SCALE, RisingTorque, identify_dyna
 from canhaptic.drive.clock import DurationHistogram
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
-from tests.commission.played import Axis, FreeMass, PlayedSession
+from tests.commission.played import FreeMass, PlayedSession
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 TIME, MASS = 1e-3, 0.25
@@ -65,8 +65,8 @@ class Weight(Still):
         return command
 
 
-def played(axis: Axis, *overrides: str, refused: str = "", **values: object) -> PlayedSession:
-    return PlayedSession(scene_of(*overrides), [axis], refused, **values)  # type: ignore[arg-type]
+def played(axis: Any, *overrides: str, refused: str = "", **values: Any) -> PlayedSession:
+    return PlayedSession(scene_of(*overrides), [axis], refused, **values)
 
 
 def row(session: PlayedSession, item: str) -> StepFinding:
@@ -137,7 +137,7 @@ def test_a_rated_torque_is_compared_at_the_axis_and_shown_where_none_is_configur
 def test_the_hand_is_on_the_handle_for_the_encoder_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sequence, "time_the_cycle", lambda *_: None)
     session = played(Still(), refused="watchdog", objects=DRIVE)
-    session.dialogue.choose = lambda *_: "no"  # type: ignore[method-assign]
+    session.dialogue.choose = lambda *_: "no"
     commission(session, 0.1)
     assert session.hands == [False, True, False, False]  # standstill, encoder, first torque, all that follows
 
@@ -221,10 +221,10 @@ def test_where_no_friction_by_speed_is_known_the_least_one_stays_open_and_not_th
     assert row(session, "moving mass").found == "0.25 kg"
 
 
-def verified(axis: Axis, means: str, *overrides: str, number: float | None, **limits: float) -> PlayedSession:
+def verified(axis: Any, means: str, *overrides: str, number: float | None, **limits: float) -> PlayedSession:
     session = played(axis, *overrides, limits=CommissioningLimits(**limits))
-    session.dialogue.choose = lambda *_: means  # type: ignore[method-assign]
-    session.dialogue.number = lambda *_: number  # type: ignore[method-assign]
+    session.dialogue.choose = lambda *_: means
+    session.dialogue.number = lambda *_: number
     verified_axes(session)
     return session
 

@@ -3,6 +3,7 @@
 import math
 import random
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -155,7 +156,7 @@ def test_lateness_is_an_estimate_where_no_speed_bounds_it(late: float, speed: fl
 
 
 def test_a_device_dissipates_at_most_its_bounds_at_the_largest_speed() -> None:
-    known = {"device_damping_bound": 2.0, "device_friction_bound": 3.0, "largest_speed": 0.5}
+    known: dict[str, Any] = {"device_damping_bound": 2.0, "device_friction_bound": 3.0, "largest_speed": 0.5}
     assert Accuracy(**known).most_dissipated == pytest.approx((2.0 * 0.5 + 3.0) * 0.5)
     for missing in known:
         assert Accuracy(**{key: value for key, value in known.items() if key != missing}).most_dissipated == math.inf

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -21,12 +22,12 @@ from canhaptic.signals import Sample
 from tests.drive.drive_bench import REPOSITORY, axis, private_channel
 
 EDS = REPOSITORY / "eds" / "cia402_admittance.eds"
-FORCE = {"per_count": 0.01, "range": 300.0, "slew": 5e3, "error": 0.5}
+FORCE: dict[str, Any] = {"per_count": 0.01, "range": 300.0, "slew": 5e3, "error": 0.5}
 
 
-def display(drive_objects: dict[str, int] | None = None, **values: object) -> AxisParameters:
+def display(drive_objects: dict[str, int] | None = None, **values: Any) -> AxisParameters:
     """An axis whose sensor is an input of its drive."""
-    force = ForceParameters(object="0x2205.1", **FORCE)  # type: ignore[arg-type]
+    force = ForceParameters(object="0x2205.1", **FORCE)
     given = {"acceleration_limit": 50.0, "handle_acceleration": 80.0, "force": force} | values
     return axis(
         name="handle", eds=EDS, admittance=AdmittanceParameters(**given), speed_limit=1.0,
@@ -38,8 +39,8 @@ def test_a_force_has_one_source() -> None:
     node = ForceNode(cob_id=0x190)
     for source in ({}, {"object": "0x2205.1", "node": node}):
         with pytest.raises(ParameterError, match=r"either object .* or node"):
-            ForceParameters(**FORCE, **source)  # type: ignore[arg-type]
-    assert ForceParameters(**FORCE, node=node).place is None  # type: ignore[arg-type]
+            ForceParameters(**FORCE, **source)
+    assert ForceParameters(**FORCE, node=node).place is None
 
 
 def test_a_drive_that_brakes_is_given_the_declared_time() -> None:
@@ -65,7 +66,7 @@ def test_a_ramp_in_the_drive_below_the_acceleration_limit_is_refused() -> None:
 def test_an_impulse_that_wraps_is_a_change_of_one_count() -> None:
     channel = ForceChannel(
         ForceParameters(node=ForceNode(cob_id=0x190, bits=16), sampling="impulse", **FORCE),
-        1e-3,  # type: ignore[arg-type]
+        1e-3,
     )
     channel.take(0x7FFF)
     assert channel.take(-0x8000) == pytest.approx(0.01 / 1e-3)
@@ -74,7 +75,7 @@ def test_an_impulse_that_wraps_is_a_change_of_one_count() -> None:
 class OnTheBus:
     """A display's image of its drive, and the other end of its bus."""
 
-    def __init__(self, buses: list[can.BusABC], **values: object) -> None:
+    def __init__(self, buses: list[can.BusABC], **values: Any) -> None:
         self.far, of = buses[1], display(**values)
         self.clock = VirtualClock()
         self.link = Link(buses[0], self.clock)

@@ -3,12 +3,12 @@
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
-from canhaptic.control.mass_felt import MassAsked
 
 from canhaptic.control.admittance.port import AdmittanceProperties
+from canhaptic.control.motion_checks import MassAsked
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.displays import (
     build_group_of_displays,
@@ -88,7 +88,7 @@ def test_no_mass_is_felt_along_an_axis_that_renders_none() -> None:
     assert mass_felt(arm.axes[0], arm.groups[0]) is None  # a mass, though not along the axes
     straight = replace(arm.groups[0], kinematics=path.groups[0].kinematics)
     felt = [mass_felt(axis, straight) for axis in arm.axes]
-    network = arm.groups[0].network.parameters
+    network: Any = arm.groups[0].network.parameters
     assert [each.asked.mass for each in felt if each is not None] == [network.mass] * 2
 
 
@@ -103,7 +103,7 @@ def test_a_simulated_display_has_no_fault_and_each_that_is_made_is_named() -> No
     assert [key for key, _ in faults(display(admittance=None))] == [""]
     [(key, text)] = faults(plain, rpdo="event")
     assert (key, "rpdo: event" in text) == ("admittance", True)
-    [(_, text)] = faults(replace(plain, simulated_drive=object()))
+    [(_, text)] = faults(replace(plain, simulated_drive=cast(Any, object())))
     assert "moves a simulated mechanism" in text
     assert plain.simulation is not None
     [(_, text)] = faults(replace(plain, simulation=replace(plain.simulation, admittance=None)))
