@@ -15,10 +15,9 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Self, TypeVar, cast, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Final, Self, TypeVar, cast, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo
-from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
@@ -277,18 +276,6 @@ def fault_text(fault: ErrorDetails, seen: object, expected: str = "") -> str:
         return f"got {shown(seen)}, expected {expected}"
     message = _MORE.sub("", _SHOULD.sub("expected", fault["msg"])).replace("a valid boolean", "true or false")
     return f"got {shown(seen)}, {message[:1].lower()}{message[1:]}"
-
-
-def example(field: FieldInfo, motion: Motion | None) -> str:
-    """Return an example value of a field, quoted for a shell: `'1 N'`; `...` if it is not a number."""
-    if get_origin(field.annotation) is tuple:
-        return "[...]"
-    for part in parts_of((field.annotation, *field.metadata)):
-        if isinstance(part, Quantity):
-            most = min(part.limits.get("le", 2.0), part.limits.get("lt", 2.0))
-            value = f"{max(part.limits.get('ge', 0.0), 1.0 if most > 1.0 else 0.5 * most):g}"
-            return f"'{value} {part.unit.accepted(motion)[0]}'" if part.unit.words(motion) else value
-    return "..."
 
 
 _LONGEST_SHOWN: Final = 200  # bits

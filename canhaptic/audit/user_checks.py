@@ -92,19 +92,16 @@ def _verdicts(result: Checked, expression: str) -> list[Outcome]:
         InputError: It names no account of the run.
     """
     port = expression.strip().rpartition(".")[0]
-    verdicts = {name: account[_VERDICT] for name, account in result["ports"].items() if _VERDICT in account}
-    if port:
-        verdicts = {name: verdict for name, verdict in verdicts.items() if name == port}
-    if not verdicts:
+    accounts = {name: of for name, of in result["ports"].items() if _VERDICT in of and port in ("", name)}
+    if not accounts:
         raise InputError(f"check {expression!r}: the run has no account of that name; expected NAME.passive or passive")
     found: list[Outcome] = []
-    for name, verdict in verdicts.items():
-        verdict = "no contact" if result["ports"][name].get("verdict") == "no contact" else verdict
-        found.append(
-            {"check": expression, "name": f"ports.{name}.{_VERDICT}", "value": verdict, "holds": verdict == "yes"}
-        )
-        if verdict != "yes" and "first_active" in result["ports"][name]:
-            found[-1]["first_active"] = result["ports"][name]["first_active"]
+    for name, account in accounts.items():
+        verdict = "no contact" if account.get("verdict") == "no contact" else account[_VERDICT]
+        path = f"ports.{name}.{_VERDICT}"
+        found.append({"check": expression, "name": path, "value": verdict, "holds": verdict == "yes"})
+        if verdict != "yes" and "first_active" in account:
+            found[-1]["first_active"] = account["first_active"]
     return found
 
 

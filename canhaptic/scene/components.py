@@ -90,12 +90,18 @@ class ComponentOf:
         kind: Kind of entries in the table, for messages.
         selector: Key of the section that contains the name.
         apart: Keys of the section for another field of the scene; only a model with such a field gets them too.
+        displays: The same of admittance displays, which measure force and command velocity; None: this one.
     """
 
     def __init__(
-        self, table: Mapping[str, str], kind: str, selector: str = "type", apart: tuple[str, ...] = ()
+        self,
+        table: Mapping[str, str],
+        kind: str,
+        selector: str = "type",
+        apart: tuple[str, ...] = (),
+        displays: "ComponentOf | None" = None,
     ) -> None:
-        self.table, self.kind, self.selector, self.apart = table, kind, selector, apart
+        self.table, self.kind, self.selector, self.apart, self._displays = table, kind, selector, apart, displays
 
     @property
     def expected(self) -> str:
@@ -107,9 +113,15 @@ class ComponentOf:
         name = section.get(self.selector) if isinstance(section, MarkedMapping) else None
         return self.model_named(name) if isinstance(name, str) and name in self.table else None
 
-    def table_for(self, _section: object) -> "ComponentOf":
-        """Return the table from which a section is read."""
-        return self
+    def table_for(self, section: object) -> "ComponentOf":
+        """Return the table whose model has more of the section's keys, for error messages."""
+        keys = section.keys() if isinstance(section, MarkedMapping) else set()
+
+        def known(table: ComponentOf) -> int:
+            model = table.model_of(section)
+            return -1 if model is None else len(keys & {*model.model_fields, *table.apart})
+
+        return self if self._displays is None else max(self, self._displays, key=known)
 
     def model_named(self, name: str) -> type[Parameters]:
         """Return the model of an entry of the table."""
@@ -120,7 +132,12 @@ class ComponentOf:
         return core_schema.with_info_plain_validator_function(self.read, serialization=plain)
 
     def read(self, value: object, info: ValidationInfo[SceneContext]) -> ComponentSpec:
-        """Return the component that a section names."""
+        """Return the component that a section names, from the table for this kind of display."""
+        if self._displays is not None and _is_of_displays(info):
+            return self._displays.read(value, info)
+        return self._named(value, info)
+
+    def _named(self, value: object, info: ValidationInfo[SceneContext]) -> ComponentSpec:
         if isinstance(value, ComponentSpec):
             return value
         if value is None:
@@ -158,7 +175,10 @@ class ComponentOf:
         return ValidationError.from_exception_data(self.kind, [fault])
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        return {"oneOf": [self._choice(name, handler) for name in self.table]}
+        choices = [self._choice(name, handler) for name in self.table]
+        if self._displays is None:
+            return {"oneOf": choices}
+        return {"anyOf": [*choices, *self._displays.__get_pydantic_json_schema__(schema, handler)["oneOf"]]}
 
     def _choice(self, name: str, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         """Schema of one entry of the table, including its name."""
@@ -200,37 +220,10 @@ def _with_type(value: Parameters | None) -> dict[str, object] | None:
     return {**({"type": type(value).__name__} if own else {}), **value.model_dump(mode="json")}
 
 
-class ComponentByDisplay(ComponentOf):
-    """Annotation of a `ComponentSpec` whose table depends on the kind of display, impedance or admittance.
-
-    Args:
-        impedance: Table for an axis that measures motion and commands torque.
-        admittance: Table for an axis that measures force and commands velocity.
-    """
-
-    def __init__(self, impedance: ComponentOf, admittance: ComponentOf) -> None:
-        super().__init__(impedance.table, impedance.kind, impedance.selector, impedance.apart)
-        self._admittance = admittance
-
-    def table_for(self, section: object) -> ComponentOf:
-        """Return the table whose model has more of the section's keys, for error messages."""
-        keys = section.keys() if isinstance(section, MarkedMapping) else set()
-
-        def known(table: ComponentOf) -> int:
-            model = table.model_of(section)
-            return -1 if model is None else len(keys & {*model.model_fields, *table.apart})
-
-        return self._admittance if known(self._admittance) > known(self) else self
-
-    def read(self, value: object, info: ValidationInfo[SceneContext]) -> ComponentSpec:
-        """Return the component that a section names, from the table for this kind of display."""
-        of_group = info.data.get("axes")
-        is_display = info.context.displays >= set(of_group) if of_group else info.context.is_display
-        return self._admittance.read(value, info) if is_display else super().read(value, info)
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        impedance = super().__get_pydantic_json_schema__(schema, handler)["oneOf"]
-        return {"anyOf": [*impedance, *self._admittance.__get_pydantic_json_schema__(schema, handler)["oneOf"]]}
+def _is_of_displays(info: ValidationInfo[SceneContext]) -> bool:
+    """Whether the axis that is read, or every axis of the group that is read, is an admittance display."""
+    of_group = info.data.get("axes")
+    return info.context.displays >= set(of_group) if of_group else info.context.is_display
 
 
 def _parameters_of(entry: Any) -> type[Parameters]:

@@ -24,11 +24,8 @@ def words_of(model: type[Parameters]) -> dict[str, str]:
     for owner in reversed(model.__mro__):
         if not issubclass(owner, Parameters) or owner is Parameters:
             continue
-        [body] = [
-            node
-            for node in ast.walk(ast.parse(inspect.cleandoc("\n" + inspect.getsource(owner))))
-            if isinstance(node, ast.ClassDef)
-        ][:1]
+        tree = ast.parse(inspect.cleandoc("\n" + inspect.getsource(owner)))
+        body = next(node for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
         found.update(_attributes(inspect.cleandoc(ast.get_docstring(body) or "")))
         for field, text in zip(body.body, body.body[1:], strict=False):
             if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):

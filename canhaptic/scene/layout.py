@@ -54,18 +54,6 @@ def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMappin
     return section
 
 
-def path_for_scene(dictionary: Path, scene: Path | None) -> str:
-    """Return the path with which a scene file refers to a dictionary.
-
-    Args:
-        dictionary: Path of the dictionary, relative to the current folder.
-        scene: Scene file, from whose folder the result starts; None: the result is absolute.
-    """
-    if scene is None:
-        return str(dictionary.absolute())
-    return os.path.relpath(dictionary.parent.resolve() / dictionary.name, scene.parent.resolve())
-
-
 SECTIONS: Final = (
     *("bus", "axes", "groups", "environment", "passivity", "simulation", "accuracy", "log"),
     *RunParameters.model_fields,

@@ -28,7 +28,7 @@ from canhaptic.control.passivity import ALGORITHMS, LoopProperties
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import InputError
-from canhaptic.scene.components import READY, ComponentByDisplay, ComponentOf, ComponentSpec, OwnModel, SceneContext
+from canhaptic.scene.components import READY, ComponentOf, ComponentSpec, OwnModel, SceneContext
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.effects import EFFECTS
@@ -125,21 +125,15 @@ UnitT = TypeVar("UnitT", bound=str | None)
 _Drive = Annotated[SimulatedDriveParameters, OnDemand("canhaptic.sim.drive:SimulatedDriveParameters")]
 _Hand = Annotated[TaskHand, OnDemand("canhaptic.sim.plant.mechanism.task_hand:TaskHand")]
 _LOOP, _DISPLAY_LOOP = ("algorithm", LOOP_KEYS), ("algorithm", DISPLAY_LOOP_KEYS)
-_ENVIRONMENT = ComponentByDisplay(
-    ComponentOf(ENVIRONMENTS, "environment"),
-    ComponentOf(displays.DISPLAY_ENVIRONMENTS, "environment of an admittance display"),
-)
-_ALGORITHM = ComponentByDisplay(
-    ComponentOf(ALGORITHMS, "passivity algorithm", *_LOOP),
-    ComponentOf(displays.DISPLAY_ALGORITHMS, "algorithm of an admittance display", *_DISPLAY_LOOP),
-)
-_GROUP_ALGORITHM = ComponentByDisplay(
-    ComponentOf(GROUP_ALGORITHMS, "group algorithm", *_LOOP),
-    ComponentOf(displays.DISPLAY_GROUP_ALGORITHMS, "algorithm of several admittance displays", *_DISPLAY_LOOP),
-)
-_NETWORK = ComponentByDisplay(
-    ComponentOf(NETWORKS, "network"), ComponentOf(displays.DISPLAY_NETWORKS, "network of several admittance displays")
-)
+_OF_ONE, _OF_SEVERAL = "of an admittance display", "of several admittance displays"
+_ENVIRONMENT_OF_DISPLAY = ComponentOf(displays.DISPLAY_ENVIRONMENTS, f"environment {_OF_ONE}")
+_ALGORITHM_OF_DISPLAY = ComponentOf(displays.DISPLAY_ALGORITHMS, f"algorithm {_OF_ONE}", *_DISPLAY_LOOP)
+_ALGORITHM_OF_DISPLAYS = ComponentOf(displays.DISPLAY_GROUP_ALGORITHMS, f"algorithm {_OF_SEVERAL}", *_DISPLAY_LOOP)
+_NETWORK_OF_DISPLAYS = ComponentOf(displays.DISPLAY_NETWORKS, f"network {_OF_SEVERAL}")
+_ENVIRONMENT = ComponentOf(ENVIRONMENTS, "environment", displays=_ENVIRONMENT_OF_DISPLAY)
+_ALGORITHM = ComponentOf(ALGORITHMS, "passivity algorithm", *_LOOP, displays=_ALGORITHM_OF_DISPLAY)
+_GROUP_ALGORITHM = ComponentOf(GROUP_ALGORITHMS, "group algorithm", *_LOOP, displays=_ALGORITHM_OF_DISPLAYS)
+_NETWORK = ComponentOf(NETWORKS, "network", displays=_NETWORK_OF_DISPLAYS)
 
 
 SCALING_KEYS: Final = ("counts_per_unit", "rated_torque", "direction")

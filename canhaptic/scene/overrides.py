@@ -7,13 +7,16 @@ import re
 import warnings
 from collections.abc import Sequence
 from multiprocessing import parent_process
-from typing import Any, Final
+from typing import Any, Final, get_origin
 
+from pydantic.fields import FieldInfo
+
+from canhaptic.axis_units import Motion
 from canhaptic.errors import OverrideWarning
 from canhaptic.registry import nearest
 from canhaptic.scene.components import ComponentOf, SceneContext
 from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, SourceLocation, parse_yaml
-from canhaptic.units import Parameters, example, shown
+from canhaptic.units import Parameters, Quantity, parts_of, shown
 
 _PATH: Final = re.compile(r'(?:"[^"]*"|[^".=]+)(?:\.(?:"[^"]*"|[^".=]+))*')
 _SELECTORS: Final = ("type", "algorithm")
@@ -110,9 +113,21 @@ def without_old_keys(
     path, motion = ".".join(section.mark.path), section.motion or reading.motion
     needed = {key: field for key, field in fields.items() if field.is_required() and key not in section}
     if needed:
-        words = " ".join(f"--set {path}.{key}={example(field, motion)}" for key, field in needed.items())
+        words = " ".join(f"--set {path}.{key}={_example(field, motion)}" for key, field in needed.items())
         raise table.refused(f"got {name!r} in place of {was!r}, which needs {', '.join(needed)}, as in {words}")
     if gone and parent_process() is None:
         text = f"{', '.join(gone)}: dropped: {name!r}, now in place of {was!r}, does not use them"
         warnings.warn(f"{section.value_at(table.selector).source}: {path}: {text}", OverrideWarning, stacklevel=2)
     return section.without(*gone)
+
+
+def _example(field: FieldInfo, motion: Motion | None) -> str:
+    """Return an example value of a field, quoted for a shell: `'1 N'`; `...` if it is not a number."""
+    if get_origin(field.annotation) is tuple:
+        return "[...]"
+    for part in parts_of((field.annotation, *field.metadata)):
+        if isinstance(part, Quantity):
+            most = min(part.limits.get("le", 2.0), part.limits.get("lt", 2.0))
+            value = f"{max(part.limits.get('ge', 0.0), 1.0 if most > 1.0 else 0.5 * most):g}"
+            return f"'{value} {part.unit.accepted(motion)[0]}'" if part.unit.words(motion) else value
+    return "..."

@@ -147,18 +147,17 @@ def build_axis_groups(scene: Scene) -> "list[AxisGroup]":
 
 def build_axis_meters(scene: Scene) -> list[AxisMeter]:
     """Return the meter of each axis."""
-    groups = [scene.group_of(axis) for axis in scene.axes]
-    members = [[of] if group is None else [scene.axis(name) for name in group.axes]
-               for of, group in zip(scene.axes, groups, strict=True)]  # fmt: skip
-    return [_axis_meter(*of) for of in zip(scene.axes, groups, members, strict=True)]
+    return [_axis_meter(axis, scene) for axis in scene.axes]
 
 
-def _axis_meter(axis: AxisScene, group: GroupScene | None, together: Sequence[AxisScene]) -> AxisMeter:
+def _axis_meter(axis: AxisScene, scene: Scene) -> AxisMeter:
+    group = scene.group_of(axis)
     if axis.parameters.admittance is not None:
         from canhaptic.scene.displays import mass_felt
 
         return SilentMeter(mass_felt(axis, group))
-    accuracy = _accuracy_of(axis, axis.passivity if group is None else group.passivity, together)
+    together = [axis] if group is None else [scene.axis(name) for name in group.axes]
+    accuracy = _accuracy_of(axis, scene.passivity_of(axis), together)
     environment = None if axis.group or axis.guard else plain(cast(Environment, axis.environment.parameters))
     if (declared := friction_declared(axis)) is None:
         return AxisMeter(accuracy, environment)

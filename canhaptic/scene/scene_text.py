@@ -12,6 +12,7 @@ A changed value keeps comments, order and everything else of the file.
 
 import json
 import math
+import os
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
@@ -34,7 +35,6 @@ from canhaptic.drive.survey import Suitability, Survey, stated_value
 from canhaptic.errors import DictionaryError, InputError
 from canhaptic.scene.document import compose
 from canhaptic.scene.hints import advised_allowance, allowance_words
-from canhaptic.scene.layout import path_for_scene
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import TO_SET, Scene
 from canhaptic.scene.overrides import split_override
@@ -187,7 +187,19 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
         **_count_values(dictionary),
     )
     aligned = _TRAILING_COMMENT.sub(lambda line: f"{line.group(1):<{_COMMENT_COLUMN - 2}}  # ", text)
-    return aligned.replace(_EDS_TOKEN, json.dumps(path_for_scene(found.axis.eds, out), ensure_ascii=False))
+    return aligned.replace(_EDS_TOKEN, json.dumps(_path_for_scene(found.axis.eds, out), ensure_ascii=False))
+
+
+def _path_for_scene(dictionary: Path, scene: Path | None) -> str:
+    """Return the path with which a scene file refers to a dictionary.
+
+    Args:
+        dictionary: Path of the dictionary, relative to the current folder.
+        scene: Scene file, from whose folder the result starts; None: the result is absolute.
+    """
+    if scene is None:
+        return str(dictionary.absolute())
+    return os.path.relpath(dictionary.parent.resolve() / dictionary.name, scene.parent.resolve())
 
 
 def _rendered(found: Survey, limit: float, *, simulate: bool) -> str:
