@@ -38,11 +38,11 @@ from canhaptic.control.port_hamiltonian.network import extension, gradient
 from canhaptic.control.port_hamiltonian.shapes import moved_by
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.kernels import Buffer, list_of_zeros, zeros
-from canhaptic.lab.judge.reference_group import AxesModel, ReferenceGroup, mechanism_model
+from canhaptic.lab.judge.reference_group import AxesModel, ReferenceGroup, ReferenceMechanism, mechanism_model
 from canhaptic.lab.judge.reference_group import State as GroupState
 from canhaptic.lab.judge.reference_model import POSITION, VELOCITY, Floats, Model, Modes, State, Transition
 from canhaptic.lab.judge.solvers import states_at
-from canhaptic.lab.loop.axis_loop import mechanism_of_group
+from canhaptic.lab.loop.axis_loop import environment_of, mechanism_of_group
 from canhaptic.scene.far_side import effect_of
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisSimulation, Scene
@@ -69,12 +69,13 @@ _SURFACES: Final[dict[type, tuple[str, ...]]] = {
 
 
 class ContinuousRun(NamedTuple):
-    """Motion of an axis in the continuous environment, impulse and energy, shapes (n,)."""
+    """Motion of an axis or a group in the continuous environment; shapes (n,), of a group (n, axes) but for energy."""
 
     position: Array  # [m or rad]
     velocity: Array  # [m/s or rad/s]
     impulse: Array  # of the environment's force since the start [N*s or N*m*s]
-    interaction: Array  # energy into the environment since the start [J]
+    interaction: Array  # energy into the environment since the start, shape (n,) [J]
+    apart: float = 0.0  # of a group: largest distance of its positions from those of a coarser tolerance [m or rad]
 
 
 def continuous_run(
@@ -96,7 +97,7 @@ def continuous_run(
     force = _EnvironmentForce(environment, model)
     model.add(force)
     table = np.array(states_at(model, times, rtol, stop, longest))
-    return ContinuousRun(*(table[:, place] for place in (POSITION, VELOCITY, force.impulse, force.interaction)))
+    return ContinuousRun(*table[:, [POSITION, VELOCITY, force.impulse, force.interaction]].T)
 
 
 def surfaces(environment: Environment) -> list[float]:
@@ -278,20 +279,11 @@ def readings_per_hold(sample_time_ns: int, cycles: int) -> int:
     return next((n for n in range(least, 2 * least + 8) if sample_time_ns % n == 0), least)
 
 
+_TOLERANCE_OF_AN_AXIS: Final = 1e-11
 _TOLERANCES: Final = (1e-9, 1e-7)
 """Relative tolerances of the run, and of a coarser run whose distance from it estimates the error."""
 _BETWEEN_GUARDS: Final = (2.5e-4, 5e-4)
 """Longest steps of the run and of the coarser run if modes may change [s]."""
-
-
-class ContinuousMotion(NamedTuple):
-    """Motion of the continuous axis or group at every `step_ns`; for an axis, arrays lack the second dimension."""
-
-    step_ns: int
-    position: Array  # of the motors, shape (steps + 1, axes) [m or rad]
-    impulse: Array  # of the network's torques since the start, shape (steps + 1, axes) [N*s or N*m*s]
-    interaction: Array  # energy into the network since the start, shape (steps + 1,) [J]
-    apart: float = 0.0  # largest distance of the positions from those of a coarser tolerance [m or rad]
 
 
 def group_model(scene: Scene) -> ReferenceGroup:
@@ -300,27 +292,29 @@ def group_model(scene: Scene) -> ReferenceGroup:
     Raises:
         InputError: The plant has no equations.
     """
-    (group,) = scene.groups
-    of = mechanism_of_group(scene)
-    if of is not None:
-        if of.axes != group.axes:
-            raise InputError("the mechanism lists the axes of the group in another order; use the same order")
-        return mechanism_model(cast(MechanismParameters, of.mechanism.parameters), of.hand)
-    simulations = [simulation_of(scene.axis(name)) for name in group.axes]
+    if mechanism_of_group(scene) is not None:
+        return mechanism_of(scene)
     try:
-        models = [textbook_model(simulation) for simulation in simulations]
+        return AxesModel([textbook_model(simulation_of(scene.axis(name))) for name in scene.groups[0].axes])
     except ParameterError as error:
         raise InputError(f"a plant of the group has no reference equations: {error}") from error
-    return AxesModel(models, [simulation.plant.mass for simulation in simulations])
 
 
-def continuous_group(
+def mechanism_of(scene: Scene) -> ReferenceMechanism:
+    """Equations of the mechanism that the one group of a scene moves; errors as for `group_model`."""
+    (of,), (group,) = scene.mechanisms, scene.groups
+    if of.axes != group.axes:
+        raise InputError("the mechanism lists the axes of the group in another order; use the same order")
+    return mechanism_model(cast(MechanismParameters, of.mechanism.parameters), of.hand)
+
+
+def continuous_motion(
     scene: Scene, step_ns: int, steps: int, stop: Callable[[], bool] = lambda: False
-) -> ContinuousMotion:
+) -> ContinuousRun:
     """Return the motion and forces that the hands would feel without sampling.
 
     Args:
-        scene: Scene with one group, alone.
+        scene: Scene with one axis or one group, alone.
         step_ns: Time between two readings [ns].
         steps: Readings after the first.
         stop: Polled regularly; true aborts.
@@ -329,14 +323,20 @@ def continuous_group(
         InputError: There are no equations, scipy is missing, the solver fails, the mechanism leaves its workspace, or
             it was stopped.
     """
-    times, coupled = [k * step_ns * 1e-9 for k in range(steps + 1)], _Coupled(scene)
+    times = [k * step_ns * 1e-9 for k in range(steps + 1)]
+    if not scene.groups:
+        (axis,) = scene.axes
+        model = textbook_model(simulation_of(axis))
+        return continuous_run(environment_of(axis), model, times, _TOLERANCE_OF_AN_AXIS, stop)
+    coupled = _Coupled(scene)
     fine, coarse = (
         states_at(coupled, times, tolerance, stop, step)
         for tolerance, step in zip(_TOLERANCES, _BETWEEN_GUARDS, strict=True)
     )
     position, rough = (np.array([coupled.model.positions(row) for row in rows]) for rows in (fine, coarse))
     table, apart = np.array(fine), float(np.abs(position - rough).max())
-    return ContinuousMotion(step_ns, position, table[:, -1 - coupled.axes : -1], table[:, -1], apart)
+    velocity = np.array([coupled.model.velocities(row) for row in fine])
+    return ContinuousRun(position, velocity, table[:, -1 - coupled.axes : -1], table[:, -1], apart)
 
 
 class _Coupled:

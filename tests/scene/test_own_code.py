@@ -16,8 +16,7 @@ from canhaptic.cli.main import main
 from canhaptic.errors import InputError, SceneError
 from canhaptic.lab.batch import chosen_engine
 from canhaptic.lab.judge.solvers import reference
-from canhaptic.lab.reference import textbook_model
-from canhaptic.lab.studies.accuracy.loop_sensitivity import continuous_loop
+from canhaptic.lab.reference import continuous_motion, textbook_model
 from canhaptic.lab.studies.chunk import make_recipe
 from canhaptic.lab.studies.chunk import scene_of as scene_of_row
 from canhaptic.lab.studies.vary import make_points, parse_vary
@@ -247,10 +246,10 @@ def test_an_own_wall_has_a_continuous_reference(folder: Path, capsys: pytest.Cap
     pytest.importorskip("scipy")
     (folder / "my_wall.py").write_text(SPRING)
     same = "environment={type: my_wall.py:CenteringSpring, stiffness: 100, damping: 10, position: -0.05, side: below}"
-    own = load_scene(folder / "scene.yaml", [same], allow_code=True).axes[0]
-    wall = load_scene(folder / "scene.yaml").axes[0]
+    own = load_scene(folder / "scene.yaml", [same], allow_code=True)
+    wall = load_scene(folder / "scene.yaml")
     step, steps = 2_000_000, 800
-    mine, known = continuous_loop(own, step, steps), continuous_loop(wall, step, steps)
+    mine, known = continuous_motion(own, step, steps), continuous_motion(wall, step, steps)
     assert np.abs(known.impulse).max() > 0.1
     assert mine.position == pytest.approx(known.position, abs=1e-9)
     assert mine.interaction == pytest.approx(known.interaction, abs=1e-9)
@@ -262,9 +261,9 @@ def test_a_wall_with_another_contact_says_where_it_switches_itself(folder: Path)
     pytest.importorskip("scipy")
     text = SPRING + "\n    def contact(self, position: float) -> int:\n        return int(position < -0.06)\n"
     (folder / "my_wall.py").write_text(text)
-    axis = load_scene(folder / "scene.yaml", [ENVIRONMENT], allow_code=True).axes[0]
+    scene = load_scene(folder / "scene.yaml", [ENVIRONMENT], allow_code=True)
     with pytest.raises(InputError, match="`surfaces`"):
-        continuous_loop(axis, 1_000_000, 10)
+        continuous_motion(scene, 1_000_000, 10)
 
 
 def test_an_own_algorithm_is_compared_with_the_others(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -68,8 +68,8 @@ class _Motors:
 class AxesModel(_Motors):
     """Motors with a separate plant each; the modes are those of all plants in sequence."""
 
-    def __init__(self, models: Sequence[Model], masses: Sequence[float]) -> None:
-        self._models, self._masses = models, masses
+    def __init__(self, models: Sequence[Model]) -> None:
+        self._models = models
         self._parts = _slices([len(model.start) for model in models])
         places = [part.start + POSITION for part in self._parts]
         speeds = [part.start + VELOCITY for part in self._parts]
@@ -79,15 +79,6 @@ class AxesModel(_Motors):
         self.first: Modes = tuple(mode for model in models for mode in model.first)
         self.breaks = [time for model in models for time in model.breaks]
         self.switches = any(model.switches for model in models)
-
-    @property
-    def evaluations(self) -> int:
-        """Number of evaluations of the forces."""
-        return max(model.evaluations for model in self._models)
-
-    def inertia(self, positions: State) -> list[Floats]:
-        """Return the inertia at each motor [kg or kg*m^2]."""
-        return _diagonal(self._masses)
 
     def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
         """Return the rate of every state; see `SwitchedModel`."""
@@ -156,7 +147,7 @@ class StageModel(_TwoMotors):
 
     def inertia(self, positions: State) -> list[Floats]:
         """Return the inertia at each motor [kg or kg*m^2]."""
-        return _diagonal(self._masses)
+        return [[self._masses[0], 0.0], [0.0, self._masses[1]]]
 
     def rates(self, time: float, state: State, torque: State, modes: Modes) -> Floats:
         """Return the rate of every state; see `SwitchedModel`."""
@@ -275,11 +266,12 @@ class DisplayModel(_Motors):
         return [v, forced[0], w, forced[1], loop.integral_gain * (torque - v), force * v]
 
 
-ReferenceGroup = AxesModel | StageModel | FiveBarModel
+ReferenceMechanism = StageModel | FiveBarModel
+ReferenceGroup = AxesModel | ReferenceMechanism
 """Motors and their mechanics; the `torque` of `rates` has one entry for each motor."""
 
 
-def mechanism_model(parameters: MechanismParameters, hand: TaskHand | None) -> StageModel | FiveBarModel:
+def mechanism_model(parameters: MechanismParameters, hand: TaskHand | None) -> ReferenceMechanism:
     """Return the equations of a mechanism.
 
     Raises:
@@ -294,10 +286,6 @@ def mechanism_model(parameters: MechanismParameters, hand: TaskHand | None) -> S
 
 def _slices(sizes: Sequence[int]) -> list[slice]:
     return [slice(end - size, end) for size, end in zip(sizes, accumulate(sizes), strict=True)]
-
-
-def _diagonal(masses: Sequence[float]) -> list[Floats]:
-    return [[mass if i == j else 0.0 for j in range(len(masses))] for i, mass in enumerate(masses)]
 
 
 def _dot(one: Sequence[float], other: Sequence[float]) -> float:

@@ -22,7 +22,7 @@ from canhaptic.lab.batch.scalar import render_group
 from canhaptic.lab.judge.reference_group import mechanism_model
 from canhaptic.lab.judge.solvers import located
 from canhaptic.lab.loop.axis_loop import at_rate
-from canhaptic.lab.reference import continuous_group, group_model
+from canhaptic.lab.reference import continuous_motion, group_model
 from canhaptic.lab.studies.accuracy.loop_sensitivity import engines_of, variants
 from canhaptic.lab.studies.accuracy.plant_solvers import OURS
 from canhaptic.lab.studies.accuracy.study import AccuracyStudy, WallTime
@@ -90,7 +90,7 @@ def held_finely(scene: Scene, cycles: int) -> np.ndarray:
 def test_the_continuous_group_is_what_ever_finer_holds_come_to(name: str, start: float) -> None:
     quick = "simulation.mechanisms.0.hand.motion.x.frequency=4 Hz"
     scene = scene_of(name, *([] if name == "two_handles" else [quick]))
-    exact = continuous_group(scene, 250_000, 800)
+    exact = continuous_motion(scene, 250_000, 800)
     apart = []
     for factor in (4, 8):
         finer = at_rate(scene, 1000.0 * factor)
@@ -116,7 +116,7 @@ def rough(name: str) -> Scene:
 @pytest.mark.parametrize("name", ["xy_box", "two_handles"])
 def test_the_continuous_group_with_dry_friction_is_what_ever_finer_holds_come_to(name: str) -> None:
     scene = rough(name)
-    exact = continuous_group(scene, 1_000_000, 150)
+    exact = continuous_motion(scene, 1_000_000, 150)
     apart = []
     for factor in (4, 8):
         finer = at_rate(scene, 1000.0 * factor)

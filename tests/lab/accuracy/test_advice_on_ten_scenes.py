@@ -11,9 +11,9 @@ import yaml
 
 from canhaptic.lab.judge.reference_model import difference
 from canhaptic.lab.judge.solvers import located
-from canhaptic.lab.reference import textbook_model
+from canhaptic.lab.reference import continuous_motion, textbook_model
 from canhaptic.lab.studies.accuracy.accuracy_table import LEAST_ORDER, advice_lines
-from canhaptic.lab.studies.accuracy.loop_sensitivity import continuous_loop, holds_of
+from canhaptic.lab.studies.accuracy.loop_sensitivity import holds_of
 from canhaptic.lab.studies.accuracy.plant_solvers import fitted_order
 from canhaptic.lab.studies.accuracy.study import AccuracyStudy
 from canhaptic.scene.far_side import build_plant
@@ -168,6 +168,6 @@ def apart(scene):
     given, quantum = axis.parameters, axis.loop.torque_quantum or None
     rig = DirectRig(plant, build_axis_controller(axis).step, period, scene.bus.delay, given.counts_per_unit, quantum,
                     given.torque_limit)  # fmt: skip
-    exact = continuous_loop(axis, period, holds, lambda: False).position
+    exact = continuous_motion(scene, period, holds).position
     run = rig.run(min(holds + 1, len(exact)))
     return float(np.abs(run.true_position - exact[: len(run.true_position)]).max())

@@ -5,7 +5,7 @@ import pytest
 
 from canhaptic.lab.batch.scalar import continuous_reference
 from canhaptic.lab.loop.axis_loop import environment_of, plant_parts
-from canhaptic.lab.studies.accuracy.loop_sensitivity import continuous_loop
+from canhaptic.lab.reference import continuous_motion
 from canhaptic.scene.load import load_scene
 from tests.lab.accuracy.accuracy_scenes import FOLDER
 
@@ -28,7 +28,7 @@ def test_the_continuous_axis_agrees_with_the_reference_of_compare(name):
     changes = [f"environment={ENVIRONMENTS[name]}", "passivity={algorithm: unprotected}", motion]
     scene = load_scene(FOLDER / "paper_wall.yaml", changes)
     axis, steps, step_ns = scene.axes[0], 400, 1_000_000
-    found = continuous_loop(axis, step_ns, steps)
+    found = continuous_motion(scene, step_ns, steps)
     plant, user, effects, _ = plant_parts(axis)
     other = continuous_reference(environment_of(axis), plant, user, effects, step_ns, steps + 1)
     travel = float(np.ptp(other.position))
@@ -42,6 +42,6 @@ def test_the_continuous_axis_agrees_with_the_reference_of_compare(name):
 def test_detents_act_also_on_an_axis_that_starts_in_the_middle_of_one():
     environment = "environment={type: detents, pitch: 0.02, peak: 5}"
     scene = load_scene(FOLDER / "paper_wall.yaml", [environment, "passivity={algorithm: unprotected}"])
-    found = continuous_loop(scene.axes[0], 1_000_000, 100)
+    found = continuous_motion(scene, 1_000_000, 100)
     assert np.abs(found.position).max() < 0.005  # held in the first one
     assert np.abs(found.impulse).max() > 1e-3

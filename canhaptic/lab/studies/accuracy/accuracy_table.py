@@ -321,7 +321,7 @@ def _plant_cells(row: Row, unit: str, floor: float) -> list[str]:
         return [row["method"], row["setting"], row["status"].partition(":")[0], *[""] * 7]
     position = f"<= {length(floor, unit)}" if row["position_error"] <= floor else length(row["position_error"], unit)
     return [
-        row["method"], row["setting"], position, _force(row["force_error"], unit), si(row["energy_error"], "J", 3),
+        row["method"], row["setting"], position, *_error_cells(row, unit)[1:],
         _fixed(row["evaluations_per_period"], 2), str(row["events"]) if row["accuracy"] else "",
         _short(row["us_per_period"], 4), _short(row["ratio"], 3),
         "*" if row["pareto"] else "",
@@ -333,8 +333,7 @@ def _effect_cells(row: Row, unit: str) -> list[str]:
         return [row["effect"], "-", *[""] * 6]
     worth = row["error_per_microsecond"]
     return [
-        row["effect"], _plain(row["order"]), length(row["position_error"], unit), _force(row["force_error"], unit),
-        si(row["energy_error"], "J", 3), _fixed(row["evaluations_saved_per_period"], 2),
+        row["effect"], _plain(row["order"]), *_error_cells(row, unit), _fixed(row["evaluations_saved_per_period"], 2),
         _short(row["us_saved_per_period"], 3), "" if worth is None else length(worth, unit),
     ]  # fmt: skip
 
@@ -342,10 +341,7 @@ def _effect_cells(row: Row, unit: str) -> list[str]:
 def _loop_cells(row: Row, unit: str) -> list[str]:
     thread = row.get("control_thread_us")
     load = f"{100.0 * row['bus_load']:.0f} %{'' if row['bus_fits'] else ' !'}"
-    errors = [row["status"].partition(":")[0], "", ""]
-    if row["status"] == "ok":
-        energy = si(row["energy_error"], "J", 3)
-        errors = [length(row["position_error"], unit), _force(row["force_error"], unit), energy]
+    errors = _error_cells(row, unit) if row["status"] == "ok" else [row["status"].partition(":")[0], "", ""]
     return [
         row["group"], row["setting"], *errors, si(row["energy_uncertainty"], "J", 3),
         "" if thread is None else f"{thread:.1f} us",
@@ -353,8 +349,10 @@ def _loop_cells(row: Row, unit: str) -> list[str]:
     ]  # fmt: skip
 
 
-def _force(value: float, unit: str) -> str:
-    return si(value, effort_unit(unit), 3)
+def _error_cells(row: Row, unit: str) -> list[str]:
+    """Return the errors of position, force and energy."""
+    force = si(row["force_error"], effort_unit(unit), 3)
+    return [length(row["position_error"], unit), force, si(row["energy_error"], "J", 3)]
 
 
 def _fixed(value: float | None, digits: int) -> str:

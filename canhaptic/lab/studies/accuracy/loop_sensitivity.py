@@ -12,7 +12,7 @@ textbook equations, under the commands of the scene's own controller.
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, cast
 
@@ -35,9 +35,9 @@ from canhaptic.lab.judge.reference_group import DisplayModel
 from canhaptic.lab.judge.reference_model import MotionError
 from canhaptic.lab.judge.solvers import located
 from canhaptic.lab.loop import axis_loop
-from canhaptic.lab.loop.admittance_loop import AdmittanceRun, run_display
-from canhaptic.lab.loop.axis_loop import at_rate, display_group_under, display_under, parts_of
-from canhaptic.lab.reference import ContinuousMotion, continuous_run, textbook_model
+from canhaptic.lab.loop.admittance_loop import AdmittanceRun, is_display, run_display
+from canhaptic.lab.loop.axis_loop import at_rate, parts_of
+from canhaptic.lab.reference import ContinuousRun
 from canhaptic.lab.studies import Row
 from canhaptic.scene.load import with_loops
 from canhaptic.scene.method import simulation_of
@@ -58,29 +58,6 @@ def holds_of(scene: Scene, duration: float | None = None) -> int:
     whole = duration or scene.run.duration
     holds = HOLDS if whole is None else round(whole / scene.bus.sample_time)
     return max(2, holds if duration is not None else min(HOLDS, holds))
-
-
-_TOLERANCE: Final = 1e-11
-
-
-def continuous_loop(
-    axis: AxisScene, step_ns: int, steps: int, stop: Callable[[], bool] | None = None
-) -> ContinuousMotion:
-    """Return the motion and forces of the axis without sampling.
-
-    Args:
-        axis: Axis with environment, plant, user and effects.
-        step_ns: Time between two readings [ns].
-        steps: Readings after the first.
-        stop: Polled regularly; true aborts.
-
-    Raises:
-        InputError: The environment or an effect has no equations, scipy is missing, or the solver failed or was
-            stopped.
-    """
-    times = [k * step_ns * 1e-9 for k in range(steps + 1)]
-    run = continuous_run(axis_loop.environment_of(axis), textbook_model(simulation_of(axis)), times, _TOLERANCE, stop)
-    return ContinuousMotion(step_ns, run.position, run.impulse, run.interaction)
 
 
 FINEST: Final = 4
@@ -180,7 +157,9 @@ def variants(alone: Scene, whole: Scene) -> list[Variant]:
     for factor, rate in _rates(base):
         faster = finely_solved(at_rate(alone, rate), factor)
         found.append(Variant("sample rate", hertz(rate), faster, fineness=factor))
-    return [*found, *_delays(base, whole), *_algorithms(base), *_filters(base), *_torques(base), *_encoders(base),
+    names = [name for name in ALGORITHMS if name not in LITERATURE]  # which are only to compare with papers
+    algorithms = _algorithms(base, GROUP_ALGORITHMS if base.groups else names)
+    return [*found, *_delays(base, whole), *algorithms, *_filters(base), *_torques(base), *_encoders(base),
             *_without_encoder_effects(base)]  # fmt: skip
 
 
@@ -240,20 +219,35 @@ def _delays(base: Scene, whole: Scene) -> Iterator[Variant]:
         yield Variant("RPDO", other, replace(base, bus=bus, axes=axes))
 
 
-def _algorithms(base: Scene) -> Iterator[Variant]:
-    for name in GROUP_ALGORITHMS if base.groups else ALGORITHMS:
-        if name == _algorithm_of(base) or (name in LITERATURE and not base.groups):  # only to compare with papers
-            continue
-        try:
-            if base.groups:
-                changed, remark = replace(base, groups=(axis_loop.group_under(base.groups[0], name),)), ""
-                build_group(changed, changed.groups[0])
-            else:
-                able = axis_loop.able_under(base.axes[0], name, base)
-                changed, remark = replace(base, axes=(able.axis,)), able.remark
-        except ParameterError:
-            continue
-        yield Variant("algorithm", name, changed, remark=remark)
+def _algorithms(base: Scene, names: Iterable[str]) -> Iterator[Variant]:
+    """Yield the scene under each other algorithm for which it gives, or its plant has, the required values."""
+    for name in names:
+        if name != _algorithm_of(base):
+            try:
+                changed, remark = _under(base, name)
+            except ParameterError:
+                continue
+            yield Variant("algorithm", name, changed, remark=remark)
+
+
+def _under(scene: Scene, name: str) -> tuple[Scene, str]:
+    """Return an axis or group under another algorithm, and which values this took from the plant.
+
+    Raises:
+        ParameterError: The algorithm needs values that the scene does not give.
+    """
+    displays = is_display(scene)
+    if scene.groups:
+        change = axis_loop.display_group_under if displays else axis_loop.group_under
+        changed = replace(scene, groups=(change(scene.groups[0], name),))
+        if not displays:
+            build_group(changed, changed.groups[0])
+        return changed, ""
+    (axis,) = scene.axes
+    able = (
+        axis_loop.AbleAxis(axis_loop.display_under(axis, name)) if displays else axis_loop.able_under(axis, name, scene)
+    )
+    return replace(scene, axes=(able.axis,)), able.remark
 
 
 def _filters(base: Scene) -> Iterator[Variant]:
@@ -315,7 +309,8 @@ def _without_encoder_effects(base: Scene) -> Iterator[Variant]:
 
 def loop_row(
     variant: Variant,
-    exact: ContinuousMotion,
+    exact: ContinuousRun,
+    step_ns: int,
     duration_ns: int,
     tick: Callable[[], None],
     engine: ChosenEngine = "python",
@@ -325,6 +320,7 @@ def loop_row(
     Args:
         variant: Variant of the loop.
         exact: Motion of the continuous axis or group, at least as finely sampled as the variant.
+        step_ns: Time between two of its readings [ns].
         duration_ns: Length of the run [ns].
         tick: Called once a cycle; may raise to abort.
         engine: Engine of the axis's loop.
@@ -335,7 +331,7 @@ def loop_row(
     seconds = (clock.now() - begin) * 1e-9
     if run.ended:
         return LoopRow(variant, run, MotionError(math.inf, math.inf, math.inf), seconds)
-    stride = period // exact.step_ns
+    stride = period // step_ns
     shown = min(len(run.position), (len(exact.position) - 1) // stride + 1)
     rows = slice(0, (shown - 1) * stride + 1, stride)
     impulse = exact.impulse[rows]
@@ -491,31 +487,13 @@ def _display_variants(scene: Scene) -> Iterator[Variant]:
     for factor in (0.5, 2.0, 4.0):
         rate = factor / scene.bus.sample_time
         yield Variant("rate", f"{rate:g} Hz", at_rate(scene, rate))
-    for name, changed in _under_others(scene):
-        yield Variant("algorithm", name, changed)
+    yield from _algorithms(scene, DISPLAY_GROUP_ALGORITHMS if scene.groups else DISPLAY_ALGORITHMS)
     for sampling in ("point", "mean"):
         yield Variant("sampling", sampling, _sensed(scene, sampling=sampling))
     exact = _sensed(scene, gain=1.0, offset=0.0, drift=0.0, noise=0.0, quantum=0.0)
     yield Variant("sensor", "without errors", exact)
     finer = replace(scene, axes=tuple(_with(axis, {}, 10.0) for axis in scene.axes))
     yield Variant("encoder", "10 times finer", finer)
-
-
-def _under_others(scene: Scene) -> Iterator[tuple[str, Scene]]:
-    """Yield the scene with every other algorithm whose required values the scene gives."""
-    own = scene.groups[0].passivity.name if scene.groups else scene.axes[0].passivity.name
-    for name in DISPLAY_GROUP_ALGORITHMS if scene.groups else DISPLAY_ALGORITHMS:
-        if name != own:
-            try:
-                yield name, _under(scene, name)
-            except ParameterError:
-                continue
-
-
-def _under(scene: Scene, name: str) -> Scene:
-    if scene.groups:
-        return replace(scene, groups=(display_group_under(scene.groups[0], name),))
-    return replace(scene, axes=tuple(display_under(axis, name) for axis in scene.axes))
 
 
 def _sensed(scene: Scene, **values: float | str) -> Scene:
@@ -568,7 +546,7 @@ def _ideal(scene: Scene, steps: int) -> Scene:
         sensor = SimulatedForceSensor(sampling="mean")
         return _with(axis, known, 1e3, delay=0, loop=loop.model_copy(update=ideal), sensor=sensor)
 
-    finer = at_rate(_under(scene, _PLAIN), steps / scene.bus.sample_time)
+    finer = at_rate(_under(scene, _PLAIN)[0], steps / scene.bus.sample_time)
     bus = finer.bus.model_copy(update={"rpdo": "event"})  # a command acts at once
     return replace(finer, bus=bus, axes=tuple(map(changed, finer.axes)))
 

@@ -22,9 +22,9 @@ from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch.group_loop import Motors
 from canhaptic.lab.batch.scalar import render_group
 from canhaptic.lab.judge import solvers
-from canhaptic.lab.judge.reference_group import ReferenceGroup
+from canhaptic.lab.judge.reference_group import ReferenceMechanism
 from canhaptic.lab.judge.reference_model import Model, MotionError, difference, largest_error
-from canhaptic.lab.reference import group_model, textbook_model
+from canhaptic.lab.reference import mechanism_of, textbook_model
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy.loop_sensitivity import Stop, finely_solved
 from canhaptic.scene.far_side import build_plant
@@ -231,7 +231,7 @@ class _Solved(Plants):
     """
 
     def __init__(
-        self, make: Callable[[], Model | ReferenceGroup], torques: Sequence[Any], period: int, stop: Stop
+        self, make: Callable[[], Model | ReferenceMechanism], torques: Sequence[Any], period: int, stop: Stop
     ) -> None:
         super().__init__()
         self.torques, self._make, self._period, model = torques, make, period, make()
@@ -459,14 +459,14 @@ class _Mechanism(_Solved):
 
     def __init__(self, scene: Scene, torques: Array, stop: Stop) -> None:
         self._scene, order = scene, getattr(scene.mechanisms[0].mechanism.parameters, "order", None)
-        super().__init__(partial(group_model, scene), torques.tolist(), scene.bus.sample_time_ns, stop)
+        super().__init__(partial(mechanism_of, scene), torques.tolist(), scene.bus.sample_time_ns, stop)
         self.candidates = [self._ours(n, order) for n in (_OUR_SUBSTEPS if order else (1,))]
         self.candidates += [*(self._fixed("RK4", n) for n in _RUNGE_KUTTA), *self._adaptive()]
 
     @cached_property
     def _inertia(self) -> Array:
         """Inertia at the motors along the reference, shape (holds, axes, axes)."""
-        model = group_model(self._scene)
+        model = mechanism_of(self._scene)
         return np.array([model.inertia(row) for row in self.exact.position])
 
     def _judged(self, motion: Motion) -> MotionError:

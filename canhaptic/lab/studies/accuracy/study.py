@@ -33,7 +33,7 @@ from canhaptic.drive.rig import Rig
 from canhaptic.errors import InputError
 from canhaptic.lab.batch import Engine
 from canhaptic.lab.loop.axis_loop import able_under, microseconds_per_step, parts_of
-from canhaptic.lab.reference import ContinuousMotion, continuous_group
+from canhaptic.lab.reference import continuous_motion
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy import loop_sensitivity, plant_solvers
 from canhaptic.lab.studies.accuracy.accuracy_table import advice, error_per_microsecond, length, pareto, rank_agreement
@@ -217,12 +217,6 @@ class StudiedPart:
         if self.scene.groups:
             return plant_solvers.group_side(self.scene, holds, stop)
         return plant_solvers.PlantSide(self.scene.axes[0], self.whole, holds, stop)
-
-    def continuous(self, step_ns: int, steps: int, stop: loop_sensitivity.Stop) -> ContinuousMotion:
-        """Return motion and force of this part in the continuous environment."""
-        if self.scene.groups:
-            return continuous_group(self.scene, step_ns, steps, stop)
-        return loop_sensitivity.continuous_loop(self.scene.axes[0], step_ns, steps, stop)
 
     def first_rows(self, holds: int) -> Iterator[str]:
         """Yield a line for each plant setting of an axis: its cost, and its difference from the finest setting."""
@@ -428,14 +422,14 @@ class AccuracyStudy:
         for _name in plant.measure_effects(AccuracyParameters(**chosen["accuracy"])):
             self._check()
         period = self.scene.bus.sample_time_ns
-        exact = self.part.continuous(
-            period // loop_sensitivity.FINEST, self.holds * loop_sensitivity.FINEST, self._counted_stop("loops")
-        )
+        step, steps = period // loop_sensitivity.FINEST, self.holds * loop_sensitivity.FINEST
+        exact = continuous_motion(self.part.scene, step, steps, self._counted_stop("loops"))
         every = loop_sensitivity.variants(self.part.scene, self.scene)
         engines = loop_sensitivity.engines_of(every, self.holds * period, self.engine)
         for number, (variant, engine) in enumerate(zip(every, engines, strict=True)):
-            self._loops.append(loop_sensitivity.loop_row(variant, exact, self.holds * period, self._check, engine))
-            self._loop_rows.append(self._loop_row(self._loops[-1]))
+            rendered = loop_sensitivity.loop_row(variant, exact, step, self.holds * period, self._check, engine)
+            self._loops.append(rendered)
+            self._loop_rows.append(self._loop_row(rendered))
             self._advance("loops", (number + 1) / len(every))
         if self.budget > 0.0:
             self._time(plant)

@@ -244,11 +244,42 @@ class TrialVerdict:
         }
 
 
-def _allowance_of(part: AxisScene | GroupScene) -> float:
-    return float(getattr(part.passivity.parameters, "energy_allowance", 0.0)) + PASSIVE_TOLERANCE
+class Trials:
+    """What walls of an axis and networks of a group have in common; the tries of both hands become a verdict.
+
+    Args:
+        part: Axis or group, whose algorithm may generate its `energy_allowance`.
+        tolerance: Largest relative difference of a rendering from the requested one.
+    """
+
+    remark = ""
+
+    def __init__(self, part: AxisScene | GroupScene, tolerance: float) -> None:
+        self._tolerance, self.walls = tolerance, 0
+        self._allowance = float(getattr(part.passivity.parameters, "energy_allowance", 0.0)) + PASSIVE_TOLERANCE
+
+    def _verdict(
+        self, shares: Array, damped: Array, least: Array, judged: Array, ran: Any, damping: Array
+    ) -> TrialVerdict:
+        """Return the verdict on each wall, from the figures under both hands.
+
+        Args:
+            shares: Rendered over requested stiffness, shape (2, n).
+            damped: Rendered over requested damping, shape (n,).
+            least: Least true energy received, shape (2, n) [J].
+            judged: Energy that is judged, shape (2, n) [J]: `least`, or the sum that a declared device damping
+                guarantees.
+            ran: Whether the run was completed, in contact, shape (2, n).
+            damping: Requested damping, shape (n,).
+        """
+        share, worst = _furthest(*shares), judged.min(axis=0)
+        passive = ran.all(axis=0) & (worst >= -self._allowance)
+        error = np.maximum(np.abs(share - 1.0), np.where(damping > 0.0, np.abs(damped - 1.0), 0.0))
+        within = [passive & (error <= limit) for limit in (self._tolerance, self._tolerance * (1.0 + _SLACK))]
+        return TrialVerdict(share, damped, least.min(axis=0), worst, *within)
 
 
-class Trial:
+class Trial(Trials):
     """Rig for trials of walls.
 
     Args:
@@ -274,10 +305,9 @@ class Trial:
             names = ", ".join(axis.parameters.name for axis in scene.axes)
             raise InputError(f"{scene.source}: has the axes {names}; design takes one axis: make a scene of each")
         [axis] = scene.axes
-        self._tolerance = tolerance
+        super().__init__(axis, tolerance)
         force = LEAN * axis.parameters.torque_limit
         self.unit, self.softest = axis.parameters.unit, force / _DEEPEST
-        self._allowance = _allowance_of(axis)
         self._judged = "least_covered" if axis.loop.device_damping else "least_interaction"
         hand = self.hand = _hand(axis)
         travel = 2.0 * force / hand["stiffness"]
@@ -290,7 +320,7 @@ class Trial:
         chosen = chosen_engine(engine, pays=True)
         self.is_quick = chosen == "numba" and not why_not_beforehand(pressed)
         self._recipe = _recipe(pressed, self._hands, chosen)
-        self.engine, self.walls, self.remark = "", 0, ""
+        self.engine = ""
 
     def verdict(self, stiffness: Array, damping: Array) -> TrialVerdict:
         """Run both hands against each wall, and judge the walls.
@@ -316,44 +346,19 @@ class Trial:
         self.engine, self.remark = chunk.ENGINES[int(result.engine.max())], result.of_plant or self.remark
         figures = {metric: result.figures[f"{name}/{metric}"].reshape(2, count) for metric in _METRICS}
         damped = figures["damping_rendered.share"][1]
-        least, judged = (figures[metric].min(axis=0) for metric in ("least_interaction", self._judged))
         ran = (
             (result.status == chunk.COMPLETED).reshape(2, count)
             & (figures["diverged"] == 0.0)
             & (figures["contact"] > 0.0)
         )
         shares = np.stack([figures["stiffness_at_end.share"][0], figures["stiffness_rendered.share"][1]])
-        return verdict_of(
-            shares, damped, least, judged, ran.all(axis=0), self._allowance, self._tolerance, damping
-        )  # fmt: skip
+        return self._verdict(shares, damped, figures["least_interaction"], figures[self._judged], ran, damping)
 
     def damping_scale(self, stiffness: float) -> float:
         """Return the larger of m / T, which stops the mass in one hold, and half the critical damping, as a scale."""
         [axis] = self.scene.axes
         mass = simulation_of(axis).plant.mass
         return max(mass / self.scene.bus.sample_time, math.sqrt(stiffness * mass))
-
-
-def verdict_of(
-    shares: Array, damped: Array, least: Array, judged: Array, ran: Any, allowance: float, tolerance: float,
-    damping: Array,
-) -> TrialVerdict:  # fmt: skip
-    """Return the verdict on each wall, from the figures under both hands.
-
-    Args:
-        shares: Rendered over requested stiffness, shape (2, n).
-        damped: Rendered over requested damping, shape (n,).
-        least: Least true energy received, shape (n,) [J].
-        judged: Energy that is judged [J]: `least`, or the sum that a declared device damping guarantees.
-        ran: Whether both hands completed the run, in contact.
-        allowance: Energy that may be generated [J].
-        tolerance: Largest relative difference of a rendering from the requested one.
-        damping: Requested damping.
-    """
-    share, passive = _furthest(*shares), ran & (judged >= -allowance)
-    error = np.maximum(np.abs(share - 1.0), np.where(damping > 0.0, np.abs(damped - 1.0), 0.0))
-    within = [passive & (error <= limit) for limit in (tolerance, tolerance * (1.0 + _SLACK))]
-    return TrialVerdict(share, damped, least, judged, *within)
 
 
 def _furthest(first: Array, second: Array) -> Array:
@@ -425,7 +430,7 @@ class _Tried(NamedTuple):
     certificate: int  # its place in `WEAKEST_LAST`
 
 
-class GroupTrial:
+class GroupTrial(Trials):
     """Rig for trials of networks.
 
     Args:
@@ -451,16 +456,16 @@ class GroupTrial:
         if len(scene.groups) != 1 or any(not axis.group for axis in scene.axes):
             raise InputError(f"{scene.source}: has more than one group; design takes one: make a scene of each")
         (group,) = scene.groups
+        super().__init__(group, tolerance)
         self._scale = network_scale(group.network.parameters, group.network.name)
-        self.scene, self._tolerance, self.executor = scene, tolerance, cast("Executor | None", None)
+        self.scene, self.executor = scene, cast("Executor | None", None)
         self.unit = task_unit(group.kinematics.name, scene.axis(group.axes[0]).parameters.unit)
         self.softest = min(self._scale.stiffness, STIFFEST) / _SPAN
         self._stroke = _stroke_time(scene)
         self._leaning = self._with_hands_at_rest()
         self._chosen: ChosenEngine = chosen_engine(engine, pays=True)
         self.is_quick = self._chosen == "numba" and not group_case(scene).why_not
-        self.engine, self.walls, self.remark = "numba" if self.is_quick else "python", 0, ""
-        self._allowance = _allowance_of(group)
+        self.engine = "numba" if self.is_quick else "python"
         self._has_damping = all(axis.loop.device_damping for axis in scene.axes)
 
     def damping_scale(self, stiffness: float) -> float:
@@ -478,10 +483,7 @@ class GroupTrial:
         table = np.array([*run(_tried, jobs)], dtype=float).reshape(2, len(pairs), -1)
         spring, damper, least, covered, ran, _ = np.moveaxis(table, 2, 0)
         judged = covered if self._has_damping else least
-        return verdict_of(
-            spring, np.where(damping > 0.0, damper[1], np.nan), least.min(axis=0), judged.min(axis=0),
-            ran.all(axis=0), self._allowance, self._tolerance, damping,
-        )  # fmt: skip
+        return self._verdict(spring, np.where(damping > 0.0, damper[1], np.nan), least, judged, ran, damping)
 
     def account(self, verdict: TrialVerdict, stiffness: float, damping: float) -> Row:
         """Return the result of a design for a network: description, verdict and certificate."""
