@@ -80,13 +80,22 @@ def line_memory(states: int) -> LineMemory:
     return LineMemory(*[list_of_zeros(states) for _ in range(5)])
 
 
-def taken(
-    tables: NetworkTables, functions: Functions, line: LineMemory, loss: float, share: float
-) -> tuple[float, float]:
+class StepBalance(NamedTuple):
+    """The energy balance H(x + l s) - H(x) + l L = H_m of one step."""
+
+    tables: NetworkTables
+    functions: Functions  # energies given as functions
+    line: LineMemory  # along which the state of the network moves
+    energy: float  # H_m, received by the model [J]
+    loss: float  # L, which the network dissipates with l = 1 [J]
+
+
+def taken(at: StepBalance, share: float) -> tuple[float, float]:
     """Return the energy stored and dissipated by `share` l of the step, and its derivative by l [J].
 
     Without cancellation: H(x + l s) - H(x) = l s . e_dg(x, x + l s).
     """
+    tables, functions, line, loss = at.tables, at.functions, at.line, at.loss
     moved, efforts, step, state = line.moved, line.efforts, line.step, line.state
     for i in range(len(step)):
         moved[i] = share * step[i]
@@ -132,31 +141,19 @@ def stiffness_along(tables: NetworkTables, line: LineMemory) -> float:
     return max(total, 0.0)
 
 
-def solve_scale(
-    tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, limit: float
-) -> StepScaling:
-    """Return the share l of the step, nearest 0, that stores and dissipates a given energy.
-
-    It solves H(x + l s) - H(x) + l L = H_m with |l| <= limit.
-
-    Args:
-        tables: The network.
-        functions: Energies given as functions.
-        line: Line along which the state of the network moves.
-        energy: H_m, energy received by the model [J].
-        loss: L, energy that the network dissipates with l = 1 [J].
-        limit: Largest |l|.
-    """
-    stiffness = stiffness_along(tables, line)
+def solve_scale(at: StepBalance, limit: float) -> StepScaling:
+    """Return the share l of the step, nearest 0 with |l| <= limit, that stores and dissipates the received energy."""
+    line, energy = at.line, at.energy
+    stiffness = stiffness_along(at.tables, line)
     if stiffness < 0.0:
-        return search_scale(tables, functions, line, energy, loss, limit, 1e-15 * (abs(energy) + abs(loss)))
+        return search_scale(at, limit)
     square = 0.0
     for s in line.step:
         square += s * s
     length = sqrt(square)  # along a unit step: of one state, eq. 16 itself
     if length == 0.0:
         return new(StepScaling, (0.0, energy >= 0.0, 1))
-    slope = taken(tables, functions, line, loss, 0.0)[1]
+    slope = taken(at, 0.0)[1]
     change = solve_balance(stiffness / (length * length), slope / length, energy, length)
     if isnan(change):
         return new(StepScaling, (0.0, False, 1))
@@ -166,55 +163,50 @@ def solve_scale(
     return new(StepScaling, (share, True, 1))
 
 
-def search_scale(
-    tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, limit: float,
-    tolerance: float,
-) -> StepScaling:  # fmt: skip
-    """Solve the balance of `solve_scale` for an energy that is not quadratic; `tolerance` is its rounding [J]."""
-    if abs(energy) <= tolerance:
+def search_scale(at: StepBalance, limit: float) -> StepScaling:
+    """Solve the balance as `solve_scale` does, for an energy that is not quadratic."""
+    energy = at.energy
+    if abs(energy) <= rounding_of(at):
         return new(StepScaling, (0.0, True, 0))
-    slope = taken(tables, functions, line, loss, 0.0)[1]
+    slope = taken(at, 0.0)[1]
     if slope == 0.0 and energy < 0.0:
         return new(StepScaling, (0.0, False, 1))
     far = limit if (slope > 0.0) == (energy > 0.0) or slope == 0.0 else -limit
-    end, found, evaluations = (
-        bracket_upwards(tables, functions, line, energy, loss, far)
-        if energy > 0.0
-        else bracket_downwards(tables, functions, line, energy, loss, far)
-    )
+    end, found, evaluations = bracket_upwards(at, far) if energy > 0.0 else bracket_downwards(at, far)
     if not found:
         return new(StepScaling, (end, False, evaluations + 1))
-    return root_between(tables, functions, line, energy, loss, tolerance, end, evaluations + 1)
+    return root_between(at, end, evaluations + 1)
 
 
-def bracket_upwards(
-    tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, far: float
-) -> tuple[float, bool, int]:
-    """Return a share up to `far` that absorbs at least `energy` > 0, whether it was found, and evaluations made."""
-    if taken(tables, functions, line, loss, far)[0] >= energy:
+def rounding_of(at: StepBalance) -> float:
+    """Return the rounding of the energies of a balance [J]."""
+    return 1e-15 * (abs(at.energy) + abs(at.loss))
+
+
+def bracket_upwards(at: StepBalance, far: float) -> tuple[float, bool, int]:
+    """Return a share up to `far` that absorbs at least the energy > 0, whether it was found, and evaluations made."""
+    if taken(at, far)[0] >= at.energy:
         return far, True, 1
     for piece in range(1, _PIECES):
         place = far * piece / _PIECES
-        if taken(tables, functions, line, loss, place)[0] >= energy:
+        if taken(at, place)[0] >= at.energy:
             return place, True, piece + 1
     return far, False, _PIECES
 
 
-def bracket_downwards(
-    tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, far: float
-) -> tuple[float, bool, int]:
-    """Return a share between 0 and the energy minimum before `far` that releases at least -energy.
+def bracket_downwards(at: StepBalance, far: float) -> tuple[float, bool, int]:
+    """Return a share between 0 and the energy minimum before `far` that releases at least the energy < 0.
 
     Returns:
         The share, or the one that releases most; whether it releases enough; the number of evaluations.
     """
     near, here, least, best, evaluations = 0.0, far, 0.0, 0.0, 0
     for _ in range(20):  # halving has the rest of the evaluations
-        here_energy, here_slope = taken(tables, functions, line, loss, here)
+        here_energy, here_slope = taken(at, here)
         evaluations += 1
         if here_energy < least:
             least, best = here_energy, here
-        if here_energy <= energy:
+        if here_energy <= at.energy:
             return here, True, evaluations
         if here_slope * far < 0.0 and here_energy <= least:
             if here == far:
@@ -226,19 +218,16 @@ def bracket_downwards(
     return best, False, evaluations
 
 
-def root_between(
-    tables: NetworkTables, functions: Functions, line: LineMemory, energy: float, loss: float, tolerance: float,
-    far: float, evaluations: int,
-) -> StepScaling:  # fmt: skip
-    """Return the share between 0 and `far` that solves the balance; `far` absorbs or releases at least `energy`."""
-    near, share, width = 0.0, far, abs(far)
+def root_between(at: StepBalance, far: float, evaluations: int) -> StepScaling:
+    """Return the share between 0 and `far` that solves the balance; `far` absorbs or releases at least the energy."""
+    near, share, width, energy, tolerance = 0.0, far, abs(far), at.energy, rounding_of(at)
     if energy > 0.0:
-        slope = taken(tables, functions, line, loss, 0.0)[1]
+        slope = taken(at, 0.0)[1]
         evaluations += 1
         if slope * far > 0.0 and abs(energy / slope) < abs(far):
             share = energy / slope
     while evaluations < EVALUATIONS:
-        found, slope = taken(tables, functions, line, loss, share)
+        found, slope = taken(at, share)
         evaluations += 1
         missing = energy - found
         if abs(missing) <= tolerance:
@@ -381,18 +370,18 @@ def lay_line(memory: ScaledMemory, step: Buffer) -> None:
 def balance(world: GroupModel, run: ScaledRun, h_m: float, damped: float, power: float) -> HoldAccount:
     """Scale the model's step by the energy balance and add it to the state; without a solution, use eq. 18."""
     _, state, memory = run
-    tables, functions, line, before = world.tables, world.functions, memory.line, state.h_s
-    step = memory.group.motion.network.room.step
+    before, step = state.h_s, memory.group.motion.network.room.step
     lay_line(memory, step)
     loss = damped + state.group.motion.network.internal
-    scale = solve_scale(tables, functions, line, h_m, loss, FURTHEST)
+    lossless = StepBalance(world.tables, world.functions, memory.line, h_m, 0.0)
+    scale = solve_scale(StepBalance(world.tables, world.functions, memory.line, h_m, loss), FURTHEST)
     if scale.found and loss * scale.share < 0.0:
         loss = 0.0
-        scale = solve_scale(tables, functions, line, h_m, 0.0, FURTHEST)
+        scale = solve_scale(lossless, FURTHEST)
     share = scale.share
     if not scale.found and h_m <= 0.0:
         return approximate(world, run, h_m, power, share)
-    is_sticky = h_m > 0.0 and taken(tables, functions, line, 0.0, 0.0)[1] * share < 0.0
+    is_sticky = h_m > 0.0 and taken(lossless, 0.0)[1] * share < 0.0
     take(world, run, share, step)
     return settle_state(world, run, _STICKY if is_sticky else _EXACT, before + h_m, loss * share, share)
 
@@ -402,17 +391,18 @@ def approximate(world: GroupModel, run: ScaledRun, h_m: float, power: float, dee
 
     If that releases too little, the step is taken up to its largest energy release, and the rest is a deficit.
     """
-    tables, functions, followed, h_s = world.tables, world.functions, run.memory.group.motion.network, run.state.h_s
+    tables, followed, h_s = world.tables, run.memory.group.motion.network, run.state.h_s
     line, rest, model, available = run.memory.line, run.memory.rest, followed.room.step, h_s + h_m
     h_r = min(max(0.0, power), max(0.0, available))
     left, is_empty = max(0.0, available) - h_r, available <= 0.0
     for i in range(len(rest)):
         rest[i] = -extension(tables, i, followed.state[i])
     lay_line(run.memory, rest)
-    sunk = solve_scale(tables, functions, line, left - h_s, 0.0, 1.0)
+    at = StepBalance(tables, world.functions, line, left - h_s, 0.0)
+    sunk = solve_scale(at, 1.0)
     share, sinks = (sunk.share, True) if sunk.found else (deepest, False)
     is_bottom = left <= _STATE_ROUNDING * h_s  # a double root, not to be searched for
-    if is_bottom and taken(tables, functions, line, 0.0, 1.0)[0] <= (_STATE_ROUNDING - 1.0) * h_s:
+    if is_bottom and taken(at, 1.0)[0] <= (_STATE_ROUNDING - 1.0) * h_s:
         share, sinks = 1.0, True
     square = along = 0.0
     for i in range(len(model)):

@@ -8,7 +8,7 @@ from canhaptic.control.port_hamiltonian import sampled_network as step
 from canhaptic.control.port_hamiltonian.network import DoubleWell, Mass, Network, Spring, UserEnergy, stored_energy
 from canhaptic.control.port_hamiltonian.sampled_network import _EVALUATIONS, NetworkSample, advance, new_workspace
 from canhaptic.lab.rivals.scaled_group import EVALUATIONS as SCALE_EVALUATIONS
-from canhaptic.lab.rivals.scaled_group import FURTHEST, line_memory, solve_scale, taken
+from canhaptic.lab.rivals.scaled_group import FURTHEST, StepBalance, line_memory, solve_scale, taken
 from tests.control.network.networks import random_network, tangled_network
 
 ON_A_MASS = [[0.0, -1.0], [1.0, 0.0]]
@@ -60,10 +60,11 @@ def judge_scaled_step(rng, network, state, step, received, lost):
     """Solves the scalar balance of the same step, with an energy that the hold need not have given."""
     energy = received * rng.uniform(-1.0, 2.0) + rng.choice((-1, 1)) * 10.0 ** rng.uniform(-12, 0) * rng.random()
     loss = lost * rng.random()
-    line, tables, functions = line_memory(network.states), network.tables, network.functions
+    line = line_memory(network.states)
     line.state[:], line.step[:] = state, step
-    scale = solve_scale(tables, functions, line, energy, loss, FURTHEST)
-    energy_taken, _ = taken(tables, functions, line, loss, scale.share)
+    at = StepBalance(network.tables, network.functions, line, energy, loss)
+    scale = solve_scale(at, FURTHEST)
+    energy_taken, _ = taken(at, scale.share)
     size = max(stored_energy(network.tables, state), abs(energy), abs(loss * scale.share))
     assert scale.evaluations <= SCALE_EVALUATIONS
     assert abs(scale.share) <= FURTHEST or energy <= 0.0
