@@ -380,12 +380,14 @@ def _errors_of(found: MotionError) -> Row:
     return {f"{name}_error": value for name, value in found._asdict().items()}
 
 
-def group_side(scene: Scene, holds: int, stop: Stop) -> Plants:
-    """Return the plant side of the only group of a scene; arguments as for `PlantSide`.
+def plants_of(scene: Scene, holds: int, stop: Stop) -> Plants:
+    """Return the plants of the only axis or group of a scene, under its recorded torques; arguments as for `PlantSide`.
 
     Raises:
         InputError: The loop of the scene ends early, or the group has no equations to compare with.
     """
+    if not scene.groups:
+        return PlantSide(scene.axes[0], scene, holds, stop)
     run = render_group("python", finely_solved(scene), holds + 1)
     if run.ended:
         raise InputError(f"{scene.source}: the loop {run.ended} before its end ({run.reason}); nothing can be compared")

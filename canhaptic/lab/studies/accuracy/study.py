@@ -205,18 +205,10 @@ class StudiedPart:
     Attributes:
         name: Name of the axis or the group.
         scene: Scene of the part alone.
-        whole: Whole scene.
     """
 
     name: str
     scene: Scene
-    whole: Scene
-
-    def plants(self, holds: int, stop: loop_sensitivity.Stop) -> plant_solvers.Plants:
-        """Return the plants of this part under its recorded torques; see `PlantSide`."""
-        if self.scene.groups:
-            return plant_solvers.group_side(self.scene, holds, stop)
-        return plant_solvers.PlantSide(self.scene.axes[0], self.whole, holds, stop)
 
     def first_rows(self, holds: int) -> Iterator[str]:
         """Yield a line for each plant setting of an axis: its cost, and its difference from the finest setting."""
@@ -224,7 +216,7 @@ class StudiedPart:
             return
         (axis,), period = self.scene.axes, self.scene.bus.sample_time_ns
         simulation, clock = simulation_of(axis), WallClock()
-        torques = torque_history(axis, self.whole, holds, simulation.accuracy)
+        torques = torque_history(axis, self.scene, holds, simulation.accuracy)
         settings = plant_solvers.own_ladder(simulation, period)
         best = observed(build_plant(replace(simulation, accuracy=settings[-1]), period), torques).position
         for accuracy in dict.fromkeys((plant_solvers.own_setting(simulation, period), *settings)):
@@ -257,7 +249,7 @@ def chosen_part(scene: Scene, name: str | None) -> StudiedPart:
     if axis is not None and not axis.group:
         require_own_axis(axis, scene)
     chosen = str(name if axis is None else axis.group or axis.parameters.name)
-    return StudiedPart(chosen, parts[chosen], scene)
+    return StudiedPart(chosen, parts[chosen])
 
 
 _LONGEST: Final = 4000
@@ -413,7 +405,7 @@ class AccuracyStudy:
             for row in self.part.first_rows(self.holds):
                 self._check()
                 self.say(row)
-        self._plant = plant = self.part.plants(self.holds, self._counted_stop("references"))
+        self._plant = plant = plant_solvers.plants_of(self.part.scene, self.holds, self._counted_stop("references"))
         for number, _name in enumerate(plant.measure()):
             self._check()
             self._advance("ladder", min(1.0, number / len(plant.candidates)))  # every plant of a group runs each
