@@ -122,6 +122,8 @@ def _draw_lines(place: "Axes", panel: Lines) -> None:
     if panel.note:
         note = textwrap.fill(panel.note, _LETTERS)
         place.text(0.0, -0.17, note, transform=place.transAxes, fontsize=8.0, color="#606060", va="top")
+    if not panel.lines:
+        return
     frame: Row = {"framealpha": 0.85, "edgecolor": "none", "handlelength": 4.0}  # room for two long dashes
     place.legend(fontsize=8.0 if len(panel.lines) <= 5 else 6.5, loc="best", **frame)
 
