@@ -48,7 +48,7 @@ def main() -> None:
         plan = ArenaPlan(tuple(scenes_named(None)))
         found = run_arena(plan, ArenaStore(DEFAULT_OUT / "arena" / "cases"), pool)
     finally:
-        pool.close()
+        pool.shutdown()
     assert found is not None  # nothing asks it to stop
     for name, _, draw in pictures_of(found):
         draw(found, picture_place(name))

@@ -63,7 +63,7 @@ def main() -> None:
             for workers, pool in pools.items():
                 times[workers] = min(times[workers], seconds(pool, out))
     for pool in pools.values():
-        pool.close()
+        pool.shutdown()
     ratio = times[1] / times[2]
     is_idle = load < LOAD
     note = "" if is_idle else f"not judged, no idle machine: load {load:.1f} before the first sweep"

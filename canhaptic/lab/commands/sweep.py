@@ -23,7 +23,7 @@ from canhaptic.lab.commands.results import scene_progress, show
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.chunk import COMPLETED, RADIUS, STATUS, UNRENDERED, UNTOUCHED
-from canhaptic.lab.studies.runner import Pool, Progress, dask_executor, pool_of
+from canhaptic.lab.studies.runner import Progress, dask_executor, pool_of
 from canhaptic.lab.studies.store import SweepTable
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.vary import CONTROLLER
@@ -67,7 +67,7 @@ def execute(arguments: argparse.Namespace) -> int:
     return stop.exit_status
 
 
-def _executor(arguments: argparse.Namespace, stack: ExitStack) -> tuple[Executor | Pool | None, int]:
+def _executor(arguments: argparse.Namespace, stack: ExitStack) -> tuple[Executor | None, int]:
     """Return the executor, and the number of chunks submitted ahead."""
     if arguments.dask is not None:
         executor, threads = stack.enter_context(dask_executor(arguments.dask))

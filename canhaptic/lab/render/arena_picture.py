@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
@@ -35,7 +35,7 @@ _LEAST: Final = 1e-6
 
 def _draw_lines(
     found: Found, path: Path, part: str, x: tuple[str, str], labels: Mapping[str, str],
-    compared: Callable[[Row], float], finish: Callable[["Axes", int, str], None],
+    compared: Callable[[Row], float], finish: Callable[["Axes", int, str], None], sharey: Literal["all", "row"],
 ) -> None:  # fmt: skip
     """Draw a line for each algorithm: a row of panels for each figure, a column for each delay.
 
@@ -47,13 +47,14 @@ def _draw_lines(
         labels: Figure -> label of its y axis.
         compared: Function of a row, by whose mean the algorithms are compared.
         finish: Completes a panel: (panel, delay, figure).
+        sharey: Panels with the same scale of the y axis.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
     """
     delays = sorted({row["delay"] for row in found[part]})
     with sheet(path, 5.3 * len(delays) + 2.6, 3.8 * len(labels)) as figure:
-        panels = figure.subplots(len(labels), len(delays), sharex=True, sharey="row", squeeze=False)
+        panels = figure.subplots(len(labels), len(delays), sharex=True, sharey=sharey, squeeze=False)
         lines = _lines(found, part, compared)
         for (row, key), (column, delay) in product(enumerate(labels), enumerate(delays)):
             for name, line in lines.items():
@@ -88,9 +89,9 @@ def _draw_borders(found: Found, path: Path) -> None:
         panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         panel.set_xticks([], minor=True)
 
-    labels = {"passive": "stiffest wall that stays passive [N/m]", "near": "and is rendered within 5 % [N/m]"}
+    labels = {"passive": "stiffest wall that stays passive [N/m]", "near": "of these, rendered within 5 % [N/m]"}
     x = "damping", "damping of the wall [N*s/m]"
-    _draw_lines(found, path, "borders", x, labels, lambda of: float(np.log(max(of["near"], 1.0))), finish)
+    _draw_lines(found, path, "borders", x, labels, lambda of: float(np.log(max(of["near"], 1.0))), finish, "all")
 
 
 def _draw_impedance(found: Found, path: Path) -> None:
@@ -101,7 +102,7 @@ def _draw_impedance(found: Found, path: Path) -> None:
         panel.set(xscale="log", yscale="log" if key == "size" else "linear")
 
     labels = {"size": "rendered / requested impedance", "angle": "angle to the requested one [rad]"}
-    _draw_lines(found, path, "impedance", ("frequency", "frequency [Hz]"), labels, _size, finish)
+    _draw_lines(found, path, "impedance", ("frequency", "frequency [Hz]"), labels, _size, finish, "row")
 
 
 def _lines(found: Found, part: str, figure: Callable[[Row], float]) -> dict[str, Row]:

@@ -45,7 +45,7 @@ from canhaptic.lab.reference import ContinuousReference
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import reference_of, run_axis
 from canhaptic.lab.studies.map import theory_of
-from canhaptic.lab.studies.runner import Count, Job, Pool, Progress, run_jobs
+from canhaptic.lab.studies.runner import Count, Job, Progress, run_jobs
 from canhaptic.lab.studies.store import Store, create_store
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import MAX_BYTES, load_scene, scene_from_text
@@ -537,7 +537,7 @@ class ArenaPlan:
 def run_arena(
     plan: ArenaPlan,
     store: ArenaStore,
-    executor: Executor | Pool | None = None,
+    executor: Executor | None = None,
     progress: Callable[[Progress], None] = lambda _: None,
     stop_requested: Callable[[], bool] = lambda: False,
 ) -> Row | None:

@@ -85,8 +85,8 @@ class SerialExecutor(Executor):
         return future
 
 
-class Pool:
-    """Worker processes; `renew` replaces them after one died.
+class Pool(Executor):
+    """Executor of worker processes; `renew` replaces them after one died.
 
     They are spawned, so that they inherit no thread or lock of this process. They ignore Ctrl-C, and end when this
     process ends, for any reason.
@@ -99,15 +99,18 @@ class Pool:
         self.workers = workers
         self.executor = self._made()
 
-    def renew(self) -> Executor:
-        """Replace the processes by new ones and return the pool."""
-        self.close()
-        self.executor = self._made()
-        return self.executor
+    def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
+        """Let a process run the job."""
+        return self.executor.submit(fn, *args, **kwargs)
 
-    def close(self) -> None:
+    def renew(self) -> None:
+        """Replace the processes by new ones."""
+        self.shutdown()
+        self.executor = self._made()
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
         """End the processes after they have finished their running jobs."""
-        self.executor.shutdown(wait=True, cancel_futures=True)
+        self.executor.shutdown(wait, cancel_futures=cancel_futures)
 
     def _made(self) -> ProcessPoolExecutor:
         context = multiprocessing.get_context("spawn")
@@ -120,7 +123,7 @@ def pool_of(workers: int) -> Iterator[Pool | None]:
     if workers == 1:
         yield None
         return
-    with closing(Pool(workers)) as pool:
+    with Pool(workers) as pool:
         yield pool
 
 
@@ -169,7 +172,7 @@ def dask_executor(address: str) -> Iterator[tuple[Executor, int]]:
 
 def run_jobs(
     jobs: Sequence[Job],
-    executor: Executor | Pool | None,
+    executor: Executor | None,
     stop_requested: Callable[[], bool],
     where: object,
     count: Count,
@@ -197,9 +200,7 @@ def run_jobs(
 class _Run:
     """State of `run_jobs`: jobs that wait, and jobs that are submitted."""
 
-    def __init__(
-        self, jobs: Sequence[Job], executor: Executor | Pool, in_flight: int, where: object, count: Count
-    ) -> None:
+    def __init__(self, jobs: Sequence[Job], executor: Executor, in_flight: int, where: object, count: Count) -> None:
         self._waiting, self._executor, self._in_flight = [*jobs][::-1], executor, in_flight
         self._where, self._count = where, count
         self._out: dict[Future[Any], Job] = {}
@@ -220,14 +221,12 @@ class _Run:
                 self._take(future)
 
     def _submit(self) -> None:
-        target = self._executor.executor if isinstance(self._executor, Pool) else self._executor
         while self._waiting and len(self._out) < self._in_flight:
             job = self._waiting.pop()
             try:
-                self._out[target.submit(job.run, *job.arguments())] = job
+                self._out[self._executor.submit(job.run, *job.arguments())] = job
             except BrokenExecutor as error:
-                self._waiting.append(job)
-                self._lost(error)
+                self._lost(job, error)
                 return
 
     def _take(self, future: Future[Any]) -> None:
@@ -237,8 +236,7 @@ class _Run:
         try:
             result = future.result()
         except BrokenExecutor as error:
-            self._waiting.append(job)
-            self._lost(error)
+            self._lost(job, error)
         except CanHapticError:
             raise
         except (Exception, CancelledError) as error:
@@ -251,9 +249,9 @@ class _Run:
             self._count.add(job.cases)
             self._losses = 0
 
-    def _lost(self, error: BrokenExecutor) -> None:
-        """Queue the unfinished jobs again with new workers, unless workers died too often."""
-        self._waiting += self._out.values()
+    def _lost(self, job: Job, error: BrokenExecutor) -> None:
+        """Queue a job and all other unfinished ones again with new workers, unless workers died too often."""
+        self._waiting += [job, *self._out.values()]
         self._out.clear()
         self._losses += 1
         if not isinstance(self._executor, Pool) or self._losses >= _MOST_LOSSES:

@@ -42,7 +42,7 @@ from canhaptic.lab.studies.chunk import (
     scene_of,
     usual_figures,
 )
-from canhaptic.lab.studies.runner import Count, Job, Pool, Progress, begin_worker, pool_of, run_jobs
+from canhaptic.lab.studies.runner import Count, Job, Progress, begin_worker, pool_of, run_jobs
 from canhaptic.lab.studies.store import SweepTable, create
 from canhaptic.lab.studies.vary import Column, Points, Varied, make_points, parse_vary, short
 from canhaptic.scene.method import plant_errors
@@ -74,7 +74,7 @@ def sweep(
     scene: Scene,
     vary: Sequence[str | Varied],
     out: str | Path,
-    executor: Executor | Pool | None = None,
+    executor: Executor | None = None,
     *,
     resume: bool = False,
     force: bool = False,

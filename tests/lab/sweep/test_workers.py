@@ -50,7 +50,7 @@ def test_a_pool_goes_on_with_new_processes_after_one_was_killed(demo, tmp_path, 
     try:
         assert sweep(demo, VARY, tmp_path / "pool", pool, progress=kill, **OPTIONS).done == SCENES
     finally:
-        pool.close()
+        pool.shutdown()
     assert killed
     assert content(tmp_path / "pool") == serial
 
@@ -72,7 +72,7 @@ def test_workers_that_die_again_and_again_end_the_sweep_with_what_was_finished(d
     finally:
         os.environ.clear()
         os.environ.update(before)
-        pool.close()
+        pool.shutdown()
     assert sweep(demo, VARY, path, resume=True, **OPTIONS).begun >= SCENES // 4
     assert content(path) == serial
 
