@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 MARKS: Final = "osv^<>DPX*hpd"
 WHITE, BLACK = "#fffffe", "#000001"
 """Ink on coloured cells; no greys, which a dark page would turn over."""
-_LETTERS: Final = 14
+_LETTERS: Final = 11.5
 """Letters of a caption per inch of the picture."""
 
 
