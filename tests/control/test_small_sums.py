@@ -1,0 +1,150 @@
+"""Sums and limits of a single hold, by numbers worked out by hand."""
+
+import math
+
+import pytest
+
+from canhaptic.control.damping import (
+    VelocityWindow,
+    damping_cap,
+    largest_stable_damping,
+    least_oscillating_damping,
+    modulated_damping,
+    restart,
+    update,
+)
+from canhaptic.control.passivity.stepped import (
+    Axis,
+    AxisMemory,
+    Commands,
+    Hold,
+    HoldAccount,
+    HoldSettings,
+    clipped,
+    efforts_inside,
+    let_samples_pass,
+    open_hold,
+    repeat,
+    send,
+    settle,
+    surplus_after,
+    towards_zero,
+)
+
+T, MASS = 1e-3, 0.25
+
+
+@pytest.mark.parametrize(("delay", "part"), [(0, 0.343146), (1, 0.180340), (2, 0.121523)])
+def test_a_free_mass_ripples_above_the_damping_of_the_characteristic_equation(delay: int, part: float) -> None:
+    found = least_oscillating_damping(delay, MASS, T)
+    assert found * T / MASS == pytest.approx(part, rel=1e-5)
+    assert damping_cap(delay, MASS, T) == found
+    assert damping_cap(delay, None, T) == math.inf
+    least = math.inf
+    for z in range(1, 2000):  # g = (1 - z) z^n / (1 + z) is largest there
+        z /= 2000.0
+        least = min(least, -(1.0 - z) * z ** (1 + delay) / (1.0 + z))
+    assert found * T / (2.0 * MASS) == pytest.approx(-least, rel=1e-5)
+
+
+@pytest.mark.parametrize(("delay", "part"), [(0, 2.0), (1, 0.828427), (2, 0.535898)])
+def test_a_free_mass_diverges_above_the_largest_stable_damping(delay: int, part: float) -> None:
+    assert largest_stable_damping(delay, MASS, T) * T / MASS == pytest.approx(part, rel=1e-5)
+
+
+def test_the_modulated_damper_is_proportional_to_the_surplus_up_to_its_cap_and_to_what_the_hold_can_take() -> None:
+    assert modulated_damping(200.0, 0.01, 1.0, 10.0, 0.0, T) == pytest.approx(2.0)
+    assert modulated_damping(200.0, 0.02, 1.0, 10.0, 0.0, T) == pytest.approx(4.0)
+    assert modulated_damping(200.0, 0.2, 1.0, 10.0, 0.0, T) == pytest.approx(9.0)
+    assert modulated_damping(200.0, 0.2, 12.0, 10.0, 0.0, T) == 0.0
+    assert modulated_damping(200.0, -0.1, 1.0, 10.0, 0.0, T) == 0.0
+    taken = modulated_damping(1e6, 1e-6, 0.0, 1e9, 1e-3, T)
+    assert taken == pytest.approx(1e-6 * T / 1e-6)  # all of the surplus, along 1 mm in 1 ms
+    assert modulated_damping(1e6, 1e-6, 0.0, 1e9, 1e-6, T) == pytest.approx(1.0)
+
+
+def test_a_window_in_a_ring_keeps_each_sample_in_its_place() -> None:
+    ring, window = [0.0] * 6, VelocityWindow()
+    restart(window, ring, 0.1)
+    for place in range(1, 14):
+        update(window, ring, 1e-6, T, 0.1 + 1e-4 * place)
+        assert ring[place % 6] == pytest.approx(0.1 + 1e-4 * place)
+        assert window.newest == place % 6
+        assert window.length <= 5
+        assert window.velocity == pytest.approx(0.1)
+
+
+def test_efforts_inside_a_torque_that_was_cut_are_cut_as_much() -> None:
+    commands = Commands([-4.0], [1.0], [0.5])
+    assert efforts_inside(commands, 0, -4.0) == (1.0, 0.5)
+    assert efforts_inside(commands, 0, -2.0) == (0.5, 0.25)
+    assert efforts_inside(commands, 0, 2.0) == (0.0, 0.0)
+    assert efforts_inside(commands, 0, -8.0) == (1.0, 0.5)
+    assert efforts_inside(Commands([0.0], [1.0], [-1.0]), 0, 2.0) == (0.0, 0.0)
+
+
+def test_commands_wait_in_their_order_and_the_newest_is_repeated() -> None:
+    commands = Commands([1.0, 2.0, 3.0], [0.1, 0.2, 0.3], [0.0, 0.0, 0.0])
+    assert send(commands, 1, 5.0, 0.5, 0.05) == 2
+    assert commands.torques == [1.0, 5.0, 3.0]
+    assert repeat(commands, 2) == 0
+    assert (commands.torques, commands.dampers, commands.modulated) == (
+        [1.0, 5.0, 5.0],
+        [0.1, 0.5, 0.5],
+        [0, 0.05, 0.05],
+    )
+
+
+def test_a_torque_is_clipped_and_rounded_towards_zero() -> None:
+    assert [clipped(torque, 2.0) for torque in (-3.0, -1.0, 2.5)] == [-2.0, -1.0, 2.0]
+    assert [towards_zero(torque, 0.5) for torque in (-1.4, 1.4, 0.4)] == [-1.0, 1.0, 0.0]
+    assert towards_zero(1.4, 0.0) == 1.4
+
+
+def test_a_hold_is_settled_by_dissipation_first_then_deficit_or_leak() -> None:
+    """(stored, surplus, dissipated, deficit, leak, paid)."""
+    assert settle(5.0, 1.0, 2.0, 9.0, 3.0) == (3.0, 1.0, 2.0, 0.0, 0.0, 0.0)
+    assert settle(5.0, 1.0, 4.0, 9.0, 3.0) == (2.0, 1.0, 3.0, 0.0, 0.0, 0.0)  # no more than the slack
+    assert settle(-1.0, 0.5, 0.0, 2.0, 0.0) == (0.0, 1.5, 0.0, 1.0, 0.0, 0.0)
+    assert settle(5.0, 2.0, 0.0, 4.0, 0.0) == (4.0, 1.0, 0.0, 0.0, 1.0, 1.0)  # the surplus pays
+    assert settle(5.0, 0.25, 0.0, 4.0, 0.5) == (4.25, 0.0, 0.0, 0.0, 0.75, 0.25)  # and the slack beyond it
+    assert settle(5.0, -1.0, 0.0, 4.0, 0.0) == (5.0, -1.0, 0.0, 0.0, 0.0, 0.0)  # nothing may leak
+    assert settle(5.0, 0.0, 0.0, 4.0, 0.0) == (5.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert settle(5.0, -1.0, 0.0, 4.0, 2.0) == (4.0, -1.0, 0.0, 0.0, 1.0, 0.0)
+
+
+def axis_of(torques: list[float], **values: float) -> tuple[Axis, AxisMemory]:
+    axis = Axis(started=True, position=0.0, **values)  # type: ignore[arg-type]
+    zeros = [0.0] * len(torques)
+    return axis, AxisMemory([0.0] * 6, Commands(list(torques), list(zeros), list(zeros)))
+
+
+def test_lost_samples_leave_open_each_torque_along_the_excursion() -> None:
+    axis, memory = axis_of([3.0, 1.0], missed=2, moved=-0.01)
+    assert let_samples_pass(axis, memory.commands, 0.05, 1.0, 2.5) == pytest.approx((1.5 + 0.0) * (0.05 + 2 * 0.01))
+    assert (axis.missed, axis.oldest, memory.commands.torques) == (0, 0, [1.0, 1.0])
+    axis, memory = axis_of([1.0, 1.0], missed=1, moved=0.01)
+    assert let_samples_pass(axis, memory.commands, 0.05, 1.0, 2.5) == 0.0  # all of them are the one that acted
+    axis, memory = axis_of([3.0, 1.0], missed=1, moved=0.01, lasted=3.0)
+    assert let_samples_pass(axis, memory.commands, 0.05, 1.0, 9.0) == pytest.approx((2.0 + 2 * 2.0) * (0.05 + 3 * 0.01))
+
+
+@pytest.mark.parametrize(("missed", "lasted"), [(1, 1.0), (0, 2.0), (2, 1.0)])
+def test_a_velocity_from_a_window_begins_anew_after_a_hold_of_several_sample_times(missed: int, lasted: float) -> None:
+    settings = HoldSettings(T, 1, math.inf, 1e-6, 5, 0)
+    axis, memory = axis_of([0.0, 0.0])
+    for place in range(1, 4):
+        hold = open_hold(settings, axis, memory, 1e-4 * place, 0.0)
+    assert hold.velocity == pytest.approx(0.1)
+    axis.missed, axis.lasted = missed, lasted
+    hold = open_hold(settings, axis, memory, 7e-4, 0.0)
+    holds = missed + lasted
+    assert (hold.elapsed, hold.velocity) == pytest.approx((holds * T, 4e-4 / (holds * T)))
+    assert (axis.window.length, axis.window.anchor, axis.lasted) == (0, 7e-4, 1.0)
+
+
+def test_a_leak_is_paid_from_the_surplus_as_far_as_there_is_one() -> None:
+    axis, hold = Axis(h_dis=2.0), Hold(0.0, 0.0, 0.0, 0.5, T, 0.0, 0.0, 0)
+    assert surplus_after(axis, hold, HoldAccount(0, 0.0, 0.25, 0.125, 1.0)) == (2.0 + 0.25 + 0.125 - 0.5 - 1.0, 1.0)
+    assert surplus_after(axis, hold, HoldAccount(0, 0.0, 0.0, 0.0, 4.0)) == (0.0, 1.5)
+    assert surplus_after(Axis(), hold, HoldAccount(0, 0.0, 0.0, 0.0, 4.0)) == (-0.5, 0.0)
