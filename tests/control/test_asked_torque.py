@@ -77,3 +77,10 @@ def test_the_velocity_is_that_of_a_line_through_the_last_counts():
     assert found[0] == 0.0
     assert found[-1] == pytest.approx(0.3)
     assert controller.velocity(0.3 * T * 53, 4) == pytest.approx(0.3)
+
+
+def test_where_the_axis_is_at_the_start_makes_no_difference():
+    asked = [0.0, 2.0, -3.0, 4.0, 1.0] * 6
+    torques = [[each.torque for each in ran(guarded(1, hand_force=2.0), asked, 1, 0.1, 2.0, at)] for at in (0.0, 4.0)]
+    assert torques[1] == pytest.approx(torques[0], abs=0.011)
+    assert max(map(abs, torques[0])) > 0.1

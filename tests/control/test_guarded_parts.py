@@ -1,31 +1,45 @@
 """The parts of `guarded` one by one: what is predicted, permitted and passed on, by numbers worked out by hand."""
 
 from dataclasses import replace
-from math import inf
+from math import cos, inf
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from canhaptic.control.balance import Certificate
+from canhaptic.control.balance import Certificate, residual
 from canhaptic.control.certificates.certified_torque import TorqueBound
 from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.passivity.asked_torque import AskedState, GuardedProgram, granted
 from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import (
     Guarded,
     GuardedParameters,
     GuardedSettings,
+    GuardedState,
     PredictedMotion,
     PredictionSettings,
+    efforts,
     energy_permitted,
     hand_response,
+    memory_of,
     motion_inside,
     predicted,
     settings_of,
+    soft_and_further,
     take_stretch,
     within_limits,
 )
+from canhaptic.control.passivity.internal_dissipation import (
+    InternalDissipation,
+    StoredModelParameters,
+    dissipation,
+    stored_model_settings,
+)
+from canhaptic.control.passivity.stepped import Hold
+from canhaptic.control.passivity.unprotected import SampledModel, settle
+from canhaptic.kernels import Run, list_of_zeros
 
 T = 1e-3
 WALL, DETENTS = SpringDamperWall(stiffness=100.0, position=0.0), Detents(peak=0.5, pitch=0.02, position=0.001)
@@ -89,6 +103,8 @@ def test_only_an_environment_with_several_ways_out_turns() -> None:
     wall, knob = settings(), settings(DETENTS, {"hand_push": 1.0})
     assert (abs(wall.outside), wall.turns, wall.knows_turns) == (1.0, False, False)
     assert (knob.outside, knob.turns, knob.knows_turns) == (0.0, True, True)
+    damped = settings(DETENTS, {"hand_force": None}, device_damping=1.0)  # any hand: no turn matters
+    assert (damped.turns, damped.knows_turns) == (False, False)
 
 
 def test_only_friction_beyond_the_cogging_brakes_and_only_where_the_axis_creeps_by_a_known_stiffness() -> None:
@@ -155,3 +171,69 @@ def test_the_motion_over_skipped_syncs_is_a_mean() -> None:
     controller.lasted(3.0)
     controller.step(0.016, 0.0)
     assert controller._state.motion.step == pytest.approx(0.002)
+
+
+def test_a_program_keeps_of_the_dissipation_what_the_torque_it_asks_for_needs() -> None:
+    of = replace(settings(), earned=0.0, damped_stiffness=400.0, torque_limit=8.0)
+    for asked, kept in ((4.0, 0.5 * 16.0 / 400.0), (-4.0, 0.5 * 16.0 / 400.0), (20.0, 0.5 * 64.0 / 400.0)):
+        run = Run(of, AskedState(), memory_of(of, list_of_zeros))
+        run.state.bound.dissipated = 1.0
+        granted(run, asked, 0.0)
+        assert run.state.bound.dissipated == pytest.approx(kept)
+
+
+def test_what_sampling_creates_or_loses_is_the_rest_of_the_account() -> None:
+    model = SampledModel(true=-0.02, h_s=0.5)
+    assert settle(WALL, model, 1.0, 0.25, 0.125) == pytest.approx((0.0, 0.5 + 0.25 - 0.125 - 0.02))  # lost
+    assert (model.state, model.h_s) == pytest.approx((-0.02, 0.02))
+    assert settle(WALL, model, 0.5, -0.03, 0.01) == pytest.approx((0.03 + 0.01 + 0.005 - 0.02, 0.0))  # created
+    assert (model.state, model.h_s) == pytest.approx((-0.01, 0.005))
+
+
+def test_the_spring_that_friction_sustains_keeps_its_reserve() -> None:
+    of = settings(device_friction=0.5, encoder_count=1e-5)
+    assert of.sustained > 0.0
+    run = Run(of, GuardedState(), memory_of(of, list_of_zeros))
+    depth, energy = 1e-5, 5e-3
+    soft, further = soft_and_further(of, run.state.bound, 50.0, depth, energy)
+    assert soft == pytest.approx(of.sustained * depth)
+    assert soft + further < 50.0
+    spring, _, _, covered = efforts(run, -depth, -50.0, 0.0, 0.0, 0.0, energy, 1.0)
+    assert -spring == pytest.approx(soft + further)
+    assert not covered
+    assert -spring < 0.99 * energy_permitted(of, run.state.bound, 50.0, energy, 1.0) ** 0.5
+
+
+def test_a_program_sees_a_slow_motion_through_a_window_of_twenty_milliseconds() -> None:
+    program = GuardedProgram(GuardedParameters(), loop(encoder_count=1e-5))
+    program.velocity(0.0, 0)
+    seen = [program.velocity(1e-5 * (place // 10), 1) for place in range(1, 100)]
+    assert all(0.5e-3 < velocity < 2e-3 for velocity in seen[40:])  # a count each ten samples: 1 mm/s
+    assert program.velocity(2e-3, 4) == pytest.approx((2e-3 - 9e-5) / 4e-3)  # after skipped SYNCs the mean
+
+
+def test_a_program_with_an_ideal_encoder_sees_more_than_the_last_hold() -> None:
+    program = GuardedProgram(GuardedParameters(), loop())
+    program.velocity(0.0, 0)
+    for place in range(1, 60):
+        velocity = program.velocity(1e-4 * place + 4e-10 * (place % 2), 1)
+    assert velocity == pytest.approx(0.1, abs=1e-7)  # the last hold alone is wrong by four times that
+
+
+def test_a_damper_dissipates_the_square_of_its_effort_over_its_damping() -> None:
+    of = stored_model_settings(SpringDamperWall(stiffness=100.0, damping=10.0), StoredModelParameters(), loop())
+    hold = Hold(0.0, 3.0, 0.0, 0.0, 2e-3, 0.0, 0.0, 0)
+    assert dissipation(of, hold) == pytest.approx(2e-3 * 9.0 / 10.0)
+    assert dissipation(replace(of, damping=0.0), hold) == 0.0
+
+
+def test_what_the_modulated_damper_takes_is_not_received_by_the_model() -> None:
+    wall = SpringDamperWall(stiffness=500.0, damping=5.0, position=0.0)
+    controller = InternalDissipation(wall, StoredModelParameters(alpha="200 s/m^2"), loop(delay=1))
+    under_way, before, taken = [0.0], 0.0, 0.0
+    for place in range(400):
+        balance = controller.step(0.01 * cos(0.05 * place), under_way.pop(0))
+        under_way.append(balance.torque)
+        assert abs(residual(balance, before)) < 1e-12
+        before, taken = balance.h_s, taken + abs(balance.h_pas)
+    assert taken > 1e-6

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from canhaptic.control.environments.detents import Detents
 from canhaptic.control.passivity.internal_dissipation import (
     Balance,
     discriminant,
@@ -134,3 +135,14 @@ def test_the_nonlinear_solve_needs_few_evaluations_and_never_more_than_its_bound
     root = solve_balance_nonlinear(steep, Balance(0.0, 0.0, 0.0), 1e9, 5.0, 0.0)
     assert gained(root) == pytest.approx(1e9, rel=1e-12)
     assert len(calls) <= 82
+
+
+def test_the_root_beside_the_place_where_the_effort_reverses_is_found_to_the_rounding() -> None:
+    """Detents absorb peak pitch / pi up to their crest; the root for a little less lies a few nanometres before it."""
+    detents = Detents(peak=0.5, pitch=0.02, position=0.0)
+    most = 0.5 * 0.02 / math.pi
+    for lacking in (1e-4, 1e-8, 1e-11):
+        begin = Balance(0.001, detents.stored_energy(0.001), 0.0)
+        end = 0.001 + solve_balance_nonlinear(detents, begin, most * (1.0 - lacking) - begin.stored, 0.016, 1e-18)
+        assert 0.001 < end < 0.01
+        assert 0.01 - end == pytest.approx(0.02 / math.pi * math.sqrt(lacking), rel=1e-2)
