@@ -242,3 +242,26 @@ def test_a_check_of_the_hold_is_of_the_drive_that_was_tried(serial: int, *, is_c
             run(experiment.cycle, 2)
             said = experiment_account(experiment, "completed", 1.0)["ports"]["handle"]["hold"]
         assert said == ("checked at commissioning" if expected else "not checked")
+
+
+def test_a_motion_that_is_none_of_the_models_is_found_and_said_to_be_unexplained() -> None:
+    """Each reversal is followed by a kick that no torque gave."""
+    torques = np.concatenate([np.zeros(5), reversals(1.0, 16, 12), np.zeros(6)])
+    speeds = np.cumsum(torques[1:]) * TIME / 0.25
+    positions = np.concatenate(
+        [[0.0], np.cumsum(np.concatenate([[0.0], speeds[:-1]]) * TIME + 0.5 * torques[1:] * TIME**2 / 0.25)]
+    )
+    steps, kick = np.abs(np.diff(positions)), np.array([0, 0, 0, 1, 0, 0, -1, 0, 1, 0, 0])
+    for turn in np.flatnonzero(torques[:-1] * torques[1:] < 0.0):
+        if 5 <= turn < len(positions) - 6:
+            size = 0.15 * np.median(steps[turn - 5 : turn + 5]) * np.sign(torques[turn + 1])
+            positions[turn - 5 : turn + 6] += size * kick
+    found = estimate_delay(positions, torques, TIME, 5)
+    assert found is not None
+    assert not found.is_explained
+
+
+def test_a_reaction_longer_than_a_hold_counts_as_one() -> None:
+    """A torque that begins 0.1 to 0.3 sample times after its SYNC acts in its own hold however slow the bus is."""
+    found = TorqueDelay(0.2, 0.1, 0.3, 0.0, is_explained=True)
+    assert [found.hold(reaction) for reaction in (0.2, 1.0, 1.5, 9.0)] == [0, 0, 0, 0]

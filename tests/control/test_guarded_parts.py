@@ -25,6 +25,7 @@ from canhaptic.control.passivity.guarded import (
     hand_response,
     memory_of,
     motion_inside,
+    permitted_size,
     predicted,
     settings_of,
     soft_and_further,
@@ -237,3 +238,22 @@ def test_what_the_modulated_damper_takes_is_not_received_by_the_model() -> None:
         assert abs(residual(balance, before)) < 1e-12
         before, taken = balance.h_s, taken + abs(balance.h_pas)
     assert taken > 1e-6
+
+
+def test_a_torque_that_may_reach_a_crest_is_permitted_as_one_beside_it() -> None:
+    of = settings(DETENTS, {"hand_force": 1.0, "hand_push": 4.0})
+    sizes = []
+    for knows in (True, False):
+        run = Run(of, GuardedState(), memory_of(of, list_of_zeros))
+        bound = run.state.bound
+        bound.out, bound.kept, bound.turns, bound.is_near = 1.0, 3 * (not knows), knows, knows
+        bound.above = bound.below = 1e-9  # the crest is within a nanometre
+        bound.displacement = 1e-5
+        sizes.append(permitted_size(run, 50.0, 1e-4, 0.0)[0])
+        assert (bound.turns, bound.is_near) == (True, True)
+        assert knows or bound.kept == 0
+    assert sizes[0] == sizes[1]
+    far = Run(of, GuardedState(), memory_of(of, list_of_zeros))
+    far.state.bound.out, far.state.bound.displacement = 1.0, 1e-5
+    assert permitted_size(far, 50.0, 1e-4, 0.0)[0] > 1.2 * sizes[0]
+    assert not far.state.bound.turns
