@@ -143,3 +143,14 @@ def test_the_balance_of_the_paper_is_for_a_mass() -> None:
     )
     with pytest.raises(ParameterError, match="virtual_mass"):
         build_display_controller(CupAndBall(), "internal_dissipation", None, properties)
+
+
+def test_the_balance_of_the_paper_takes_nothing_out_beyond_the_damper_of_the_mass() -> None:
+    controller, place = _pushed(AdmittanceMass(mass=3.0, damping=5.0), "internal_dissipation", 30)
+    taken = set()
+    for k in range(60):
+        balance = controller.step(place, -5.0 * math.cos(0.1 * k))
+        taken.add(balance.h_pas)
+        place += 1e-3 * balance.torque
+    assert taken == {0.0}
+    assert balance.h_i != 0.0

@@ -157,3 +157,17 @@ def _losses_of(sent: list[float], speed: float, delay: int, losses: int, setting
             if allowed:
                 found.append(total)
     return found
+
+
+@pytest.mark.parametrize("losses", [0, 1, 2])
+@pytest.mark.parametrize("sent", [(0.0, 0.0, 0.0, 0.0), (0.05, 0.1, 0.0, 0.02), (0.3, 0.0, 0.0, 0.0)])
+def test_the_fastest_command_uses_up_the_budget_and_no_more_whatever_may_be_lost(
+    losses: int, sent: tuple[float, ...]
+) -> None:
+    loop = _settings(600.0, 0.0, losses=losses)
+    budget = 0.02  # [J]
+    fastest = loop.fastest(0.0, _sent(list(sent), 6), budget, 1.0)
+    assert fastest > 0.0
+    for part, is_covered in ((1.0, True), (1.001, False)):
+        ring = _sent([*sent, part * fastest], 6)
+        assert (loop.loss_under_way(0.0, ring) <= budget * (1.0 + 1e-9)) is is_covered
