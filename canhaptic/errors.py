@@ -215,7 +215,8 @@ class StartError(RigError):
     def __init__(self, drive: str, step: str, seen: str, expected: str, remedy: str) -> None:
         self.drive = drive
         self.step = step
-        super().__init__(f"{drive}: {step}: got {seen}, expected {expected}; {remedy}")
+        found = f"got {seen}, expected {expected}" if expected else seen
+        super().__init__(f"{drive}: {step}: {found}; {remedy}")
 
 
 class SdoError(RigError):

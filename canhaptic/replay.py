@@ -575,7 +575,7 @@ class OpenReplay:
         begin, ended = self._wall.now(), "at the end of the recording"
         try:
             run(self.cycle, self._recording.operator_cycles(ramp_cycles))
-            ended = "stopped by the operator, as recorded"
+            ended = "at the stop that was recorded"
         except ReplayOverError:
             pass
         except RigError as error:

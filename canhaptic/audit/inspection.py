@@ -396,6 +396,7 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
     begin, end = [float(log.deadlines(row, row + 1)[0] * log.sample_time) for row in edges] or (0.0, 0.0)
     truth = {name: _truth(log, name, rows) for name in log.truth}
     ports = with_groups({name: _port(log, name, rows) for name in log.ports}, log.groups, truth)
+    events = [{**event._asdict(), "time": log.time_of(event.sync_index)} for event in log.events]
     stretches = {name: _contacts(log, name, rows) for name in log.ports if name not in log.group_of}
     for name, among in stretches.items():
         if (first := ports[name].get("first_active")) is not None:
@@ -417,7 +418,7 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
             "timing": _timing(log, rows),
             "link": _link(log, rows),
             "contacts": stretches,
-            "events": [{**event._asdict(), "time": log.time_of(event.sync_index)} for event in log.events],
+            "events": [event for event in events if (start or 0.0) <= event["time"] < (inf if stop is None else stop)],
         },
     )
 

@@ -38,6 +38,7 @@ class Outcome(TypedDict):
     name: str
     value: float | str
     holds: bool
+    unit: NotRequired[str]  # of a number; "1" of a pure one
     first_active: NotRequired[float]  # of a verdict: first time at which the booked sum was below 0 [s]
 
 
@@ -80,7 +81,13 @@ def check(result: Checked, expression: str) -> list[Outcome]:
         raise InputError(f"check {expression!r}: the run has no figure {name!r}; {remedy}")
     holds = _OPERATORS[comparison]
     return [
-        {"check": expression, "name": path, "value": value, "holds": bool(holds(value, bound))}
+        {
+            "check": expression,
+            "name": path,
+            "value": value,
+            "holds": bool(holds(value, bound)),
+            "unit": _unit_of(path, result),
+        }
         for path, value in found.items()
     ]
 

@@ -42,6 +42,9 @@ class _HostSetting(NamedTuple):
     advice: str  # what to do about it; empty when nothing
 
 
+_PROCESS: Final = 64 << 20  # of memory that the program has at least [B]
+
+
 def host_settings() -> list[_HostSetting]:
     """Settings of this computer that affect the timing of a cycle; unreadable ones are left out."""
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -71,8 +74,12 @@ def _limit(name: str, key: str, item: str) -> tuple[str, str, str]:
     except (ImportError, AttributeError):  # the first on Windows
         return name, "not on this system", ""
     advice = "" if soft else f"not permitted; grant `{item}` in /etc/security/limits.conf"
-    granted = "unlimited" if soft == resource.RLIM_INFINITY else f"{soft} B" if item == "memlock" else str(soft)
+    granted = "unlimited" if soft == resource.RLIM_INFINITY else _memory(soft) if item == "memlock" else str(soft)
     return name, granted, advice
+
+
+def _memory(size: int) -> str:
+    return f"{size >> 20} MiB" + ("" if size >= _PROCESS else ": too little for lock_memory, unless you are root")
 
 
 def _read(path: str) -> str:
@@ -163,7 +170,8 @@ class _CheckFindings(NamedTuple):
             left = f"while any of the energy_allowance of {si(allowance, 'J', 3)} is left, {shares.format(*halves)}"
             both = f" (at {speed:.2g} {unit}: {left}; once it is spent, {spent[0]:.0%} and {spent[1]:.0%})"
         lost = self._under_losses(axis, max(speed, self.felt[name]))
-        return f"the wall{at} is felt at approach speeds above {self.felt[name]:.2g} {unit}{both}{lost}"
+        felt = f"is felt (half of its force or more) at approach speeds above {self.felt[name]:.2g} {unit}"
+        return f"the wall{at} {felt}{both}{lost}"
 
     def _under_losses(self, axis: AxisScene, speed: float) -> str:
         """Return in words how much force of a pressed wall remains if frames are lost; "" if no losses are declared."""
@@ -249,7 +257,7 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool, full: boo
     colour = "red" if found.refused else "yellow" if found.exceeded else "green"
     console.print(f"[bold {colour}]{escape(found.verdict())}[/]")
     where = "; ".join(f"{bus.parameters.interface} {bus.parameters.channel or ''}".strip() for bus in scene.buses)
-    name = "configuration" if scene.unread else f"configuration {scene.config_hash()[:12]}"
+    name = "scene" if scene.unread else f"scene (checksum {scene.config_hash()[:12]})"
     line = f"{name} on {where} at {1.0 / scene.bus.sample_time:g} Hz"
     console.print(line + ("" if resolved else "; every value: --resolved"), markup=False)
     for text in found.dear:
@@ -339,10 +347,10 @@ def _fitness_table(title: str, findings: list[Finding]) -> Table:
 def _hint_table(hints: list[limits.Hint], *, texts: bool) -> Table:
     rows = []
     for hint in hints:
-        unknown = "needs device_friction" if "passivity.device_friction" in hint.text else "unknown"
+        unknown = "device_friction not set" if "passivity.device_friction" in hint.text else "unknown"
         limit = unknown if hint.limit is None else f"{hint.limit:.4g} {hint.unit}"
         asked = "" if hint.asked is None else f"{hint.asked:.4g}{' EXCEEDED' * (hint.exceeded and hint.concerns)}"
         style = "dim" if not hint.concerns else "yellow" if hint.exceeded else ""
         rows.append([Styled(text, style) for text in (hint.axis, hint.what, limit, asked, hint.text)[: 4 + texts]])
-    title = "stability: computed, for every hand as declared; `design` simulates this rig"
+    title = "stability limits, calculated for any hand within your declarations; `design` simulates this rig"
     return Table(title, ("axis", "limit", "value", "requested", "")[: 4 + texts], rows)

@@ -25,14 +25,14 @@ _COLOURS: Final = {Suitability.FIT: "green", Suitability.CONDITIONAL: "yellow", 
 WORDS: Final = {
     Verdict.FIT: Styled("ok", "green"),
     Verdict.UNKNOWN: Styled("condition", "yellow"),
-    Verdict.REFUSED: Styled("unfit", "red"),
+    Verdict.REFUSED: Styled("not usable", "red"),
 }
 """Displayed word of each verdict on an object."""
 _UNFIT: Final = 1
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Print the verdict with its reasons; return 1 if the drive is unfit."""
+    """Print the verdict with its reasons; return 1 if the drive is not usable."""
     found, profile = survey_of(arguments.file, arguments.display, arguments.force_object)
     if arguments.json:
         write_json({**_as_json(found), "profile": profile, "statuses": _statuses(found, profile)})
@@ -115,7 +115,7 @@ def _map_as_json(axis_map: AxisMap) -> dict[str, Any]:
 
 def _print(console: Console, found: Survey, profile: str | None, *, full: bool) -> None:
     vendor = "" if found.product.startswith(found.vendor) else found.vendor
-    name = " ".join(part for part in (vendor, found.product) if part) or "a drive without a name"
+    name = " ".join(part for part in (vendor, found.product) if part) or "no product name in this file"
     console.print(f"{found.axis.eds}: {name}", markup=False, style="bold")
     if profile is not None:
         console.print(f"judged with the shipped profile of this vendor (drive: {profile})", markup=False)
@@ -137,7 +137,7 @@ def _print(console: Console, found: Survey, profile: str | None, *, full: bool) 
 
 def _print_brief(console: Console, found: Survey) -> None:
     """Print the rates that fit and the keys to configure, one line each."""
-    if found.axis_map is not None:
+    if found.axis_map is not None and not found.reasons:
         read = ", ".join(str(entry) for plan in found.axis_map.tpdos for entry in plan.entries)
         console.print(f"read in each cycle (index:subindex/bits): {read}", markup=False)
         fitting = [f"{load.rate:g} Hz" for load in found.loads if load.fits]
@@ -145,7 +145,7 @@ def _print_brief(console: Console, found: Survey) -> None:
         bus = f"rates that fit the bus, one axis at {found.bitrate / 1000:g} kbit/s"
         console.print(f"{bus}: {rates}", markup=False)
     if not found.reasons and found.manual:
-        console.print("from your rig or the drive's manual, under axes:", markup=False)
+        console.print("of the values to set, these come from your rig or the drive's manual, under axes:", markup=False)
         console.print(f"  {', '.join(key.key for key in found.manual)}", markup=False)
         console.print("`canhaptic new` writes a scene with every value to set, and where to find it", markup=False)
     console.print("[dim]every object, map and rate, and why a key is needed: --full[/]")

@@ -11,6 +11,7 @@ from canhaptic.view.terminal import write_json
 
 _REFUSED: Final = 1
 _COLOURS: Final = {"well": "green", "note": "yellow", "refused": "red"}
+_WORDS: Final = {"refused": "run refused"}
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -31,5 +32,8 @@ def _print(findings: list[PreflightFinding], interfaces: list[str]) -> None:
     if not findings:
         console.print(f"nothing to check: bus.interface is {', '.join(interfaces)}, not socketcan")
         return
-    rows = [(f.interface, f.item, Styled(f.severity, _COLOURS[f.severity]), f.seen, f.text) for f in findings]
+    rows = [
+        (f.interface, f.item, Styled(_WORDS.get(f.severity, f.severity), _COLOURS[f.severity]), f.seen, f.text)
+        for f in findings
+    ]
     console.print(Table("SocketCAN", ("interface", "item", "", "found", "what to do"), rows))

@@ -373,8 +373,8 @@ def _report(session: Session, axis: int, late: tuple[float, float], *, is_kept: 
         text = "acts before its SYNC: declare rpdo: event, and commission again"
         session.found(axis, _ITEM, configured, found, StepVerdict.FAILED, text)
     elif value <= error:
-        found = f"below what this test resolves (+- {error * 1e6:.2g} us)"
-        declares = f"current_lag {_at_most(late) * 1e6:.3g} us covers what it cannot exclude"
+        found = f"not measurable (resolution +- {error * 1e6:.2g} us)"
+        declares = f"current_lag {_at_most(late) * 1e6:.3g} us is safe"
         text = "configured value kept" if is_kept else declares
         session.found(axis, _ITEM, configured, found, StepVerdict.AGREES if is_kept else StepVerdict.MEASURED, text)
     else:
@@ -396,7 +396,7 @@ def _propose(session: Session, axis: int, lag: float | None, known: Mapping[str,
         session.propose(
             axis, "passivity.torque_window", window, "s", "an allowance: the measured lag is in current_lag"
         )
-    comment = f"{_OVER:g} times the measured upper end" if lag is not None else "more than this test resolves"
+    comment = f"{_OVER:g} times the upper confidence limit" if lag is not None else "more than this test resolves"
     session.propose(axis, "passivity.current_lag", lag, "s", comment)
     if lag is None or not _is_lost(session, axis, lag, known):
         return

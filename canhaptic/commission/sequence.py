@@ -231,7 +231,7 @@ def pull_the_master(session: Session) -> None:
     Raises:
         RigError: Drive or link failed in another way than the silence provokes.
     """
-    asked = "watchdog: the drives are enabled at zero torque, then the master falls silent. Now?"
+    asked = "watchdog: the drives are enabled at zero torque, then the master stops sending. Start now?"
     axes = range(len(session.axes))
     if not session.agreed(asked, "watchdog", axes, "a killed master may leave a torque on"):
         return
@@ -311,7 +311,7 @@ def _propose_jitter(session: Session, latest: float) -> None:
         session.propose(axis, "passivity.sync_jitter", jitter, "1", comment)
 
 
-REQUIRED: Final = (STANDSTILL, "torque sign", SCALE, "moving mass", "mass on a shaft", "torque lag", "watchdog")
+REQUIRED: Final = (STANDSTILL, "torque sign", SCALE, "moving mass", "compliant shaft", "torque lag", "watchdog")
 """Items that must be verified on every axis before its scene may run."""
 
 
@@ -347,7 +347,7 @@ def commission(session: Session, timing_duration: float) -> None:
                 identify_dynamics(session, axis, first.mass)
         if session.stop_requested():
             return
-        tell("5 of 6: the watchdog, by silence of the master (zero torque)")
+        tell("5 of 6: the watchdog (zero torque)")
         pull_the_master(session)
         if session.stop_requested():
             return

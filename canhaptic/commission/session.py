@@ -202,7 +202,7 @@ class Report:
 
     def values_table(self, written: str) -> Table:
         """Return the values, and where they were written, as a table for a terminal."""
-        rows = [[value.axis, value.key, value.text or "as it is", value.comment] for value in self.values]
+        rows = [[value.axis, value.key, value.text or "unchanged", value.comment] for value in self.values]
         return Table(written, ("axis", "key", "value", ""), rows)
 
 

@@ -43,10 +43,10 @@ _UNDER: Final = 0.9
 _OVER: Final = 2.0
 _COMMENTS: Final = {
     "moving_mass": f"{_UNDER:g} of the measured value, less two standard deviations",
-    "device_damping_bound": f"{_OVER:g} times the measured upper end",
-    "device_friction_bound": f"{_OVER:g} times the measured upper end",
-    "device_damping": f"{_DERATING:g} of the measured lower end: grease and temperature change it",
-    "device_friction": f"{_DERATING:g} of the measured lower end: heat, grease and wear reduce friction",
+    "device_damping_bound": f"{_OVER:g} times the upper confidence limit",
+    "device_friction_bound": f"{_OVER:g} times the upper confidence limit",
+    "device_damping": f"{_DERATING:g} times the lower confidence limit: grease and temperature change it",
+    "device_friction": f"{_DERATING:g} times the lower confidence limit: heat, grease and wear reduce friction",
 }
 """Comment of each declared value of the device: its margin to the measured value."""
 
@@ -206,7 +206,7 @@ def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
     the shortest time that the encoder resolves, a resonance far above 1 / (4 t) is not seen.
     """
     parameters, torque = session.axes[axis].parameters, largest_torque(session, axis)
-    item, unit = "mass on a shaft", MASS_UNITS[parameters.unit]
+    item, unit = "compliant shaft", MASS_UNITS[parameters.unit]
     # 20 counts of motion in one part of a shake: quantisation then changes the mass by 0.1 %
     resolved = 20.0 / parameters.counts_per_unit * found.mass / torque
     holds = max(1, math.ceil(math.sqrt(resolved) / session.sample_time))
@@ -226,9 +226,9 @@ def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
         session.found(axis, item, "", "unclear", StepVerdict.UNKNOWN, text)
         return found
     (mass, error), fastest = within, 0.25 / (holds * session.sample_time)
-    seen = f"{mass:.3g} {unit} at {fastest:.3g} Hz, {found.mass:.3g} slowly"
+    seen = f"{mass:.3g} {unit} at {fastest:.3g} Hz, {found.mass:.3g} {unit} at low frequency"
     if abs(mass / found.mass - 1.0) <= 0.1:  # of a fast and of a slow motion on a stiff axis
-        session.found(axis, item, "", f"none: {seen}", StepVerdict.AGREES, f"no resonance below {fastest:.3g} Hz")
+        session.found(axis, item, "", f"none found: {seen}", StepVerdict.AGREES, f"no resonance below {fastest:.3g} Hz")
         return found
     if SURE * error < mass < found.mass:
         text = "a shaft lets the rotor move alone; moving_mass is the rotor's"
@@ -246,7 +246,7 @@ def _report_mass(session: Session, axis: int, found: Dynamics) -> None:
     if declared is not None and declared > found.mass + SURE * found.mass_error:
         verdict = StepVerdict.FAILED
         text = f"{text}; moving_mass must not exceed the real value, or guarded is not passive"
-    configured = "" if declared is None else f"at most {declared:.4g} {mass_unit}"
+    configured = "" if declared is None else f"{declared:.4g} {mass_unit} (must not exceed the real mass)"
     session.found(axis, "moving mass", configured, f"{found.mass:.4g} {mass_unit}", verdict, text)
 
 
@@ -448,7 +448,7 @@ def _judge_scale(session: Session, axis: int, means: str, ratio: float | None) -
     key = "transmission" if parameters.rated_torque is None else "rated_torque"
     if same:
         session.verified.add(axis)
-        text = "the scale agrees" + (", but of a simulated drive: not written" if session.scene.simulated else "")
+        text = "agrees" + (", but the drive is simulated: not written" if session.scene.simulated else "")
         session.propose(axis, "torque_verified", means, comment=text)
         return session.propose(axis, key, None, comment=f"agrees, by {means}")
     unit = effort_unit(parameters.unit) if key == "rated_torque" else ""

@@ -1,8 +1,9 @@
 """Survey of a drive: of its dictionary before there is a configuration, and of the limits that it holds at present.
 
-A dictionary is fit, fit with conditions, or unfit. `check_dictionary` judges it for a configured axis. Here nothing is
-configured: a value that the configuration must supply is a condition, not a refusal. A refusal rests only on what the
-dictionary states. For an admittance display the source of its force and the limits in the drive are judged as well.
+A dictionary is usable, usable with conditions, or not usable. `check_dictionary` judges it for a configured axis. Here
+nothing is configured: a value that the configuration must supply is a condition, not a refusal. A refusal rests only on
+what the dictionary states. For an admittance display the source of its force and the limits in the drive are judged as
+well.
 
 `read_objects` asks a drive for its present limits, ramps and reactions, and compares them with the scene.
 """
@@ -93,9 +94,9 @@ Group = Literal["identity", "torque", "motion", "read-back", "force", "limits", 
 class Suitability(Enum):
     """Verdict on a drive from its dictionary alone."""
 
-    FIT = "fit"
-    CONDITIONAL = "fit with conditions"
-    UNFIT = "unfit"
+    FIT = "usable"
+    CONDITIONAL = "usable with conditions"
+    UNFIT = "not usable"
 
 
 class SurveyRow(NamedTuple):
@@ -153,7 +154,7 @@ class Survey(NamedTuple):
 
     @property
     def suitability(self) -> Suitability:
-        """Whether the drive fits cyclic torque: fit, fit with conditions, or unfit."""
+        """Whether the drive is usable with cyclic torque: usable, usable with conditions, or not usable."""
         if self.reasons:
             return Suitability.UNFIT
         return Suitability.CONDITIONAL if self.conditions else Suitability.FIT
@@ -303,7 +304,10 @@ def _force(dictionary: ObjectDictionary, display: AdmittanceParameters) -> Surve
         return SurveyRow("force", "force sensor", "a node of its own", Verdict.UNKNOWN, text)
     variable = listed(dictionary, *place)
     kind = _TYPES[1] if variable is not None and variable.data_type == _TYPES[1] else _TYPES[0]
-    verdict, text = Verdict.UNKNOWN, "in the TPDO with the position: one SYNC for both; confirm that it is an input"
+    verdict, text = (
+        Verdict.UNKNOWN,
+        "in the TPDO with the position, sampled by the same SYNC; confirm that it is an analog input",
+    )
     if (refusal := fitness.mapping_objection(dictionary, "TPDO", place[0], kind, place[1])) is not None:
         verdict, text = Verdict.REFUSED, f"{refusal}; name an INTEGER16 or INTEGER32 that a TPDO can carry"
     item = f"{place[0]:#06x}:{place[1]:02x} force"
@@ -328,21 +332,23 @@ def _limits_of_display(dictionary: ObjectDictionary) -> Iterator[SurveyRow]:
 def _read_back(dictionary: ObjectDictionary, axis_map: AxisMap | None) -> SurveyRow:
     stated = f"0x6074 {_describe(dictionary, od.TORQUE_DEMAND)}; 0x6077 {_describe(dictionary, od.TORQUE_ACTUAL)}"
     if axis_map is None:
-        return SurveyRow("read-back", "torque read back", stated, Verdict.FIT, "no map was found, see below")
+        return SurveyRow("read-back", "torque read-back", stated, Verdict.FIT, "no map was found, see below")
     text = {
-        "demand": "by 0x6074 in the TPDO: the energy of every hold is exact",
-        "actual": "by 0x6077 in the TPDO, measured at one instant of each hold; its difference from the torque "
-        "sent bounds the error of the energy",
+        "demand": "0x6074 (demand), in the TPDO: the energy of every hold is exact",
+        "actual": "0x6077 (measured), in the TPDO, one sample per cycle; its difference from the commanded torque "
+        "sets the energy error",
         "none": "no torque can be mapped: the energy is computed from the torque sent",
     }[axis_map.read_back]
     verdict = Verdict.FIT if axis_map.read_back == "demand" else Verdict.UNKNOWN
-    return SurveyRow("read-back", "torque read back", stated, verdict, text)
+    return SurveyRow("read-back", "torque read-back", stated, verdict, text)
 
 
 def _max_torque(dictionary: ObjectDictionary, axis: AxisParameters, found: Finding) -> tuple[Verdict, str]:
     limit, state = _variable(dictionary, od.MAX_TORQUE), fitness.max_torque_unwritten(dictionary, axis)
     if limit is None or state:
-        text = f"{state}; torque_limit is kept by the master alone: set a limit in the drive with the vendor's tool"
+        text = (
+            f"{state}, so only the master enforces torque_limit; also set a limit in the drive with the vendor's tool"
+        )
         return Verdict.UNKNOWN, limit_objection(dictionary, axis) or text
     if found.verdict is Verdict.REFUSED:
         return found.verdict, found.text

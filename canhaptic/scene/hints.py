@@ -30,7 +30,7 @@ DRAG: Final = 0.1
 """Drag force that a hand hardly feels [N or N*m]."""
 
 
-ENCODER: Final = "with this encoder (dry friction per count)"
+ENCODER: Final = "after repeated presses (dry friction per count)"
 """End of the name of a hint: the stiffness that the device's dry friction keeps passive with this encoder."""
 LARGEST_ADVISED: Final = 1e-3
 """Largest energy allowance that is proposed [J]: 0.25 kg at 9 cm/s."""
@@ -148,12 +148,11 @@ def _apart_hint(axis: AxisScene, axes: int) -> list[Hint]:
         return []
     holds = 1 + axis.loop.delay + losses
     text = (
-        f"max_consecutive_losses {losses}: each axis is certified by itself, for {holds} holds. A spring that one axis "
-        "pulls and another follows moves the other beyond this extension, for each unit of speed; with "
-        "max_consecutive_losses 0 at once"
+        f"at a speed of 1 {unit}/s, and in proportion; max_consecutive_losses {losses}: each axis is certified by "
+        f"itself, for {holds} holds. With max_consecutive_losses 0 a spring between axes pulls at once"
     )
     limit = 2.0 * holds * axis.loop.sample_time
-    return [Hint(axis.parameters.name, "extension without force", limit, None, f"{unit}/({unit}/s)", text)]
+    return [Hint(axis.parameters.name, "stretch before a coupling pulls", limit, None, unit, text)]
 
 
 def _hint(
@@ -163,7 +162,7 @@ def _hint(
     quantity = "stiffness" if what.startswith("stiffness") else "damping"
     unit = (stiffness_unit if quantity == "stiffness" else damping_unit)(axis.parameters.unit)
     concerns = not plain or axis.passivity.name == "unprotected"
-    text = text if concerns else f"plain wall only: {text}"
+    text = text if concerns else f"plain wall, no algorithm: {text}"
     return Hint(axis.parameters.name, what, limit, _asked(axis, quantity), unit, text, concerns, certificate)
 
 
@@ -171,10 +170,10 @@ def _known(axis: AxisScene, key: str, of_plant: str) -> tuple[float | None, str]
     """Return a property of the device, declared or of the simulated plant, and its source."""
     declared = getattr(axis.loop, key)
     if declared is not None:
-        return float(declared), f"{key} declared"
+        return float(declared), f"with the declared {key}"
     if axis.simulation is not None:
-        return float(getattr(axis.simulation.plant, of_plant)), f"{of_plant} of the simulated plant"
-    return None, f"give passivity.{key}"
+        return float(getattr(axis.simulation.plant, of_plant)), f"with the {of_plant} of the simulated plant"
+    return None, f"unknown: declare passivity.{key}"
 
 
 def _asked(axis: AxisScene, name: str) -> float | None:
@@ -187,11 +186,11 @@ def _stiffness_hints(axis: AxisScene) -> list[Hint]:
     period, delay = axis.loop.sample_time, axis.loop.delay
     bound = None if damping is None else bounds.renderable_by_device_damping(damping, period, 0)
     what = "stiffness, Colgate's bound 2 b / T"
-    hints = [_hint(axis, what, bound, f"passive below; {source}", plain=True)]
+    hints = [_hint(axis, what, bound, f"passive below this, {source}", plain=True)]
     if delay and damping is not None:
         bound = bounds.renderable_by_device_damping(damping, period, delay)
         what = f"stiffness at delay {delay}, 2 b / {1 + delay} T"
-        hints.append(_hint(axis, what, bound, f"held by the device's damping; {source}", plain=True))
+        hints.append(_hint(axis, what, bound, f"held by the device's damping, {source}", plain=True))
     return hints
 
 
@@ -202,10 +201,13 @@ def _quantisation_hint(axis: AxisScene) -> Hint:
     Robotics 21, 2005: a plain spring wall is passive for every user up to the lesser of this and Colgate's bound.
     """
     stiffness, friction = _asked(axis, "stiffness"), _simulated_friction(axis)
-    text = "no Coulomb friction known" if friction is None else f"friction {friction:.3g} of the simulated plant"
+    unit = effort_unit(axis.parameters.unit)
+    text = "no Coulomb friction known"
+    if friction is not None:
+        text = f"the simulated plant has {f'{friction:.3g} {unit} of' if friction else 'no'} Coulomb friction"
     if stiffness is not None:
         needed = 0.5 * stiffness * axis.loop.encoder_count
-        text += f"; needs {needed:.3g} of Coulomb friction for the requested wall"
+        text += f"; the requested wall needs {needed:.3g} {unit}"
     what = "stiffness, quantisation bound 2 f_c / count"
     return _hint(axis, what, quantisation_bound(axis), text, plain=True)
 
@@ -236,9 +238,9 @@ def _damping_hints(axis: AxisScene) -> list[Hint]:
     mass, source = _known(axis, "moving_mass", "mass")
     ripples = None if mass is None else least_oscillating_damping(delay, mass, period)
     diverges = None if mass is None else largest_stable_damping(delay, mass, period)
-    text = f"delay {delay}; algorithms inject no more damping than this; {source}"
+    text = f"the most that algorithms inject at delay {delay}, {source}"
     hints.append(_hint(axis, "damping, no ripple", ripples, text))
-    return [*hints, _hint(axis, "damping, stable", diverges, f"delay {delay}; {source}")]
+    return [*hints, _hint(axis, "damping, stable", diverges, f"at delay {delay}, {source}")]
 
 
 def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list[Hint]:
@@ -259,7 +261,7 @@ def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list
         given = loop.sample_time, loop.moving_mass, pull, least, most
         response = bounds.displacement_response(*given, timing=loop.timing)
         of_each = f" on each of {len(group)} axes" if len(group) > 1 else ""
-        hand = f"hand force up to {hand_force:g}" if hand_force else "a hand that never pulls"
+        hand = f"hand force up to {hand_force:g}" if hand_force else "assumes that the hand never pulls"
         text = f"{hand}{of_each if hand_force else ''}{more}"
         held["hand force"] = bounds.renderable_by_hand_force(response, lag, torque), f"at the torque limit, {text}"
         hints += _felt_hints(axis, response, lag, text)
@@ -281,13 +283,13 @@ def _encoder_hint(axis: AxisScene) -> list[Hint]:
     if friction:
         text = "at any speed of any hand, by device_friction; twice that for tremor over one count"
         if asked:
-            text += f"; counts up to {friction / asked:.2g} {unit} keep the wall asked, here {count:.2g} {unit}"
+            text += f"; counts up to {friction / asked:.2g} {unit} keep the requested wall, here {count:.2g} {unit}"
     else:
         uncertain = f"{asked * count * count:.2g} J" if asked else "energy"
         keeps = f"{asked * count:.2g} {effort_unit(unit)} of dry friction keeps" if asked else "Dry friction keeps"
-        text = f"repeated presses soften the wall: each motion over one count and back leaves {uncertain} uncertain. "
-        text += f"{keeps} the wall: measure it (canhaptic commission) and declare passivity.device_friction"
-    return [_hint(axis, f"stiffness kept {ENCODER}", limit, text)]
+        text = f"each press over one count and back leaves {uncertain} uncertain, so repeated presses soften the wall. "
+        text += f"{keeps} the wall stiff: measure it (canhaptic commission) and declare passivity.device_friction"
+    return [_hint(axis, f"stiffness {ENCODER}", limit, text)]
 
 
 def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
@@ -308,7 +310,7 @@ def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
     bound = axis.loop.device_damping_bound
     if bound and axis.loop.device_damping is None:
         limit = bounds.renderable_by_device_damping(bound, axis.loop.sample_time, axis.loop.delay + _losses(axis))
-        text += f"; for any hand walls up to {limit:.3g} {unit}, once device_damping is measured"
+        text += f"; for any hand: walls up to {limit:.3g} {unit}, once device_damping is measured"
     return text
 
 
@@ -318,8 +320,8 @@ def _felt_hints(axis: AxisScene, response: bounds.DisplacementResponse, lag: int
     limit = bounds.renderable_by_hand_force(response, lag, push)
     what = f"stiffness felt at a push of {push:.3g} {effort_unit(axis.parameters.unit)}"
     slowest = bounds.start_speed(response, axis.loop.sample_time, lag, axis.loop.encoder_count)
-    begins = "without stored energy; a slower approach feels torque deeper in the wall or never"
-    slow, unit = "slowest approach with torque in the first cycle", f"{axis.parameters.unit}/s"
+    begins = "if no energy is stored; a slower hand feels the wall deeper in it, or not at all"
+    slow, unit = "slowest approach with torque in its first cycle", f"{axis.parameters.unit}/s"
     if friction := axis.loop.device_friction:
         slowest, begins = 0.0, f"up to device_friction {friction:g} at once, more with the energy below"
     return [
@@ -335,7 +337,7 @@ def _energy_hint(axis: AxisScene, response: bounds.DisplacementResponse, lag: in
     parameters = axis.passivity.parameters
     if energy in {0.0, math.inf}:
         return []
-    what = f"energy for slower contacts with {stiffness:.4g} {stiffness_unit(unit)}"
+    what = f"energy to feel slower contacts, {stiffness:.4g} {stiffness_unit(unit)}"
     drag, friction = getattr(parameters, "drag", 0.0) or DRAG, axis.loop.device_friction or 0.0
     earning = f"{drag:g} {effort_unit(unit)} of drag earn it over {energy / drag:.2g} {unit} of faster motion"
     if friction:
@@ -343,7 +345,7 @@ def _energy_hint(axis: AxisScene, response: bounds.DisplacementResponse, lag: in
     kept = getattr(parameters, "earned_energy", None)
     if kept is not None and kept < energy:
         earning += f"; earned_energy keeps {kept:.2g} J of it"
-    return [Hint(axis.parameters.name, what, energy, None, "J", f"{earning}; or allowed")]
+    return [Hint(axis.parameters.name, what, energy, None, "J", f"{earning}; or set energy_allowance to it")]
 
 
 def _on_all(axis: AxisScene, group: Sequence[AxisScene]) -> float:
@@ -366,7 +368,7 @@ def _held_stiffness(axis: AxisScene, held: dict[str, tuple[float, str]]) -> list
     if len(held) > 1:
         name = max(held, key=lambda entry: held[entry][0])
         limit = held[name][0]
-        text = f"the largest counts: {name}{_share(limit, stiffness)}"
+        text = f"the largest limit applies: by {name}{_share(limit, stiffness)}"
         hints.append(_hint(axis, "stiffness, certified", limit, text, "largest"))
     return hints
 
@@ -374,7 +376,7 @@ def _held_stiffness(axis: AxisScene, held: dict[str, tuple[float, str]]) -> list
 def _share(limit: float, asked: float | None) -> str:
     if not asked:
         return ""
-    return f"; holds {100.0 * min(1.0, limit / asked):.3g} % of the request"
+    return f"; covers {100.0 * min(1.0, limit / asked):.3g} % of the requested stiffness"
 
 
 def display_hints(scene: Scene) -> list[Hint]:
@@ -385,7 +387,7 @@ def display_hints(scene: Scene) -> list[Hint]:
 def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
     given, properties = axis.parameters, display_properties(axis)
     doubt = _uncertainty(properties)
-    text = "acts on the account like dry friction of this size; slew T / 4 for point samples, and the error of a value"
+    text = "costs the account as much as dry friction of this size: sensor error, and slew T / 4 for point samples"
     hints = [Hint(given.name, "force uncertainty of the account", doubt, None, effort_unit(given.unit), text)]
     group = scene.group_of(axis)
     chosen = (axis.passivity, axis.environment) if group is None else (group.passivity, group.network)
@@ -425,15 +427,22 @@ def _of_guard(
     felt = mass + 0.5 * holds * time * gain
     never = mass + gain * lag
     start = sqrt(4.0 * known.energy_allowance / (gain * time * holds))
-    about = "" if asked is None else f"; asked {asked:g} {unit}"
+    about = "" if asked is None else f"; requested {asked:g} {unit}"
     hints = [
         Hint(name, "mass felt at the first move, at least", felt, None, unit, f"{_SPEEDING_UP}{about}"),
-        Hint(name, "mass that is passive without a guard", never, None, unit, f"{_WITHOUT_GUARD}{about}"),
-        Hint(name, "speed at which motion starts", start, None, speed_unit, "by energy_allowance, with nothing stored"),
+        Hint(name, "lightest mass that is passive without the guard", never, None, unit, f"{_WITHOUT_GUARD}{about}"),
+        Hint(
+            name,
+            "speed of the first step from rest",
+            start,
+            None,
+            speed_unit,
+            "by energy_allowance, with nothing stored",
+        ),
     ]
     if known.integral_gain:
-        text = "of a drive with an integral (mode 8) nothing is certified where holds are uneven: its value is unknown"
-        hints.append(Hint(name, "SYNC jitter of a certificate", 0.0, properties.jitter, "", text))
+        text = "in mode 8 the drive's integral is unknown: nothing is certified if holds differ in length"
+        hints.append(Hint(name, "SYNC jitter allowed", 0.0, properties.jitter, "", text))
     elif known.hand_stiffness:
         hand = DeclaredHand(known, loop_settings(known, properties), properties)
         carried = hand.lightest(properties.speed_limit)
@@ -441,9 +450,9 @@ def _of_guard(
         hints.append(Hint(name, "mass carried for the declared hand", carried, None, unit, text))
         if asked is not None and asked < never:
             border = damping_border(mass, gain, asked, known.hand_stiffness, lag)
-            text = f"in place of that mass, for the declared hand_stiffness; {asked:g} {unit} asked"
+            text = f"in place of that mass, for the declared hand_stiffness; requested {asked:g} {unit}"
             hints.append(
-                Hint(name, "damping that is passive without a guard", border, None, damping_unit(axis_unit), text)
+                Hint(name, "damping that is passive without the guard", border, None, damping_unit(axis_unit), text)
             )
     if asked is not None and properties.speed_quantum:
         least = asked * properties.speed_quantum / properties.sample_time

@@ -211,27 +211,27 @@ def method_line(scene: Scene, plants: Sequence[Plant] = (), periods: int = 0, pr
         if (order := getattr(mechanism.parameters, "order", None)) is not None:
             approximate[mechanism.name] = order
     acts = "at its own SYNC" if scene.bus.rpdo == "event" else "one sample late"
-    plant = "plant exact between SYNCs"
+    plant, cost = "plant exact between SYNCs", ""
     if approximate:
         parts = ", ".join(f"{name} of order {order}" for name, order in sorted(approximate.items()))
         plant = f"plant exact between SYNCs but for {parts}"
     if plants and periods:  # products are per plant on average
         events, products = sum(of.events for of in plants), sum(of.products for of in plants) / len(plants) / periods
-        plant = f"{plant}, {counted(events, 'event')}, {counted(f'{products:.2g}', 'matrix product')} per period"
+        cost = f"; {counted(f'{products:.2g}', 'matrix product')} per period, {counted(events, 'event')}"
     if prices:
-        plant = f"{plant}, {_priced(prices)}"
+        plant = f"{plant}, {_accuracy(prices)}"
+        cost = f"{cost or ';'}, {sum(price.microseconds for price in prices):.3g} us per period".replace(";,", ";")
     bus = "" if scene.bus_effects is None else f"; bus with {', '.join(scene.bus_effects.named)}"
-    return f"{plant}; torque acts {acts}{bus}"
+    return f"{plant}; torque acts {acts}{bus}{cost}"
 
 
-def _priced(prices: Sequence[PlantPrice]) -> str:
-    """Return time per period of all plants together and the largest estimated error."""
-    text = f"{sum(price.microseconds for price in prices):.3g} us per period"
+def _accuracy(prices: Sequence[PlantPrice]) -> str:
+    """Return the largest estimated error of all plants."""
     errors = [(price.error, price.unit) for price in prices if price.error is not None]
     if not errors:
-        return f"{text}, exact to rounding"
+        return "exact to rounding"
     (error, _, doubt), unit = max(errors, key=lambda one: (bool(one[0].doubt), one[0].size))
     periods = min(price.periods for price in prices)
     if doubt:
-        return f"{text}, ERROR NOT KNOWN over {periods} periods: {doubt}"
-    return f"{text}, estimated error {error:.1g} {unit} over {periods} periods"
+        return f"ERROR NOT KNOWN over {periods} periods: {doubt}"
+    return f"estimated error {error:.1g} {unit} over {periods} periods"

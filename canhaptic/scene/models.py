@@ -601,6 +601,6 @@ def require_no_guesses(scene: Scene) -> None:
     marked = ", ".join(f"{guess.line} ({guess.key})" for guess in guesses if guess.line)
     missing = ", ".join(guess.key for guess in guesses if not guess.line)
     parts = (f"lines {marked}: marked {TO_SET}" if marked else "", f"missing: {missing}" if missing else "")
-    text = f"{scene.source}: {status_text(scene)}: {'; '.join(filter(None, parts))}; the drives are real"
-    remedy = "put the values of your rig there and take the marks away; canhaptic commission measures most of them"
-    raise InputError(f"{text}: {remedy}")
+    text = f"{scene.source}: not run, the drives are real. {status_text(scene)}: {'; '.join(filter(None, parts))}"
+    remedy = "Set each value and delete its mark; canhaptic commission measures most of them"
+    raise InputError(f"{text}. {remedy}")

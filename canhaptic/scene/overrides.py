@@ -116,7 +116,8 @@ def without_old_keys(
         words = " ".join(f"--set {path}.{key}={_example(field, motion)}" for key, field in needed.items())
         raise table.refused(f"got {name!r} in place of {was!r}, which needs {', '.join(needed)}, as in {words}")
     if gone and parent_process() is None:
-        text = f"{', '.join(gone)}: dropped: {name!r}, now in place of {was!r}, does not use them"
+        are = "is" if len(gone) == 1 else "are"
+        text = f"{', '.join(gone)} {are} ignored: {name!r} does not use {'it' if are == 'is' else 'them'}"
         warnings.warn(f"{section.value_at(table.selector).source}: {path}: {text}", OverrideWarning, stacklevel=2)
     return section.without(*gone)
 

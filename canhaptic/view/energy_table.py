@@ -20,6 +20,7 @@ from canhaptic.view.run_lines import (
     mass_text,
     ordered,
     rests_on,
+    uncertainty,
 )  # fmt: skip
 from canhaptic.view.table import Cell, Styled, Table, in_lines
 
@@ -129,6 +130,8 @@ def _silent(port: Result) -> str | Styled:
 def _resolution(port: Result) -> str:
     """Return the largest possible error of the account's energy."""
     resolution = port["energy_resolution"]
+    if resolution and port.get("books_least"):
+        return f"{uncertainty(port)}   "
     return f"+-{energy(resolution)}" if resolution else "rounding error only   "
 
 
@@ -159,8 +162,8 @@ _OF_GROUPS: Final = {"supplied": "input from moving surfaces", "unsure": "uncert
 _BRANCHES: Final = {
     "free": "cycles out of contact", "start": "cycles at the start of a contact",
     "exit": "cycles at the end of a contact",
-    "exact": "cycles with the energy balance solved", "fallback": "cycles without a solution of the balance",
-    "sticky": "cycles moving out while energy comes in", "depleted": "cycles limited by an empty energy budget",
+    "exact": "cycles in contact, energy balanced exactly", "fallback": "cycles in contact, energy not balanced",
+    "sticky": "cycles that held back a hand moving out", "depleted": "cycles limited by an empty energy budget",
     "held": "cycles without a new position",
 }  # fmt: skip
 """Name of a branch of the algorithm -> label of its row."""
@@ -179,12 +182,12 @@ _PORT_ROWS: Final[tuple[tuple[str, _Shown], ...]] = (
     ("passive at the motor", lambda port: _VERDICTS[port["passive"]]),
     ("lowest net energy (in - out), at the handle", "least_at_handle"),
     ("passive at the handle", lambda port: _VERDICTS[port["passive_at_handle"]]),
-    ("smallest margin", _margin),
+    ("smallest margin (net energy less dissipated)", _margin),
     ("damping rendered", _damping),
     ("damping rendered, of requested", lambda port: f"{100.0 * port['rendered']['damping']:.3g} %   "),
     ("stiffness rendered, of requested", lambda port: f"{100.0 * port['rendered']['stiffness']:.3g} %   "),
     ("mass felt", lambda port: f"{mass_text(port)}   "),
-    ("cycles of contact without torque", _silent),
+    ("cycles of contact with zero command", _silent),
     ("uncertainty of the account", _resolution),
     ("longest time between torque updates", lambda port: f"{counted(port['longest_hold'], 'cycle')}   "),
     ("cycles with another torque than commanded", lambda port: f"{port['uncommanded_cycles'] or '-'}   "),
@@ -247,7 +250,7 @@ def _contacts_table(name: str, contacts: Sequence[Result], unit: str, depth_unit
         for number, contact in sorted(hardest, key=lambda contact: contact[0])
     ]  # fmt: skip
     title = f"{name}: {counted(len(contacts), 'contact')}{shown}"
-    return Table(title, ("contact", "start", "duration", "depth", "peak", "energy taken in"), rows, keys=1)
+    return Table(title, ("contact", "start", "duration", "depth", "peak", "net energy in"), rows, keys=1)
 
 
 def _events_table(events: Sequence[Result], file: str = "") -> Table:
@@ -277,8 +280,9 @@ def _checks_table(checks: Sequence[Result]) -> Table:
 def _checked(check: Result) -> str:
     if check["value"] == "no contact":
         return "no contact, so nothing was tested"
+    unit = f" {check['unit']}" if check.get("unit", "1") != "1" else ""
     since = f", first below zero at {check['first_active']:.4g} s" if "first_active" in check else ""
-    return f"{check['value']}{since}" if isinstance(check["value"], str) else f"{check['value']:.9g}"
+    return f"{check['value']}{since}" if isinstance(check["value"], str) else f"{check['value']:.9g}{unit}"
 
 
 def _finding_line(finding: Result) -> Text:
@@ -319,7 +323,8 @@ def _comparison(comparison: Result) -> RenderableType:
     first, second = comparison["rows"]
     if comparison["identical"]:
         return Text(f" identical: {counted(first, 'cycle')}, every quantity equal bit for bit", style="green")
-    parts: list[RenderableType] = [Text(f" different: {first} and {counted(second, 'cycle')}", style="bold red")]
+    cycles = f"{first} and {counted(second, 'cycle')}" if first != second else f"both have {counted(first, 'cycle')}"
+    parts: list[RenderableType] = [Text(f" different: {cycles}", style="bold red")]
     if comparison["missing"]:
         parts.append(Text(f" only in one of them: {', '.join(comparison['missing'])}"))
     rows: list[list[Cell]] = [

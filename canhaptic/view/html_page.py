@@ -197,7 +197,7 @@ def write_html(
 
 def _facts(result: "Inspection") -> str:
     return (
-        f"{result['status']}   {counted(result['cycles'], 'cycle')} at {si(result['rate'], 'Hz', 3)}   configuration "
+        f"{result['status']}   {counted(result['cycles'], 'cycle')} at {si(result['rate'], 'Hz', 3)}   scene checksum "
         f"{result['config_hash'][:12]}   TPDOs received {100.0 * result['link']['success_rate']:.6g} %"
     )
 

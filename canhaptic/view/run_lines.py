@@ -19,8 +19,8 @@ _PLAIN_WIDTH: Final = 100  # columns, where there is no terminal to ask
 Result = Mapping[str, Any]
 """The account of a run, as `run --json` prints it."""
 _SHOWN_AT_ZERO: Final = frozenset({"deadlines_missed", "missing", "missed_tpdos", "skipped_syncs", "success_rate"})
-_WHOLE: Final = 0.995
-"""Rendered share above which the stiffness counts as rendered in full: a damper's force distorts the share a little."""
+_CLOSE: Final = 0.005
+"""Difference from one of a rendered share that is as requested: a damper's force distorts the share a little."""
 _RENDERED: Final = {"detents": "notch force", "coulomb_surface": "friction"}
 """What the rendered share refers to, for an environment without a stiffness."""
 _LABELS: Final = {
@@ -94,7 +94,8 @@ def headline_text(name: str, port: PortResult, failure: str = "") -> Text:
     word = port["verdict"]
     text = Text(f" {name}: ")
     text.append(f"{failure} " if failure else "", style="bold red")
-    text.append(f"passive: {_WORDS.get(word, word)}" if word in ("yes", "no", "in doubt") else _WORDS.get(word, word),
+    where = "passive at the handle" if _is_at_handle_alone(port) else "passive"
+    text.append(f"{where}: {_WORDS.get(word, word)}" if word in ("yes", "no", "in doubt") else _WORDS.get(word, word),
                 style=STYLES[word])  # fmt: skip
     text.append("".join(f"{separator}{reason}" for separator, reason in _reasons(port)))
     return text.append("".join(f" · {figure}" for figure in _first_figures(port)))
@@ -108,12 +109,16 @@ def _first_figures(port: PortResult) -> list[str]:
     if port["verdict"] in ("no contact", "dry run"):
         return []
     found = [f"{si(port['in'], 'J', 3)} in, {si(port['out'], 'J', 3)} out"] if "in" in port else []
+    if found and _is_by_plant(port):
+        found = [f"account: {found[0]}, {uncertainty(port)}"]
     if (ended := port.get("contact", {}).get("no_torque_after")) is not None:
         found.insert(0, f"no torque after {ended:.4g} s: no energy left for one; {_MORE_ENERGY}")
     share = port["rendered"]["stiffness"] if "rendered" in port else None
     if share is not None:
         what = _RENDERED.get(port.get("environment", ""), "stiffness")
-        found.append(f"{what} as requested" if share > _WHOLE else f"{what} {100.0 * share:.3g} % of requested")
+        found.append(
+            f"{what} as requested" if abs(share - 1.0) < _CLOSE else f"{what} {100.0 * share:.3g} % of requested"
+        )
     if beyond := port.get("contact", {}).get("beyond_limit"):
         found.append(f"cut by torque_limit in {counted(beyond, 'cycle')}")
     if "mass" in port:
@@ -128,23 +133,39 @@ def _first_figures(port: PortResult) -> list[str]:
     return found
 
 
+def uncertainty(port: Result) -> str:
+    """Return the largest error of the account's energy; a display books the least energy that can have come in."""
+    largest = si(port.get("energy_resolution", 0.0), "J", 3)
+    return f"+{largest}, -0 J" if port.get("books_least") else f"+-{largest}"
+
+
+def _is_by_plant(port: PortResult) -> bool:
+    """Return whether the simulated plant has a verdict on a port that its account has not."""
+    said = port["passive"], port.get("passive_at_handle")
+    return port["verdict"] in ("yes", "no") and "plant_passive" in port and port["verdict"] not in said
+
+
+def _is_at_handle_alone(port: PortResult) -> bool:
+    """Return whether a port is shown as passive because it is so at the handle, though not known at the motor."""
+    at_handle = port.get("passive_at_handle"), port.get("plant_passive_at_handle")
+    return port["verdict"] == "yes" != port["passive"] and "yes" in at_handle
+
+
 def _reasons(port: PortResult) -> list[tuple[str, str]]:
     """Return the reasons and conditions behind the verdict, each with its separator."""
-    word, plant = port["verdict"], port.get("plant_passive")
+    word = port["verdict"]
     found: list[tuple[str, str]] = []
     if word == "yes":
         allowance = port.get("energy_allowance", 0.0)
-        at_handle = "yes" in (port.get("passive_at_handle"), port.get("plant_passive_at_handle"))
         is_ours = "why" in port and "yes" in (port["passive"], port.get("passive_at_handle"))
         found += [(", ", port["why"])] if is_ours else []
         found += [(", ", f"within an allowance of {si(allowance, 'J', 3)}")] if allowance else []
         motor = {"no": "NO"}.get(port["passive"], port["passive"])
-        found += [(", ", f"at the handle (at the motor: {motor})")] if at_handle and motor != "yes" else []
-    said = (port["passive"], port.get("passive_at_handle"))
-    if word in ("yes", "no") and plant is not None and word not in said:
-        is_misled = word == "no" and "yes" in said
-        known = "the account says yes, so a declaration is false" if is_misled else "the account alone cannot tell"
-        found.append((", ", f"by the plant; {known}"))
+        found += [(" ", f"(at the motor: {motor})")] if _is_at_handle_alone(port) else []
+    if _is_by_plant(port):
+        is_misled = word == "no" and "yes" in (port["passive"], port.get("passive_at_handle"))
+        known = "the account says yes, so a declaration is false" if is_misled else "the account cannot tell"
+        found.append((", ", f"by the simulated plant; {known}"))
     if word == "no":
         first = first_active(port) if "first_active" in port else ""
         certain = f"{port['active_since']:.4g} s" if "active_since" in port else ""
@@ -153,7 +174,7 @@ def _reasons(port: PortResult) -> list[tuple[str, str]]:
         found += [(", ", "already before this part of the log")] if port.get("active_before") else []
         found += [(", ", f"first below zero at {first}")] if first and not is_same else []
     if word == "in doubt":
-        found.append((": ", f"the account is uncertain by +-{si(port.get('energy_resolution', 0.0), 'J', 3)}"))
+        found.append((": ", f"the account is uncertain by {uncertainty(port)}"))
         found += [("; ", port["why"])] if "why" in port else []
     if word == "no contact" and "reach" in port:
         unit = port.get("unit", "m")
@@ -175,11 +196,11 @@ def rests_on(*certificates: str, hand_force: float | None = None) -> str:
         hand_force: Largest pull of the hand, as declared [N or N*m]; None: not known.
     """
     if "none" in certificates:
-        return "nothing"
+        return "no guarantee"
     words = {"hand_force": NO_PULL} if hand_force == 0.0 else {}
     declared = [name for name in certificates if name != "exact"]
     named = (words.get(name, name.replace("_", " ").removeprefix("declared ")) for name in declared)
-    return ", ".join(named) or "no declaration"
+    return ", ".join(named) or "needs no declaration"
 
 
 def brief_report(result: Result) -> RenderableType:
@@ -222,7 +243,7 @@ def heading(result: Result) -> Text:
     if "energy_log" in result:
         text.append(f"   energy log {result['energy_log']}", style="bold red")
     if result.get("config_hash"):
-        text.append(f"   configuration {str(result['config_hash'])[:12]}", style="dim")
+        text.append(f"   scene checksum {str(result['config_hash'])[:12]}", style="dim")
     if code := result.get("own_code"):
         text.append(f"\n user code ran in {_RAN_IN.get(code['runs_in'], code['runs_in'])}")
         text.append(f", {counted(code['late_holds'], 'answer')} late" if "late_holds" in code else "")
@@ -238,6 +259,8 @@ def line(name: str, content: Mapping[str, object] | str) -> Padding:
         words = [_words(key, value) for key, value in sorted(flat.items(), key=lambda item: item[0] != "success_rate")]
         rows = [", ".join(words)] if words else []
         for key, values in nested.items():
+            if not any(values.values()):
+                continue  # of a clock that stands still in a cycle, as in a replay
             quantiles = "   ".join(f"{quantile} {_value(key, value):>9}" for quantile, value in values.items())
             rows.append(f"{key.replace('_', ' '):<17}  {quantiles}")
     table = TerminalTable.grid(padding=(0, 2, 0, 0))

@@ -348,5 +348,5 @@ def _caption(log: EnergyLog) -> str:
     status = log.status.partition(":")[0]  # the reason of a failure is longer than the picture is wide
     parts = [log.path.name, f"{counted(log.rows, 'cycle')} at {si(1.0 / log.sample_time, 'Hz', 3)}", status]
     if "config_hash" in log.attributes:
-        parts.insert(1, f"configuration {str(log.attributes['config_hash'])[:12]}")
+        parts.insert(1, f"scene checksum {str(log.attributes['config_hash'])[:12]}")
     return "   ".join(parts)

@@ -77,7 +77,7 @@ def test_a_display_keeps_its_promise_where_holds_are_as_uneven_as_declared(jitte
 def test_a_declared_jitter_raises_the_mass_felt_and_lowers_the_speed_of_the_start() -> None:
     even, uneven = ({hint.what: hint.limit or 0.0 for hint in display_hints(load_scene(SCENE, values))}
                     for values in ((), ("passivity.sync_jitter=20 %",)))  # fmt: skip
-    drive_mass, start = 2.1, "speed at which motion starts"
+    drive_mass, start = 2.1, "speed of the first step from rest"
     least = "mass felt at the first move, at least"
     assert uneven[least] - drive_mass == pytest.approx(1.2 * (even[least] - drive_mass))
     assert uneven[start] == pytest.approx(even[start] / math.sqrt(1.2))
@@ -452,7 +452,7 @@ def test_a_drive_without_0x6072_serves_once_its_limit_is_set_with_the_tool_of_th
 
 
 def test_no_real_display_runs_with_an_unknown_jitter() -> None:
-    with pytest.raises(InputError, match=r"missing: handle\.passivity\.sync_jitter; the drives are real"):
+    with pytest.raises(InputError, match=r"missing: handle\.passivity\.sync_jitter\. Set"):
         require_no_guesses(load_scene(SCENE, REAL))
     require_no_guesses(load_scene(SCENE, [*REAL, "passivity.sync_jitter=5 %"]))
     with pytest.raises(InputError, match=r"missing: `algorithm: unprotected` in the file itself"):  # and no jitter
@@ -522,8 +522,8 @@ def test_check_prints_what_a_user_wants_before_the_first_touch(capsys: pytest.Ca
     hints = {hint["what"]: hint["limit"] for hint in json.loads(capsys.readouterr().out)["stability"]}
     gain, mass, time = 660.0, 2.1, 1e-3
     assert hints["mass felt at the first move, at least"] == pytest.approx(mass + gain * time)
-    assert hints["mass that is passive without a guard"] == pytest.approx(mass + 1.5 * gain * time)
-    assert hints["speed at which motion starts"] == pytest.approx((4e-3 / (2.0 * gain * time)) ** 0.5)
+    assert hints["lightest mass that is passive without the guard"] == pytest.approx(mass + 1.5 * gain * time)
+    assert hints["speed of the first step from rest"] == pytest.approx((4e-3 / (2.0 * gain * time)) ** 0.5)
     assert hints["force uncertainty of the account"] == pytest.approx(5e3 * time / 4.0 + 0.05)
     assert hints["least force that moves it"] == pytest.approx(3.0 * 1e-6 / time)
     assert hints["energy from a stalled master"] == pytest.approx(0.25 * gain * 0.1)

@@ -48,7 +48,7 @@ def checked(path: Path, capsys: Captured) -> tuple[int, dict[str, Any]]:
 
 def test_our_dictionary_is_fit_but_for_what_the_rig_alone_knows(capsys: Captured) -> None:
     status, answer = checked(OURS, capsys)
-    assert (status, answer["verdict"], answer["reasons"]) == (0, "fit with conditions", [])
+    assert (status, answer["verdict"], answer["reasons"]) == (0, "usable with conditions", [])
     assert [line.split(":")[0] for line in answer["conditions"]] == ["0x6076 motor rated torque"]
     assert answer["map"]["rpdo"] == {
         "name": "RPDO1",
@@ -83,7 +83,7 @@ def test_the_loads_are_those_of_the_arithmetic_by_hand(capsys: Captured) -> None
 @pytest.mark.parametrize("name", UNFIT)
 def test_vendor_drives_without_cyclic_torque_cannot(name: str, vendor_eds: Path, capsys: Captured) -> None:
     status, answer = checked(vendor_eds / name, capsys)
-    assert (status, answer["verdict"]) == (1, "unfit")
+    assert (status, answer["verdict"]) == (1, "not usable")
     assert len(answer["reasons"]) == len(UNFIT[name])
     for reason, expected in zip(answer["reasons"], UNFIT[name], strict=True):
         assert reason.startswith(expected)
@@ -102,7 +102,7 @@ def test_conditions_are_what_the_dictionary_leaves_open(
     name: str, conditions: list[str], vendor_eds: Path, capsys: Captured
 ) -> None:
     status, answer = checked(vendor_eds / name, capsys)
-    assert (status, answer["verdict"], answer["reasons"]) == (0, "fit with conditions", [])
+    assert (status, answer["verdict"], answer["reasons"]) == (0, "usable with conditions", [])
     assert [line.split(" ")[0] for line in answer["conditions"]] == conditions
 
 
@@ -118,7 +118,7 @@ def test_conditions_are_what_the_dictionary_leaves_open(
 )
 def test_trait_dictionaries_are_judged_without_vendor_files(name: str, status: int, capsys: Captured) -> None:
     seen, answer = checked(TRAITS / name, capsys)
-    assert (seen, answer["verdict"] == "unfit") == (status, status == 1)
+    assert (seen, answer["verdict"] == "not usable") == (status, status == 1)
 
 
 def test_a_drive_without_watchdog_is_a_condition_with_its_key(tmp_path: Path, capsys: Captured) -> None:
@@ -136,12 +136,12 @@ def test_the_verdict_and_its_reasons_come_first_and_the_tables_on_demand(name: P
     main(["check-eds", str(name)])
     brief = capsys.readouterr().out.splitlines()
     assert len(brief) <= 50
-    assert brief[1] == ("unfit" if "no_target" in name.name else "fit with conditions")
+    assert brief[1] == ("not usable" if "no_target" in name.name else "usable with conditions")
     main(["check-eds", str(name), "--full"])
     out = capsys.readouterr().out
     for words in ("what the dictionary states", "0x6071 target torque", "watchdog", "PDO"):
         assert words in out
-    verdict = "unfit" if "no_target" in name.name else "fit with conditions"
+    verdict = "not usable" if "no_target" in name.name else "usable with conditions"
     assert f"\n{verdict}\n" in out
 
 
@@ -317,7 +317,7 @@ def test_the_analog_input_of_a_make_shows_the_force_of_an_admittance_display(
 ) -> None:
     for mode, target in (("velocity", "0x60ff:00/32"), ("position", "0x607a:00/32")):
         status, answer = displayed(vendor_eds / name, capsys, mode)
-        assert (status, answer["verdict"]) == (0, "fit with conditions")
+        assert (status, answer["verdict"]) == (0, "usable with conditions")
         assert answer["map"]["rpdo"]["entries"] == ["0x6040:00/16", target]
         assert answer["map"]["tpdos"][0]["entries"] == ["0x6041:00/16", "0x6064:00/32", analog]
         assert "admittance.force.frozen_after" in answer["configure"]

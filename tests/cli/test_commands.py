@@ -171,9 +171,9 @@ def test_check_prints_configuration_bus_drives_stability_and_host(capsys: Captur
     assert main(["check", DEMO, "--full"]) == 0
     out = capsys.readouterr().out
     statuses = "Simulation: ready. Hardware: 8 values to set; "
-    felt = "the wall is felt at approach speeds above 0.0015 m/s"
-    first = out[: out.index("\nconfiguration ")].replace("\n    ", "")
-    assert first == f"{statuses}{felt}, 1 drive is fit, bus load 28 %"
+    felt = "the wall is felt (half of its force or more) at approach speeds above 0.0015 m/s"
+    first = out[: out.index("\nscene (checksum ")].replace("\n    ", "")
+    assert first == f"{statuses}{felt}, 1 drive is usable, bus load 28 %"
     for words in ("1 SYNC x 55 + 1 TPDO x 135", "0x6071 target torque", "Colgate", "processors"):
         assert words in out
     assert "stiffness: 100.0" not in out
@@ -189,7 +189,7 @@ def test_check_marks_limits_that_the_chosen_algorithm_does_not_rest_on(capsys: C
     rows = {hint["what"]: hint for hint in answer["stability"]}
     colgate = rows["stiffness, Colgate's bound 2 b / T"]
     assert (colgate["exceeded"], colgate["concerns"]) == (True, False)  # of a plain wall, and this one is guarded
-    assert colgate["text"].startswith("plain wall only: ")
+    assert colgate["text"].startswith("plain wall, no algorithm: ")
     assert rows["damping, stable"]["concerns"] is True
     assert main(["check", DEMO, *stiff, "--json", "--set", "passivity={algorithm: unprotected}"]) == 0
     answer = json.loads(capsys.readouterr().out)
@@ -352,4 +352,4 @@ def test_check_says_the_load_of_the_bus_once_and_one_approach_speed(capsys: pyte
     assert text.count("approach speed") == 1
     assert main(["check", DEMO, "--json"]) == 0
     limits = [limit["what"] for limit in json.loads(capsys.readouterr().out)["stability"]]
-    assert "slowest approach with torque in the first cycle" in limits
+    assert "slowest approach with torque in its first cycle" in limits

@@ -229,7 +229,7 @@ ANSWERS = {
     "A shake of": "y",
     "Reversals of": "y",
     "A dither of": "y",
-    "falls silent. Now": "y",
+    "stops sending. Start now": "y",
     "reset the faults": "y",
 }
 

@@ -20,7 +20,7 @@ def refuse(b: Bench, step: str, *texts: str) -> StartError:
         b.rig.start()
     error = caught.value
     assert error.step == step, error
-    assert str(error).startswith(f"axis5: {step}: got ")
+    assert str(error).startswith(f"axis5: {step}: ")
     for text in texts:
         assert text in str(error)
     assert set(b.torques_sent()) <= {0}

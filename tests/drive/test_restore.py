@@ -56,7 +56,7 @@ def test_all_that_a_start_wrote_is_put_back_but_the_limit_which_is_named(bench: 
     assert differing == {(0x6072, 0)}
     assert len(named) == 1
     assert named[0].endswith(
-        "= 800, 700 before the run; limits stay as the run set them, unless restore_limits is true"
+        "is 800, was 700 before the run; the run leaves its limits in the drive, unless restore_limits is true"
     )
 
 
@@ -131,7 +131,7 @@ def test_a_drive_that_takes_no_value_back_is_named_and_the_rest_is_put_back() ->
 
     slave, named, before = stop_after(refuse)
     assert [text[:9] for text in named] == ["0x6072:00", "0x6007:00"]
-    assert "= 1, 0 before" in named[1]
+    assert "is 1, was 0 before" in named[1]
     kept = {(0x6072, 0), (0x6007, 0), (0x6040, 0), (0x6071, 0), (0x6061, 0)}
     assert {place for place in before if before[place] != slave.objects[place]} <= kept
 
@@ -159,7 +159,7 @@ def test_a_display_leaves_no_steepest_ramp_behind(capsys: pytest.CaptureFixture[
     words = ["--duration", "0.05", "--log", str(log), "--bus-log", str(bus_log), "--json"]
     assert main(["run", DISPLAY, *words]) == 0
     assert list(json.loads(capsys.readouterr().out)["unrestored"]["handle"]) == [
-        "0x6072:00 Max torque = 2000, 1000 before the run; limits stay as the run set them, "
+        "0x6072:00 Max torque is 2000, was 1000 before the run; the run leaves its limits in the drive, "
         "unless restore_limits is true"
     ]
     with EnergyLog.open(log) as opened:

@@ -51,5 +51,5 @@ def test_a_drive_that_cannot_serve_is_refused_by_both_commands_for_one_reason(
     table = " ".join(person.types("check-eds", path, status=1).split())
     person.types("new", path, "--simulate", "--out", "rig.yaml", status=2)
     assert "not fit for cyclic torque" in person.errors
-    assert "unfit" in table
+    assert "not usable" in table
     assert not (person.folder / "rig.yaml").exists()

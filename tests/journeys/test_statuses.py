@@ -9,7 +9,9 @@ from tests.journeys.person import FIT, OURS, UNFIT, Person, dictionary
 
 MODES = {"CST": (), "CSV": ("--display", "velocity"), "CSP": ("--display", "position")}
 GEARED = ("--set", "axes.0.transmission=14")
-STATUSES = re.compile(r"Simulation: (?:ready|unfit|no section `simulation`)\. Hardware: (\d+ values to set|unfit)")
+STATUSES = re.compile(
+    r"Simulation: (?:ready|not usable|no section `simulation`)\. Hardware: (\d+ values to set|not usable)"
+)
 
 
 def hardware(text: str) -> str:
@@ -27,8 +29,8 @@ def test_check_eds_new_check_and_run_agree(
     eds, words = dictionary(name, request), MODES[mode]
     found = json.loads(person.types("check-eds", eds, *words, "--json", status=None))
     said = hardware(found["statuses"])
-    if found["verdict"] == "unfit":
-        assert said == "unfit"
+    if found["verdict"] == "not usable":
+        assert said == "not usable"
         person.types("new", eds, *words, "--out", "rig.yaml", status=2)
         return
     for simulate in (("--simulate",), ()):

@@ -183,7 +183,7 @@ def test_what_is_not_known_is_said_to_be_unknown(tmp_path: Path) -> None:
     hints = stability_hints(scene.axes[0])
     assert hints
     assert all(hint.limit is None and not hint.exceeded for hint in hints)
-    assert all("give passivity." in hint.text or "no Coulomb friction known" in hint.text for hint in hints)
+    assert all("declare passivity." in hint.text or "no Coulomb friction known" in hint.text for hint in hints)
 
 
 def test_certified_stiffness_follows_the_hand_force(tmp_path: Path) -> None:
@@ -194,16 +194,16 @@ def test_certified_stiffness_follows_the_hand_force(tmp_path: Path) -> None:
     # (m / 2 T^2) F / (F + F_h) with F the torque limit of 20 N
     assert limits["stiffness, certified by hand force"] == pytest.approx(0.2 / 2e-6 * 20 / (20 + 20))
     speed = 20 * 1e-3 / 0.2 + 1e-6 / 1e-3  # F_h T / m, and the count that the last displacement is known to
-    assert limits["slowest approach with torque in the first cycle"] == pytest.approx(speed)
+    assert limits["slowest approach with torque in its first cycle"] == pytest.approx(speed)
     held = 0.2 / 2e-6 * 5 / (5 + 20)  # leant on with a quarter of the torque limit
     assert limits["stiffness felt at a push of 5 N"] == pytest.approx(held)
-    [stiffness] = [float(what.split()[-2]) for what in limits if what.startswith("energy for slower contacts")]
+    [stiffness] = [float(what.split()[-2]) for what in limits if what.startswith("energy to feel slower contacts")]
     lacking, whole = 0.5 / stiffness - 1e-6 / 0.2, 1e-6 / 0.2 * 20  # the most of h F (F + F_h) - F^2 / 2k
-    assert limits[f"energy for slower contacts with {stiffness:.4g} N/m"] == pytest.approx(whole**2 / 4 / lacking)
+    assert limits[f"energy to feel slower contacts, {stiffness:.4g} N/m"] == pytest.approx(whole**2 / 4 / lacking)
     overrides[0] = overrides[0].replace("}", ", device_friction: 0.5, device_friction_bound: 0.5, earned_energy: 0}")
     hints = {h.what: h for h in stability_hints(load_scene(scene_file(tmp_path), overrides).axes[0])}
-    assert hints["slowest approach with torque in the first cycle"].limit == 0.0
-    [energy] = [hint for what, hint in hints.items() if what.startswith("energy for slower contacts")]
+    assert hints["slowest approach with torque in its first cycle"].limit == 0.0
+    [energy] = [hint for what, hint in hints.items() if what.startswith("energy to feel slower contacts")]
     assert energy.limit is not None
     assert f"device_friction earns it over {energy.limit / 0.5:.2g} m of any motion" in energy.text
     assert "earned_energy keeps 0 J of it" in energy.text
@@ -217,7 +217,7 @@ def test_the_quantisation_bound_needs_friction_and_takes_that_of_the_simulated_p
     friction = "simulation.effects=[{type: coulomb_friction, kinetic: 0.02, static: 0.03}]"
     dry = {h.what: h for h in stability_hints(load_scene(path, [friction]).axes[0])}[name]
     assert dry.limit == pytest.approx(2 * 0.02 / 1e-6)
-    assert "needs 5e-05 of Coulomb friction" in dry.text  # k count / 2 = 100 * 1e-6 / 2
+    assert "the requested wall needs 5e-05 N" in dry.text  # k count / 2 = 100 * 1e-6 / 2
 
 
 def test_the_damping_that_colgate_leaves_falls_with_the_stiffness(tmp_path: Path) -> None:
@@ -237,7 +237,7 @@ def test_the_largest_certificate_says_how_much_of_the_wall_it_holds(tmp_path: Pa
     assert hints["stiffness, certified by hand speed"].limit == pytest.approx(20 / (2 * 50 * 2e-3))
     largest = max(h.limit for name, h in hints.items() if name.startswith("stiffness, certified by"))  # type: ignore[type-var]
     assert hints["stiffness, certified"].limit == largest
-    assert f"holds {largest / 1e3:.3g} % of the request" in hints["stiffness, certified"].text  # type: ignore[operator]
+    assert f"covers {largest / 1e3:.3g} % of the requested stiffness" in hints["stiffness, certified"].text  # type: ignore[operator]
 
 
 def test_an_environment_that_turns_needs_the_push_of_the_hand(tmp_path: Path) -> None:

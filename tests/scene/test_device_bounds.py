@@ -53,6 +53,6 @@ def test_the_guides_of_a_stage_have_theirs():
 def test_no_real_drive_runs_with_a_hand_force_and_unknown_friction():
     declared = load_scene(DEMO, (*REAL, "passivity.device_friction_bound=0.3 N"))
     require_no_guesses(declared)
-    with pytest.raises(InputError, match=r"missing: handle\.passivity\.device_friction_bound; the drives are real"):
+    with pytest.raises(InputError, match=r"missing: handle\.passivity\.device_friction_bound\. Set"):
         require_no_guesses(load_scene(DEMO, REAL))
     require_no_guesses(load_scene(DEMO, (*REAL, "passivity.hand_force=null", "passivity.device_damping=0.05")))

@@ -179,7 +179,7 @@ def test_hints_are_those_of_the_groups_certificates_for_each_axis() -> None:
 def test_hints_say_what_lost_frames_and_a_hand_on_every_axis_leave() -> None:
     def held(*overrides: str) -> Any:
         hints = {hint.what: hint for hint in group_hints(load_scene(HANDLES, overrides)) if hint.axis == "first"}
-        return hints["stiffness, certified by hand force"], hints.get("extension without force")
+        return hints["stiffness, certified by hand force"], hints.get("stretch before a coupling pulls")
 
     plain, none = held("groups.0.passivity.max_consecutive_losses=0")
     assert (plain.limit, none) == (pytest.approx(0.2 / (6 * 1e-3**2)), None)  # delay 1: m / 6 T^2

@@ -84,13 +84,13 @@ def test_a_number_with_all_its_digits_before_the_point_has_no_point() -> None:
 def test_every_part_of_the_result_is_in_the_report() -> None:
     text = printed(result(["still", "handle"]))
     for words in (
-        "ok   8000 cycles   configuration ab12cd34ef56",
+        "ok   8000 cycles   scene checksum ab12cd34ef56",
         "12.35 mJ",
         "-2.200 mJ",
         "0.123 s",
         "4..10 N*s/m",
         "hand force",
-        "cycles with the energy balance solved",
+        "cycles in contact, energy balanced exactly",
         "net energy, from the plant",
         "TPDOs received 99.987 %, TPDOs missed 1",
         "cycles per second 9123.4, deadlines missed 0",
@@ -98,7 +98,7 @@ def test_every_part_of_the_result_is_in_the_report() -> None:
         "exact between SYNCs",
     ):
         assert words in text
-    assert "moving out" not in text
+    assert "held back" not in text
 
 
 def row_of(content: dict[str, object], label: str) -> str:
@@ -135,24 +135,29 @@ def test_a_port_is_passive_in_doubt_or_not(least: float, uncertainty: float, ver
 @pytest.mark.parametrize(
     ("label", "changed", "shown"),
     [
-        ("smallest margin", {"margin": {"value": 0.0, "cycle": 0, "time": 0.0}}, "0 J, never negative"),
-        ("smallest margin", {}, "-2.200 mJ at 0.123 s"),
+        (
+            "smallest margin (net energy less dissipated)",
+            {"margin": {"value": 0.0, "cycle": 0, "time": 0.0}},
+            "0 J, never negative",
+        ),
+        ("smallest margin (net energy less dissipated)", {}, "-2.200 mJ at 0.123 s"),
         ("damping rendered", {"damping_rendered": {"least": 4.0, "most": 4.0}, "unit": "rad"}, "4 N*m*s/rad"),
         ("uncertainty of the account", {"energy_resolution": 0.0}, "rounding error only"),
         ("uncertainty of the account", {"read_back": "none", "energy_resolution": 0.2}, "+-200.0 mJ"),
+        ("uncertainty of the account", {"energy_resolution": 2.017, "books_least": True}, "+2.02 J, -0 J"),
         ("uncertainty of the account", {"read_back": "actual", "energy_resolution": 2.5e-3}, "+-2.500 mJ"),
         ("stiffness rendered, of requested", {"rendered": {"stiffness": 0.875, "damping": None}}, "87.5 %"),
         ("mass felt", {"mass": {"asked": 3.0, "felt": 2.9607, "share": 0.9869}}, "2.96 kg, 98.7 % of requested"),
-        ("cycles of contact without torque", {"contact": {"holds": 40, "without_torque": 3}}, "3 of 40"),
+        ("cycles of contact with zero command", {"contact": {"holds": 40, "without_torque": 3}}, "3 of 40"),
         (
-            "cycles of contact without torque",
+            "cycles of contact with zero command",
             {"contact": {"holds": 40, "without_torque": 40}},
             "all",
         ),
         ("guarantee rests on", {"certificates": []}, "no torque"),
         ("guarantee rests on", {"certificates": ["exact", "hand_force"]}, "hand force"),
-        ("guarantee rests on", {"certificates": ["exact"]}, "no declaration"),
-        ("guarantee rests on", {"certificates": ["none"]}, "nothing"),
+        ("guarantee rests on", {"certificates": ["exact"]}, "needs no declaration"),
+        ("guarantee rests on", {"certificates": ["none"]}, "no guarantee"),
         (
             "guarantee rests on",
             {"certificates": ["hand_force", "hand_speed"], "hand_force": 0.0},

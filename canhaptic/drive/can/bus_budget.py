@@ -84,7 +84,7 @@ def bus_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
     answers = [length for axis in maps for length in (*axis.awaited, *(tpdo.length for tpdo in axis.tpdos))]
     for what, lengths in (("TPDO", answers), ("RPDO", [axis.rpdo.length for axis in maps])):
         rows += [_BudgetRow(what, lengths.count(n), _worst_case_bits(n)) for n in sorted(set(lengths), reverse=True)]
-    rows.append(_BudgetRow("blocking frame", 1, worst_frame()))
+    rows.append(_BudgetRow("frame already on the bus", 1, worst_frame()))
     rows.append(_BudgetRow("heartbeat", len(maps) + 1, _worst_case_bits(1)))
     rows.append(_BudgetRow("EMCY", bus.emcy_reserve, worst_frame()))
     return BusBudget(tuple(rows), bus.bitrate, bus.compute_latency, bus.sample_time)

@@ -413,7 +413,9 @@ def _differences(drive: TorqueAxis, first: Written) -> Iterator[str]:
     """Yield the values of an object now and before the start, where they differ; raise SdoError."""
     name = drive.sdo.describe(*first.place)
     if first.before is None:
-        yield f"{name} = {first.after}, unknown before"
+        yield f"{name} is {first.after}, unknown before"
     elif (now := drive.sdo.read(*first.place)) != first.before:
-        kept = "; limits stay as the run set them, unless restore_limits is true" if _is_kept(drive, first) else ""
-        yield f"{name} = {now}, {first.before} before the run{kept}"
+        kept = (
+            "; the run leaves its limits in the drive, unless restore_limits is true" if _is_kept(drive, first) else ""
+        )
+        yield f"{name} is {now}, was {first.before} before the run{kept}"

@@ -123,10 +123,10 @@ class BringUp(ABC):
             yield
         except (SdoError, DictionaryError, LinkError) as error:
             if isinstance(error, SdoError):
-                expected = expected if error.code is not None else "an answer"
+                expected = expected if error.code is not None else ""  # the text says that no answer came
             elif isinstance(error, LinkError):
                 expected = "a working bus"
-            seen = str(error).removeprefix(f"{self._drive.axis.name}: ")
+            seen = str(error).removeprefix(f"{self._drive.axis.name}: ").removesuffix(f"; {_REMEDIES[name]}")
             raise self.refusal(name, seen, expected) from error
 
     def refusal(self, name: str, seen: str, expected: str, remedy: str = "") -> StartError:

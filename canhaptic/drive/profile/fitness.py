@@ -73,7 +73,7 @@ def _of_value(variable: Variable, value: int) -> str | None:
     low, high = _type_range(variable)
     low = low if variable.min is None else max(low, variable.min)
     high = high if variable.max is None else min(high, variable.max)
-    return None if low <= value <= high else f"limited to {low}..{high}, but {value} is to be written"
+    return None if low <= value <= high else f"limited to {low}..{high}, but the scene needs {value}"
 
 
 def _type_range(variable: Variable) -> tuple[int, int]:

@@ -64,7 +64,7 @@ def design_report(result: Row) -> RenderableType:
     heads = f"stiffness [{stiffness}]", f"largest damping [{damping}]"
     rows = [[f"{wall['stiffness']:g}", f"{wall['damping']:g}"] for wall in result["trade"]]
     trade = Table("less stiffness permits more damping", heads, rows, keys=0)
-    simulated = " simulated on this rig, with a reserve; `check` computes what is certified for every hand as declared"
+    simulated = " simulated on this rig, with a reserve; `check` gives the limits for any hand within your declarations"
     return Group(heading, Text(simulated), Text(), Text(snippet(result)), *_price(result), trade, *_felt(result))
 
 
@@ -76,7 +76,8 @@ def _price(result: Row) -> list[Text]:
         f" largest stiffness certified by {name}: {si(limit, unit, 3)}" for name, limit in result["certified"].items()
     ]
     guarantee = [f" {text}" for text in result.get("guarantee", ()) if text]
-    lines += guarantee or [f" guarantee rests on: {rests_on(str(result['certificate']))}"]
+    rests = rests_on(str(result["certificate"]))
+    lines += guarantee or [f" {rests}" if "guarantee" in rests else f" guarantee rests on: {rests}"]
     rest = si(max(0.0, -result["least_judged"]), "J", 3)
     covered = f" at the motor, {rest} at the handle" if "device_damping" in result["loop"] else ""
     given = si(max(0.0, -result["least_interaction"]), "J", 3)
@@ -111,7 +112,7 @@ def _felt(result: Row) -> list[RenderableType]:
     uneven = [f"{wall['softer_not_held']} of {wall['softer']} at {wall['push']:.3g} {effort}" for wall in walls]
     if uneven:
         lines.append(f" softer walls that are not held within the tolerance: {', '.join(uneven)}")
-    held = Text(" The wall above is for a hand that moves in it; for one that rests in a wall the limits are these:")
+    held = Text(" The wall above assumes a moving hand. For a hand at rest in the wall:")
     return [held, table, *map(Text, lines), *_drags(felt["drags"], motion)]
 
 

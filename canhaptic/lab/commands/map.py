@@ -7,13 +7,22 @@ from typing import Final
 from canhaptic.lab.commands.results import check_files, write_files
 from canhaptic.lab.render.map_picture import draw_map, write_map
 from canhaptic.lab.studies.chunk import UNRENDERED, UNTOUCHED
-from canhaptic.lab.studies.map import Chosen, Lines, Panel, fields_of, panels_of, passing_share, usual_judgement
+from canhaptic.lab.studies.map import (
+    LEAST_ENERGY,
+    Chosen,
+    Lines,
+    Panel,
+    fields_of,
+    panels_of,
+    passing_share,
+    usual_judgement,
+)
 from canhaptic.lab.studies.store import SweepTable
 from canhaptic.view.terminal import write_json, write_line, write_note
 
 _WALLS: Final = (
-    " walls: those tried, with the scene's hand and without reserve; `design` searches further and keeps a reserve;\n"
-    " `check` computes what is certified for every hand as declared"
+    " only the walls of this sweep, with the scene's hand, no reserve; `design` searches further, with a reserve;\n"
+    " `check` gives the limits for any hand within your declarations"
 )
 
 
@@ -68,6 +77,12 @@ def _share(name: str, share: float, by: str, untouched: float, unrendered: float
     return f" {name}: {', '.join(words)}"
 
 
+def _value(value: float, label: str) -> str:
+    if isnan(value):
+        return "none"
+    return f"{'<= ' if value == LEAST_ENERGY and label.endswith('[J]') else ''}{value:.4g}"
+
+
 def _print(columns: list[list[Panel | None]], first: list[str]) -> None:
     write_line("\n".join(first))
     for column in columns:
@@ -76,6 +91,6 @@ def _print(columns: list[list[Panel | None]], first: list[str]) -> None:
                 write_line(f" {panel.title}\n   {panel.note}\n   {panel.y_label} at each {panel.x_label}:")
                 for line in panel.lines:
                     points = "  ".join(
-                        f"{x:.4g}: {'none' if isnan(y) else f'{y:.4g}'}" for x, y in zip(line.x, line.y, strict=True)
+                        f"{x:.4g}: {_value(y, panel.y_label)}" for x, y in zip(line.x, line.y, strict=True)
                     )
                     write_line(f"   {line.label:<28} {points}")

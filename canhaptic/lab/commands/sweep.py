@@ -154,7 +154,7 @@ _SHARES: Final[Mapping[str, tuple[str, str, Callable[[Array], float | None]]]] =
     "margin_kept": ("margin kept", "margin", _kept),
     "least_margin": ("smallest margin", "margin", _finite(np.min)),
     "diverged": ("diverged", "diverged", lambda values: float((values == 1.0).mean())),
-    "stable": ("linear loop stable", RADIUS, _finite(lambda values: (values < 1.0).mean())),
+    "stable": ("stable without\nalgorithm", RADIUS, _finite(lambda values: (values < 1.0).mean())),
     "stiffness_rendered": ("stiffness, median", "stiffness_rendered.share", _finite(np.median)),
     "mass_felt": ("mass felt, median", "mass_felt.share", _finite(np.median)),
     "guard_acts": ("guard acts, median", "guard_acts", _finite(np.median)),
@@ -169,7 +169,7 @@ def summary_report(found: Row) -> RenderableType:
     heading = Text.assemble(" ", (found["scene"], "bold"), f"   {found['finished']} of {found['scenes']} scenes   ",
                             "  ".join(found["varied"]))  # fmt: skip
     engines = {_ENGINES[name]: number for name, number in found["engines"].items()}
-    lines = [Text(f" computed: {_listed(engines)}"), Text(f" status:   {_listed(found['status'])}")]
+    lines = [Text(f" scenes computed: {_listed(engines)}"), Text(f" their status:    {_listed(found['status'])}")]
     style = {"refused": "yellow", "failed": "red"}
     lines += [
         Text(f" {of['scenes']} {of['status']} ({_ENGINES[of['engine']]}): {of['remark']}", style.get(of["status"], ""))
@@ -183,8 +183,11 @@ def _listed(counts: dict[str, int]) -> str:
     return ", ".join(f"{number} {name}" for name, number in counts.items()) or "nothing yet"
 
 
-_ENGINES: Final = {"none": "not run", "scalar": "one at a time", "python": "in batches", "numba": "in compiled batches",
+_ENGINES: Final = {"none": "not run", "scalar": "one by one", "python": "in batches", "numba": "in compiled batches",
                    "closed form": "in closed form"}  # fmt: skip
+
+
+_ALGORITHMS: Final = {"of the scene": "the scene's algorithm"}
 
 
 def _shares_table(found: Row) -> Table:
@@ -193,7 +196,7 @@ def _shares_table(found: Row) -> Table:
     heads |= {key: head for key, (head, _, _) in _SHARES.items()}
     shown = [key for key in heads if any(key in entry for entry in entries.values())]
     rows = [
-        [f"{axis}, {name}", str(entry["scenes"]), *(_cell(key, entry.get(key)) for key in shown)]
+        [f"{axis}, {_ALGORITHMS.get(name, name)}", str(entry["scenes"]), *(_cell(key, entry.get(key)) for key in shown)]
         for (axis, name), entry in entries.items()
     ]
     return Table("", ["axis, algorithm", "scenes", *(heads[key] for key in shown)], rows, keys=1)

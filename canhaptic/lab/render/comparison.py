@@ -59,7 +59,9 @@ def _parts(result: _Account) -> Iterator[tuple[str, _Account, tuple["_Row", ...]
         if "algorithms" in axis:
             yield f"{name}: {axis['environment']}   continuous reference: {axis['reference']['method']}", axis, _ROWS
         else:
-            yield name, {"algorithms": axis, "unit": ""}, _DISPLAY_ROWS
+            accounts = [of["account"] for of in axis.values() if "account" in of]
+            model = next((f": {account['environment']}" for account in accounts if "environment" in account), "")
+            yield f"{name}{model}", {"algorithms": axis, "unit": ""}, _DISPLAY_ROWS
 
 
 def _heading(result: _Account) -> Text:
@@ -170,6 +172,7 @@ def _damping(account: _Account, group: _Account) -> str:
 
 def _premise(account: _Account) -> str:
     words = rests_on(account["certificate"], hand_force=account.get("hand_force"))
+    words = words.replace("no guarantee", "no\nguarantee").replace("needs no ", "needs no\n")  # narrow columns
     return words.removeprefix("device ").removeprefix("moving mass, ")
 
 
@@ -218,7 +221,7 @@ _DISPLAY_ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
     _Row("energy in", lambda a, _: a["account"]["in"], _joule),
     _Row("energy out", lambda a, _: a["account"]["out"], _joule),
-    _Row("uncertainty of the account, +-", lambda a, _: a["account"]["energy_resolution"], _joule),
+    _Row("uncertainty of the account, + only", lambda a, _: a["account"]["energy_resolution"], _joule),
     _Row("passive, by the account", lambda a, _: a["account"]["passive"]),
     _Row("passive, by the plant", lambda a, _: _verdict(a)),
     _Row("guarantee rests on", lambda a, _: _premise(a["account"])),

@@ -516,7 +516,7 @@ _MASS: Final = "environment.mass"
 _OF_DISPLAYS: Final = ("mass_felt.share", "least_interaction", "guard_acts")
 _PREFERRED: Final = ("bus.rate", "environment.damping")
 _MOST_LINES: Final = 5
-_LEAST_ENERGY: Final = 1e-6  # [J]
+LEAST_ENERGY: Final = 1e-6  # [J]
 _ERROR: Final = "position_error.rms"
 _DAMPING: Final = "damping_rendered.share"
 _OF_WALLS: Final = ("margin", "stiffness_rendered.share", _DAMPING, _ERROR)
@@ -651,8 +651,8 @@ def _shown(field: MapField, metric: str) -> tuple[Array, str, Kind]:
     """Return the values to draw for a figure, its label and kind; of an energy, the amount that is missing to zero."""
     values = field.figure(metric)
     if metric in ("margin", "least_interaction", "believed_margin"):
-        words = {"margin": "missing in the margin, eq. 4", "least_interaction": "given out beyond what came in"}
-        missing = np.where(np.isnan(values), np.nan, np.maximum(-values, _LEAST_ENERGY))
+        words = {"margin": "margin shortfall (paper eq. 4)", "least_interaction": "given out beyond what came in"}
+        missing = np.where(np.isnan(values), np.nan, np.maximum(-values, LEAST_ENERGY))
         return missing, f"{words.get(metric, metric)} [J]", "energy"
     if metric.endswith(".share"):
         return values, f"{metric.removesuffix('.share').replace('_', ' ')} over asked", "share"

@@ -107,7 +107,7 @@ def test_a_time_in_which_nothing_is_felt_is_no_comparison_and_nothing_is_cut_off
     printed = " ".join(shown.split())
     assert "sample rate" not in shown  # no row of a loop that was not compared
     assert "the hand does not reach the wall within " in printed
-    assert "closer with:" not in printed
+    assert "bring it closer" not in printed
     assert "…" not in printed
 
 

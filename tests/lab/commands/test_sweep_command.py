@@ -36,7 +36,7 @@ def test_json_is_one_object_with_what_computed_each_scene(capsys: Captured, tmp_
 def test_the_table_says_engine_and_reason(capsys: Captured) -> None:
     assert main([*SMALL, "--set", "simulation.effects=[{type: coulomb_friction, static: 0.1 N, kinetic: 0.1 N}]"]) == 0
     shown = capsys.readouterr().out
-    assert "computed: 3 one at a time" in shown
+    assert "computed: 3 one by one" in shown
     assert "3 of 3 scenes" in shown
 
 

@@ -216,9 +216,10 @@ def advice_lines(result: Row) -> list[str]:
         reached = "" if best is None else f"; the most exact setting reaches {length(best['position_error'], unit)}"
         lines = [f"{within}: no advice: {advice['doubt'] or 'no setting of the plant keeps it'}{reached}"]
     else:
+        error = _position(chosen, unit, _floor(result))
         lines = [
             f"cheapest {within}: {chosen['setting']} (evaluations per period {chosen['evaluations_per_period']:.3g}, "
-            f"errors {length(chosen['position_error'], unit)} and {si(chosen['energy_error'], 'J', 2)}). In the scene:",
+            f"errors {error} and {si(chosen['energy_error'], 'J', 2)}). In the scene:",
             f"    {advice['line']}",
         ]
     lines.append(_loop_advice(result))
@@ -263,7 +264,8 @@ def _loop_advice(result: Row) -> str:
         return f"loop: {judged or none}"
     said = f"{judged}: " if judged else ""
     distance = length(base["position_error"], unit)
-    return f"loop: {said}{distance} from the continuous-time loop; closer with {'; '.join(nearer[:_SHOWN])}"
+    best_first = "; ".join(nearer[:_SHOWN])
+    return f"loop: {said}{distance} from the continuous-time loop. Changes that bring it closer: {best_first}"
 
 
 def _error(row: Row) -> float:
@@ -316,12 +318,16 @@ def _wall(row: Row) -> list[str]:
     return [si(row["wall_per_second"], "s", 3), f"+{100.0 * row['spread']:.0f} %"]
 
 
+def _position(row: Row, unit: str, floor: float) -> str:
+    """Return the error of the position, or at most the floor [m or rad], below which all count as equal."""
+    return f"<= {length(floor, unit)}" if row["position_error"] <= floor else length(row["position_error"], unit)
+
+
 def _plant_cells(row: Row, unit: str, floor: float) -> list[str]:
     if row["status"] != "ok":
         return [row["method"], row["setting"], row["status"].partition(":")[0], *[""] * 7]
-    position = f"<= {length(floor, unit)}" if row["position_error"] <= floor else length(row["position_error"], unit)
     return [
-        row["method"], row["setting"], position, *_error_cells(row, unit)[1:],
+        row["method"], row["setting"], _position(row, unit, floor), *_error_cells(row, unit)[1:],
         _fixed(row["evaluations_per_period"], 2), str(row["events"]) if row["accuracy"] else "",
         _short(row["us_per_period"], 4), _short(row["ratio"], 3),
         "*" if row["pareto"] else "",

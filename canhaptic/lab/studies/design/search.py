@@ -445,7 +445,7 @@ def display_design_report(result: Row) -> RenderableType:
             f" mass felt: {100.0 * low:.1f} to {100.0 * high:.1f} % of requested",
             f" energy given out: at most {given} (allowance {si(found['energy_allowance'], 'J', 3)})",
             f" commands limited by the guard: at most {100.0 * found['guard_acts']:.2g} %",
-            f" passive without a guard from M + c tau = {found['never_acts']:.3g} {found['unit']} up",
+            f" lightest mass that is passive without the guard: {found['never_acts']:.3g} {found['unit']} (M + c tau)",
         )
         parts += map(Text, lines)
         if found["uncertified"]:
