@@ -56,7 +56,7 @@ def test_a_scene_without_a_contact_counts_neither_as_passive_nor_as_active(capsy
         assert panel.marked["no contact"].mean() == 0.5
     assert main([*SMALL, "--set", "environment.position=-1"]) == 0
     shown = capsys.readouterr().out
-    assert "status:   3 no contact" in shown
+    assert "status:    3 no contact" in shown
     assert "100 %" not in shown
 
 
