@@ -11,8 +11,8 @@ from canhaptic.control.balance import Certificate, residual
 from canhaptic.control.certificates.certified_torque import TorqueBound
 from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.asked_torque import AskedState, GuardedProgram, granted
-from canhaptic.control.passivity.controller import LoopProperties
 from canhaptic.control.passivity.guarded import (
     Guarded,
     GuardedParameters,

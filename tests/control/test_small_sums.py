@@ -41,8 +41,8 @@ def test_a_free_mass_ripples_above_the_damping_of_the_characteristic_equation(de
     assert damping_cap(delay, MASS, T) == found
     assert damping_cap(delay, None, T) == math.inf
     least = math.inf
-    for z in range(1, 2000):  # g = (1 - z) z^n / (1 + z) is largest there
-        z /= 2000.0
+    for step in range(1, 2000):  # g = (1 - z) z^n / (1 + z) is largest there
+        z = step / 2000.0
         least = min(least, -(1.0 - z) * z ** (1 + delay) / (1.0 + z))
     assert found * T / (2.0 * MASS) == pytest.approx(-least, rel=1e-5)
 
