@@ -86,7 +86,7 @@ class StepBalance(NamedTuple):
     tables: NetworkTables
     functions: Functions  # energies given as functions
     line: LineMemory  # along which the state of the network moves
-    energy: float  # H_m, received by the model [J]
+    received: float  # H_m, energy that the model received [J]
     loss: float  # L, which the network dissipates with l = 1 [J]
 
 
@@ -143,7 +143,7 @@ def stiffness_along(tables: NetworkTables, line: LineMemory) -> float:
 
 def solve_scale(at: StepBalance, limit: float) -> StepScaling:
     """Return the share l of the step, nearest 0 with |l| <= limit, that stores and dissipates the received energy."""
-    line, energy = at.line, at.energy
+    line, energy = at.line, at.received
     stiffness = stiffness_along(at.tables, line)
     if stiffness < 0.0:
         return search_scale(at, limit)
@@ -165,7 +165,7 @@ def solve_scale(at: StepBalance, limit: float) -> StepScaling:
 
 def search_scale(at: StepBalance, limit: float) -> StepScaling:
     """Solve the balance as `solve_scale` does, for an energy that is not quadratic."""
-    energy = at.energy
+    energy = at.received
     if abs(energy) <= rounding_of(at):
         return new(StepScaling, (0.0, True, 0))
     slope = taken(at, 0.0)[1]
@@ -180,16 +180,16 @@ def search_scale(at: StepBalance, limit: float) -> StepScaling:
 
 def rounding_of(at: StepBalance) -> float:
     """Return the rounding of the energies of a balance [J]."""
-    return 1e-15 * (abs(at.energy) + abs(at.loss))
+    return 1e-15 * (abs(at.received) + abs(at.loss))
 
 
 def bracket_upwards(at: StepBalance, far: float) -> tuple[float, bool, int]:
     """Return a share up to `far` that absorbs at least the energy > 0, whether it was found, and evaluations made."""
-    if taken(at, far)[0] >= at.energy:
+    if taken(at, far)[0] >= at.received:
         return far, True, 1
     for piece in range(1, _PIECES):
         place = far * piece / _PIECES
-        if taken(at, place)[0] >= at.energy:
+        if taken(at, place)[0] >= at.received:
             return place, True, piece + 1
     return far, False, _PIECES
 
@@ -206,7 +206,7 @@ def bracket_downwards(at: StepBalance, far: float) -> tuple[float, bool, int]:
         evaluations += 1
         if here_energy < least:
             least, best = here_energy, here
-        if here_energy <= at.energy:
+        if here_energy <= at.received:
             return here, True, evaluations
         if here_slope * far < 0.0 and here_energy <= least:
             if here == far:
@@ -220,7 +220,7 @@ def bracket_downwards(at: StepBalance, far: float) -> tuple[float, bool, int]:
 
 def root_between(at: StepBalance, far: float, evaluations: int) -> StepScaling:
     """Return the share between 0 and `far` that solves the balance; `far` absorbs or releases at least the energy."""
-    near, share, width, energy, tolerance = 0.0, far, abs(far), at.energy, rounding_of(at)
+    near, share, width, energy, tolerance = 0.0, far, abs(far), at.received, rounding_of(at)
     if energy > 0.0:
         slope = taken(at, 0.0)[1]
         evaluations += 1
