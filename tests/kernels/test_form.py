@@ -88,6 +88,17 @@ def test_an_algorithm_of_groups_keeps_to_the_form_of_kernels(algorithm: str) -> 
     assert all_faults(kernel.step) == []
 
 
+@pytest.mark.parametrize("algorithm", [*ALGORITHMS, *GROUP_ALGORITHMS])
+def test_no_field_of_a_record_has_the_name_of_a_method_which_compiled_code_would_take(algorithm: str) -> None:
+    pytest.importorskip("numba")
+    from canhaptic.kernels.compiler import METHODS as COMPILED
+
+    for table in (ALGORITHMS, GROUP_ALGORITHMS):
+        for part in reached(load(table, algorithm, "algorithm").kernel.step, set()) if algorithm in table else ():
+            kinds = [part.__globals__.get(name) for name in part.__code__.co_names]
+            assert [(kind, of) for kind in kinds for of in getattr(kind, "_fields", ()) if of in COMPILED] == []
+
+
 @pytest.mark.parametrize(
     "method",
     [
