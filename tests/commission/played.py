@@ -12,9 +12,11 @@ from canhaptic.scene.models import AxisScene, Scene
 
 
 class Axis(Protocol):
-    """What moves; `position` is that at the next SYNC [m or rad]."""
+    """What moves."""
 
-    position: float
+    @property
+    def position(self) -> float:
+        """Position at the next SYNC [m or rad]."""
 
     def advance(self, command: float) -> float:
         """Let a torque or velocity act for one hold; return what the drive reports of that hold."""
