@@ -84,3 +84,9 @@ def test_where_the_axis_is_at_the_start_makes_no_difference():
     torques = [[each.torque for each in ran(guarded(1, hand_force=2.0), asked, 1, 0.1, 2.0, at)] for at in (0.0, 4.0)]
     assert torques[1] == pytest.approx(torques[0], abs=0.011)
     assert max(map(abs, torques[0])) > 0.1
+
+
+def test_the_first_position_begins_the_account_and_asks_for_no_torque():
+    first, second = ran(guarded(hand_force=2.0, energy_allowance=0.01), [2.0, 2.0], 0, 0.0, position=3.0)
+    assert (first.torque, first.h_i) == (0.0, 0.0)
+    assert second.torque == pytest.approx(2.0, abs=0.02)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from canhaptic.control.admittance.declared_hand import DeclaredHand
+from canhaptic.control.admittance.declared_hand import DeclaredHand, HeardForce
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, loop_settings
 from canhaptic.errors import ParameterError
@@ -139,3 +139,36 @@ def test_what_contradicts_the_proof_is_refused(declared: dict[str, float | None]
     known, properties = _known(**declared)
     with pytest.raises(ParameterError, match=words):
         loop_settings(known, properties.model_copy(update={"jitter": jitter}))
+
+
+def heard(energy: float, moved: float, force: float) -> HeardForce:
+    return HeardForce(energy, moved, 0.02, force, 0.0, at_limit=False)
+
+
+def test_the_least_force_of_a_hand_is_less_by_the_error_of_the_sensor_in_either_direction() -> None:
+    known, properties = _known()
+    found = []
+    for error in (0.0, 0.25):
+        given = properties.model_copy(update={"force_error": error})
+        hand = DeclaredHand(known, loop_settings(known, given), given)
+        for _ in range(3):
+            hand.go_on(0.02)
+            hand.hear(heard(0.5, 2e-5, 4.0))
+        assert hand.up <= 4.0 - error
+        assert hand.down <= -4.0 - error
+        found.append((hand.up, hand.down))
+    assert [exact - wrong for exact, wrong in zip(*found, strict=True)] == pytest.approx([0.25, 0.25])
+
+
+def test_behind_a_filter_a_hold_proves_no_gain_of_the_margin() -> None:
+    """What is known there is the energy less what the drive stores at most."""
+    known, properties = _known()
+    margins = []
+    for filtered in (0.0, 100.0):
+        given = properties.model_copy(update={"filter": filtered, "force_error": 0.0})
+        hand = DeclaredHand(known, loop_settings(known, given), given)
+        for k in range(5):
+            hand.go_on(0.02)
+            hand.hear(heard(1e-3 * (k < 1), 2e-5, 4.0))
+        margins.append(hand.known)
+    assert margins[0] > 0.0 > margins[1]

@@ -13,6 +13,7 @@ from canhaptic.control.admittance.cup_and_ball import CupAndBall
 from canhaptic.control.admittance.dissipating_admittance import next_speed
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
+from canhaptic.control.balance import residual
 from canhaptic.errors import ParameterError
 
 _GRAVITY = 9.80665
@@ -154,3 +155,13 @@ def test_the_balance_of_the_paper_takes_nothing_out_beyond_the_damper_of_the_mas
         place += 1e-3 * balance.torque
     assert taken == {0.0}
     assert balance.h_i != 0.0
+
+
+def test_the_account_of_a_display_without_a_certificate_closes() -> None:
+    controller, place = _pushed(AdmittanceMass(mass=3.0, damping=5.0), "unprotected", 30)
+    stored = controller.step(place, -6.0).h_s
+    for k in range(60):
+        balance = controller.step(place, -5.0 * math.cos(0.1 * k))
+        assert abs(residual(balance, stored)) < 1e-12
+        stored, place = balance.h_s, place + 1e-3 * balance.torque
+    assert stored > 0.0

@@ -5,7 +5,9 @@ from math import sqrt
 import pytest
 
 from canhaptic.control.mechanisms.transmission import Transmission
-from canhaptic.control.port_hamiltonian.shapes.guided_path import path_through
+from canhaptic.control.port_hamiltonian.shapes.guided_path import GuidedPath, path_through
+from canhaptic.control.port_hamiltonian.shapes.sphere import Sphere
+from canhaptic.control.port_hamiltonian.shapes.virtual_mass import MassOnSpring
 from canhaptic.errors import ParameterError
 
 
@@ -49,3 +51,24 @@ def test_the_distance_from_a_path_is_that_from_its_nearest_place(
     path_through([(0.0, 0.0), (2.0, 0.0), (2.0, 2.0)]).measure(list(position), values, rows)
     assert values[0] == pytest.approx(distance)
     assert rows[0] == pytest.approx(direction)
+
+
+def test_a_path_has_points_of_as_many_coordinates() -> None:
+    assert GuidedPath(points=((0.0, 0.0), (1.0, 0.0)), stiffness=100.0).points[1] == (1.0, 0.0)
+    for points in (((0.0, 0.0),), ((0.0, 0.0), (1.0,)), ((0.0, 0.0), (1.0, 0.0, 0.0))):
+        with pytest.raises(ParameterError, match="at least 2 with equally many coordinates"):
+            GuidedPath(points=points, stiffness=100.0)
+
+
+@pytest.mark.parametrize(("side", "sign"), [("outside", 1.0), ("inside", -1.0)])
+def test_a_sphere_is_free_on_its_side(side: str, sign: float) -> None:
+    sphere = Sphere(centre=(0.1, 0.0), radius=0.05, side=side, stiffness=100.0)  # type: ignore[arg-type]
+    values, rows = [0.0], [[0.0, 0.0]]
+    sphere.build(2).geometry.measure([0.2, 0.0], values, rows)
+    assert values[0] == pytest.approx(sign * 0.05)
+    assert rows[0] == pytest.approx([sign, 0.0])
+
+
+def test_a_mass_on_a_spring_needs_a_place() -> None:
+    with pytest.raises(ParameterError, match="anchor: got no coordinates"):
+        MassOnSpring(mass=1.0, stiffness=100.0, anchor=(), anchor_stiffness=50.0)
