@@ -65,7 +65,7 @@ def test_windows_of_a_few_samples_serve_as_well() -> None:
 
 def test_a_short_fast_motion_does_not_cost_the_windows_of_the_others() -> None:
     """The motion that each part of a window needs is relative to the fastest tenth of the windows."""
-    torques = np.concatenate([np.array(reversals(1.0, 36, 32)), np.array(doublet(8.0, 30))])
+    torques = np.concatenate([np.array(reversals(1.0, 36, 32)), np.array(doublet(20.0, 8))])
     late = estimate_lateness(moved(torques), applied(torques), TIME, 12)
     assert late is not None
     assert late[0] == pytest.approx(0.0, abs=1e-6)

@@ -86,7 +86,8 @@ def test_where_the_axis_is_at_the_start_makes_no_difference():
     assert max(map(abs, torques[0])) > 0.1
 
 
-def test_the_first_position_begins_the_account_and_asks_for_no_torque():
-    first, second = ran(guarded(hand_force=2.0, energy_allowance=0.01), [2.0, 2.0], 0, 0.0, position=3.0)
+@pytest.mark.parametrize("position", [0.0, 3.0])
+def test_the_first_position_begins_the_account_and_asks_for_no_torque(position):
+    first, second = ran(guarded(hand_force=2.0, energy_allowance=0.01), [2.0, 2.0], 0, 0.0, position=position)
     assert (first.torque, first.h_i) == (0.0, 0.0)
     assert second.torque == pytest.approx(2.0, abs=0.02)
