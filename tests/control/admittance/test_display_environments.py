@@ -13,7 +13,7 @@ from canhaptic.control.admittance.cup_and_ball import CupAndBall
 from canhaptic.control.admittance.dissipating_admittance import next_speed
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
-from canhaptic.control.balance import residual
+from canhaptic.control.balance import Certificate, residual
 from canhaptic.errors import ParameterError
 
 _GRAVITY = 9.80665
@@ -165,3 +165,22 @@ def test_the_account_of_a_display_without_a_certificate_closes() -> None:
         assert abs(residual(balance, stored)) < 1e-12
         stored, place = balance.h_s, place + 1e-3 * balance.torque
     assert stored > 0.0
+
+
+@pytest.mark.parametrize(("integral", "jitter", "loses"), [(900.0, 0.1, False), (0.5, 0.0, True), (900.0, 0.0, True)])
+def test_an_integral_proves_nothing_where_holds_are_uneven_or_may_be_longer(
+    integral: float, jitter: float, loses: bool
+) -> None:
+    properties = AdmittanceProperties(
+        sample_time=1e-3, delay=1, sampling="mean", force_slew=1e-3, handle_acceleration=50.0, speed_limit=5.0,
+        acceleration_limit=20.0, jitter=jitter,
+    )  # fmt: skip
+    drive = GuardedAdmittanceParameters(drive_mass=1.0, loop_gain=200.0, integral_gain=integral, energy_allowance=1.0)
+    controller: Any = build_display_controller(AdmittanceMass(mass=3.0), "guarded", drive, properties)
+    for _ in range(4):
+        before = controller.step(0.0, -0.5)
+    assert (before.certificate == Certificate.NONE.value) is (jitter > 0.0)
+    if loses:
+        controller.sample_lost()
+        controller.lasted(2.0)
+        assert controller.step(0.0, -0.5).certificate == Certificate.NONE.value
