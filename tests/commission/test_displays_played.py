@@ -67,7 +67,7 @@ def commissioned(display: Display, *overrides: str, rate: float = 500.0, refused
 
 @pytest.fixture(scope="module")
 def right() -> PlayedSession:
-    """A drive as the scene declares it."""
+    """A display as the scene declares it."""
     return commissioned(Display(500.0))
 
 

@@ -39,7 +39,7 @@ def pushed(speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_range_of_speed_counts_only_where_the_axis_moved_in_both_directions() -> None:
-    """Fast it moves towards small positions alone: at that speed friction looks like a constant load."""
+    """Fast it moves towards small positions alone: friction there and a constant load look the same."""
     slow = 0.1 * np.sin(np.arange(4000) * 2.0 * np.pi / 250.0)
     fast = -0.5 + 0.1 * np.sin(np.arange(2000) * 2.0 * np.pi / 170.0)
     curve = friction_curve(*pushed(np.concatenate([slow, fast])), TIME, 20)

@@ -37,9 +37,9 @@ def test_a_matrix_that_loses_a_direction_or_is_none_is_refused(
 @pytest.mark.parametrize(
     ("position", "distance", "direction"),
     [
-        ((1.0, 0.5), 0.5, (0.0, 1.0)),  # beside the first piece
+        ((1.0, 0.5), 0.5, (0.0, 1.0)),  # next to the first piece
         ((-3.0, 4.0), 5.0, (-0.6, 0.8)),  # before the begin
-        ((2.5, 1.0), 0.5, (1.0, 0.0)),  # beside the second one
+        ((2.5, 1.0), 0.5, (1.0, 0.0)),  # next to the last piece
         ((3.0, 3.0), sqrt(2.0), (sqrt(0.5), sqrt(0.5))),  # beyond the end
         ((2.0, 1.5), 0.0, (0.0, 0.0)),  # on it
     ],
@@ -62,7 +62,7 @@ def test_a_path_has_points_of_as_many_coordinates() -> None:
 
 @pytest.mark.parametrize(("side", "sign"), [("outside", 1.0), ("inside", -1.0)])
 def test_a_sphere_is_free_on_its_side(side: str, sign: float) -> None:
-    sphere = Sphere(centre=(0.1, 0.0), radius=0.05, side=side, stiffness=100.0)  # type: ignore[arg-type]
+    sphere = Sphere(centre=(0.1, 0.0), radius=0.05, side=side, stiffness=100.0)
     values, rows = [0.0], [[0.0, 0.0]]
     sphere.build(2).geometry.measure([0.2, 0.0], values, rows)
     assert values[0] == pytest.approx(sign * 0.05)
