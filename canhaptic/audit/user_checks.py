@@ -39,6 +39,7 @@ class Outcome(TypedDict):
     value: float | str
     holds: bool
     unit: NotRequired[str]  # of a number; "1" of a pure one
+    log: NotRequired[str]  # its file, where several logs are checked
     first_active: NotRequired[float]  # of a verdict: first time at which the booked sum was below 0 [s]
 
 

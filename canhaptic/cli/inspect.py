@@ -22,19 +22,24 @@ from canhaptic.view.run_picture import draw_energy
 from canhaptic.view.terminal import write_json
 
 _EXPORTS: Final = ("csv", "parquet", "mat", "mcap")
+_OF_ONE_LOG: Final = ("compare", "recompute", "bus_log", "repair", *_EXPORTS)
+"""Options that take one log."""
+_OF_FRAMES: Final = frozenset({".log", *CONVERTIBLE})
+"""Suffixes of bus logs."""
 
 
 def execute(arguments: argparse.Namespace) -> int:
     """Run the requested checks and write the requested files.
 
-    Returns 0, or 1 if the run failed, if a check, comparison or recomputation fails, or if the log holds values that
-    are not finite.
+    Returns 0, or 1 if the run of a log failed, if a check of any log, the comparison or the recomputation fails, or if
+    a log holds values that are not finite.
 
     Raises:
         InputError: A log or an argument cannot be used.
     """
-    _check_files(arguments)
     arguments.overlay = [*arguments.others, *arguments.overlay]
+    _require_one_log(arguments)
+    _check_files(arguments)
     console = make_console()
     if arguments.repair is not None:
         kept, lost = repair(arguments.log, arguments.repair)
@@ -43,24 +48,38 @@ def execute(arguments: argparse.Namespace) -> int:
                 f" {arguments.repair}: {counted(kept, 'cycle')} saved, {lost} could not be read", soft_wrap=True
             )
         arguments.log = arguments.repair
-    if arguments.log.suffix.lower() in {".log", *CONVERTIBLE}:
+    if arguments.log.suffix.lower() in _OF_FRAMES:
         return _inspect_frames(arguments, console)
     for path in filter(None, (arguments.log, arguments.compare, *arguments.overlay)):
         require_readable(path)
     with EnergyLog.open(arguments.log) as log:
         result = inspect(log, arguments.start, arguments.stop)
-        result["checks"] = _checks(result, arguments)
-        _judge(log, result, arguments)
         for path in arguments.overlay:
             with EnergyLog.open(path) as other:
                 result.setdefault("others", []).append(inspect(other, arguments.start, arguments.stop))
+        result["checks"] = _checks(result, arguments)
+        _judge(log, result, arguments)
         _write_files(log, result, arguments)
     _show(result, console, as_json=arguments.json)
     return 0 if _is_good(result) else 1
 
 
 def _checks(result: Checked, arguments: argparse.Namespace) -> list[Outcome]:
-    return [outcome for expression in arguments.check for outcome in check(result, expression)]
+    """Return the outcome of every check in every log; where there are several, each outcome names its log.
+
+    Raises:
+        InputError: A check cannot be read, or a log has nothing of that name.
+    """
+    runs = [result, *result.get("others", ())]
+    found: list[Outcome] = []
+    for expression in arguments.check:
+        for run in runs:
+            try:
+                outcomes = check(run, expression)
+            except InputError as error:
+                raise InputError(f"{run['file']}: {error}" if len(runs) > 1 else str(error)) from error
+            found += [{**outcome, "log": run["file"]} for outcome in outcomes] if len(runs) > 1 else outcomes
+    return found
 
 
 def _judge(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) -> None:
@@ -77,14 +96,31 @@ def _judge(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) ->
 
 
 def _is_good(result: Inspection) -> bool:
+    runs = [result, *result.get("others", ())]
     return (
-        not failure_text(result)
-        and not result["findings"]
+        not any(failure_text(run) or run["findings"] for run in runs)
         and all(outcome["holds"] for outcome in result["checks"])
         and result.get("comparison", {}).get("identical", True)
         and all(port["mismatch"] is None and not port["unchecked_rows"] for port in result.get("recomputed", []))
         and not result.get("rederived", {}).get("differences")
     )
+
+
+def _require_one_log(arguments: argparse.Namespace) -> None:
+    """Refuse several logs where an option, or a bus log, takes one alone.
+
+    Raises:
+        InputError: Several logs are named.
+    """
+    if not arguments.overlay:
+        return
+    others = ", ".join(map(str, arguments.overlay))
+    for name in _OF_ONE_LOG:
+        if getattr(arguments, name):
+            option = f"--{name.replace('_', '-')}"
+            raise InputError(f"{option}: got {arguments.log}, {others}, expected one log; inspect each by itself")
+    if arguments.log.suffix.lower() in _OF_FRAMES:
+        raise InputError(f"{arguments.log}: is a bus log, expected alone; inspect {others} by itself")
 
 
 def _check_files(arguments: argparse.Namespace) -> None:

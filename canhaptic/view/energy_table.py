@@ -207,7 +207,8 @@ _TRUTH_ROWS: Final = {
 def inspection_report(result: Result) -> RenderableType:
     """Return everything that `inspect` found, for a terminal."""
     parts: list[RenderableType] = [energy_report(result, *result.get("others", ()))]
-    parts += [_finding_line(finding) for finding in result.get("findings", ())]
+    runs = [result, *result.get("others", ())]
+    parts += [_finding_line(finding, _file_of(run, runs)) for run in runs for finding in run.get("findings", ())]
     parts += inspection_tables(result)
     parts += [_recomputed_line(port) for port in result.get("recomputed", ())]
     if "rederived" in result:
@@ -222,7 +223,7 @@ def inspection_tables(result: Result) -> list[Table]:
     tables = []
     runs = [result, *result.get("others", ())]
     for run in runs:
-        file = f" {Path(run['file']).name}" if len(runs) > 1 else ""
+        file = _file_of(run, runs)
         for name, contacts in run.get("contacts", {}).items():
             port = run["ports"][name]
             unit = port["unit"]
@@ -230,6 +231,11 @@ def inspection_tables(result: Result) -> list[Table]:
         tables.append(_events_table(run.get("events", []), file))
     tables.append(_checks_table(result.get("checks", [])))
     return [table for table in tables if table.rows]
+
+
+def _file_of(run: Result, runs: Sequence[Result]) -> str:
+    """Return the name of a run's log, where there are several."""
+    return f" {Path(run['file']).name}" if len(runs) > 1 else ""
 
 
 def _header(result: Result) -> Text:
@@ -267,14 +273,15 @@ def _events_table(events: Sequence[Result], file: str = "") -> Table:
 
 
 def _checks_table(checks: Sequence[Result]) -> Table:
+    logs = [[Path(check["log"]).name] if "log" in check else [] for check in checks]
     rows: list[list[Cell]] = [
         [
-            check["check"], check["name"], _checked(check),
+            *log, check["check"], check["name"], _checked(check),
             Styled("holds", "green") if check["holds"] else Styled("FAILS", "bold red"),
         ]
-        for check in checks
+        for log, check in zip(logs, checks, strict=True)
     ]  # fmt: skip
-    return Table(" checks", ("check", "value of", "is", ""), rows)
+    return Table(" checks", (*(["log"] if any(logs) else []), "check", "value of", "is", ""), rows)
 
 
 def _checked(check: Result) -> str:
@@ -285,9 +292,9 @@ def _checked(check: Result) -> str:
     return f"{check['value']}{since}" if isinstance(check["value"], str) else f"{check['value']:.9g}{unit}"
 
 
-def _finding_line(finding: Result) -> Text:
+def _finding_line(finding: Result, file: str) -> Text:
     rows = f"{counted(finding['rows'], 'row')} {'is' if finding['rows'] == 1 else 'are'}"
-    words = f" {finding['dataset']}: {rows} {finding['what']}, first in cycle {finding['cycle']}"
+    words = f"{file} {finding['dataset']}: {rows} {finding['what']}, first in cycle {finding['cycle']}"
     return Text(words, style="bold red")
 
 

@@ -315,6 +315,35 @@ def test_a_run_without_a_contact_fails_the_check_of_its_verdict(tmp_path: Path, 
     assert "the wall begins at -1" in shown
 
 
+def test_every_log_is_checked_and_a_failing_one_is_named(log: Path, tmp_path: Path, capsys: Captured) -> None:
+    write_run(short := tmp_path / "short.h5", 3000)
+    assert typed.inspect(log, short, "--check", "cycles >= 4000", "--json") == 1
+    checks = json.loads(capsys.readouterr().out)["checks"]
+    assert [(each["log"], each["holds"]) for each in checks] == [(str(log), True), (str(short), False)]
+    assert typed.inspect(log, "--overlay", short, "--check", "cycles >= 3000") == 0
+    shown = capsys.readouterr().out
+    assert re.search(r"run\.h5 +cycles >= 3000 .*holds\s+short\.h5 +cycles >= 3000 .*holds", shown)
+    with pytest.raises(InputError, match=r"short\.h5: check 'foo>0'|run\.h5: check 'foo>0'"):
+        typed.inspect(log, short, "--check", "foo>0")
+
+
+def test_a_damaged_further_log_fails_and_is_named(log: Path, tmp_path: Path, capsys: Captured) -> None:
+    assert typed.inspect(log, changed(log, tmp_path / "changed.h5")) == 1
+    assert re.search(r"changed\.h5 .*: 1 row is not as the run wrote it", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("option", ["--recompute", "--compare", "--bus-log", "--repair", "--csv", "--mat"])
+def test_an_option_for_one_log_refuses_several(log: Path, tmp_path: Path, option: str) -> None:
+    words = (option,) if option == "--recompute" else (option, tmp_path / f"out.{option[2:]}")
+    with pytest.raises(InputError, match=rf"{option}: got .*run\.h5, .*expected one log"):
+        typed.inspect(log, log, *words)
+
+
+def test_a_bus_log_is_inspected_alone(log: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is a bus log, expected alone"):
+        typed.inspect(tmp_path / "frames.log", log)
+
+
 def test_a_value_that_is_not_a_number_fails_every_check() -> None:
     assert not check({"ports": {"a": {"in": math.nan}}}, "in >= 0")[0]["holds"]
 
