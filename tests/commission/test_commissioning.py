@@ -206,6 +206,13 @@ def test_no_torque_exceeds_what_was_announced(monkeypatch: pytest.MonkeyPatch) -
     assert max(abs(torque) for torque in torques(frames)) in range(10, 21)  # 2 per cent of the rated torque
 
 
+def test_the_first_torque_is_one_count_of_the_drives_target_and_each_pulse_at_most_doubles_it() -> None:
+    frames = frames_of(lambda at: commissioned(at, "simulation.drive.reversed=torque"), "first")
+    sizes = [abs(torque) for torque in torques(frames) if torque]
+    assert sizes[0] == 1  # per mille of the rated torque
+    assert all(after <= 2 * max(sizes[: place + 1]) for place, after in enumerate(sizes[1:]))
+
+
 def test_an_axis_that_goes_too_far_loses_its_torque() -> None:
     report = commissioned(limits=CommissioningLimits(speed=1e-6))  # faster with the least torque
     assert row(report, "torque sign").verdict is StepVerdict.UNKNOWN
