@@ -141,7 +141,10 @@ class PortRecord(PortFigures):
         self._interaction, self._least = np.longdouble(0.0), 0.0
         self._watch = _declared(log, f"{name}.{FRICTION_DECLARED}", lambda of: FrictionWatch(FrictionDeclared(**of)))
         self.felt = _declared(log, f"{name}.mass_asked", lambda of: MassFelt(MassAsked(**of)))
-        self._hold, self._environment = "", log.attributes.get(f"{name}.environment")
+        self._hold = ""
+        self._environment, self._algorithm = (
+            log.attributes.get(f"{name}.{key}") for key in ("environment", "algorithm")
+        )
         self._wall, self.is_requested = log.attributes.get(f"{name}.wall_position"), _is_requested(log, name)
 
     def _at(self, log: EnergyLog, column: str, row: int) -> float:
@@ -263,6 +266,8 @@ class PortRecord(PortFigures):
                 account["active_before"] = True
         if isinstance(self._environment, str):
             account["environment"] = self._environment
+        if isinstance(self._algorithm, str):
+            account["algorithm"] = self._algorithm
         if isinstance(self._wall, float):
             account["wall"] = self._wall
         if self._is_dry:

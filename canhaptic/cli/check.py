@@ -17,6 +17,7 @@ from rich.text import Text
 from canhaptic.axis_units import counted, si
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.cli.check_eds import WORDS
+from canhaptic.cli.long_command import unguarded
 from canhaptic.cli.options import scene_of
 from canhaptic.drive.can.bus_budget import BusBudget, require_budget
 from canhaptic.drive.can.pdo_map import check_dictionary, choose_map
@@ -217,6 +218,7 @@ def _as_json(found: _CheckFindings) -> dict[str, Any]:
         "verdict": found.verdict(),
         "wall": found.wall(),
         "dear": found.dear,
+        "unguarded": [*unguarded(scene)],
         "fitness": fitness,
         "guarantee": {axis.parameters.name: guarantee(axis, hints) for axis in scene.axes},
         "felt_from": felt,  # infinite: null
@@ -252,6 +254,8 @@ def _budget_as_json(budget: BusBudget) -> dict[str, Any]:
 
 def _print(console: Console, found: _CheckFindings, *, resolved: bool, full: bool) -> None:
     scene = found.scene
+    for text in unguarded(scene):
+        console.print(f"[bold red]{escape(text)}[/]")
     if inf in found.felt.values():
         console.print(f"[bold red]{escape(found.wall())}[/]")
     colour = "red" if found.refused else "yellow" if found.exceeded else "green"

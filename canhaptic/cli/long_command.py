@@ -58,10 +58,8 @@ class StopSignal:
 
 def notes(scene: Scene) -> Iterator[str]:
     """Yield notes: real axes without passivity controller, reduced torque limits, the check list, slow simulations."""
+    yield from unguarded(scene)
     for axis in scene.axes:
-        if not scene.simulated and scene.passivity_of(axis).name == "unprotected":
-            text = f"{axis.parameters.name}: NO PASSIVITY CONTROLLER (algorithm: unprotected): the drive may give out"
-            yield f"{text} energy to the hand; only the limits of torque, power and speed protect it"
         given, limit = axis.parameters, axis.loop.torque_limit or 0.0
         if limit < given.torque_limit and given.admittance is None:
             text = f"{given.name}: torque scale not verified (torque_verified: no), so the torque is limited to"
@@ -72,6 +70,14 @@ def notes(scene: Scene) -> Iterator[str]:
         from canhaptic.scene.method import dear_holds
 
         yield from dear_holds(scene)
+
+
+def unguarded(scene: Scene) -> Iterator[str]:
+    """Yield a warning for each real axis without passivity controller."""
+    for axis in scene.axes:
+        if not scene.simulated and scene.passivity_of(axis).name == "unprotected":
+            text = f"{axis.parameters.name}: NO PASSIVITY CONTROLLER (algorithm: unprotected): the drive may give out"
+            yield f"{text} energy to the hand; only the limits of torque, power and speed protect it"
 
 
 def check_list(confirmed: Mapping[CheckItem, str]) -> Iterator[str]:

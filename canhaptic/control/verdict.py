@@ -54,6 +54,8 @@ _SUSPECTS: Final[Mapping[str, tuple[str, ...]]] = {
     "declared_hand": ("hand_stiffness", "hand_mass"),
 }
 """Declared properties on which each certificate relies, the likeliest to be wrong first."""
+GUARANTEEING: Final = frozenset({"guarded", "energy_bounding"})
+"""Algorithms of this package that guarantee to generate no more than the declared energy."""
 NO_PULL: Final = "moving mass, hand never pulls"
 """Text for the properties on which the hand-force certificate relies if the declared hand force is 0."""
 _OF_EVERY_TORQUE: Final = ("current_lag", "torque_window", "delay")
@@ -138,6 +140,7 @@ class PortResult(_Flows, total=False):
     friction_excess: float
     rendered: RenderedShares
     environment: str  # its type in the scene
+    algorithm: str  # its name in the scene
     wall: float  # position at which it begins, where it has one [m or rad]
     reach: list[float]  # without a contact: lowest and highest position [m or rad]
     mass: dict[str, float | None]  # of an admittance display: asked, felt (None: not known) [kg or kg*m^2], share

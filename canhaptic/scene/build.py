@@ -19,7 +19,7 @@ import can
 from canhaptic.axis_units import effort_unit
 from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.control.ledger import EnergyLossMeter
-from canhaptic.control.verdict import PortResult
+from canhaptic.control.verdict import GUARANTEEING, PortResult
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link
@@ -85,19 +85,18 @@ def open_bus(bus: BusParameters, channel: str | int | None) -> can.BusABC:
 
 
 DEFAULT_LIMIT: Final = 0.01  # [J]
-_PROMISE_PASSIVITY: Final = frozenset({"guarded", "energy_bounding"})
-"""Algorithms that guarantee to generate no more than the declared energy; others have no limit in a simulation."""
 
 
 def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
     """Return a meter for each port that has a limit on the energy it may generate beyond the declared energy.
 
+    In a simulation an algorithm without a guarantee has no limit unless one is declared.
     The energy that declared dry friction dissipates is counted by the cycle.
     """
     meters = []
     for name, passivity, places in scene.ports:
         axes = [scene.axes[place] for place in places]
-        default = DEFAULT_LIMIT if passivity.name in _PROMISE_PASSIVITY or not scene.simulated else "none"
+        default = DEFAULT_LIMIT if passivity.name in GUARANTEEING or not scene.simulated else "none"
         given = (axis.parameters.energy_loss_limit for axis in axes)
         limits = [limit for one in given if isinstance(limit := default if one is None else one, float)]
         if not limits or (axes[0].parameters.admittance is not None and not axes[0].group):
@@ -450,7 +449,9 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
 
 
 def _add_of_axes(experiment: Experiment, ports: Mapping[str, PortResult]) -> None:
-    """Add to each axis its environment, the result of its hold check, and why a wall was not felt."""
+    """Add to each port its algorithm, to each axis its environment, its hold check, and why a wall was not felt."""
+    for name, passivity, _ in experiment.scene.ports:
+        ports[name]["algorithm"] = passivity.name
     controllers = iter(experiment.cycle.controllers)
     for axis in experiment.scene.axes:
         port, controller = ports[axis.parameters.name], None if axis.group else next(controllers)

@@ -192,6 +192,7 @@ _PORT_ROWS: Final[tuple[tuple[str, _Shown], ...]] = (
     ("longest time between torque updates", lambda port: f"{counted(port['longest_hold'], 'cycle')}   "),
     ("cycles with another torque than commanded", lambda port: f"{port['uncommanded_cycles'] or '-'}   "),
     ("force beyond declared friction and hand", _friction),
+    ("algorithm", lambda port: f"{port['algorithm']}   "),
     ("guarantee rests on", _certificates),
     ("when a torque acts", lambda port: f"{port['hold']}   "),
 )

@@ -11,7 +11,7 @@ from rich.table import Table as TerminalTable
 from rich.text import Text
 
 from canhaptic.axis_units import counted, mass_unit, si
-from canhaptic.control.verdict import NO_PULL, Headline, PortResult
+from canhaptic.control.verdict import GUARANTEEING, NO_PULL, Headline, PortResult
 from canhaptic.view.terminal import visible
 
 _INDENT: Final = "    "
@@ -128,6 +128,8 @@ def _first_figures(port: PortResult) -> list[str]:
         found.append("guard limited the speed: raise environment.mass or damping, lower force.slew, or move further")
     if port["verdict"] == "yes" and certificate not in ("none", "exact"):
         found.append(f"guarantee rests on: {rests_on(certificate, hand_force=port.get('hand_force'))}")
+    if "none" in port.get("certificates", ()) and port.get("algorithm", "guarded") not in GUARANTEEING:
+        found.append(f"no guarantee: {port['algorithm']}")
     if "hold" in port and (port["verdict"] == "yes" or port["hold"].startswith("acts ")):
         found.append(f"hold: {port['hold']}")
     return found

@@ -315,6 +315,22 @@ def test_a_run_without_a_contact_fails_the_check_of_its_verdict(tmp_path: Path, 
     assert "the wall begins at -1" in shown
 
 
+@pytest.mark.filterwarnings("ignore:--set passivity=unprotected")
+def test_a_run_without_protection_names_its_algorithm_everywhere(tmp_path: Path, capsys: Captured) -> None:
+    for name in ("guarded", "unprotected"):
+        changes = () if name == "guarded" else (f"passivity={name}",)
+        scene = load_scene(CONFIGS / "demo.yaml", [*changes, "environment.side=above"])
+        with build(scene, energy_log=tmp_path / f"{name}.h5") as experiment:
+            result, _ = experiment.run_through(300)
+        assert result["ports"]["handle"]["algorithm"] == name
+    page = tmp_path / "page.html"
+    assert typed.inspect(tmp_path / "unprotected.h5", tmp_path / "guarded.h5", "--html", page) == 0
+    shown = capsys.readouterr().out
+    assert shown.count("no guarantee: unprotected") == 1
+    assert re.search(r"algorithm +unprotected +guarded", shown)
+    assert re.search(r"<td[^>]*>algorithm</td><td[^>]*>unprotected *</td><td[^>]*>guarded", page.read_text())
+
+
 def test_every_log_is_checked_and_a_failing_one_is_named(log: Path, tmp_path: Path, capsys: Captured) -> None:
     write_run(short := tmp_path / "short.h5", 3000)
     assert typed.inspect(log, short, "--check", "cycles >= 4000", "--json") == 1

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from canhaptic.cli.long_command import notes
+from canhaptic.cli.main import main
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_ENVIRONMENTS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
@@ -135,7 +136,9 @@ def test_real_drives_keep_what_protects_them_from_a_plain_name() -> None:
 
 @pytest.mark.parametrize("override", ["passivity=unprotected", "passivity.algorithm=unprotected",
                                       "passivity={algorithm: unprotected}"])  # fmt: skip
-def test_no_override_takes_the_passivity_controller_from_real_drives(override: str, tmp_path: Path) -> None:
+def test_no_override_takes_the_passivity_controller_from_real_drives(
+    override: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Also where no key would be dropped; the file itself may say so, and a simulated rig takes each override."""
     text = re.sub(r"(?m)^  hand_(force|push):.*\n", "", (CONFIGS / "demo.yaml").read_text())
     text = text.replace("cia402_servo.eds", str(SHIPPED_EDS)).replace(
@@ -152,6 +155,8 @@ def test_no_override_takes_the_passivity_controller_from_real_drives(override: s
     said = [note for note in notes(load_scene(scene, real)) if "NO PASSIVITY CONTROLLER" in note]
     assert len(said) == 1
     assert not any("NO PASSIVITY" in note for note in notes(load_scene(scene)))
+    assert main(["check", str(scene), "--set", real[0], "--set", real[1]]) == 1
+    assert capsys.readouterr().out.startswith("handle: NO PASSIVITY CONTROLLER (algorithm: unprotected)")
 
 
 @pytest.mark.parametrize(("scene", "key"), [(scene, key) for scene, key, _ in SWITCHES])

@@ -75,6 +75,9 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
          "passive: yes · no torque after 4.2 s: no energy left for one; raise energy_allowance, or declare the damping "
          "of the device"),
         ({"passive": "yes", "dry_run": True}, "dry run, no torque was sent"),
+        ({"passive": "yes", "certificates": ["none"], "algorithm": "unprotected"},
+         "passive: yes · no guarantee: unprotected"),
+        ({"passive": "yes", "certificates": ["none"], "algorithm": "guarded"}, "passive: yes"),
     ],
 )  # fmt: skip
 def test_a_port_says_its_word_and_why(port: Any, words: str) -> None:
