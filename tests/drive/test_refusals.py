@@ -281,6 +281,15 @@ def test_a_transmission_scales_the_rated_torque_of_the_motor() -> None:
     assert agreed_rated_torque(axis(rated_torque=None, transmission=50.0), 500) == pytest.approx(25.0)
 
 
+@pytest.mark.parametrize(("limit", "is_above"), [(10.0, False), (20.0, True)])
+def test_a_torque_limit_above_the_rated_torque_is_noted(limit: float, is_above: bool) -> None:
+    given = axis(rated_torque=10.0, torque_limit=limit)
+    found = next(
+        finding for finding in check_dictionary(dictionary(given), given) if finding.item == "0x6076 rated torque"
+    )
+    assert (f"torque_limit {limit:g} is above it, both at the axis" in found.text) is is_above
+
+
 @pytest.mark.parametrize("modes", [0x1FF, 0x400, 0x100])
 def test_a_neighbouring_mode_does_not_stand_for_cyclic_torque(bench: MakeBench, modes: int) -> None:
     """Bit 9 of 0x6502 is mode 10."""

@@ -10,7 +10,7 @@ import pytest
 from canhaptic.cycle import run
 from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.clock import VirtualClock, WallClock
-from canhaptic.errors import InputError, LinkError, RigError
+from canhaptic.errors import InputError, LinkError, ParameterError, RigError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build, open_bus, private_channel, require_buildable
 from canhaptic.scene.far_side import build_drive_group
@@ -256,3 +256,8 @@ def test_an_environment_that_turns_needs_the_push_of_the_hand(tmp_path: Path) ->
         build(load_scene(path, [*changes, more])).close()
     by_damping = "passivity={algorithm: guarded, moving_mass: 0.2, hand_force: null, device_damping: 0.1}"
     build(load_scene(path, [changes[0], by_damping])).close()
+
+
+def test_a_missing_rated_torque_is_asked_for_at_the_axis() -> None:
+    with pytest.raises(ParameterError, match="of the axis: that of its motor times the transmission"):
+        build(load_scene("demo", ["axes.0.rated_torque=null"]))

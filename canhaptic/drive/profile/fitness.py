@@ -264,7 +264,10 @@ def _rated_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding
     if od.RATED_TORQUE in dictionary and (text := _rated_torque_objection(dictionary, axis)) is not None:
         return Finding(item, Verdict.REFUSED, f"{text}; {_CORRECT}, or quirks: [rated_torque_absent]")
     if axis.rated_torque is not None:
-        return Finding(item, Verdict.FIT, f"{axis.rated_torque:g} from the configuration, compared with the drive")
+        above = f"; torque_limit {axis.torque_limit:g} is above it, both at the axis (the motor's times the gear)"
+        is_above = axis.admittance is None and axis.torque_limit > axis.rated_torque
+        text = f"{axis.rated_torque:g} from the configuration, compared with the drive{above * is_above}"
+        return Finding(item, Verdict.FIT, text)
     if od.RATED_TORQUE not in dictionary:
         return Finding(item, Verdict.REFUSED, "missing, and the configuration has no rated_torque; set it")
     seen = f"{stated} mN*m by default; the live value counts"

@@ -45,7 +45,8 @@ class TorqueAxisParameters(Parameters):
     direction: Literal[1, -1] = 1
     """-1 turns the sign of position and torque together."""
     rated_torque: Annotated[float, quantity("N", "N*m", gt=0.0, le=1e6)] | None = None
-    """Torque of the axis at 1000 per mille; needed when the drive does not state 0x6076."""
+    """Torque of the axis at 1000 per mille: that of the motor times the gear; needed when the drive does not state
+    0x6076."""
     transmission: Annotated[float, quantity("1/m", "1", ge=1e-6, le=1e6)] = 1.0
     """Torque or force of the axis per torque of the motor (gear ratio, 1/pulley radius); scales 0x6076."""
     torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0)]

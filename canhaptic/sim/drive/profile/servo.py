@@ -50,7 +50,7 @@ class TorqueStage:
             seen = "no such object" if self._rated is None else f"value {self._rated.value!r}"
             raise ParameterError(
                 f"rated_torque: got none, and the dictionary states none (0x6076: {seen}); "
-                "write rated_torque of the axis, the rated torque of its motor"
+                "write rated_torque of the axis: that of its motor times the transmission"
             )
         for entry in (self._max_torque, self._rated):
             if entry is not None:
