@@ -10,14 +10,8 @@ key of numba's own cache is the file of one function: a change in a function tha
 unnoticed. Here the key of a folder covers the code of every kernel reached, the constants that they name, the versions
 of Python, numba, llvmlite and NumPy, and the processor. Loaded code is executed, so the folder must belong to the user,
 and only the user may read it; otherwise nothing is kept.
-
-**Linking.** numba optimises each function that a kernel reaches, and emits machine code for it, although Python calls
-only the kernel; for a loop of 170 functions that was 18 of 26 s. Here a function that only kernels call is linked into
-its caller, and machine code is emitted once, for the kernel. With a version of numba outside `_KNOWN`, numba's own
-procedure is used.
 """
 
-import gc
 import hashlib
 import os
 import pickle
@@ -42,13 +36,13 @@ import numba
 import numpy as np
 from llvmlite import binding
 from numba import types
-from numba.core import caching, codegen
-from numba.core.registry import cpu_target
+from numba.core import caching
 from numba.extending import overload_method
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from canhaptic.errors import InputError
-from canhaptic.kernels import fields_of, new
+from canhaptic.kernels import fields_of, linking, new
+from canhaptic.kernels.linking import Numba
 from canhaptic.kernels.records import Binding
 
 # numba states no types of its cache and its code generator
@@ -226,122 +220,10 @@ def code_key(sources: Iterable[str]) -> str:
     return digest.hexdigest()[:32]
 
 
-_KNOWN: Final = ((0, 60), (0, 69))
-"""Versions of numba whose `finalize` matches `_Library`: from the first up to, but not including, the second."""
-_LEVEL: Final = 2
-"""Optimisation level of LLVM; a loop is as fast with it as with the highest level."""
-_under_way = False
-
-
-Numba = Any
-"""An object of numba, which has no type annotations: its code generator, or a compiled function."""
-
-
-class _Library(codegen.JITCodeLibrary):
-    """Code of a function that only kernels call: within `_linked`, it is neither optimised nor emitted by itself.
-
-    Attributes:
-        is_linked: Whether the code is only linked into callers.
-    """
-
-    is_linked = False
-
-    def finalize(self) -> None:
-        """Link the callees; if Python calls the function, or outside of `_linked`, complete it as numba does."""
-        if not (_under_way and self._object_caching_enabled) or self._is_called_from_python():
-            super().finalize()
-            _set_environments(self._codegen)
-            return
-        for library in dict.fromkeys(self._linking_libraries):
-            self._reload_init.update(library._reload_init)  # noqa: SLF001 - as numba's own does
-            self._final_module.link_in(library._get_module_for_linking(), preserve=True)  # noqa: SLF001
-        self._finalize_dynamic_globals()
-        self.is_linked = self._finalized = True
-
-    def _is_called_from_python(self) -> bool:
-        return any(function.name.startswith("_ZN7cpython") for function in self._final_module.functions)
-
-    def serialize_using_object_code(self) -> tuple[str, str, object]:
-        """Content of the library for the disk."""
-        if not self.is_linked:
-            found: tuple[str, str, object] = super().serialize_using_object_code()
-            return found
-        return self.name, "linked", self._final_module.as_bitcode()
-
-    @classmethod
-    def _unserialize(cls, owner: Numba, state: tuple[str, str, object]) -> "_Library":
-        name, kind, data = state
-        if kind != "linked":
-            return cast(_Library, super()._unserialize(owner, state))
-        library: _Library = owner.create_library(name)
-        library._final_module = binding.parse_bitcode(data)
-        library.is_linked = library._finalized = True
-        return library
-
-    def _optimize_final_module(self) -> None:
-        """Optimise once; numba's first of two runs prunes reference counts, which kernels do not have."""
-        if not _under_way:
-            super()._optimize_final_module()
-            return
-        manager, builder = self._codegen._module_pass_manager(  # noqa: SLF001
-            opt=_LEVEL, loop_vectorize=False, slp_vectorize=False
-        )
-        manager.run(self._final_module, builder)
-
-
-@contextmanager
-def _linked() -> Iterator[None]:
-    """Within the context, link a function that only kernels call into its caller, without machine code of its own.
-
-    Python's cyclic garbage collection is off: it takes a tenth of the time.
-    """
-    global _under_way
-    before, collects = _under_way, gc.isenabled()
-    _under_way = _installed()
-    gc.disable()
-    try:
-        yield
-    finally:
-        _under_way = before
-        if collects:
-            gc.enable()
-
-
-@cache
-def _installed() -> bool:
-    """Let numba create `_Library` objects for compiled functions; return whether its version is supported."""
-    if not _KNOWN[0] <= tuple(map(int, numba.__version__.split(".")[:2])) < _KNOWN[1]:
-        return False
-    owner = cpu_target.target_context.codegen()
-    owner._library_class, owner.set_env = _Library, _set_environment(owner)  # noqa: SLF001
-    return True
-
-
-_waiting: Final[dict[str, object]] = {}
-"""Name -> environment, in numba's sense, of a function that has no machine code yet."""
-
-
-def _set_environment(owner: Numba) -> Callable[[str, object], None]:
-    """Return a `set_env` for numba that defers a function without machine code until a caller has some."""
-    of_numba = owner.set_env
-
-    def set_env(name: str, environment: object) -> None:
-        if owner._engine.is_symbol_defined(name):  # noqa: SLF001
-            of_numba(name, environment)
-        else:
-            _waiting[name] = environment
-
-    return set_env
-
-
-def _set_environments(owner: Numba) -> None:
-    """Set the deferred environments of all functions whose machine code exists by now."""
-    for name in [name for name in _waiting if owner._engine.is_symbol_defined(name)]:  # noqa: SLF001
-        owner.set_env(name, _waiting.pop(name))
-
-
 _OPTIONS: Final[dict[str, object]] = {"error_model": "numpy", "_nrt": False}
-_INNER: Final = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_INNER: Final = {
+    **_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": linking.Steps,
+}  # fmt: skip
 """Options of functions that are never called from Python; they save a fifth of the compile time."""
 METHODS: Final = (
     *("contact", "true_state", "admissible", "stored_energy", "effort", "state_of_energy", "one_way", "relaxed"),
@@ -391,7 +273,7 @@ def compiled(
     """
     compiling = _Compiling(instead or {}, calls, units, parts)
     rebound = compiling.rebound(function)
-    made = _njit(rebound, **_OPTIONS, no_cfunc_wrapper=True)
+    made = _njit(rebound, **_OPTIONS, no_cfunc_wrapper=True, pipeline_class=linking.Steps)
     _link(made)
     if keep:
         compiling.keep(made, function)
@@ -403,7 +285,7 @@ def _link(made: Numba) -> None:
     of_numba = made._compile_for_args  # noqa: SLF001
 
     def compile_for(*args: object, **named: object) -> object:
-        with _linked():
+        with linking.linked():
             return of_numba(*args, **named)
 
     made._compile_for_args = compile_for  # noqa: SLF001
@@ -426,7 +308,7 @@ class _Compiling(Binding):
         self._instead_of, self._calls, self._parts = instead, calls, parts
         self._codes, self._units = ({cast(FunctionType, one).__code__ for one in some} for some in (calls or (), units))
         super().__init__(instead, self._wrapped, {new: _made})
-        self.sources: list[str] = [repr(_OPTIONS), Path(__file__).read_text()]
+        self.sources: list[str] = [repr(_OPTIONS), *(Path(of).read_text() for of in (__file__, linking.__file__))]
         self.sources.append(repr(calls and sorted(cast(FunctionType, function).__name__ for function in calls)))
         for kind in parts:
             self.look_at(kind)
@@ -505,7 +387,6 @@ _made: Final = _njit(_make, **_INNER, forceinline=True)
 
 
 def _overload(name: str) -> None:
-    @overload_method(types.BaseNamedTuple, name)
     def method(self: Numba, *args: object) -> Callable[..., object]:  # numba asks that both be annotated alike
         function = _njit(_Compiling({}, None).rebound(getattr(self.instance_class, name)), **_INNER)
 
@@ -513,6 +394,9 @@ def _overload(name: str) -> None:
             return function(self, *args)
 
         return call
+
+    overload: Numba = overload_method
+    overload(types.BaseNamedTuple, name, jit_options=_INNER)(method)
 
 
 for _name in METHODS:

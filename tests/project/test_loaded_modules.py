@@ -42,7 +42,7 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
     "checked by its motion": ("control.motion_checks",),
     "SDO in the cycle": ("drive.can.background_sdo",),
     "SocketCAN": ("host.socketcan_state",),
-    "compiled": ("kernels.compiler",),
+    "compiled": ("kernels.compiler", "kernels.linking"),
     "other command": ("audit", "commission", "lab", "replay"),
 }
 """What a scene may name -> beginnings of the modules that only such a scene loads; a dot at the end: not the table."""

@@ -1,0 +1,249 @@
+"""Shorter steps of numba for a kernel and the functions that it reaches; needs the extra `fast`.
+
+**Linking.** numba optimises each function that a kernel reaches, and emits machine code for it, although Python calls
+only the kernel; for a loop of 170 functions that was 18 of 26 s. Here a function that only kernels call is linked into
+its caller, and machine code is emitted once, for the kernel.
+
+**Passes.** numba takes each function through 27 passes over its code. Most look for what no kernel has: closures,
+contexts, generators, expressions of whole arrays, calls that are to be inlined. `Steps` leaves them out.
+
+**Types.** numba looks for the meaning of `a * b` among all implementations, at every place. Within `linked` the answer
+for an operation and types of operands is kept.
+
+None of it changes an operation of the kernel or their order. With a version of numba outside `_KNOWN`, numba's own
+procedure is used.
+"""
+
+import gc
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache
+from types import CodeType
+from typing import Any, Final, cast
+
+import numba
+from llvmlite import binding
+from numba.core import codegen, compiler, errors, typed_passes, types, untyped_passes
+from numba.core.compiler_machinery import PassManager, _pass_registry
+from numba.core.postproc import PostProcessor
+from numba.core.registry import cpu_target
+
+# numba states no types of its passes and its code generator
+# mypy: allow-untyped-calls
+
+_KNOWN: Final = ((0, 60), (0, 69))
+"""Versions of numba whose `finalize` matches `_Library`: from the first up to, but not including, the second."""
+_LEVEL: Final = 2
+"""Optimisation level of LLVM; a loop is as fast with it as with the highest level."""
+_under_way = False
+
+
+Numba = Any
+"""An object of numba, which has no type annotations: its code generator, or a compiled function."""
+
+
+class _Library(codegen.JITCodeLibrary):
+    """Code of a function that only kernels call: within `linked`, it is neither optimised nor emitted by itself.
+
+    Attributes:
+        is_linked: Whether the code is only linked into callers.
+    """
+
+    is_linked = False
+
+    def finalize(self) -> None:
+        """Complete the code of a function that Python calls, with all that it reaches; otherwise leave it as it is."""
+        self._linking_libraries = self._reached()
+        if not (_under_way and self._object_caching_enabled) or self._is_called_from_python():
+            super().finalize()
+            _set_environments(self._codegen)
+            return
+        self._finalize_dynamic_globals()
+        for library in self._linking_libraries:
+            self._reload_init.update(library._reload_init)  # noqa: SLF001 - as numba's own does
+            self._dynamic_globals.extend(library._dynamic_globals)  # noqa: SLF001
+        self.is_linked = self._finalized = True
+
+    def _reached(self) -> list[Numba]:
+        """Return the libraries of all functions that this one calls, directly or not: each once, before its callees.
+
+        In another order LLVM would leave out a function, because nothing calls it yet.
+        """
+        found: dict[Numba, None] = {}
+        for library in self._linking_libraries:
+            if isinstance(library, _Library) and library.is_linked:
+                found.update(dict.fromkeys(reversed(library._linking_libraries)))  # noqa: SLF001
+            found[library] = None
+        return [*reversed(found)]
+
+    def _is_called_from_python(self) -> bool:
+        return any(function.name.startswith("_ZN7cpython") for function in self._final_module.functions)
+
+    def serialize_using_object_code(self) -> tuple[str, str, object]:
+        """Content of the library for the disk."""
+        if not self.is_linked:
+            found: tuple[str, str, object] = super().serialize_using_object_code()
+            return found
+        whole = self._final_module.clone()
+        for library in self._linking_libraries:
+            whole.link_in(library._get_module_for_linking(), preserve=True)  # noqa: SLF001
+        return self.name, "linked", whole.as_bitcode()
+
+    @classmethod
+    def _unserialize(cls, owner: Numba, state: tuple[str, str, object]) -> "_Library":
+        name, kind, data = state
+        if kind != "linked":
+            return cast(_Library, super()._unserialize(owner, state))
+        library: _Library = owner.create_library(name)
+        library._final_module = binding.parse_bitcode(data)
+        library.is_linked = library._finalized = True
+        return library
+
+    def _optimize_functions(self, module: Numba) -> None:
+        """Remove what numba writes and never reads; the rest is optimised when all functions are linked together."""
+        if not _under_way:
+            super()._optimize_functions(module)
+            return
+        module.data_layout = self._codegen._data_layout  # noqa: SLF001
+        manager = binding.create_new_function_pass_manager()
+        manager.add_sroa_pass()
+        manager.add_dead_code_elimination_pass()
+        builder = self._codegen._pass_builder()  # noqa: SLF001
+        for function in module.functions:
+            if not function.is_declaration:
+                manager.run(function, builder)
+
+    def _optimize_final_module(self) -> None:
+        """Optimise once; numba's first of two runs prunes reference counts, which kernels do not have."""
+        if not _under_way:
+            super()._optimize_final_module()
+            return
+        manager, builder = self._codegen._module_pass_manager(  # noqa: SLF001
+            opt=_LEVEL, loop_vectorize=False, slp_vectorize=False
+        )
+        manager.run(self._final_module, builder)
+
+
+@contextmanager
+def linked() -> Iterator[None]:
+    """Within the context, link a function that only kernels call into its caller, without machine code of its own.
+
+    Python's cyclic garbage collection is off: it takes a tenth of the time.
+    """
+    global _under_way
+    before, collects = _under_way, gc.isenabled()
+    _under_way = _installed()
+    gc.disable()
+    try:
+        if not _under_way or before:
+            yield
+        else:
+            with _types_kept(), _unobserved():
+                yield
+    finally:
+        _under_way = before
+        if collects:
+            gc.enable()
+
+
+@cache
+def _installed() -> bool:
+    """Let numba create `_Library` objects for compiled functions; return whether its version is supported."""
+    if not _KNOWN[0] <= tuple(map(int, numba.__version__.split(".")[:2])) < _KNOWN[1]:
+        return False
+    owner = cpu_target.target_context.codegen()
+    owner._library_class, owner.set_env = _Library, _set_environment(owner)  # noqa: SLF001
+    return True
+
+
+_waiting: Final[dict[str, object]] = {}
+"""Name -> environment, in numba's sense, of a function that has no machine code yet."""
+
+
+def _set_environment(owner: Numba) -> Callable[[str, object], None]:
+    """Return a `set_env` for numba that defers a function without machine code until a caller has some."""
+    of_numba = owner.set_env
+
+    def set_env(name: str, environment: object) -> None:
+        if owner._engine.is_symbol_defined(name):  # noqa: SLF001
+            of_numba(name, environment)
+        else:
+            _waiting[name] = environment
+
+    return set_env
+
+
+def _set_environments(owner: Numba) -> None:
+    """Set the deferred environments of all functions whose machine code exists by now."""
+    for name in [name for name in _waiting if owner._engine.is_symbol_defined(name)]:  # noqa: SLF001
+        owner.set_env(name, _waiting.pop(name))
+
+
+_PASSES: Final = (
+    untyped_passes.TranslateByteCode, untyped_passes.FixupArgs, untyped_passes.IRProcessing,
+    untyped_passes.RewriteSemanticConstants, untyped_passes.DeadBranchPrune, untyped_passes.GenericRewrites,
+    untyped_passes.ReconstructSSA, typed_passes.NopythonTypeInference, typed_passes.PreLowerStripPhis,
+    typed_passes.InlineOverloads, typed_passes.IRLegalization, typed_passes.AnnotateTypes,
+    typed_passes.NativeLowering, typed_passes.NoPythonBackend,
+)  # fmt: skip
+"""Passes of a function without closures, in numba's order."""
+
+
+_new_error_context: Final[Numba] = cast(Numba, errors).new_error_context
+_Function: Final[Numba] = types.Function
+
+
+class _Passes(PassManager):
+    """Runs the passes without a record of each, whose texts take as long as some passes."""
+
+    def _runPass(self, index: int, one: Numba, state: Numba) -> None:  # noqa: N802 - numba's name
+        """Run one pass."""
+        one.analysis = self._analysis
+        with _new_error_context("Pass {name}", name=one.name()):
+            has_changed = [step(state) for step in (one.run_initialization, one.run_pass, one.run_finalizer)]
+        if any(has_changed) and _pass_registry.get(type(one)).mutates_CFG:
+            PostProcessor(state.func_ir).run()
+
+
+class Steps(compiler.Compiler):
+    """The passes that a kernel needs; a function with closures takes all of numba's."""
+
+    def define_pipelines(self) -> list[Numba]:
+        """Return the passes of the function that is compiled."""
+        has_closures = any(isinstance(constant, CodeType) for constant in self.state.func_id.code.co_consts)
+        if has_closures or not _installed():
+            return cast("list[Numba]", super().define_pipelines())
+        manager = _Passes("kernel")
+        for one in _PASSES:
+            manager.add_pass(one, one.__name__)
+        manager.finalize()
+        return [manager]
+
+
+@contextmanager
+def _types_kept() -> Iterator[None]:
+    """Within the context, keep the types that numba found for a call of one of its own functions."""
+    of_numba, found = _Function.get_call_type, dict[object, object]()
+
+    def get_call_type(function: Numba, context: Numba, args: tuple[Numba, ...], named: Mapping[str, Numba]) -> object:
+        key = (function, tuple(args), tuple(dict(named).items()))
+        if key not in found:
+            found[key] = of_numba(function, context, args, named)
+        return found[key]
+
+    _Function.get_call_type = get_call_type
+    try:
+        yield
+    finally:
+        _Function.get_call_type = of_numba
+
+
+@contextmanager
+def _unobserved() -> Iterator[None]:
+    """Within the context, call LLVM without a report to numba's listeners."""
+    lock = binding.ffi.lib._lock  # noqa: SLF001
+    listeners, lock._cblist = lock._cblist, []  # noqa: SLF001
+    try:
+        yield
+    finally:
+        lock._cblist = listeners  # noqa: SLF001
