@@ -12,7 +12,7 @@ from time import perf_counter
 
 import numpy as np
 
-from canhaptic.lab.batch.radius import Loops, decay_per_hold, loop_matrices
+from canhaptic.lab.batch.marching import Loops, decay_per_hold, loop_matrices
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tools.bench.plants import precision

@@ -16,8 +16,7 @@ import numpy as np
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.lab.batch.cases import BatchCase
-from canhaptic.lab.batch.marching import march
-from canhaptic.lab.batch.radius import Loops, decay_per_hold
+from canhaptic.lab.batch.marching import Loops, decay_per_hold, march
 from canhaptic.lab.batch.scalar import run_case
 from canhaptic.lab.figures.figures import METRICS
 from canhaptic.sim.plant.plant import PlantParameters

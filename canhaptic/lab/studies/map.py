@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.lab.batch.radius import spectral_radius
+from canhaptic.lab.batch.marching import spectral_radius
 from canhaptic.lab.batch.varied import scene_with
 from canhaptic.lab.figures.figures import NEAR, stiffest_walls
 from canhaptic.lab.loop.admittance_loop import is_display

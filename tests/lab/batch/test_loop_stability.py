@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from canhaptic.errors import ParameterError
-from canhaptic.lab.batch.radius import Loops, decay_per_hold, loop_matrices
+from canhaptic.lab.batch.marching import Loops, decay_per_hold, loop_matrices
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import UserParameters
 from tests.plant.plant_scenes import MS

@@ -9,8 +9,7 @@ import pytest
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import CanHapticError, ParameterError
 from canhaptic.lab.batch.cases import NotBatchableError, why_not_batchable
-from canhaptic.lab.batch.marching import run_batch
-from canhaptic.lab.batch.radius import spectral_radius
+from canhaptic.lab.batch.marching import run_batch, spectral_radius
 from canhaptic.lab.batch.scalar import render, run_scalar
 from canhaptic.lab.batch.varied import scene_with
 from canhaptic.lab.figures.figures import METRICS, figures
