@@ -126,12 +126,19 @@ def _first_figures(port: PortResult) -> list[str]:
     certificate = port.get("certificate", "none")
     if certificate not in ("none", "exact") and abs((port.get("mass", {}).get("share") or 1.0) - 1.0) > _MASS_OFF:
         found.append("guard limited the speed: raise environment.mass or damping, lower force.slew, or move further")
+    found += _guarantee(port, certificate)
+    if "hold" in port and (port["verdict"] == "yes" or port["hold"].startswith("acts ")):
+        found.append(f"hold: {port['hold']}")
+    return found
+
+
+def _guarantee(port: PortResult, certificate: str) -> list[str]:
+    """Return what the guarantee rests on, or the algorithm that gives none."""
+    found: list[str] = []
     if port["verdict"] == "yes" and certificate not in ("none", "exact"):
         found.append(f"guarantee rests on: {rests_on(certificate, hand_force=port.get('hand_force'))}")
     if "none" in port.get("certificates", ()) and port.get("algorithm", "guarded") not in GUARANTEEING:
         found.append(f"no guarantee: {port['algorithm']}")
-    if "hold" in port and (port["verdict"] == "yes" or port["hold"].startswith("acts ")):
-        found.append(f"hold: {port['hold']}")
     return found
 
 

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.control.environments.environment import Environment
+from canhaptic.control.environments import Environment
 from canhaptic.errors import EventLimitError, ParameterError
 from canhaptic.kernels import Kernel, Run, list_of_zeros
 from canhaptic.kernels.records import bound
