@@ -12,6 +12,7 @@ from canhaptic.control.ledger import Ledger
 from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.control.passivity.passivity_observer import PassivityObserverParameters
 from canhaptic.errors import ParameterError
+from canhaptic.lab.rivals.force_augmentation import ForceAugmentationParameters
 from tests.control.reference_loop import USER_S, sampled
 from tests.drawn import examples
 
@@ -109,3 +110,8 @@ def test_the_observer_does_nothing_while_more_was_put_in_than_taken_out():
 def test_the_damper_of_the_observer_keeps_its_own_limit():
     summary = least_interaction("passivity_observer", 1, PassivityObserverParameters(damping_limit=7.0))
     assert summary.damping_most == pytest.approx(7.0)
+
+
+def test_force_augmentation_has_the_reach_and_the_coarse_step_of_its_source_where_none_is_given():
+    parameters = ForceAugmentationParameters()
+    assert (parameters.reach, parameters.coarse) == (1e-5, 1000.0)
