@@ -56,7 +56,7 @@ def test_home_prints_the_position_before_and_after(tmp_path: Path, capsys: pytes
     assert "handle (node 1) will be enabled" in err
     assert "it moves towards larger counts to the next index; at 0.02 and 0.01 m/s" in err
     assert "with at most 2 N, for at most 30 s" in err
-    assert "not put back in the drive: 0x6072:00 Max torque = 200, 1000 before" in err
+    assert "not put back in the drive: 0x6072:00 Max torque is 200, was 1000 before the run" in err
 
 
 @pytest.mark.parametrize("no", [0, 1, 2])

@@ -104,8 +104,8 @@ def test_the_method_line_tells_events_and_products(tmp_path: Path) -> None:
             experiment.cycle.step()
         [plant] = experiment.plants
         line = method_line(scene, experiment.plants, 20)
-        assert f"exact between SYNCs, {plant.events} event" in line
-        assert "products per period; torque acts" in line
+        assert "plant exact between SYNCs; torque acts" in line
+        assert f"products per period, {plant.events} event" in line
 
 
 def test_a_run_and_a_check_announce_a_swing_that_makes_holds_dear(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
