@@ -9,6 +9,7 @@ from canhaptic.lab.render.map_picture import draw_map, write_map
 from canhaptic.lab.studies.chunk import UNRENDERED, UNTOUCHED
 from canhaptic.lab.studies.map import (
     LEAST_ENERGY,
+    JUDGEMENTS,
     Chosen,
     Lines,
     Panel,
@@ -69,8 +70,7 @@ def _lines(columns: list[list[Panel | None]]) -> list[dict[str, object]]:
 
 
 def _share(name: str, share: float, by: str, untouched: float, unrendered: float) -> str:
-    of_loop = ", eigenvalues of the loop; it promises no passivity" if by == "stable" else ""
-    passed = f"{100.0 * share:.3g} % of the scenes with a contact pass (judged by: {by}{of_loop})"
+    passed = f"{100.0 * share:.3g} % of the scenes with a contact pass (judged by: {by}; {JUDGEMENTS[by].words})"
     words = [passed] if untouched < 1.0 else []
     words += [f"{100.0 * unrendered:.3g} % rendered nothing"] if unrendered else []
     words += [f"{100.0 * untouched:.3g} % had no contact"] if untouched else []

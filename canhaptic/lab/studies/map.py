@@ -257,17 +257,18 @@ class Judgement(NamedTuple):
     """A condition for passing."""
 
     energy: str  # figure that must not be negative; "" for stability
+    claim: str  # what a wall that passes is
     words: str
 
 
 _ENERGY: Final = "energy in less energy out of the plant >= 0"
 JUDGEMENTS: Final = {
-    "stable": Judgement("", "stable"),
-    "passive": Judgement("least_interaction", f"{_ENERGY} at the motor, as `run` judges it"),
-    "margin": Judgement("margin", "margin of (4) >= 0"),
-    "settled": Judgement("interaction", f"{_ENERGY} at the end"),
-    "covered": Judgement("least_covered", f"{_ENERGY} at the handle, friction and damping of the device included "
-                         "(`run` judges the motor alone unless they are declared: --by passive)"),
+    "stable": Judgement("", "stable, not passive", "stable by the eigenvalues of the loop: promises no passivity"),
+    "passive": Judgement("least_interaction", "passive at the motor", f"{_ENERGY} at the motor, as `run` judges it"),
+    "margin": Judgement("margin", "within its margin", "margin of (4) >= 0"),
+    "settled": Judgement("interaction", "passive at the end", f"{_ENERGY} at the end"),
+    "covered": Judgement("least_covered", "passive at the handle", f"{_ENERGY} at the handle, friction and damping of "
+                         "the device included (`run` judges the motor alone unless they are declared: --by passive)"),
 }  # fmt: skip
 SHARE: Final = "stiffness_rendered.share"
 
@@ -282,12 +283,13 @@ class _Border(NamedTuple):
 def usual_judgement(field: MapField) -> str:
     """Return the default judgement of an algorithm: the property that it promises.
 
-    `unprotected` does not promise a passive port. It is judged by the eigenvalues of the loop; where the loop is not
-    linear, damping and dry friction of the device must at any moment cover the energy that the port gave out, as Abbott
-    and Okamura require.
+    `unprotected` does not promise a passive port. It is judged by the eigenvalues of the loop, also while none of its
+    scenes is finished; where the loop is not linear, damping and dry friction of the device must at any moment cover
+    the energy that the port gave out, as Abbott and Okamura require.
     """
     if field.algorithm == "unprotected":
-        if field.has(RADIUS) and np.isfinite(field.figure(RADIUS)).any():
+        is_finished = field.has_status(COMPLETED).any()
+        if field.has(RADIUS) and (np.isfinite(field.figure(RADIUS)).any() or not is_finished):
             return "stable"
         return next((name for name in ("covered", "settled") if field.has(JUDGEMENTS[name].energy)), "passive")
     return "passive" if field.has("least_interaction") else "margin"
@@ -466,10 +468,11 @@ def _panel(fields: list[MapField], z: str, x: str, at: dict[str, float]) -> Line
     curves += _theory(plain, _OF_PLAIN_WALL, x, at)
     for ours in (one for one in fields if one.algorithm == _OURS):
         curves += _theory(ours, {"certificate": "largest certificate of guarded"}, x, at)
-    note = f"solid: simulated, broken: theory; {_judged(field, common_judgement(field))}; "
+    judgement = common_judgement(field)
+    note = f"solid: simulated, broken: theory; {_judged(field, judgement)}; "
     note += "worst case over all other keys; none: no wall tried passes"
     largest = "stiffest wall" if z == _STIFFNESS else f"largest {z.rpartition('.')[2]}"
-    title = f"{largest} that is passive and within {100.0 * NEAR:g} %{field.words(at)}"
+    title = f"{largest} that is {JUDGEMENTS[judgement].claim} and within {100.0 * NEAR:g} %{field.words(at)}"
     return _lines(field, title, x, z, curves, note)
 
 
@@ -597,7 +600,7 @@ def _preference(key: str) -> int:
 def _width(field: MapField, z: str, x: str, y: str | None, judgement: str) -> Panel:
     """Return a panel of the largest passing z over x (and y), the worst case over all other keys."""
     border = border_of(field, z, [x] if y is None else [x, y], judgement)
-    title = f"{field.algorithm}: largest {z.rpartition('.')[2]}"
+    title = f"{field.algorithm}: largest {z.rpartition('.')[2]} that is {JUDGEMENTS[judgement].claim}"
     note = f"{_judged(field, judgement)}; worst case over all other keys"
     levels = field.levels(y)
     places = np.sort(field.values[x])

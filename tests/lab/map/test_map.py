@@ -250,7 +250,21 @@ def test_on_top_are_all_algorithms_in_one_panel_with_theory(two_controllers):
             np.testing.assert_array_equal(lines[name].y, [expected[name, damping, i] for i in range(len(rates))])
         assert ("Colgate, plain wall" in lines) == (damping == 0.0)  # its damper of 2 N*s/m is beyond the device's
         assert "largest certificate of guarded" in lines
-        assert column[0].note.startswith("solid: simulated, broken: theory; ")
+        assert panel.title.startswith("stiffest wall that is passive at the handle and within 5 %")
+        assert panel.note.startswith("solid: simulated, broken: theory; ")
+
+
+def test_a_border_is_named_by_what_its_wall_is_and_a_map_with_nothing_finished_is_judged_as_a_full_one(tmp_path):
+    path, vary = tmp_path / "part", ["environment.stiffness=100,2000", "bus.rate=500,1000"]
+    asked = {"controllers": ["guarded", "unprotected"], "duration": 0.01, "chunk": 4}
+    polls = iter([False, True])
+    sweep(load_scene(DEMO), vary, path, stop_requested=lambda: next(polls, True), engine="python", **asked)
+    with SweepTable(path) as table:
+        _, unprotected = fields_of(table)
+        assert not unprotected.judged().any()
+        assert usual_judgement(unprotected) == "stable"
+        titles = [column[0].title for column in panels_of([unprotected], Chosen(judgement="stable"))]
+        assert titles == ["unprotected: largest stiffness that is stable, not passive"]
 
 
 def test_the_eigenvalues_of_a_hand_that_hardly_holds_are_at_colgates_bound(plain_wall):
