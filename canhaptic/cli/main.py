@@ -207,6 +207,8 @@ class PromptEnd:
             byte = os.read(self._read, 1)
         if not self._ended.wait(_PATIENCE if byte == _SIGINT else None):
             os.write(sys.__stderr__.fileno() if sys.__stderr__ else 2, _LINE.encode())
+            if util := sys.modules.get("multiprocessing.util"):
+                util._run_finalizers(0)  # noqa: SLF001 (removes a pool's semaphores, else a warning follows)
             os._exit(INTERRUPTED)
         os.close(self._read)
         os.close(self._write)

@@ -33,6 +33,14 @@ friction) a cycle, compiled code at most 0.5 us; compiling takes 4 to 14 s, once
 WORTH_COMPILING_GROUPS: Final = 3e5
 """The same for groups: Python takes some 150 us a cycle, and compiling 20 s."""
 _FOREIGN: Final = ".numba_config.yaml"
+WITHOUT_NUMBA: Final = (
+    f"numba is not installed: computed in Python, about 100 times slower; {install_hint('fast')} installs it"
+)
+
+
+def is_numba_installed() -> bool:
+    """Return whether numba, which compiles the loops, is installed."""
+    return find_spec("numba") is not None
 
 
 def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
@@ -48,7 +56,7 @@ def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
     """
     if engine not in ("auto", "numba", "python"):
         raise ParameterError(f"engine: got {engine!r}, expected auto, numba or python")
-    there = find_spec("numba") is not None
+    there = is_numba_installed()
     if engine == "numba" and not there:
         raise ParameterError(f"engine: got numba, which is not installed; {install_hint('fast')}, or use python")
     chosen: ChosenEngine = ("numba" if there and pays else "python") if engine == "auto" else engine

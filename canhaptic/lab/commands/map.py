@@ -8,8 +8,8 @@ from canhaptic.lab.commands.results import check_files, write_files
 from canhaptic.lab.render.map_picture import draw_map, write_map
 from canhaptic.lab.studies.chunk import UNRENDERED, UNTOUCHED
 from canhaptic.lab.studies.map import (
-    LEAST_ENERGY,
     JUDGEMENTS,
+    LEAST_ENERGY,
     Chosen,
     Lines,
     Panel,

@@ -55,11 +55,13 @@ def execute(arguments: argparse.Namespace) -> int:
         given = {name: getattr(arguments, name) for name in _OPTIONS}
         state = sweep(
             scene, arguments.vary, out, executor, samples=arguments.sample, in_flight=in_flight,
-            processes=arguments.workers is None, progress=progress, stop_requested=stop.requested, **given,
+            processes=arguments.workers is None, progress=progress, note=lambda text: write_note(f"  {text}"),
+            stop_requested=stop.requested, **given,
         )  # fmt: skip
         with SweepTable(out) as table:
             found, errors = summary(table), table.note("plant_errors")
     found["file"] = None if arguments.out is None else found["file"]
+    found["kept"] = state.begun
     show(arguments, found, lambda: summary_report(found))
     for line in errors.splitlines():
         write_note(f"  {line}")
@@ -169,7 +171,9 @@ def summary_report(found: Row) -> RenderableType:
     heading = Text.assemble(" ", (found["scene"], "bold"), f"   {found['finished']} of {found['scenes']} scenes   ",
                             "  ".join(found["varied"]))  # fmt: skip
     engines = {_ENGINES[name]: number for name, number in found["engines"].items()}
-    lines = [Text(f" scenes computed: {_listed(engines)}"), Text(f" their status:    {_listed(found['status'])}")]
+    kept = f" ({found['kept']} kept from an earlier run)" if found["kept"] else ""
+    scenes = Text(f" scenes computed: {_listed(engines)}{kept}")
+    lines = [scenes, Text(f" their status:    {_listed(found['status'])}")]
     style = {"refused": "yellow", "failed": "red"}
     lines += [
         Text(f" {of['scenes']} {of['status']} ({_ENGINES[of['engine']]}): {of['remark']}", style.get(of["status"], ""))

@@ -24,7 +24,14 @@ import numpy as np
 
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError
-from canhaptic.lab.batch import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
+from canhaptic.lab.batch import (
+    WITHOUT_NUMBA,
+    WORTH_COMPILING,
+    WORTH_COMPILING_GROUPS,
+    Engine,
+    chosen_engine,
+    is_numba_installed,
+)
 from canhaptic.lab.batch.cases import why_not_batchable
 from canhaptic.lab.batch.group_loop import group_case
 from canhaptic.lab.loop.admittance_loop import is_display
@@ -51,6 +58,8 @@ from canhaptic.scene.models import Scene
 _BATCH_CHUNK: Final = (1000, 5000)
 """Default range of the scenes in a chunk: with fewer, making the batch costs more than running it."""
 _SCALAR_CHUNK: Final = (1, 50)
+_CYCLES_IN_PYTHON: Final = 100_000
+"""Largest number of cycles of a default chunk in Python, which takes some seconds for them."""
 _WORTH_A_POOL: Final = 1e6
 """Scenes times cycles in Python from which a pool of processes saves time: some 10 s on one core."""
 _MOST_PLANTS: Final = 6
@@ -68,6 +77,7 @@ class Asked(NamedTuple):
     chunk: int
     identity: Row
     is_auto: bool  # whether the engine was chosen here
+    is_slow: bool  # whether Python computes only because numba is not installed
 
 
 def sweep(
@@ -81,6 +91,7 @@ def sweep(
     in_flight: int = 4,
     processes: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
+    note: Callable[[str], None] = lambda _: None,
     stop_requested: Callable[[], bool] = lambda: False,
     **options: Any,
 ) -> Progress:
@@ -97,6 +108,7 @@ def sweep(
         processes: Whether processes may be started if no executor is given: one on each core for a long sweep in
             Python, and one that compiles a new loop while Python runs scenes.
         progress: Called regularly with the progress.
+        note: Called before the first scene with a line on what makes the sweep slow, if there is such a thing.
         stop_requested: Polled regularly; True ends the sweep after the submitted chunks.
         options: As for `make_sweep`.
 
@@ -106,6 +118,8 @@ def sweep(
         WorkersLostError: The workers die again and again.
     """
     asked, path = make_sweep(scene, vary, **options), Path(out)
+    if asked.is_slow:
+        note(WITHOUT_NUMBA)
     if not (resume and path.exists()):
         create(path, asked.chunk, asked.identity, _notes(scene, asked), replace=force)
     cores, run = os.cpu_count() or 1, run_chunk
@@ -180,10 +194,14 @@ def make_sweep(
         reason = f"only {together} of the scenes would share a batch, expected {_FEWEST_TOGETHER}"
         recipe = replace(recipe, alone=reason)
     least, most = _SCALAR_CHUNK if recipe.alone or _is_not_batchable(scene, controllers) else _BATCH_CHUNK
-    chunk = chunk or min(most, max(least, -(-len(points) // _FEWEST_CHUNKS)))
-    pays = _pays(scene, len(points), recipe.cycles or cycles_of(scene, duration))
+    each = recipe.cycles or cycles_of(scene, duration)
+    pays = _pays(scene, len(points), each)
     recipe = replace(recipe, engine=chosen_engine(engine, pays))
-    return Asked(recipe, points, chunk, _identity(scene, recipe, points), engine == "auto")
+    if recipe.engine == "python":
+        most = min(most, max(1, _CYCLES_IN_PYTHON // each))
+    chunk = chunk or min(most, max(least, -(-len(points) // _FEWEST_CHUNKS)))
+    is_slow = engine == "auto" and pays and not is_numba_installed()
+    return Asked(recipe, points, chunk, _identity(scene, recipe, points), engine == "auto", is_slow)
 
 
 def _pays(scene: Scene, scenes: int, cycles: int) -> bool:

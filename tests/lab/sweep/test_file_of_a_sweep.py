@@ -14,6 +14,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError, LogFormatError, LogWriteError
+from canhaptic.lab.batch import WITHOUT_NUMBA
 from canhaptic.lab.studies.chunk import ChunkResult
 from canhaptic.lab.studies.store import SweepTable
 from canhaptic.lab.studies.sweep import sweep
@@ -85,6 +86,54 @@ def group_lives(group):
     except ProcessLookupError:
         return False
     return True
+
+
+def test_without_numba_a_long_sweep_says_so_and_its_chunks_take_seconds_in_python(demo, tmp_path, monkeypatch):
+    monkeypatch.setattr("canhaptic.lab.batch.find_spec", lambda _: None)
+    said: list[str] = []
+    options: dict[str, Any] = {"note": said.append, "stop_requested": lambda: True}
+    vary, path = ["environment.stiffness=100:1000:2000"], tmp_path / "many"
+    sweep(demo, vary, path, cycles=2000, **options)
+    assert said == [WITHOUT_NUMBA]
+    assert "about 100 times slower; pip install" in WITHOUT_NUMBA
+    with SweepTable(path) as table:
+        assert table.span(0) == (0, 50)
+    sweep(demo, vary, tmp_path / "few", cycles=100, **options)
+    sweep(demo, vary, tmp_path / "python", cycles=2000, engine="python", **options)
+    assert len(said) == 1
+
+
+def test_a_sweep_that_goes_on_says_how_many_scenes_were_there(tmp_path, capsys):
+    words = ["sweep", DEMO, "--vary", "environment.stiffness=100,200", "--cycles", "20", "--out", str(tmp_path / "a")]
+    assert main(words) == 0
+    assert "kept from" not in capsys.readouterr().out
+    assert main([*words, "--resume"]) == 0
+    assert "(2 kept from an earlier run)" in capsys.readouterr().out
+
+
+LEAVES = """
+import multiprocessing, sys
+from canhaptic.cli import main
+def run(words, name):
+    lock = multiprocessing.get_context("spawn").Lock()
+    print("here", flush=True)
+    while True:
+        try:
+            __import__("time").sleep(30)
+        except KeyboardInterrupt:
+            pass
+main._run = run
+main.main(["sweep"])
+"""
+
+
+def test_ctrl_c_during_a_long_chunk_leaves_no_semaphore_behind():
+    with subprocess.Popen([sys.executable, "-c", LEAVES], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        assert process.communicate(timeout=30)[1] == b"canhaptic: interrupted\n"
+    assert process.returncode == 130
 
 
 @pytest.mark.slow
