@@ -74,7 +74,7 @@ _PER_PRODUCT: Final = 5e-6  # [s], interpreted
 
 
 def dear_holds(scene: Scene) -> list[str]:
-    """Return a warning for each plant that may be slow to simulate, and a note on when a recorded hand motion ends.
+    """Return a warning for each plant that may be slow to simulate, and notes on recorded hand motions.
 
     Events are searched in every oscillation of a fast mode, so that the cost per sample time is known beforehand. A
     mode at rest costs nothing.
@@ -84,15 +84,30 @@ def dear_holds(scene: Scene) -> list[str]:
         if axis.simulation is None or axis.simulated_drive is not None:
             continue
         if isinstance(motion := getattr(axis.simulation.user, "motion", None), RecordedMotion):
-            end = f"{motion.rows[-1][1]:.4g} {axis.parameters.unit}"
-            text = f"{motion.file.name} ends after {motion.end:.4g} s; the hand then stays at {end}"
-            lines.append(f"{axis.parameters.name}: {text}")
+            lines += [f"{axis.parameters.name}: {text}" for text in _of_recorded(motion, axis, scene)]
         phase, mode = build_plant(axis.simulation, scene.bus.sample_time_ns).scene.fastest_swing()
         if phase > LONG_SWING:
             products = _PER_RADIAN * phase
             cost = f"up to {round(products, -3):.0f} matrix products, about {products * _PER_PRODUCT:.1g} s, for each"
             text = f"SLOW while it oscillates: {phase:.0f} rad in one sample time ({mode}), {cost}"
             lines.append(f"{axis.parameters.name}: {text}; give it damping or more mass, or less stiffness")
+    return lines
+
+
+def _of_recorded(motion: RecordedMotion, axis: AxisScene, scene: Scene) -> list[str]:
+    """Return notes on a recorded motion that is faster than its axis may be, or that ends before the run does."""
+    lines, unit, limit = [], axis.parameters.unit, axis.parameters.largest_speed
+    speed, step, time = motion.fastest
+    if speed > limit:
+        lines.append(
+            f"{motion.file.name}, column {motion.column}: moves {step:.4g} {unit} from one row to the next at "
+            f"{time:.4g} s, {speed:.4g} {unit}/s, faster than the speed limit of the axis, {limit:g} {unit}/s; "
+            f"without a unit in the heading a position is in {unit}: write it as in position "
+            f"[{'mm' if unit == 'm' else 'deg'}]"
+        )
+    if scene.run.duration is None or scene.run.duration > motion.end + scene.bus.sample_time:
+        end = f"{motion.rows[-1][1]:.4g} {unit}"
+        lines.append(f"{motion.file.name} ends after {motion.end:.4g} s; the hand then stays at {end}")
     return lines
 
 

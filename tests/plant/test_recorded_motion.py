@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from canhaptic.errors import ParameterError, SceneError
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import dear_holds
+from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.effects.current_loop import CurrentLoop
 from canhaptic.sim.plant.plant import Plant, PlantParameters
@@ -27,7 +28,7 @@ def _table(folder: Path, text: str) -> str:
     return str(folder / "hand.csv")
 
 
-def _scene(folder: Path, text: str, *overrides: str) -> object:
+def _scene(folder: Path, text: str, *overrides: str) -> Scene:
     motion = f"simulation.user.motion={{type: recorded, file: {_table(folder, text)}}}"
     return load_scene(DEMO, [motion, *overrides])
 
@@ -122,6 +123,22 @@ def test_an_angle_is_refused_on_a_linear_axis_and_the_file_is_found_next_to_the_
     _table(tmp_path, "time,position\n0,0\n1.5,0.1\n")
     [note] = dear_holds(load_scene(tmp_path / "scene.yaml"))
     assert note == "handle: hand.csv ends after 1.5 s; the hand then stays at 0.1 m"
+    assert dear_holds(load_scene(tmp_path / "scene.yaml", ["duration=1.5 s"])) == []
+
+
+def test_millimetres_without_a_unit_are_found_by_their_speed(tmp_path: Path) -> None:
+    [note] = dear_holds(_scene(tmp_path, "time,position\n0,0\n0.1,1\n20,2\n", "axes.handle.speed_limit=5 m/s"))
+    assert note.startswith("handle: hand.csv, column position: moves 1 m from one row to the next at 0 s, 10 m/s, fast")
+    assert note.endswith("limit of the axis, 5 m/s; without a unit in the heading a position is in m: write it as in "
+                         "position [mm]")  # fmt: skip
+    assert dear_holds(_scene(tmp_path, "time,position [mm]\n0,0\n0.1,1\n20,2\n", "axes.handle.speed_limit=5 m/s")) == []
+
+
+def test_the_measured_position_of_a_simulated_log_goes_before_the_true_one(tmp_path: Path) -> None:
+    both = "time,handle.position,true.handle.position\n0,1,5\n1,2,6\n"
+    assert RecordedMotion(file=_table(tmp_path, both)).rows == ((0.0, 1.0), (1.0, 2.0))
+    true = RecordedMotion(file=_table(tmp_path, both), column="true.handle.position")
+    assert true.rows == ((0.0, 5.0), (1.0, 6.0))
 
 
 def test_the_configuration_knows_the_content_of_the_table_and_not_its_folder(tmp_path: Path) -> None:

@@ -58,6 +58,10 @@ class SinusoidMotion(Parameters):
         return self.offset + self.amplitude * math.sin(2.0 * math.pi * self.frequency * time + self.phase)
 
 
+_TRUE: Final = "true."
+"""Start of a column of the simulated plant, which stands beside the measured one."""
+
+
 class RecordedMotion(Parameters):
     """Voluntary motion x_u(t) from a table, with t from the start of the plant and from the first row.
 
@@ -67,9 +71,12 @@ class RecordedMotion(Parameters):
     type: Literal["recorded"] = "recorded"
     file: PrintablePath
     """CSV table in the folder of the scene: a heading with `time` and `position`, each in SI or with its unit as in
-    `time [ms]`, and at least two rows, as `inspect --csv` writes it. After the last row the hand stays."""
+    `time [ms]`, and at least two rows, as `inspect --csv` writes it. After the last row the hand stays. The table is
+    where the hand wants to be, with its grip between it and the handle: a record of the handle does not repeat the
+    run it was recorded in."""
     column: PrintableText = "position"
-    """Heading of the position column, or its end: `position` also finds `handle.position`."""
+    """Heading of the position column, or its end: `position` also finds `handle.position`, the measured one, rather
+    than `true.handle.position`."""
 
     _rows: tuple[tuple[float, float], ...] = ()
     _digest: str = ""
@@ -107,6 +114,13 @@ class RecordedMotion(Parameters):
     def end(self) -> float:
         """Time of the last row [s], after which the hand stays."""
         return self._rows[-1][0]
+
+    @property
+    def fastest(self) -> tuple[float, float, float]:
+        """Largest speed between two rows [m/s or rad/s], the step there [m or rad], and its time [s]."""
+        steps = [(after[1] - before[1], after[0] - before[0], before[0]) for before, after in pairwise(self._rows)]
+        step, duration, time = max(steps, key=lambda one: abs(one[0]) / one[1])
+        return abs(step) / duration, abs(step), time
 
     @property
     def offset(self) -> float:
@@ -170,6 +184,7 @@ def _column(heads: list[str], name: str, unit: Unit, motion: Any) -> tuple[int, 
     found = [titles.index(wanted)] if wanted in titles else [
         place for place, title in enumerate(titles) if title.endswith(f".{wanted}")
     ]  # fmt: skip
+    found = [place for place in found if not titles[place].startswith(_TRUE)] or found
     if len(found) != 1:
         why = f"{', '.join(titles[place] for place in found)}: name one by `column`" if found else f"no column {name!r}"
         remedy = "" if found or name == "time" else "; name another by `column`"
