@@ -256,7 +256,7 @@ def test_on_top_are_all_algorithms_in_one_panel_with_theory(two_controllers):
 
 def test_a_border_is_named_by_what_its_wall_is_and_a_map_with_nothing_finished_is_judged_as_a_full_one(tmp_path):
     path, vary = tmp_path / "part", ["environment.stiffness=100,2000", "bus.rate=500,1000"]
-    asked = {"controllers": ["guarded", "unprotected"], "duration": 0.01, "chunk": 4}
+    asked: dict[str, Any] = {"controllers": ["guarded", "unprotected"], "duration": 0.01, "chunk": 4}
     polls = iter([False, True])
     sweep(load_scene(DEMO), vary, path, stop_requested=lambda: next(polls, True), engine="python", **asked)
     with SweepTable(path) as table:
