@@ -3,6 +3,7 @@
 import argparse
 from contextlib import ExitStack
 from typing import Final
+from warnings import catch_warnings
 
 from rich.console import Console
 
@@ -11,7 +12,7 @@ from canhaptic.audit.recompute import recompute_all, rederive, scene_of
 from canhaptic.audit.user_checks import Checked, Outcome, check
 from canhaptic.axis_units import counted
 from canhaptic.cli.options import check_page, check_picture, check_place, require_new
-from canhaptic.errors import InputError
+from canhaptic.errors import CanHapticError, InputError
 from canhaptic.files import CONVERTIBLE
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export, require_library
@@ -57,11 +58,30 @@ def execute(arguments: argparse.Namespace) -> int:
         for path in arguments.overlay:
             with EnergyLog.open(path) as other:
                 result.setdefault("others", []).append(inspect(other, arguments.start, arguments.stop))
+        _explain(log, result, arguments)
         result["checks"] = _checks(result, arguments)
         _judge(log, result, arguments)
         _write_files(log, result, arguments)
     _show(result, console, as_json=arguments.json)
     return 0 if _is_good(result) else 1
+
+
+def _explain(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) -> None:
+    """Add to each axis on which nothing was rendered the reason, if the log's scene is there and unchanged."""
+    silent = [port for port in result["ports"].values() if port.get("verdict") == "nothing rendered"]
+    if not silent:
+        return
+    from canhaptic.scene.first_contact import why_silent
+
+    try:
+        with catch_warnings(action="ignore"):  # the run has shown them
+            scene = scene_of(log, arguments.config, allow_code=arguments.allow_code)
+    except CanHapticError:
+        return
+    for axis in scene.axes:
+        port = result["ports"][axis.parameters.name]
+        if port in silent and (why := why_silent(axis, int(result["link"]["skipped_syncs"]), result["cycles"])):
+            port["advice"] = why
 
 
 def _checks(result: Checked, arguments: argparse.Namespace) -> list[Outcome]:

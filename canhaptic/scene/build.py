@@ -462,10 +462,10 @@ def _add_of_axes(experiment: Experiment, ports: Mapping[str, PortResult]) -> Non
         if axis.parameters.hold_dither is not None:
             port["hold"] = getattr(controller, "hold_found", "") or port.get("hold", "undecided")
         if port.get("verdict") == "nothing rendered":
-            from canhaptic.scene.first_contact import advice, can_be_tried
+            from canhaptic.scene.first_contact import why_silent
 
-            if can_be_tried(axis):
-                port["advice"] = advice(axis)
+            if why := why_silent(axis, experiment.rig.skipped_syncs, experiment.cycle.cycles):
+                port["advice"] = why
 
 
 def _method(experiment: Experiment) -> str:

@@ -31,6 +31,8 @@ _PHASE: Final = 0.37
 """Position between two encoder counts, as a fraction of a count."""
 _SPEEDS: Final = tuple(3.0**-power for power in range(9))
 """Speeds that are tried, as fractions of the largest speed of the axis."""
+_MANY_SKIPPED: Final = 0.01
+"""Skipped SYNCs per cycle above which they count as the reason why nothing was rendered."""
 _PARTS: Final = (1.0, 0.5, 0.25, 0.125)
 """Fractions of a handle's largest speed at which the rendered share of a wall is judged."""
 _STEPS: Final = 6
@@ -52,7 +54,11 @@ class Remedy(NamedTuple):
     @property
     def text(self) -> str:
         """Declaration and remedy in words."""
-        return f"{self.key} {self.value:.3g} {self.unit} prevents it, {self.enough:.2g} {self.unit} would not"
+        enough = f"{self.enough:.1e}"
+        if float(enough) > self.enough:  # rounded up, perhaps to the declared value
+            step = 10.0 ** (int(enough.partition("e")[2]) - 1)
+            enough = f"{float(enough) - step:.1e}"
+        return f"{self.key} {self.value:.3g} {self.unit} prevents it, {float(enough):.2g} {self.unit} would not"
 
 
 def can_be_tried(axis: AxisScene) -> bool:
@@ -159,9 +165,24 @@ def enough_allowance(axis: AxisScene, speed: float) -> float | None:
     return next((allowance for allowance, trial in tried if is_felt(trial, speed)), None)
 
 
+def why_silent(axis: AxisScene, skipped: int, cycles: int) -> str:
+    """Return why a run rendered nothing on an axis: skipped SYNCs first, then the declaration that prevents a wall.
+
+    Args:
+        axis: Axis of the scene.
+        skipped: Number of SYNCs that were skipped in the run.
+        cycles: Number of cycles of the run.
+    """
+    text = f"SYNCs skipped: {skipped}, sent: {cycles}, so no torque was certified for the holds that lasted longer"
+    parts = [f"{text}; this host is too busy for the rate"] if skipped > _MANY_SKIPPED * cycles else []
+    return "; ".join([*parts, *([advice(axis)] if can_be_tried(axis) else [])])
+
+
 def advice(axis: AxisScene) -> str:
     """Return which declaration keeps a wall from being felt, and values that help."""
     slowest, unit = slowest_felt(axis) or inf, f"{axis.parameters.unit}/s"
+    if slowest <= _SPEEDS[-1] * axis.parameters.largest_speed:
+        return f"no declaration prevents it: an approach at {slowest:.3g} {unit} or faster starts this wall"
     begins = "no approach" if slowest == inf else f"an approach slower than {slowest:.3g} {unit}"
     aim = 0.01 * axis.parameters.largest_speed if slowest == inf else slowest / 3.0
     ways = [remedy.text for remedy in remedies(axis, aim)[:1]]

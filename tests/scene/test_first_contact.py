@@ -10,6 +10,7 @@ from canhaptic.cli.main import main
 from canhaptic.cycle import run
 from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.first_contact import (
+    Remedy,
     advice,
     can_be_tried,
     enough_allowance,
@@ -19,6 +20,7 @@ from canhaptic.scene.first_contact import (
     remedies,
     rendered_share,
     slowest_felt,
+    why_silent,
 )
 from canhaptic.scene.hints import LARGEST_ADVISED, advised_allowance, guarantee, stability_hints
 from canhaptic.scene.load import load_scene
@@ -87,6 +89,38 @@ def test_check_and_run_say_that_there_is_no_wall_and_strict_fails(capsys: pytest
     port = result.account["handle"]
     assert (port.verdict, port.passive, result.account.verdict) == ("nothing rendered", "yes", "nothing rendered")
     assert "current_lag" in port.advice
+
+
+@pytest.mark.parametrize(
+    ("value", "enough", "said"),
+    [(0.2, 0.1969, "0.19"), (0.2, 0.19, "0.19"), (1e-3, 0.99e-3, "0.00099"), (5.0, 0.0, "0")],
+)
+def test_a_remedy_is_never_the_declared_value_at_the_printed_precision(value: float, enough: float, said: str) -> None:
+    assert Remedy("hand_force", value, enough, "N").text == f"hand_force {value:.3g} N prevents it, {said} N would not"
+
+
+def test_skipped_syncs_are_the_first_reason_and_no_declaration_is_blamed_for_a_wall_that_is_felt() -> None:
+    demo = axis()
+    assert advice(demo) == "no declaration prevents it: an approach at 0.00152 m/s or faster starts this wall"
+    assert why_silent(demo, 0, 4000) == advice(demo)
+    assert why_silent(demo, 3830, 4000).startswith("SYNCs skipped: 3830, sent: 4000")
+    assert why_silent(axis(name="five_bar_sphere.yaml"), 0, 4000) == ""
+
+
+def test_inspect_says_what_run_says_where_it_finds_the_scene(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (scene := tmp_path / "late.yaml").write_text((CONFIGS / "demo.yaml").read_text())
+    words = [word for value in LATE for word in ("--set", value)]
+    log = tmp_path / "late.h5"
+    assert main(["run", str(scene), *words, "--duration", "1.4", "--log", str(log)]) == 0
+    said = "NOTHING RENDERED: no approach starts this wall; current_lag 0.002 s prevents it"
+    assert said in " ".join(capsys.readouterr().out.split())
+    assert main(["inspect", str(log)]) == 0
+    assert said in " ".join(capsys.readouterr().out.split())
+    scene.unlink()
+    assert main(["inspect", str(log)]) == 0
+    assert "NOTHING RENDERED · " in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_wall_that_was_not_reached_is_no_contact_and_keeps_strict(capsys: pytest.CaptureFixture[str]) -> None:
