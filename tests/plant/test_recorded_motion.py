@@ -145,7 +145,7 @@ def test_the_configuration_knows_the_content_of_the_table_and_not_its_folder(tmp
     found = []
     for folder, row in (("a", "1,0.1"), ("b", "1,0.1"), ("c", "1,0.2")):
         (tmp_path / folder).mkdir()
-        found.append(_scene(tmp_path / folder, f"time,position\n0,0\n{row}\n").config_hash())  # type: ignore[attr-defined]
+        found.append(_scene(tmp_path / folder, f"time,position\n0,0\n{row}\n").config_hash())
     assert found[0] == found[1] != found[2]
 
 
