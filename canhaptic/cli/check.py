@@ -4,10 +4,10 @@ import argparse
 import os
 import platform
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from math import inf
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import yaml
 from rich.console import Console
@@ -31,7 +31,7 @@ from canhaptic.scene.hints import guarantee
 from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import AxisScene, Guess, Scene, refused_values, status_text, values_to_set
 from canhaptic.view.run_lines import make_console
-from canhaptic.view.table import Styled, Table
+from canhaptic.view.table import Cell, Styled, Table
 from canhaptic.view.terminal import write_json
 
 
@@ -266,8 +266,11 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool, full: boo
     console.print(line + ("" if resolved else "; every value: --resolved"), markup=False)
     for text in found.dear:
         console.print(f"[yellow]{escape(text)}[/]")
-    for text in filter(None, (guarantee(axis, found.hints) for axis in scene.axes)):
-        console.print(text, markup=False)
+    said = [(axis.parameters.name, guarantee(axis, found.hints)) for axis in scene.axes]
+    for text, names in _axes_of(
+        ((name, text.removeprefix(f"{name}: ")) for name, text in said if text), len(said)
+    ).items():
+        console.print(f"{names}: {text}", markup=False)
     unset = values_to_set(scene)
     if found.refused or any(guess.line for guess in unset):
         console.print("set these before connecting a drive:")
@@ -299,7 +302,7 @@ def _print_findings(console: Console, found: _CheckFindings, *, full: bool) -> N
             console.print(_fitness_table(f"{name}: {axis.parameters.eds}", rows))
         if found.objects:
             console.print(_fitness_table(f"{name}: kept in the drive", found.objects[name]))
-    console.print(_hint_table([h for h in found.hints if full or h.concerns], texts=full))
+    console.print(_hint_table([h for h in found.hints if full or h.concerns], len(found.scene.axes), texts=full))
     settings = [setting for setting in host_settings() if full or setting.advice]
     if full:
         console.print(Table("host", ("setting", "value", "advice"), settings))
@@ -348,13 +351,25 @@ def _fitness_table(title: str, findings: list[Finding]) -> Table:
     return Table(title, ("object", "verdict", ""), [[row.item, WORDS[row.verdict], row.text] for row in findings])
 
 
-def _hint_table(hints: list[limits.Hint], *, texts: bool) -> Table:
-    rows = []
-    for hint in hints:
+_Said = TypeVar("_Said", bound=Hashable)
+_FEW: Final = 2  # axes, which are named one by one
+
+
+def _axes_of(said: Iterable[tuple[str, _Said]], axes: int) -> dict[_Said, str]:
+    """Return every remark once, with the names of its axes: "every axis" where it is on all of more than two."""
+    found: dict[_Said, list[str]] = {}
+    for name, of in said:
+        found.setdefault(of, []).append(name)
+    return {of: "every axis" if _FEW < len(names) == axes else ", ".join(names) for of, names in found.items()}
+
+
+def _hint_table(hints: list[limits.Hint], axes: int, *, texts: bool) -> Table:
+    rows: list[list[Cell]] = []
+    for hint, names in _axes_of(((hint.axis, hint._replace(axis="")) for hint in hints), axes).items():
         unknown = "device_friction not set" if "passivity.device_friction" in hint.text else "unknown"
         limit = unknown if hint.limit is None else f"{hint.limit:.4g} {hint.unit}"
         asked = "" if hint.asked is None else f"{hint.asked:.4g}{' EXCEEDED' * (hint.exceeded and hint.concerns)}"
         style = "dim" if not hint.concerns else "yellow" if hint.exceeded else ""
-        rows.append([Styled(text, style) for text in (hint.axis, hint.what, limit, asked, hint.text)[: 4 + texts]])
+        rows.append([Styled(text, style) for text in (names, hint.what, limit, asked, hint.text)[: 4 + texts]])
     title = "stability limits, calculated for any hand within your declarations; `design` simulates this rig"
     return Table(title, ("axis", "limit", "value", "requested", "")[: 4 + texts], rows)

@@ -165,6 +165,29 @@ def test_a_bar_is_drawn_where_the_end_is_known(capsys: Captured, monkeypatch: py
 # --- check, drive, schema -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("scene", ["two_buses", "admittance/six_axes"])
+def test_check_says_once_what_holds_for_every_axis(
+    capsys: Captured, monkeypatch: pytest.MonkeyPatch, scene: str
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["check", scene]) == 0
+    out = capsys.readouterr().out
+    assert len(out.splitlines()) <= 40
+    assert "\n  every axis   " in out and "\n  left_x" not in out
+
+
+def test_check_names_the_axes_of_a_limit_that_one_of_them_does_not_have(
+    capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+    assert main(["check", "two_buses", "--set", "axes.1.passivity.moving_mass=0.19 kg"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    stable = [line.split()[:-2] for line in lines if "damping, stable" in line]
+    common = ["left_x,", "right_x,", "right_y", "damping,", "stable"]
+    assert stable == [[*common, "165.7"], ["left_y", "damping,", "stable", "157.4"]]
+    assert len([line for line in lines if line.startswith("  every axis")]) == 1
+
+
 def test_check_prints_configuration_bus_drives_stability_and_host(capsys: Captured) -> None:
     assert main(["check", DEMO]) == 0
     assert len(capsys.readouterr().out.splitlines()) <= 40
