@@ -123,17 +123,16 @@ class PortPicture:
         return [(values, {"color": colour, "label": label, **_LOOKS[panel]}) for values, label, colour in movers]
 
     def _own_lines(self, panel: str) -> list[tuple[Array, dict[str, Any]]]:
-        """Return values and style of the lines not drawn for an overlaid run: deficit and commanded torques."""
+        """Return values and style of the lines not drawn for an overlaid run: deficit and requested torques."""
         look: dict[str, Any] = {"color": VERMILION, "linewidth": 1.0, "linestyle": "--", "label": "deficit, summed"}
         if panel == "surplus":
             return [(np.cumsum(self._column("deficit")), look)]
         if panel != "torque" or self._is_display:
             return []
-        look = (
-            {"linewidth": 2.4, "alpha": 0.3} if self._axes else {"linewidth": 2.2, "alpha": 0.8, "label": "commanded"}
-        )
-        commands = zip(self._of_movers("torque_command"), cycle(_OF_AXES if self._axes else (ORANGE,)))
-        return [(values, {"color": colour, "stair": "steps-post", **look}) for values, colour in commands]
+        label = {"label": "requested, before limits"}
+        look = {"linewidth": 2.4, "alpha": 0.3} if self._axes else {"linewidth": 2.2, "alpha": 0.8, **label}
+        requests = zip(self._of_movers("torque_command"), cycle(_OF_AXES if self._axes else (ORANGE,)))
+        return [(values, {"color": colour, "stair": "steps-post", **look}) for values, colour in requests]
 
     def _line(self, axes: "Axes", values: Array, scale: float, stair: str = "default", **style: Any) -> None:
         """Draw a line, as steps only if every row is drawn: between decimated rows the values are unknown."""

@@ -126,6 +126,7 @@ _LINES: Final = (
     "position", "command", "applied", "taken_in", "dissipated", "margin", "upper", "surplus", "deficit", "damping",
 )  # fmt: skip
 _EVENTS_SHOWN: Final = 4
+_REQUESTED: Final = "requested, before limits"
 
 
 _Glyph = tuple[str, dict[str, Any]]
@@ -215,8 +216,8 @@ def _port_panels(facts: PortFacts, time: Range, source: ColumnDataSource) -> dic
         velocity = [_line("command", "commanded", ORANGE)]
         panels["velocity"] = panel(f"{name}: velocity", units["command"], 190, velocity, {"commanded": "command"})
     else:
-        lines.insert(0, _line("command", "commanded", ORANGE, 2.5, alpha=0.8))
-        labels["commanded"] = "command"
+        lines.insert(0, _line("command", _REQUESTED, ORANGE, 2.5, alpha=0.8))
+        labels[_REQUESTED] = "command"
     panels["torque"] = panel(f"{name}: {'torque' if effort == 'N*m' else 'force'}", effort, 190, lines, labels)
     if not facts.is_member:
         lines = [_line("surplus", "surplus to dissipate", ORANGE)]

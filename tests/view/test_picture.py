@@ -129,7 +129,9 @@ def test_a_decimated_torque_of_a_picture_is_a_plain_line(tmp_path: Path, monkeyp
         write_run(tmp_path / f"{cycles}.h5", cycles=cycles)
         panels = picture_of(tmp_path / f"{cycles}.h5", monkeypatch).axes
         force = next(panel for panel in panels if panel.get_title(loc="left") == "force")
-        assert {line.get_drawstyle() for line in force.lines if line.get_label() in ("commanded", "applied")} == styles
+        assert {
+            line.get_drawstyle() for line in force.lines if line.get_label() in ("requested, before limits", "applied")
+        } == styles
     assert [panel.get_title(loc="left") for panel in panels] == ["position", "force"]  # without contact
 
 

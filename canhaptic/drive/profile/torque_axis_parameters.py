@@ -50,7 +50,7 @@ class TorqueAxisParameters(Parameters):
     transmission: Annotated[float, quantity("1/m", "1", ge=1e-6, le=1e6)] = 1.0
     """Torque or force of the axis per torque of the motor (gear ratio, 1/pulley radius); scales 0x6076."""
     torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0)]
-    """Largest torque ever commanded; also written to 0x6072 where the drive has it."""
+    """Largest torque that is sent, however much is requested; also written to 0x6072 where the drive has it."""
     torque_verified: Literal["weight", "balance", "mass", "no"] | None = None
     """How the scale of the torque was verified: by a weight on an arm, a spring balance, or the known mass
     (`canhaptic commission`). Needed on real drives; with `no` they are sent a hundredth of `torque_limit` at most."""
