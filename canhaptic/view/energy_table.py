@@ -49,21 +49,27 @@ def energy_report(*results: Result) -> RenderableType:
     """
     parts: list[RenderableType] = []
     for result in results:
-        parts += [*([_header(result)] if "file" in result else []), *headlines(result), heading(result)]
-    if any(result.get("ports") for result in results):
+        said = headlines(result) if result.get("cycles", 1) else [Text(" the log holds no cycle", style="bold red")]
+        parts += [*([_header(result)] if "file" in result else []), *said, heading(result)]
+    if any(result.get("ports") and result.get("cycles", 1) for result in results):
         table = energy_table(*results)
         if len(results) > 1:  # short lines, so that the columns fit next to each other
             table = replace(table, rows=[[_in_lines(cell) for cell in row] for row in table.rows])
         parts.append(table)
     for result in results:
+        if not result.get("cycles", 1):
+            continue
         parts += [Text(f" {result['file']}")] if len(results) > 1 else []
         parts += [line(name, result[name]) for name in ("timing", "link", "method") if result.get(name)]
     return Group(*parts)
 
 
 def energy_table(*results: Result) -> Table:
-    """Return the account of every port of one run or of several, one column each, as `run --json` prints it."""
-    places = [(result, name) for result in results for name in ordered(result["ports"])]
+    """Return the account of every port of one run or of several, one column each, as `run --json` prints it.
+
+    A log that holds no cycle has no column.
+    """
+    places = [(result, name) for result in results if result.get("cycles", 1) for name in ordered(result["ports"])]
     ports = [result["ports"][name] for result, name in places]
     heads = [in_lines(name, _HEAD_WIDTH) for _, name in places]
     if len(results) > 1:

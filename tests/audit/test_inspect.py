@@ -155,6 +155,19 @@ def test_no_check_passes_on_a_log_that_holds_no_cycle(tmp_path: Path) -> None:
             check(result, expression)
 
 
+def test_a_log_that_holds_no_cycle_shows_no_zeros(log: Path, tmp_path: Path, capsys: Captured) -> None:
+    write_run(tmp_path / "cut.h5", 0)
+    with h5py.File(tmp_path / "cut.h5", "r+") as file:
+        file.attrs["status"] = "failed: no space; the log ends at cycle 0 of 6000"
+    assert typed.inspect(tmp_path / "cut.h5") == 1
+    shown = capsys.readouterr().out
+    assert "FAILED: " in shown
+    assert "\n the log holds no cycle\n failed: no space; the log ends at cycle 0 of 6000" in shown
+    assert not re.search("energy account|until then|TPDOs received", shown)
+    assert typed.inspect(log, tmp_path / "cut.h5") == 1
+    assert re.search(r"energy account +handle *\n", capsys.readouterr().out)  # one column
+
+
 def test_a_part_without_a_cycle_is_refused(log: Path) -> None:
     with EnergyLog.open(log) as opened, pytest.raises(InputError, match=r"the log ends at 3\.999 s"):
         inspect(opened, 5.0, None)
