@@ -371,7 +371,8 @@ def _require_push(source: str, axes: Sequence[AxisScene], controllers: Sequence[
                 f"{source}: passivity of {axis.parameters.name}: hand_push: not declared, expected the largest "
                 f"force with which the hand pushes against the effort: environment {axis.environment.name!r} has more "
                 "than one exit, and where they meet the hand pushes out of one contact into the next; declare it "
-                f"(hand_push: 20 {effort_unit(axis.parameters.unit)}), or hand_force: null with another certificate"
+                f"(such as {2.0 * axis.parameters.torque_limit:.2g} {effort_unit(axis.parameters.unit)}, twice "
+                "torque_limit), or hand_force: null with another certificate"
             )
 
 

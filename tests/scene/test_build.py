@@ -249,6 +249,8 @@ def test_an_environment_that_turns_needs_the_push_of_the_hand(tmp_path: Path) ->
     with pytest.raises(InputError, match=r"hand_push: not declared.* 'detents' has more than one exit"):
         build(load_scene(path, changes), energy_log=tmp_path / "run.h5")
     assert not (tmp_path / "run.h5").exists()
+    with pytest.raises(InputError, match=r"declare it \(such as 0\.6 N, twice torque_limit\)"):
+        build(load_scene(path, [*changes, "axes.0.torque_limit=0.3"]))
     with pytest.raises(InputError, match="hand_push"):
         require_buildable(load_scene(path, changes))
     for more in ("passivity.hand_push=20", "environment={type: free_space}", "environment={type: spring_damper_wall, "
