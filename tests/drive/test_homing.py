@@ -9,6 +9,7 @@ from typing import Any
 import can
 import pytest
 
+from canhaptic.canopen.attached_devices import Brake
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.homing import HomingDrive, HomingOrder, home
 from canhaptic.errors import InputError, LinkError, RigError, StartError
@@ -77,6 +78,36 @@ def test_the_handshake_is_the_one_of_the_profile_frame_by_frame(bench: MakeBench
     assert [text.split(" ")[0] for text in drive.unrestored] == ["0x6072:00"]  # a limit stays, as after a run
     for place, value in (((0x6098, 0), 0), ((0x6099, 1), 77), ((0x6099, 2), 77)):
         assert drive.sdo.read(*place) == value
+
+
+def test_a_brake_of_the_host_opens_before_the_homing_and_is_set_before_the_drive_is_disabled(
+    bench: MakeBench, tmp_path: Path
+) -> None:
+    brake, path = Brake(by="host", output=16, release_time=0.03, set_time=0.05), with_homing(tmp_path)
+    text = path.read_text(encoding="utf-8") + "\n[60FE]\nParameterName=Outputs\nObjectType=0x8\nSubNumber=3\n"
+    for sub, kind in ((0, 5), (1, 7), (2, 7)):
+        text += f"\n[60FEsub{sub}]\nParameterName=Part {sub}\nObjectType=0x7\nDataType=0x{kind:04X}\n"
+        text += f"AccessType={'rw' if sub else 'ro'}\nDefaultValue={0 if sub else 2}\nPDOMapping=0\n"
+    path.write_text(text, encoding="utf-8")
+    parameters = axis(eds=path, torque_limit=2.0, brake=brake)
+    b = bench([parameters], drive_values={"brake": brake})
+    dictionary = read_dictionary(parameters.eds, parameters.node_id)
+    assert home(HomingDrive(b.links[0], parameters, dictionary, b.rig.bus, HERE), NEVER) is not None
+    steps: list[tuple[int, int, int]] = []
+    for time, can_id, data, is_rx in b.frames:
+        if not is_rx and (can_id == 0x205 or (can_id == 0x605 and data[:4] == bytes.fromhex("23 fe 60 01"))):
+            word = int.from_bytes(data[4:] if can_id == 0x605 else data[:2], "little")
+            if [step[:2] for step in steps[-1:]] != [(can_id, word)]:
+                steps.append((can_id, word, time))
+    opened, begun, closed = (
+        next(n for n, step in enumerate(steps) if step[:2] == of and n > after)
+        for of, after in (((0x605, 1 << 16), 0), ((0x205, 0x1F), 0), ((0x605, 0), len(steps) // 2))
+    )
+    assert steps[opened - 1][:2] == (0x205, 0x0F)  # enabled in homing mode, at rest
+    assert steps[begun][2] - steps[opened][2] >= 0.03e9
+    assert steps[closed - 1][:2] == (0x205, 0x10F)  # halted
+    end = next(step for step in steps[closed:] if step[:2] == (0x205, 0x00))
+    assert end[2] - steps[closed][2] >= 0.05e9
 
 
 @pytest.mark.parametrize(("method", "home_at"), [(34, 4096), (33, 0)])
