@@ -337,6 +337,8 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
         text = f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}"
         raise InputError(f"{text}; name the scene of this log")
     ports = derived.accounts(_holds(scene, log))
+    for name, passivity, _ in scene.ports:
+        ports[name]["algorithm"] = passivity.name
     result = cast("Rederived", {"cycles": cycles, **overall(ports), "ports": ports})
     if log is not None:
         result["differences"] = list(differences.values())

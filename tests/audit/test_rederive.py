@@ -1,4 +1,5 @@
 import json
+import re
 from pathlib import Path
 
 import h5py
@@ -75,7 +76,9 @@ def test_a_bus_log_alone_can_be_inspected_with_its_scene(
     logs: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert typed.inspect(logs[1], "--config", DEMO, "--check", "deficit == 0") == 0
-    assert "derived from the frames of run.log" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "derived from the frames of run.log" in shown
+    assert re.search(r"algorithm +guarded", shown)
     with pytest.raises(InputError, match="--config"):
         typed.inspect(logs[1])
 
