@@ -59,7 +59,8 @@ class PortAccount:
         stored: Energy that the virtual environment stores at the end.
         dissipated: Energy that the virtual environment dissipated; NaN, as not known, for the torques of a program.
         deficit: Sum of the energy delivered beyond the stored energy.
-        margin: Least value of the summed interaction energy minus the dissipated energy (eq. 4); below 0: not passive.
+        margin: Least value of the summed interaction energy minus the dissipated energy (eq. 4); below 0: sampling
+            created energy, and `passive` says whether it reached the hand.
         least_interaction: Least value of the summed interaction energy (eq. 3), as accounted by the controller.
         true_least_interaction: The same from the plant's energy; NaN for an axis without its own simulated plant.
         certificate: Name of the weakest certificate of the run; `none` if nothing was certified.
