@@ -14,7 +14,7 @@ import numpy as np
 from canhaptic.canopen.objects import StatusBit
 from canhaptic.control import verdict
 from canhaptic.control.balance import OUT_OF_CONTACT, Branch, Certificate
-from canhaptic.control.ledger import LedgerSummary
+from canhaptic.control.ledger import LedgerSummary, without_dust
 from canhaptic.control.motion_checks import FrictionDeclared, FrictionWatch, MassAsked, MassFelt
 from canhaptic.control.verdict import PortResult
 from canhaptic.errors import InputError, LogFormatError
@@ -479,6 +479,8 @@ def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> Led
     """Return the sums over some rows; a `Ledger` that takes one row at a time gives equal sums."""
     h_i, h_r = column("h_i"), column("h_r")
     margin, margin_row = _least(_running(h_i - h_r))
+    margin = without_dust(margin, _sum(np.abs(h_i)))
+    margin_row = margin_row if margin else 0
     running = _running(h_i)
     place = rows.start + margin_row
     cycle = int(log.timing["sync_index"][place]) if len(h_i) else 0

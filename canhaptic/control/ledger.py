@@ -64,6 +64,18 @@ class EnergyLossMeter:
 _NONE: Final = Certificate.NONE.value
 
 
+_DUST: Final = 1e-9
+"""Part of the energy that flowed, below which a negative margin is the rounding of its sums."""
+
+
+def without_dust(margin: float, flowed: float) -> float:
+    """Return a least margin [J], or 0 where it is rounding beside the energy that flowed, in plus out [J].
+
+    Every view of a run uses it, so that a table, a picture and a check agree.
+    """
+    return 0.0 if -margin <= min(_DUST * flowed, PASSIVE_TOLERANCE) else margin
+
+
 class LedgerSummary(NamedTuple):
     """The account of one port over a run. Energies in [J]."""
 
@@ -188,6 +200,7 @@ class Ledger:
     def summary(self) -> LedgerSummary:
         """Return the sums of the account so far."""
         energy_in = self._in.value
+        margin = without_dust(self._least_margin, 2.0 * energy_in - self._interaction.value)
         recovered, generated, leaked, paid, deficit = (total.value for total in self._corrections)
         return LedgerSummary(
             energy_in=energy_in,
@@ -201,9 +214,9 @@ class Ledger:
             leaked=leaked,
             paid=paid,
             deficit=deficit,
-            margin_value=self._least_margin,
-            margin_cycle=self._least_margin_cycle,
-            margin_deadline=self._least_margin_deadline,
+            margin_value=margin,
+            margin_cycle=self._least_margin_cycle if margin else 0,
+            margin_deadline=self._least_margin_deadline if margin else 0,
             least_interaction=self._least_interaction,
             first_below=self._first_below,
             certificates=Certificate.of(self._certificates),

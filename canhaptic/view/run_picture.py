@@ -13,6 +13,7 @@ import numpy as np
 
 from canhaptic.audit.inspection import contacts, rows_between, rows_to_draw, wall_of
 from canhaptic.axis_units import counted, si
+from canhaptic.control.ledger import without_dust
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
@@ -203,15 +204,18 @@ class PortPicture:
 
     def _draw_energy(self, axes: "Axes", scale: float, taken_in: Array, dissipated: Array) -> None:
         margin = taken_in - dissipated
+        worst, flowed = int(margin.argmin()), float(np.abs(np.diff(taken_in, prepend=0.0)).sum())
+        least = without_dust(min(0.0, float(margin[worst])), flowed)
         shown = decimate_together((taken_in, dissipated, margin), _BUCKETS)
         time, upper, lower = self._time[shown], taken_in[shown] / scale, dissipated[shown] / scale
         axes.fill_between(time, lower, upper, upper >= lower, color=GREEN, alpha=0.22, linewidth=0, label="margin")
-        if (upper < lower).any():
-            axes.fill_between(time, lower, upper, upper < lower, color=VERMILION, alpha=0.45, linewidth=0)
-        axes.plot(time, upper, color=BLUE, linewidth=1.3, label="in")
+        if least < 0.0:
+            axes.fill_between(
+                time, lower, upper, upper < lower, color=VERMILION, alpha=0.45, linewidth=0, label="margin below 0"
+            )
+        axes.plot(time, upper, color=BLUE, linewidth=1.3, label="net (in - out)")
         axes.plot(time, lower, color=VERMILION, linewidth=1.3, linestyle=(0, (4, 1.5)), label="dissipated")
-        worst = int(margin.argmin())
-        label = f"smallest margin {si(float(margin[worst]), 'J', 3)}"
+        label = f"smallest margin {si(least, 'J', 3)}"
         axes.plot(self._time[worst], taken_in[worst] / scale, "ko", markersize=4, zorder=5, label=label)
         below = taken_in < -PASSIVE_TOLERANCE
         if below.any():

@@ -239,10 +239,10 @@ def _margin(name: str, label: str, base: str, colour: str, alpha: float) -> _Gly
 _ENERGY: Final = (
     _margin("margin", "margin", "dissipated", GREEN, 0.22),
     _margin("negative margin", "margin below 0", "taken_in", VERMILION, 0.5),
-    _line("taken_in", "in", BLUE),
+    _line("taken_in", "net (in - out)", BLUE),
     _line("dissipated", "dissipated", VERMILION, line_dash=[6, 3]),
 )
-_ENERGY_LABELS: Final = {"in": "taken_in", "dissipated": "dissipated", "margin": "margin"}
+_ENERGY_LABELS: Final = {"net (in - out)": "taken_in", "dissipated": "dissipated", "margin": "margin"}
 
 
 def _add_wall(panel: figure, wall: float, side: str) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate
-from canhaptic.control.ledger import Ledger
+from canhaptic.control.ledger import Ledger, without_dust
 from canhaptic.control.verdict import (
     account_verdict,
     add_verdicts,
@@ -325,3 +325,10 @@ TOUCHED = {"holds": 100, "without_torque": 0, "asked": 50.0, "sent": 49.0}
 def test_the_word_that_is_shown(account: Any, word: str) -> None:
     assert headline(account) == word
     assert headline({**account, "dry_run": True}) == "dry run"
+
+
+def test_a_margin_of_rounding_is_none_and_a_small_one_beside_little_energy_stays() -> None:
+    assert without_dust(-2.9e-18, 1e-3) == 0.0
+    assert without_dust(-1e-6, 1e-3) == -1e-6
+    assert without_dust(-1.1e-6, 1e9) == -1.1e-6  # never more than the tolerance of the verdict
+    assert without_dust(0.0, 0.0) == 0.0
