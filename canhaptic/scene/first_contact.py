@@ -188,9 +188,13 @@ def advice(axis: AxisScene) -> str:
     ways = [remedy.text for remedy in remedies(axis, aim)[:1]]
     if (allowance := enough_allowance(axis, aim)) is not None:
         least = advised_allowance(axis.loop, getattr(axis.passivity.parameters, "hand_force", None) or 0.0)
-        allowance = max(allowance, float(f"{least:.2g}"))
+        room = float(f"{least:.2g}")
+        covers = ", as any wall up to half the certified stiffness" if allowance <= room else ""
+        allowance = max(allowance, room)
         share = rendered_share(with_declared(axis, {"energy_allowance": allowance}), aim)
-        ways.append(f"energy_allowance: {allowance:g} J starts it, {100.0 * share:.0f} % of it at {aim:.2g} {unit}")
+        ways.append(
+            f"energy_allowance: {allowance:g} J starts it{covers}, {100.0 * share:.0f} % of it at {aim:.2g} {unit}"
+        )
     if stiffness := getattr(axis.environment.parameters, "stiffness", None):
         needed = 0.5 * stiffness * axis.loop.sample_time * (1 + axis.loop.delay)
         ways.append(f"device_damping of {needed:.2g} {damping_unit(axis.parameters.unit)} holds it for every hand")

@@ -408,7 +408,7 @@ def _uncertainty(properties: AdmittanceProperties) -> float:
 
 _SPEEDING_UP: Final = (
     "from the start to a steady speed v the hand puts in m v^2 / 2 less energy_allowance; later moves use energy left "
-    "from earlier ones, so the mass of a whole run may be as light as requested"
+    "from earlier ones, so the mass that `run` gives is that of the whole run and may be as light as requested"
 )
 _WITHOUT_GUARD: Final = (
     "M + c tau; the guard still acts in short or slow motion, if the account is more uncertain than the damper loses"

@@ -122,7 +122,7 @@ def _first_figures(port: PortResult) -> list[str]:
     if beyond := port.get("contact", {}).get("beyond_limit"):
         found.append(f"cut by torque_limit in {counted(beyond, 'cycle')}")
     if "mass" in port:
-        found.append(f"mass felt {mass_text(port)}")
+        found.append(f"mass felt over the run {mass_text(port)}")
     certificate = port.get("certificate", "none")
     if certificate not in ("none", "exact") and abs((port.get("mass", {}).get("share") or 1.0) - 1.0) > _MASS_OFF:
         found.append("guard limited the speed: raise environment.mass or damping, lower force.slew, or move further")

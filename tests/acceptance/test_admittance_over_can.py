@@ -130,7 +130,7 @@ def test_a_guard_that_acts_makes_the_mass_heavier_and_every_reader_says_so(
     assert inspected["rederived"]["ports"]["handle"]["mass"] == pytest.approx(mass, rel=1e-12)
     assert main(["inspect", str(log)]) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    assert f"mass felt {mass['felt']:.3g} kg, {100 * mass['share']:.3g} % of requested" in shown
+    assert f"mass felt over the run {mass['felt']:.3g} kg, {100 * mass['share']:.3g} % of requested" in shown
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """`canhaptic design CONFIG`: the stiffest wall that `guarded` renders on a rig, or the lightest mass of a display."""
 
 import argparse
+from typing import Final
 
 import yaml
 from rich.console import Group, RenderableType
@@ -40,6 +41,9 @@ def execute(arguments: argparse.Namespace) -> int:
     return 0
 
 
+_WALL: Final = "spring_damper_wall"
+
+
 def snippet(result: Row) -> str:
     """Return wall and algorithm as YAML lines for a scene."""
     stiffness, damping = stiffness_unit(result["unit"]), damping_unit(result["unit"])
@@ -47,7 +51,7 @@ def snippet(result: Row) -> str:
     if "network" in result:
         group = {"name": result["group"], "network": result["network"], "passivity": passivity}
         return str(yaml.safe_dump({"groups": [group]}, sort_keys=False))
-    wall = {"type": "spring_damper_wall"}
+    wall = {"type": _WALL}
     wall |= {"stiffness": f"{result['stiffness']:g} {stiffness}", "damping": f"{result['damping']:g} {damping}"}
     return str(yaml.safe_dump({"environment": wall, "passivity": passivity}, sort_keys=False))
 
@@ -65,7 +69,17 @@ def design_report(result: Row) -> RenderableType:
     rows = [[f"{wall['stiffness']:g}", f"{wall['damping']:g}"] for wall in result["trade"]]
     trade = Table("less stiffness permits more damping", heads, rows, keys=0)
     simulated = " simulated on this rig, with a reserve; `check` gives the limits for any hand within your declarations"
-    return Group(heading, Text(simulated), Text(), Text(snippet(result)), *_price(result), trade, *_felt(result))
+    notes = [Text(simulated), *_replaced(result), Text()]
+    return Group(heading, *notes, Text(snippet(result)), *_price(result), trade, *_felt(result))
+
+
+def _replaced(result: Row) -> list[Text]:
+    """Return a note that the wall stands in place of the scene's own environment, if that is another one."""
+    own = result.get("replaces", _WALL)
+    if own == _WALL:
+        return []
+    words = f" the wall replaces environment.type: {own} of the scene; what is printed holds for the wall alone"
+    return [Text(words, style="yellow")]
 
 
 def _price(result: Row) -> list[Text]:

@@ -9,7 +9,7 @@ import yaml
 
 from canhaptic.errors import CheckFailedError, InputError
 from canhaptic.lab.batch.scalar import run_scalar
-from canhaptic.lab.commands.design import snippet
+from canhaptic.lab.commands.design import _replaced, snippet
 from canhaptic.lab.studies.compare import compare
 from canhaptic.lab.studies.design import search
 from canhaptic.lab.studies.design.contact_quality import felt_of
@@ -146,6 +146,11 @@ def test_the_lines_can_be_pasted_into_the_scene(designed):
     ]
     scene = load_scene(DEMO, ["bus.rate=100", *lines])
     assert scene.axes[0].environment.parameters.stiffness == designed["stiffness"]  # type: ignore[attr-defined]
+
+
+def test_a_wall_that_stands_in_place_of_detents_is_said_to():
+    assert "replaces environment.type: detents of the scene" in str(_replaced({"replaces": "detents"})[0])
+    assert _replaced({"replaces": "spring_damper_wall"}) == _replaced({}) == []
 
 
 def test_what_cannot_be_designed_is_said():

@@ -103,7 +103,8 @@ def design(
         return design_displays(scene, margin, tolerance, progress)
     require_design_room(margin, tolerance)
     if not scene.groups:
-        return _designed(trials.Trial(scene, tolerance, engine), margin, tolerance, progress)
+        found = _designed(trials.Trial(scene, tolerance, engine), margin, tolerance, progress)
+        return {**found, "replaces": scene.axes[0].environment.name}
     trial, cores = trials.GroupTrial(scene, tolerance, engine), os.cpu_count() or 1
     with pool_of(1 if trial.is_quick else cores) as pool:  # a group that Python runs gets a process on each core
         trial.executor = None if pool is None else pool.executor
@@ -441,7 +442,8 @@ def display_design_report(result: Row) -> RenderableType:
             "",
             f" {name}: lightest mass, tried with {found['hands']} hands",
             display_snippet(found),
-            f" masses that pass: {found['passes'][0]:.3g} to {found['passes'][1]:.3g} {found['unit']}",
+            f" masses tried that pass: {found['passes'][0]:.3g} to {found['passes'][1]:.3g} {found['unit']}",
+            " no heavier mass was tried; the lightest mass above is the least that passes, with the reserve",
             f" mass felt: {100.0 * low:.1f} to {100.0 * high:.1f} % of requested",
             f" energy given out: at most {given} (allowance {si(found['energy_allowance'], 'J', 3)})",
             f" commands limited by the guard: at most {100.0 * found['guard_acts']:.2g} %",
