@@ -126,6 +126,11 @@ def _skipped_kind(path: Path, number: int, line: str) -> SkippedKind:
     """Return the kind of a line that is no data frame of classic CAN; raise LogFormatError if it is no frame at all."""
     if found := _SKIPPED.fullmatch(line):
         return "CAN FD" if found[1] else "remote"
+    if number > 1 and line.startswith("(") and not line.endswith("\n"):
+        raise LogFormatError(
+            f"{path}:{number}: the last line, {line.strip()[:60]!r}, is cut: the recording ended while it was written; "
+            f"remove that line, as with sed -i '$d' {path.name}, and go on with all frames before it"
+        )
     raise LogFormatError(f"{path}:{number}: {line.strip()[:60]!r} is not a frame of candump -L, expected a bus log")
 
 

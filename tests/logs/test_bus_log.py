@@ -178,6 +178,11 @@ def test_our_reader_gives_back_what_was_written_to_the_microsecond(tmp_path: Pat
         (b"", "empty"),
         (b"(0.000001) can0 181#00\nnonsense\n", r":2: 'nonsense' is not a frame"),
         (b"(0.000001) can0 181#001\n", "is not a frame"),
+        (
+            b"(0.000001) can0 181#00\n(00000000",
+            r":2: the last line, '\(00000000', is cut: .* sed -i '\$d' a\.log, and go on",
+        ),
+        (b"(0.000001) can0 181#00\n(00000000\n", "is not a frame"),
         (b"\xff\xfe\x00", "is not a frame"),
     ],
 )
