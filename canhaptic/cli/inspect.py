@@ -20,7 +20,7 @@ from canhaptic.logs.repair import repair, require_readable
 from canhaptic.view.energy_table import inspection_report
 from canhaptic.view.run_lines import failure_text, make_console
 from canhaptic.view.run_picture import draw_energy
-from canhaptic.view.terminal import write_json
+from canhaptic.view.terminal import note_file, write_json
 
 _EXPORTS: Final = ("csv", "parquet", "mat", "mcap")
 _OF_ONE_LOG: Final = ("compare", "recompute", "bus_log", "repair", *_EXPORTS)
@@ -175,10 +175,12 @@ def _write_files(log: EnergyLog, result: Inspection, arguments: argparse.Namespa
                 raise InputError(f"{text}; name a log of the same rig to draw it over this run")
         for path in pictures:
             draw_energy(log, path, arguments.start, arguments.stop, others)
+            note_file("picture", path)
         if arguments.html is not None:
             from canhaptic.view.html_page import write_html
 
             write_html(log, arguments.html, result, arguments.start, arguments.stop, others)
+            note_file("page", arguments.html)
 
 
 def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:

@@ -440,6 +440,17 @@ def test_the_command_exits_with_one_when_a_check_or_comparison_fails(
     assert result["ports"]["handle"]["branches"]["exact"] == 1375
 
 
+def test_every_picture_and_page_written_is_named_for_one_log_and_for_two(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("canhaptic.cli.inspect.draw_energy", lambda *_: None)
+    monkeypatch.setattr("canhaptic.view.html_page.write_html", lambda *_: None)
+    picture, page = tmp_path / "a.png", tmp_path / "a.html"
+    for logs in ([log], [log, log]):
+        assert typed.inspect(*logs, "--png", picture, "--html", page) == 0
+        assert capsys.readouterr().err.split() == ["picture", str(picture), "page", str(page)]
+
+
 def test_a_csv_reads_back_to_the_same_bits(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert typed.inspect(log, "--csv", tmp_path / "run.csv", "--json") == 0
     capsys.readouterr()
