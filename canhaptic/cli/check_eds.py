@@ -142,7 +142,7 @@ def _print_brief(console: Console, found: Survey) -> None:
         console.print(f"read in each cycle (index:subindex/bits): {read}", markup=False)
         fitting = [f"{load.rate:g} Hz" for load in found.loads if load.fits]
         rates = ", ".join(fitting) or "none"
-        bus = f"rates that fit the bus, one axis at {found.bitrate / 1000:g} kbit/s"
+        bus = f"usual rates that fit the bus, one axis at {found.bitrate / 1000:g} kbit/s"
         console.print(f"{bus}: {rates}", markup=False)
     if not found.reasons and found.manual:
         console.print("of the values to set, these come from your rig or the drive's manual, under axes:", markup=False)

@@ -2,8 +2,11 @@
 
 import json
 import re
+from pathlib import Path
 
-from canhaptic.cli.main import COMMANDS
+import pytest
+
+from canhaptic.cli.main import COMMANDS, main
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
 from tests.docs.documents import ROOT, blocks
@@ -58,3 +61,19 @@ def test_one_claim_of_all_is_not_seen() -> None:
     assert [row["row"] for row in rows if not row["met"]] == [
         "passivity_observer: wins back what it observes, energy short at the end"
     ]
+
+
+def test_the_tutorial_shows_the_verdict_of_a_check_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = tmp_path / "twin.yaml"
+    assert main(["new", str(ROOT / "eds" / "cia402_servo.eds"), "--simulate", "--out", str(scene)]) == 0
+    capsys.readouterr()
+    assert main(["check", str(scene)]) == 0
+    words = " ".join(capsys.readouterr().out.split())
+    shown = next(line for line in page("tutorials/your_own_drive.md").splitlines() if line.startswith("Simulation: "))
+    assert words.startswith(shown)
+
+
+def test_the_scripts_are_counted() -> None:
+    scripts = len(list((ROOT / "examples").glob("*.py")))
+    assert scripts == 12
+    assert "Twelve scripts by task" in page("from_python.md")
