@@ -172,7 +172,8 @@ class _CheckFindings(NamedTuple):
             both = f" (at {speed:.2g} {unit}: {left}; once it is spent, {spent[0]:.0%} and {spent[1]:.0%})"
         lost = self._under_losses(axis, max(speed, self.felt[name]))
         felt = f"is felt (half of its force or more) at approach speeds above {self.felt[name]:.2g} {unit}"
-        return f"the wall{at} {felt}{both}{lost}"
+        what = "notch" if axis.environment.name == "detents" else "wall"
+        return f"the {what}{at} {felt}{both}{lost}"
 
     def _under_losses(self, axis: AxisScene, speed: float) -> str:
         """Return in words how much force of a pressed wall remains if frames are lost; "" if no losses are declared."""

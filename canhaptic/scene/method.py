@@ -6,7 +6,7 @@ there, and its error is estimated under the same torques (`sim.plant.direct_rig`
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from canhaptic.axis_units import counted
 from canhaptic.drive.clock import WallClock
@@ -16,7 +16,7 @@ from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
 from canhaptic.scene.parts import build_axis_controller
 from canhaptic.sim.plant import AccuracyParameters, direct_rig
 from canhaptic.sim.plant.plant import Plant
-from canhaptic.sim.plant.user import RecordedMotion
+from canhaptic.sim.plant.user import RecordedMotion, UserParameters
 
 _PRODUCTS: Final = 6_000
 """Matrix products for which the plant is timed: about 25 ms; the halved steps cost six times that."""
@@ -74,7 +74,7 @@ _PER_PRODUCT: Final = 5e-6  # [s], interpreted
 
 
 def dear_holds(scene: Scene) -> list[str]:
-    """Return a warning for each plant that may be slow to simulate, and notes on recorded hand motions.
+    """Return a warning for each plant that may be slow to simulate, and notes on the motions of hands.
 
     Events are searched in every oscillation of a fast mode, so that the cost per sample time is known beforehand. A
     mode at rest costs nothing.
@@ -85,6 +85,7 @@ def dear_holds(scene: Scene) -> list[str]:
             continue
         if isinstance(motion := getattr(axis.simulation.user, "motion", None), RecordedMotion):
             lines += [f"{axis.parameters.name}: {text}" for text in _of_recorded(motion, axis, scene)]
+        lines += [f"{axis.parameters.name}: {text}" for text in _of_detents(axis, axis.simulation.user)]
         phase, mode = build_plant(axis.simulation, scene.bus.sample_time_ns).scene.fastest_swing()
         if phase > LONG_SWING:
             products = _PER_RADIAN * phase
@@ -109,6 +110,20 @@ def _of_recorded(motion: RecordedMotion, axis: AxisScene, scene: Scene) -> list[
         end = f"{motion.rows[-1][1]:.4g} {unit}"
         lines.append(f"{motion.file.name} ends after {motion.end:.4g} s; the hand then stays at {end}")
     return lines
+
+
+def _of_detents(axis: AxisScene, user: object) -> list[str]:
+    """Return a note on a hand whose motion is too small for the pitch of its detents, so that it passes none."""
+    detents: Any = axis.environment.parameters
+    unit, is_alone = axis.parameters.unit, axis.environment.name == "detents" and not axis.group
+    if not is_alone or not isinstance(user, UserParameters) or user.motion is None or user.push:
+        return []
+    middle, far = user.rest + user.motion.offset, user.motion.amplitude
+    low, high = middle - far, middle + far
+    if round((low - detents.position) / detents.pitch) != round((high - detents.position) / detents.pitch):
+        return []
+    text = f"the hand moves from {low:.3g} to {high:.3g} {unit} and passes no notch: environment.pitch is"
+    return [f"{text} {detents.pitch:.3g} {unit}; figures of the notch force are those of one slope"]
 
 
 class PlantPrice(NamedTuple):

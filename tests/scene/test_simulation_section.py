@@ -124,6 +124,16 @@ def test_a_run_and_a_check_announce_a_swing_that_makes_holds_dear(tmp_path: Path
     assert dear_holds(load_scene(path, [*swinging[:1], stop])) == []  # the hand's damping stops it
 
 
+def test_a_hand_that_passes_no_notch_is_said_to_and_check_calls_a_notch_a_notch(capsys: pytest.CaptureFixture) -> None:
+    knob = str(Path(__file__).parents[2] / "configs" / "rotary_knob.yaml")
+    assert dear_holds(load_scene(knob)) == []
+    assert dear_holds(load_scene(knob, ["environment.pitch=1 rad"])) == []  # crests at half a pitch, passed by 45 deg
+    [line] = dear_holds(load_scene(knob, ["environment.pitch=30 rad"]))
+    assert line.startswith("knob: the hand moves from -0.785 to 0.785 rad and passes no notch: environment.pitch is 30")
+    assert main(["check", knob]) == 0
+    assert "; the notch is felt" in capsys.readouterr().out
+
+
 def test_a_scene_cannot_ask_for_compiled_plants(tmp_path: Path) -> None:
     [line] = faults(tmp_path, ("simulation:\n", "simulation:\n  compiled: true\n"))
     assert re.search(r"scene.yaml:17:\d+: simulation.compiled: unknown key", line)
