@@ -337,8 +337,6 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
         text = f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}"
         raise InputError(f"{text}; name the scene of this log")
     ports = derived.accounts(_holds(scene, log))
-    for name, passivity, _ in scene.ports:
-        ports[name]["algorithm"] = passivity.name
     result = cast("Rederived", {"cycles": cycles, **overall(ports), "ports": ports})
     if log is not None:
         result["differences"] = list(differences.values())
@@ -430,7 +428,11 @@ class _Derivation:
         rendered = [*(axis.passivity for axis in scene.axes), *(group.passivity for group in scene.groups)]
         known = zip(self.units.items(), self._meters.ports, self._ledgers, rendered, strict=True)
         ports: dict[str, PortResult] = {
-            name: {"unit": unit, **port_account(port, ledger.summary().as_json(time), promise_of(of.parameters), time)}
+            name: {
+                "unit": unit,
+                "algorithm": of.name,
+                **port_account(port, ledger.summary().as_json(time), promise_of(of.parameters), time),
+            }
             for (name, unit), port, ledger, of in known
         }
         for name, hold in holds.items():
