@@ -69,7 +69,7 @@ _DUST: Final = 1e-9
 
 
 def without_dust(margin: float, flowed: float) -> float:
-    """Return a least margin [J], or 0 where it is rounding beside the energy that flowed, in plus out [J].
+    """Return a least margin [J], or 0 where it is rounding of the energy that flowed, in plus out [J].
 
     Every view of a run uses it, so that a table, a picture and a check agree.
     """

@@ -327,7 +327,7 @@ def test_the_word_that_is_shown(account: Any, word: str) -> None:
     assert headline({**account, "dry_run": True}) == "dry run"
 
 
-def test_a_margin_of_rounding_is_none_and_a_small_one_beside_little_energy_stays() -> None:
+def test_a_margin_of_rounding_is_none_and_a_small_one_of_little_energy_stays() -> None:
     assert without_dust(-2.9e-18, 1e-3) == 0.0
     assert without_dust(-1e-6, 1e-3) == -1e-6
     assert without_dust(-1.1e-6, 1e9) == -1.1e-6  # never more than the tolerance of the verdict

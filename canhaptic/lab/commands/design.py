@@ -74,7 +74,7 @@ def design_report(result: Row) -> RenderableType:
 
 
 def _replaced(result: Row) -> list[Text]:
-    """Return a note that the wall stands in place of the scene's own environment, if that is another one."""
+    """Return a note that the wall replaces the scene's own environment, if that is another one."""
     own = result.get("replaces", _WALL)
     if own == _WALL:
         return []

@@ -59,7 +59,7 @@ class SinusoidMotion(Parameters):
 
 
 _TRUE: Final = "true."
-"""Start of a column of the simulated plant, which stands beside the measured one."""
+"""Start of a column of the simulated plant, next to the measured one."""
 
 
 class RecordedMotion(Parameters):
