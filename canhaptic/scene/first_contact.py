@@ -189,7 +189,7 @@ def advice(axis: AxisScene) -> str:
     if (allowance := enough_allowance(axis, aim)) is not None:
         least = advised_allowance(axis.loop, getattr(axis.passivity.parameters, "hand_force", None) or 0.0)
         room = float(f"{least:.2g}")
-        covers = ", as any wall up to half the certified stiffness" if allowance <= room else ""
+        covers = " and any wall up to half the certified stiffness" if allowance <= room else ""
         allowance = max(allowance, room)
         share = rendered_share(with_declared(axis, {"energy_allowance": allowance}), aim)
         ways.append(

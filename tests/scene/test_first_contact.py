@@ -72,6 +72,9 @@ def test_no_wall_names_the_declaration_that_keeps_it_away_and_a_value_that_does_
     assert is_felt(axis(*LATE, f"passivity.energy_allowance={allowed} J"), 0.1)
     assert not is_felt(axis(*LATE, f"passivity.energy_allowance={0.1 * allowed} J"), 0.1)
     assert advice(late).startswith("no approach starts this wall; current_lag 0.002 s prevents it")
+    assert "J starts it, 100 % of it" in advice(late)
+    snaps = axis("environment={type: detents, peak: 5, pitch: 4 mm}", "passivity.hand_force=5")
+    assert "J starts it and any wall up to half the certified stiffness, " in advice(snaps)  # `check` has that of one
 
 
 def test_check_and_run_say_that_there_is_no_wall_and_strict_fails(capsys: pytest.CaptureFixture[str]) -> None:
