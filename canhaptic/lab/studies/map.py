@@ -471,6 +471,8 @@ def _panel(fields: list[MapField], z: str, x: str, at: dict[str, float]) -> Line
     judgement = common_judgement(field)
     note = f"solid: simulated, broken: theory; {_judged(field, judgement)}; "
     note += "worst case over all other keys; none: no wall tried passes"
+    if any(one.algorithm == "unprotected" for one in fields):
+        note += "; unprotected passes for this hand alone: it promises no passivity"
     largest = "stiffest wall" if z == _STIFFNESS else f"largest {z.rpartition('.')[2]}"
     title = f"{largest} that is {JUDGEMENTS[judgement].claim} and within {100.0 * NEAR:g} %{field.words(at)}"
     return _lines(field, title, x, z, curves, note)

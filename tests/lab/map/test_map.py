@@ -252,6 +252,7 @@ def test_on_top_are_all_algorithms_in_one_panel_with_theory(two_controllers):
         assert "largest certificate of guarded" in lines
         assert panel.title.startswith("stiffest wall that is passive at the handle and within 5 %")
         assert panel.note.startswith("solid: simulated, broken: theory; ")
+        assert panel.note.endswith("; unprotected passes for this hand alone: it promises no passivity")
 
 
 def test_a_border_is_named_by_what_its_wall_is_and_a_map_with_nothing_finished_is_judged_as_a_full_one(tmp_path):
