@@ -39,6 +39,8 @@ _LOOKS: Final[dict[str, dict[str, Any]]] = {
     "velocity": {"linewidth": 1.2, "stair": "steps-post"},
     "torque": {"linewidth": 0.9, "stair": "steps-pre"},
 }
+_LETTERS: Final = 110  # of a row of the legend
+_MARK: Final = 6  # letters as wide as the mark of an entry
 _LEGEND: Final[Any] = {
     "loc": "lower right",
     "bbox_to_anchor": (1.0, 0.985),
@@ -102,7 +104,7 @@ class PortPicture:
             for number, (line, _) in enumerate(self._lines(panel)):
                 label = name if number == 0 else None
                 self._line(panels[panel], line, scale, color=colour, linewidth=0.7, linestyle=(0, (3, 2)), label=label)
-            panels[panel].legend(**_LEGEND)
+            _add_legend(panels[panel])
         if "motion" in panels:
             self._draw_motion(panels, scales, name, colour)
 
@@ -200,7 +202,7 @@ class PortPicture:
             axes.set_xlabel(f"position {position.get_ylabel()}")
             axes.set_ylabel(torque.get_ylabel())
             axes.set_title(f"{torque.get_title(loc='left')} over position", fontweight="bold")
-        axes.legend(**_LEGEND)
+        _add_legend(axes)
 
     def _draw_energy(self, axes: "Axes", scale: float, taken_in: Array, dissipated: Array) -> None:
         margin = taken_in - dissipated
@@ -249,7 +251,13 @@ def _finish(axes: "Axes", title: str, unit: str) -> None:
     """Put the title at the left and the legend at the right above the panel, where neither covers data."""
     axes.set_title(title, fontweight="bold")
     axes.set_ylabel(f"[{unit}]")
-    axes.legend(**_LEGEND)
+    _add_legend(axes)
+
+
+def _add_legend(axes: "Axes") -> None:
+    """Add the legend in one row, or in three columns where a row would be wider than the panel."""
+    letters = sum(_MARK + len(label) for label in axes.get_legend_handles_labels()[1])
+    axes.legend(**_LEGEND | ({"ncols": 3} if letters > _LETTERS else {}))
 
 
 _HEIGHTS: Final = {
