@@ -9,22 +9,27 @@ from typing import Any
 import numpy as np
 import pytest
 
+from canhaptic.control.admittance.unprotected_admittance import SampledHold
 from canhaptic.control.balance import Certificate
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import LITERATURE, LoopProperties, build_controller
+from canhaptic.control.passivity.internal_dissipation import Storage
 from canhaptic.control.passivity.stepped import Hold
 from canhaptic.control.passivity.unprotected import Asked
 from canhaptic.errors import ParameterError
 from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.rivals import (
+    a_priori_dissipation,
     adaptive_reference,
     bounded_observer,
+    energy_bounding,
     energy_tank,
     force_augmentation,
     force_gradient,
     ultimate_passivity,
     windowed_observer,
 )
+from canhaptic.lab.rivals.tank_admittance import TankAdmittance
 from canhaptic.registry import load
 from tests.lab.batch.loops import scalar_case
 
@@ -213,7 +218,8 @@ def test_the_damping_that_an_observer_adds_is_its_force_over_the_velocity():
     for respond, run in ((bounded_observer.respond, bounded), (windowed_observer.respond, windowed)):
         for speed in (-1.0, -0.25):
             moved = hold._replace(displacement=1e-3 * speed, velocity=speed)
-            _, _, _, force, damping = respond(run, moved, asked)
+            stored, spring, _, force, damping = respond(run, moved, asked)
+            assert (stored, spring) == (1.0, 4.0)
             assert force < 0.0
             assert damping == pytest.approx(2.0 + force / speed)
 
@@ -221,3 +227,47 @@ def test_the_damping_that_an_observer_adds_is_its_force_over_the_velocity():
 def test_no_force_is_augmented_where_the_contact_has_no_depth():
     given, state = force_augmentation.ForceAugmentationParameters(), force_augmentation._ForceAugmentationState()
     assert force_augmentation.augmented_force(given, state, 0.0, 0.5) == 0.5
+
+
+@pytest.mark.parametrize(("spring", "share"), [(5.0, 0.2), (-5.0, 0.2), (0.0, 1.0)])
+def test_an_empty_tank_sends_the_constant_part_of_the_spring_and_counts_that_part_as_stored(spring, share):
+    given, state = energy_tank.EnergyTankParameters(constant_stiffness=1000.0), energy_tank._EnergyTankState()
+    state.model.true = 1e-3 * (spring / 5.0)
+    run: Any = SimpleNamespace(settings=SimpleNamespace(given=given), state=state, memory=SimpleNamespace(own=[0.0]))
+    out = Hold(-1e-4 if spring > 0.0 else 1e-4, 0.0, 0.0, 0.0, 1e-3, 0.0, 0.0, 0)
+    reply = energy_tank.respond(run, out, Asked(0, 0.0, True, spring, 0.0, 2.0))
+    assert reply == pytest.approx((share, share * spring, 0.0, 0.0, 2.0))
+
+
+def test_the_bound_of_energy_counts_what_an_encoder_hides_and_limits_spring_and_damper_together():
+    device, hold = energy_bounding.Device(0.5, 1e-3, 1e-4, 0.0), Hold(1e-3, 0.0, 2e-3, 0.0, 1e-3, 1.0, 3.0, 0)
+    state = energy_bounding._EnergyBoundingState()
+    dissipated = 0.5 / 1e-3 * (1e-3 - 1e-4) ** 2
+    known = 2e-3 + dissipated - 0.5 * 1e-4 * (3.0 + 3.0)  # at rest before, so that 3 N are the change as well
+    assert energy_bounding.known_energy(device, 1e-3, state, hold) == pytest.approx(known)
+    run: Any = SimpleNamespace(
+        settings=SimpleNamespace(given=device, hold=SimpleNamespace(sample_time=1e-3)),
+        state=energy_bounding._EnergyBoundingState(),
+        memory=SimpleNamespace(axis=SimpleNamespace(commands=SimpleNamespace(torques=[0.0]))),
+    )
+    share = np.sqrt(4.0 * 0.5 / 1e-3 * known) / 3.5
+    assert share < 1.0
+    reply = energy_bounding.respond(run, hold, Asked(0, 0.0, True, 4.0, -0.5, 2.0))
+    assert reply == pytest.approx((share, share * 4.0, share * -0.5, 0.0, share * 2.0))
+
+
+def test_a_storage_from_which_the_damper_took_everything_is_at_rest():
+    stored = 0.5 * 5000.0 * 1e-3**2
+    storage = Storage(zone=1, true=-1e-3, state=-1e-3, velocity=-1.0, h_s=stored)
+    settings: Any = SimpleNamespace(damping=2.0)
+    hold = Hold(-1e-4, -20.0, 0.0, 0.0, 1e-3, -0.1, 0.0, 0)  # its damper would dissipate 0.2 J
+    account = a_priori_dissipation.exchange(WALL, settings, storage, hold)
+    assert account.h_r == pytest.approx(stored)
+    assert (storage.state, storage.velocity, storage.h_s) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("energy", "speed"), [(0.0, 0.0), (1e-3, 0.125), (5e-3, 0.5)])
+def test_the_tank_of_a_display_scales_down_a_speed_that_would_overdraw_it(energy, speed):
+    tank: Any = SimpleNamespace(_given=SimpleNamespace(capacity=1.0), _energy=energy, _time=1e-3)
+    hold = SampledHold(0.0, 1e-3, 0.0, 0.0, 0.5, -8.0)  # the next hold would give out 4 mJ
+    assert TankAdmittance.respond(tank, hold) == pytest.approx((speed, 0.0, 0.0))

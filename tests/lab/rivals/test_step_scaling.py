@@ -11,6 +11,7 @@ from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.stepped import HoldAccount
 from canhaptic.control.port_hamiltonian.network import DoubleWell, Network, Spring
+from canhaptic.control.port_hamiltonian.sampled_network import settle_network
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
 from canhaptic.kernels import Run
@@ -58,7 +59,7 @@ def strained(step, **own):
     world, run = touching(**own)
     network = run.memory.group.motion.network
     network.state[0], network.room.step[0] = -X, step
-    scaled_group.settle_network(world, run.state.group.motion.network, network)
+    settle_network(world, run.state.group.motion.network, network)
     run.state.h_s = run.state.group.motion.network.energy
     assert run.state.h_s == pytest.approx(STORED)
     return world, run
@@ -135,7 +136,7 @@ def test_a_model_beyond_its_upper_edge_keeps_its_spring():
     world, run = touching(X, Box(lower=(-1.0,), upper=(0.0,), side="inside", stiffness=K, damping=0.0))
     network = run.memory.group.motion.network
     network.state[0] = X
-    scaled_group.settle_network(world, run.state.group.motion.network, network)
+    settle_network(world, run.state.group.motion.network, network)
     kept = HoldAccount(Branch.EXACT.value, 0.0, 0.0, 0.0, 0.0)
     assert scaled_group.leave(world, run, kept, True, True) == kept
     assert run.state.h_s == pytest.approx(STORED)
