@@ -10,7 +10,7 @@ from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.stepped import HoldAccount
-from canhaptic.control.port_hamiltonian.network import DoubleWell, Network, Spring
+from canhaptic.control.port_hamiltonian.network import DoubleWell, Network, QuadraticForm, Spring
 from canhaptic.control.port_hamiltonian.sampled_network import settle_network
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
@@ -21,6 +21,7 @@ from canhaptic.lab.rivals.scaled_group import ScaledGroupParameters, StepBalance
 K, X = 1000.0, 0.01
 STORED = 0.5 * K * X * X  # at X [J]
 DELAY = 2
+LOOP = LoopProperties(sample_time=1e-3, moving_mass=0.25, delay=DELAY)
 
 
 def line_of(storage, received, state, step, loss=0.0):
@@ -40,9 +41,8 @@ WALL = Plane(normal=(1.0,), stiffness=K, damping=0.0)
 
 def begun(position, environment=WALL, **own):
     """Returns a group of one axis that has seen its first position."""
-    loop = LoopProperties(sample_time=1e-3, moving_mass=0.25, delay=DELAY)
     group: Any = build_group_controller(
-        environment, Identity(axes=1), "step_scaling", ScaledGroupParameters(**own), [loop]
+        environment, Identity(axes=1), "step_scaling", ScaledGroupParameters(**own), [LOOP]
     )  # fmt: skip
     group.step([position], [0.0])
     return group
@@ -54,9 +54,9 @@ def touching(position=-X, environment=WALL, **own):
     return world, Run(*run)
 
 
-def strained(step, **own):
+def strained(step, environment=WALL, **own):
     """Returns world and run at a state of -X, of which the model wants to go on by a step."""
-    world, run = touching(**own)
+    world, run = touching(-X, environment, **own)
     network = run.memory.group.motion.network
     network.state[0], network.room.step[0] = -X, step
     settle_network(world, run.state.group.motion.network, network)
@@ -82,7 +82,14 @@ def test_the_share_of_a_spring_is_the_root_of_its_square(solve, share):
     assert found.evaluations <= 14  # Newton's method: halving alone takes fifty
 
 
+def test_coupled_states_are_as_stiff_along_a_line_as_their_form():
+    network, line = Network([QuadraticForm(matrix=[[4.0, 1.0], [1.0, 3.0]])], gain=[[1.0], [0.0]]), line_memory(2)
+    line.step[:] = [2.0, -1.0]
+    assert scaled_group.stiffness_along(network.tables, line) == pytest.approx(4.0 * 4.0 - 2.0 * 2.0 + 3.0)
+
+
 def test_no_step_takes_nothing_and_cannot_give():
+    assert scaled_group.search_scale(spring_line(0.0), 2.0) == (0.0, True, 0)
     assert scaled_group.solve_scale(spring_line(1e-3, step=0.0), 2.0) == (0.0, True, 1)
     assert scaled_group.solve_scale(spring_line(-1e-3, step=0.0), 2.0) == (0.0, False, 1)
     assert scaled_group.search_scale(line_of(Spring(stiffness=K), -1e-3, 0.0, X), 2.0) == (0.0, False, 1)
@@ -115,6 +122,13 @@ def test_without_a_root_the_state_takes_what_the_damper_leaves(step):
     assert run.state.pace == pytest.approx(back / step)
 
 
+def test_without_a_step_of_the_model_the_state_has_no_pace():
+    world, run = strained(0.0)
+    scaled_group.approximate(world, run, -0.4 * STORED, 0.2 * STORED, 0.0)
+    assert run.state.h_s == pytest.approx(0.4 * STORED)
+    assert run.state.pace == 0.0
+
+
 def test_where_the_damper_takes_everything_the_spring_is_empty():
     world, run = strained(0.2 * X)
     account = scaled_group.approximate(world, run, -0.4 * STORED, STORED, 0.0)
@@ -130,6 +144,36 @@ def test_a_contact_generates_its_energy_once_and_pays_nothing_back_without_a_lea
     assert [each.gen for each in accounts] == pytest.approx([STORED, 0.0])
     assert [each.h_dis for each in accounts] == pytest.approx([STORED, STORED])
     assert [each.paid for each in accounts] == [0.0, 0.0]
+
+
+def test_a_start_ends_where_the_hand_no_longer_pushes_inward():
+    group = begun(1e-3)
+    group.step([-X], [0.0])
+    state = group._step.args[2]
+    assert state.blind == DELAY
+    group.step([-0.5 * X], [0.0])
+    assert state.blind == 0
+
+
+def test_a_leak_pays_for_no_surplus_below_zero():
+    group = begun(1e-3)
+    group.step([-X], [0.0])
+    state, commands = group._step.args[2], group._step.args[3].group.commands
+    state.h_dis, commands.modulated[state.group.oldest][0] = 0.0, 2.0  # which takes 22 mJ on the way out
+    account = group.step([1e-3], [0.0]).account
+    assert account.h_pas == pytest.approx(2.0 * 1.1 * X)
+    assert account.leak == pytest.approx(STORED - account.h_pas)
+    assert (account.paid, account.h_dis) == (0.0, pytest.approx(-account.h_pas))
+
+
+def test_a_damper_is_sent_as_far_as_the_cap_of_the_velocity_reaches():
+    world, run = strained(0.0, Plane(normal=(1.0,), stiffness=K, damping=1e3))
+    run.state.engaged, run.state.pace, run.state.group.motion.elapsed = True, 0.5, 1e-3
+    run.memory.group.ended.displacement[0] = run.memory.group.motion.displacement[0] = -1e-4
+    place, (cap,) = run.state.group.oldest, scaled_group.settings_of(world, ScaledGroupParameters(), (LOOP,)).loop.caps
+    assert scaled_group.send(world, run) == pytest.approx(cap)
+    assert cap < 1e3
+    assert run.memory.group.commands.dampers[place][0] == pytest.approx(cap * 0.5 * -0.1)
 
 
 def test_a_model_beyond_its_upper_edge_keeps_its_spring():
@@ -151,7 +195,7 @@ def test_a_model_that_left_its_wall_leaks_what_the_spring_still_has_and_one_insi
     left = scaled_group.leave(world, run, kept, False, True)
     assert left == pytest.approx((Branch.EXIT.value, 0.0, 0.0, 0.0, STORED))
     assert run.state.h_s == 0.0
-    assert not run.state.engaged
+    assert (run.state.engaged, run.state.pace, run.state.blind) == (False, 0.0, 0)
 
 
 @pytest.mark.parametrize(("position", "step", "inward"), [
