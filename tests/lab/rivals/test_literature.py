@@ -29,7 +29,7 @@ from canhaptic.lab.rivals import (
     ultimate_passivity,
     windowed_observer,
 )
-from canhaptic.lab.rivals.tank_admittance import TankAdmittance
+from canhaptic.lab.rivals.tank_admittance import TankAdmittance, TankAdmittanceGroup, TankAdmittanceParameters
 from canhaptic.registry import load
 from tests.lab.batch.loops import scalar_case
 
@@ -271,3 +271,29 @@ def test_the_tank_of_a_display_scales_down_a_speed_that_would_overdraw_it(energy
     tank: Any = SimpleNamespace(_given=SimpleNamespace(capacity=1.0), _energy=energy, _time=1e-3)
     hold = SampledHold(0.0, 1e-3, 0.0, 0.0, 0.5, -8.0)  # the next hold would give out 4 mJ
     assert TankAdmittance.respond(tank, hold) == pytest.approx((speed, 0.0, 0.0))
+
+
+def test_the_tank_of_several_axes_pays_for_all_of_them_together():
+    assert TankAdmittanceParameters().initial == 0.0
+    tank: Any = SimpleNamespace(_energy=1e-3, _time=1e-3, axes=2)
+    request, slips = TankAdmittanceGroup._protected(tank, [0.5, 0.25], [-8.0, 2.0])  # 4 mJ out and 0.5 mJ in
+    assert request == pytest.approx([0.5 / 3.5, 0.25 / 3.5])
+    assert slips == [0.0, 0.0]
+    assert TankAdmittanceGroup._protected(tank, [0.5, 0.25], [8.0, -2.0])[0] == [0.5, 0.25]
+
+
+@pytest.mark.parametrize(("initial", "brought", "filled"), [(1.0, 0.0, 2e-3), (1.0, 2.5, 0.0), (0.0, 2.5, 2e-3)])
+def test_a_damper_fills_a_tank_below_its_most_energy(initial, brought, filled):
+    state = energy_tank._EnergyTankState(brought=brought)
+    hold = Hold(1e-3, 2.0, 4e-3, 0.0, 1e-3, 1.0, 0.0, 0)
+    energy_tank.fill(energy_tank.EnergyTankParameters(initial_energy=initial), state, hold, 0.25)
+    assert state.brought == pytest.approx(brought + 1e-3 + filled)
+
+
+@pytest.mark.parametrize(("wanted", "force"), [(5.0, 1.5 / 1.01), (-1.0, 1.0), (-4.0, 1.5 / 1.01)])
+def test_the_force_of_the_bounded_observer_is_missing_power_over_a_speed_and_stops_where_it_would_pull(wanted, force):
+    settings = bounded_observer.settings_of(WALL, bounded_observer.BoundedObserverParameters(), LOOP)
+    state = bounded_observer._BoundedObserverState(integral=0.5, force=0.25)
+    hold = Hold(1e-3, 0.0, 0.0, 0.0, 1e-3, 1.0, 0.0, 0)
+    assert bounded_observer.controlling_force(settings, state, -1e-3, hold, wanted) == pytest.approx(force)
+    assert state.integral == pytest.approx(0.5 + (1.0 - 0.25) / 10.0)

@@ -10,7 +10,7 @@ from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.stepped import HoldAccount
-from canhaptic.control.port_hamiltonian.network import DoubleWell, Network, QuadraticForm, Spring
+from canhaptic.control.port_hamiltonian.network import DoubleWell, Network, QuadraticForm, Spring, UserEnergy
 from canhaptic.control.port_hamiltonian.sampled_network import settle_network
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
@@ -82,6 +82,20 @@ def test_the_share_of_a_spring_is_the_root_of_its_square(solve, share):
     assert found.evaluations <= 14  # Newton's method: halving alone takes fifty
 
 
+def test_an_energy_given_as_a_function_is_taken_like_that_of_a_spring():
+    given = UserEnergy(1, lambda x: 0.5 * K * x[0] ** 2, lambda x: [K * x[0]])
+    energy, slope = scaled_group.taken(line_of(given, 0.0, X, X), 0.5)
+    assert energy == pytest.approx(STORED * (1.5**2 - 1.0))
+    assert slope == pytest.approx(K * X * 1.5 * X)
+
+
+def test_the_share_of_a_spring_that_hardens_is_searched_for():
+    received = STORED * (1.5**2 - 1.0) + 0.25 * 1e7 * X**4 * (1.5**4 - 1.0)
+    found = scaled_group.solve_scale(line_of(Spring(stiffness=K, hardening=1e7), received, X, X), 2.0)
+    assert found.found
+    assert found.share == pytest.approx(0.5)
+
+
 def test_coupled_states_are_as_stiff_along_a_line_as_their_form():
     network, line = Network([QuadraticForm(matrix=[[4.0, 1.0], [1.0, 3.0]])], gain=[[1.0], [0.0]]), line_memory(2)
     line.step[:] = [2.0, -1.0]
@@ -105,6 +119,7 @@ def test_an_energy_is_bracketed_where_the_step_ends_or_on_its_way():
 def test_the_bottom_of_a_spring_is_found_and_gives_no_more_than_is_stored():
     assert scaled_group.bracket_downwards(spring_line(-0.9 * STORED, step=-X), 2.0) == (1.0, True, 2)
     assert scaled_group.search_scale(spring_line(-1.1 * STORED, step=-X), 2.0) == (1.0, False, 21)
+    assert scaled_group.solve_scale(spring_line(-1.1 * STORED, step=-X), 2.0) == (0.0, False, 1)
 
 
 def test_the_surplus_is_kept_unless_a_damping_of_it_is_asked():
@@ -174,6 +189,7 @@ def test_a_damper_is_sent_as_far_as_the_cap_of_the_velocity_reaches():
     assert scaled_group.send(world, run) == pytest.approx(cap)
     assert cap < 1e3
     assert run.memory.group.commands.dampers[place][0] == pytest.approx(cap * 0.5 * -0.1)
+    assert run.memory.group.commands.power[place] == pytest.approx(cap * 0.05**2 * 1e-3)
 
 
 def test_a_model_beyond_its_upper_edge_keeps_its_spring():
