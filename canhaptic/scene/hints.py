@@ -415,6 +415,9 @@ _WITHOUT_GUARD: Final = (
 )
 
 
+_NOTHING_STORED: Final = "by energy_allowance, with nothing stored"
+
+
 def _of_guard(
     axis: AxisScene, known: GuardedAdmittanceParameters, properties: AdmittanceProperties, asked: float | None
 ) -> list[Hint]:
@@ -431,14 +434,7 @@ def _of_guard(
     hints = [
         Hint(name, "mass felt at the first move, at least", felt, None, unit, f"{_SPEEDING_UP}{about}"),
         Hint(name, "lightest mass that is passive without the guard", never, None, unit, f"{_WITHOUT_GUARD}{about}"),
-        Hint(
-            name,
-            "speed of the first step from rest",
-            start,
-            None,
-            speed_unit,
-            "by energy_allowance, with nothing stored",
-        ),
+        Hint(name, "speed of the first step from rest", start, None, speed_unit, _NOTHING_STORED),
     ]
     if known.integral_gain:
         text = "in mode 8 the drive's integral is unknown: nothing is certified if holds differ in length"
