@@ -116,9 +116,9 @@ import multiprocessing, sys
 from canhaptic.cli import main
 def run(words, name):
     lock = multiprocessing.get_context("spawn").Lock()
-    print("here", flush=True)
     while True:
         try:
+            print("here", flush=True)
             __import__("time").sleep(30)
         except KeyboardInterrupt:
             pass
