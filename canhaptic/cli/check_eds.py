@@ -145,7 +145,7 @@ def _print_brief(console: Console, found: Survey) -> None:
         bus = f"usual rates that fit the bus, one axis at {found.bitrate / 1000:g} kbit/s"
         console.print(f"{bus}: {rates}", markup=False)
     if not found.reasons and found.manual:
-        console.print("of the values to set, these come from your rig or the drive's manual, under axes:", markup=False)
+        console.print("values to set under `axes:` that only your rig or the drive's manual can give:", markup=False)
         console.print(f"  {', '.join(key.key for key in found.manual)}", markup=False)
         console.print("`canhaptic new` writes a scene with every value to set, and where to find it", markup=False)
     console.print("[dim]every object, map and rate, and why a key is needed: --full[/]")

@@ -297,7 +297,7 @@ def time_the_torque(
     friction = 0.5 * (known or {}).get("device_friction_bound", declared)
     torque, longest = _reversal(session, axis, most, mass, friction)
     name = session.axes[axis].parameters.name
-    if not session.agreed(f"{name}: hands off. Reversals of {session.shown(axis, torque)}, now?", _ITEM, [axis]):
+    if not session.agreed(f"{name}: hands off. Reversals of {session.shown(axis, torque)}. Start now?", _ITEM, [axis]):
         return
     before: int | None = None  # the hold by the test before
     counts = [count for count in _DOUBLETS if 3 * longest * count * session.sample_time <= 60.0]

@@ -75,8 +75,8 @@ def pulse(session: Session, axis: int) -> Pulse | None:
     """
     parameters = session.axes[axis].parameters
     torque, most = session.quanta[axis], max(session.quanta[axis], largest_torque(session, axis))
-    pulses = f"Pulses of {4 * _PULSE:g} s, from {session.shown(axis, torque)} to {session.shown(axis, most)}"
-    asked = f"{parameters.name}: let go of the handle. {pulses} while nothing moves, now?"
+    pulses = f"Pulses of {4 * _PULSE:g} s, from {session.shown(axis, torque)} up to {session.shown(axis, most)}"
+    asked = f"{parameters.name}: let go of the handle. {pulses} until it moves. Start now?"
     if not session.agreed(asked, "torque sign", [axis]):
         return None
     cycles = session.cycles(_PULSE)
@@ -126,7 +126,7 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
     swing = rough_mass * (2.0 * math.pi * lowest) ** 2 * session.limits.travel / 4.0
     amplitude, limit = min((largest_torque(session, axis), "--torque"), (swing, "--travel"))
     sent = session.shown(axis, amplitude)
-    asked = f"{parameters.name}: hands off. A sweep of {sent}, {lowest:g} to {highest:g} Hz, now?"
+    asked = f"{parameters.name}: hands off. A sweep of {sent}, {lowest:g} to {highest:g} Hz. Start now?"
     if not session.agreed(asked, "moving mass", [axis]):
         return
     for times in (1, 2, 4):  # longer where the wall asks for a better estimate
@@ -210,7 +210,7 @@ def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
     # 20 counts of motion in one part of a shake: quantisation then changes the mass by 0.1 %
     resolved = 20.0 / parameters.counts_per_unit * found.mass / torque
     holds = max(1, math.ceil(math.sqrt(resolved) / session.sample_time))
-    asked = f"{parameters.name}: hands off. A shake of {session.shown(axis, torque)}, now?"
+    asked = f"{parameters.name}: hands off. A shake of {session.shown(axis, torque)}, of random sign. Start now?"
     if not session.agreed(asked, item, [axis]):
         return found
     signs = np.random.default_rng(1).choice([-1.0, 1.0], 64)
@@ -379,11 +379,11 @@ def _by_mass(session: Session, axis: int, first: Pulse) -> float | None:
     scene = session.axes[axis]
     name, simulation = scene.parameters.name, scene.simulation
     truth = None if simulation is None or simulation.effects else simulation.plant.mass
-    question = f"{name}: moving mass, from a scale or a drawing?"
+    question = f"{name}: moving mass, weighed or from the drawing?"
     known = session.dialogue.number(question, MASS_UNITS[scene.parameters.unit], truth)
     torque, most = first.torque, largest_torque(session, axis)
-    sent = f"{session.shown(axis, torque)}, at most {session.shown(axis, most)}"
-    asked = f"{name}: hands off. Doublets of {sent} while it moves too little, now?"
+    sent = f"{session.shown(axis, torque)}, up to {session.shown(axis, most)}"
+    asked = f"{name}: hands off. Doublets of {sent} until it moves enough. Start now?"
     if not known or known <= 0.0 or not session.agreed(asked, SCALE, [axis]):
         return None
     while True:
@@ -415,7 +415,7 @@ def _by_force(session: Session, axis: int, means: str) -> float | None:
         known = session.dialogue.number(asked, unit, None)
     held = "the weight on its support, so that + lifts it" if lifts else "the handle held at rest by a spring balance"
     range_of = f"from {session.shown(axis, quantum)} to {session.shown(axis, most)}"
-    asked = f"{name}: {held}. A torque that rises {range_of}, now?"
+    asked = f"{name}: {held}. A torque that rises {range_of}. Start now?"
     if (lifts and not known) or not session.agreed(asked, SCALE, [axis]):
         return None
     holds, limits = session.cycles(0.1), session.limits  # for each value of a rising torque
@@ -506,7 +506,7 @@ class _Announced(Unattended):
     def confirm(self, question: str) -> bool:
         """Announce the test; return whether the operator lets it go on."""
         begin = f" in {_ANNOUNCED:g} s" if self._waits else ", now"
-        self.tell(question.replace("Reversals", "check_hold: reversals").replace(", now?", begin))
+        self.tell(question.replace("Reversals", "check_hold: reversals").replace(". Start now?", begin))
         clock = WallClock()
         end = clock.now() + round(_ANNOUNCED * 1e9)
         while self._waits and clock.now() < end and not self._stop_requested():

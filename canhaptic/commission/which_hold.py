@@ -329,7 +329,7 @@ def _report_motion(session: Session, axis: int, begin: int, times: HoldTimes) ->
     elif hold == 0:
         session.found(axis, _MOTION, configured, found, StepVerdict.AGREES)
         checked = session.drives[axis].signature()
-        session.propose(axis, "hold_checked", checked, comment="the drive, its process data and rate")
+        session.propose(axis, "hold_checked", checked, comment="of this drive, PDO map and rate")
     elif rpdo == "synchronous" and late + hold in (0, 1):
         names = [name for name in parameters.quirks if name != _LATE] + [_LATE] * (late + hold)
         text = "every hold is booked with its neighbour's torque"

@@ -335,8 +335,8 @@ def _read_back(dictionary: ObjectDictionary, axis_map: AxisMap | None) -> Survey
         return SurveyRow("read-back", "torque read-back", stated, Verdict.FIT, "no map was found, see below")
     text = {
         "demand": "0x6074 (demand), in the TPDO: the energy of every hold is exact",
-        "actual": "0x6077 (measured), in the TPDO, one sample per cycle; its difference from the commanded torque "
-        "sets the energy error",
+        "actual": "0x6077 (measured), in the TPDO, one sample per cycle; any difference from the commanded "
+        "torque adds to the uncertainty of the account",
         "none": "no torque can be mapped: the energy is computed from the torque sent",
     }[axis_map.read_back]
     verdict = Verdict.FIT if axis_map.read_back == "demand" else Verdict.UNKNOWN

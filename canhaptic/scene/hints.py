@@ -287,7 +287,7 @@ def _encoder_hint(axis: AxisScene) -> list[Hint]:
     else:
         uncertain = f"{asked * count * count:.2g} J" if asked else "energy"
         keeps = f"{asked * count:.2g} {effort_unit(unit)} of dry friction keeps" if asked else "Dry friction keeps"
-        text = f"each press over one count and back leaves {uncertain} uncertain, so repeated presses soften the wall. "
+        text = f"each press of one count and back costs the account {uncertain}, so repeated presses soften the wall. "
         text += f"{keeps} the wall stiff: measure it (canhaptic commission) and declare passivity.device_friction"
     return [_hint(axis, f"stiffness {ENCODER}", limit, text)]
 
@@ -310,7 +310,7 @@ def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
     bound = axis.loop.device_damping_bound
     if bound and axis.loop.device_damping is None:
         limit = bounds.renderable_by_device_damping(bound, axis.loop.sample_time, axis.loop.delay + _losses(axis))
-        text += f"; for any hand: walls up to {limit:.3g} {unit}, once device_damping is measured"
+        text += f"; for a hand that also pulls: walls up to {limit:.3g} {unit}, once device_damping is measured"
     return text
 
 
@@ -318,7 +318,7 @@ def _felt_hints(axis: AxisScene, response: bounds.DisplacementResponse, lag: int
     """Return how much of a wall a hand feels that leans on it or approaches slowly, by the hand-force certificate."""
     push, stiffness = LEAN * axis.parameters.torque_limit, _asked(axis, "stiffness")
     limit = bounds.renderable_by_hand_force(response, lag, push)
-    what = f"stiffness felt at a push of {push:.3g} {effort_unit(axis.parameters.unit)}"
+    what = f"stiffest wall held at a push of {push:.3g} {effort_unit(axis.parameters.unit)}"
     slowest = bounds.start_speed(response, axis.loop.sample_time, lag, axis.loop.encoder_count)
     begins = "if no energy is stored; a slower hand feels the wall deeper in it, or not at all"
     slow, unit = "slowest approach with torque in its first cycle", f"{axis.parameters.unit}/s"

@@ -204,9 +204,9 @@ _PORT_ROWS: Final[tuple[tuple[str, _Shown], ...]] = (
 )
 """Label of each row, and the path of an energy in the account or a function that formats a figure."""
 _TRUTH_ROWS: Final = {
-    "net energy, from the plant": "interaction",
-    "lowest net energy, from the plant": "least_interaction",
-    "lowest net energy at the handle, from the plant": "least_at_handle",
+    "true net energy (plant)": "interaction",
+    "lowest true net energy (plant)": "least_interaction",
+    "lowest true net energy at the handle (plant)": "least_at_handle",
     "largest error of the account": "believed_error",
 }
 

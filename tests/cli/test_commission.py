@@ -223,7 +223,7 @@ ANSWERS = {
     "distance moved": "0.1",
     "Pulses of": "yes",
     "how is the scale": "mass",
-    "moving mass, from a scale": "0.25 kg",
+    "moving mass, weighed": "0.25 kg",
     "Doublets of": "y",
     "A sweep of": "y",
     "A shake of": "y",

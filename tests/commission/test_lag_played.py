@@ -132,7 +132,7 @@ def test_before_a_real_drive_moves_the_stop_is_looked_at_twenty_times_a_second(m
     monkeypatch.setattr(WallClock, "now", lambda _: times[-1])
     monkeypatch.setattr(WallClock, "wait_until", wait)
     scene = type("RealScene", (), {"simulated": False})
-    assert torque_tests._Announced(lambda _: None, stop, scene).confirm("x: Reversals, now?")  # type: ignore[arg-type]
+    assert torque_tests._Announced(lambda _: None, stop, scene).confirm("x: Reversals. Start now?")  # type: ignore[arg-type]
     assert times[-1] == 4 * 10**9
     assert max(after - before for before, after in pairwise(looks)) <= 50_000_000
 

@@ -114,7 +114,7 @@ def test_a_person_at_a_real_drive_has_three_seconds_in_which_to_stop_it(monkeypa
     looks = iter([False, True, True])
     scene: Any = type("RealScene", (), {"simulated": False})
     dialogue = torque_tests._Announced(said.append, lambda: next(looks), scene)
-    assert dialogue.confirm("x: Reversals of 1 N, now?") is False
+    assert dialogue.confirm("x: Reversals of 1 N. Start now?") is False
     assert said == ["x: check_hold: reversals of 1 N in 3 s"]
-    assert torque_tests._Announced(said.append, lambda: False, scene).confirm("x: now?") is True
+    assert torque_tests._Announced(said.append, lambda: False, scene).confirm("x: Start now?") is True
     assert next(times) >= 3 * 10**9

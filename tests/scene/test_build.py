@@ -196,7 +196,7 @@ def test_certified_stiffness_follows_the_hand_force(tmp_path: Path) -> None:
     speed = 20 * 1e-3 / 0.2 + 1e-6 / 1e-3  # F_h T / m, and the count that the last displacement is known to
     assert limits["slowest approach with torque in its first cycle"] == pytest.approx(speed)
     held = 0.2 / 2e-6 * 5 / (5 + 20)  # leant on with a quarter of the torque limit
-    assert limits["stiffness felt at a push of 5 N"] == pytest.approx(held)
+    assert limits["stiffest wall held at a push of 5 N"] == pytest.approx(held)
     [stiffness] = [float(what.split()[-2]) for what in limits if what.startswith("energy to feel slower contacts")]
     lacking, whole = 0.5 / stiffness - 1e-6 / 0.2, 1e-6 / 0.2 * 20  # the most of h F (F + F_h) - F^2 / 2k
     assert limits[f"energy to feel slower contacts, {stiffness:.4g} N/m"] == pytest.approx(whole**2 / 4 / lacking)

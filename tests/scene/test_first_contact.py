@@ -177,7 +177,9 @@ def test_check_says_on_which_declaration_the_guarantee_rests_and_what_the_encode
     demo = axis(*UNCOMMISSIONED)
     said = guarantee(demo, stability_hints(demo))
     assert said.startswith("handle: guarantee rests on: hand force; ")
-    assert said.endswith("for any hand: walls up to 2e+03 N/m, once device_damping is measured")  # b / T, late by one
+    assert said.endswith(
+        "for a hand that also pulls: walls up to 2e+03 N/m, once device_damping is measured"
+    )  # b / T, late by one
     rough = axis(*UNCOMMISSIONED, "axes.0.counts_per_unit=10000", "passivity.device_friction=0.2")
     kept = next(hint for hint in stability_hints(rough) if hint.what.startswith("stiffness after repeated presses"))
     assert (kept.limit, kept.asked) == (pytest.approx(2000.0), 100.0)

@@ -91,7 +91,7 @@ def test_every_part_of_the_result_is_in_the_report() -> None:
         "4..10 N*s/m",
         "hand force",
         "cycles in contact, energy balanced exactly",
-        "net energy, from the plant",
+        "true net energy (plant)",
         "TPDOs received 99.987 %, TPDOs missed 1",
         "cycles per second 9123.4, deadlines missed 0",
         "p50   7.00 us",
@@ -247,7 +247,7 @@ def test_two_logs_share_one_table_with_a_column_for_each_account() -> None:
     assert re.search(r"^ *a\.h5 +b\.h5 *\n *energy account +handle +handle *$", text, re.MULTILINE)
     assert re.search(r"^ *in +0 J +500\.0 mJ", text, re.MULTILINE)
     assert re.search(r"^ *uncertainty of the +- +\+-1\.000 uJ", text, re.MULTILINE)
-    assert re.search(r"^ *net energy, from the +10\.20 mJ +-", text, re.MULTILINE)
+    assert re.search(r"^ *true net energy \(plant\) +10\.20 mJ +-", text, re.MULTILINE)
     assert text.index(" a.h5   1.00 kHz") < text.index(" b.h5   1.00 kHz") < text.index("energy account")
 
 

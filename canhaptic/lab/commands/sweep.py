@@ -153,7 +153,7 @@ def _finite(figure: Callable[[Array], Any]) -> Callable[[Array], float | None]:
 
 _SHARES: Final[Mapping[str, tuple[str, str, Callable[[Array], float | None]]]] = {
     "passive": ("passive, by the plant", "least_interaction", _kept),
-    "margin_kept": ("margin kept", "margin", _kept),
+    "margin_kept": ("margin never negative", "margin", _kept),
     "least_margin": ("smallest margin", "margin", _finite(np.min)),
     "diverged": ("diverged", "diverged", lambda values: float((values == 1.0).mean())),
     "stable": ("stable without\nalgorithm", RADIUS, _finite(lambda values: (values < 1.0).mean())),

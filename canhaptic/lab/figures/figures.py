@@ -52,7 +52,7 @@ METRICS: Final[dict[str, Figure]] = {
     "interaction": Figure("energy in less energy out at the end, from the plant", "J", ("interaction",)),
     "least_interaction": Figure(
         "lowest energy in less energy out after any hold, from the plant", "J", ("least_interaction",),
-        "lowest net energy, from the plant", "not negative", _PAPER,
+        "lowest true net energy (plant)", "not negative", _PAPER,
     ),
     "least_covered": Figure(
         "the same with the least that damping b and Coulomb friction f_c of the device dissipate added, (b / T) "

@@ -207,7 +207,12 @@ _GROUP_ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
     _Row("passive, by the account", lambda a, _: a["passive"]),
     _Row("passive, by the plant", lambda a, _: _verdict(a)),
-    _Row("lowest net energy, from the plant", lambda a, _: a["truth"]["least_interaction"], _joule, is_bounded=True),
+    _Row(
+        "lowest true net energy (plant)",
+        lambda a, _: a["truth"]["least_interaction"],
+        _joule,
+        is_bounded=True,
+    ),
     _Row("smallest margin", lambda a, _: a["margin"]["value"], _joule, is_bounded=True),
     _Row("largest error of the account", lambda a, _: a["truth"]["believed_error"], _joule),
     _Row("in", lambda a, _: a["in"], _joule),
@@ -225,8 +230,13 @@ _DISPLAY_ROWS: Final = (
     _Row("passive, by the account", lambda a, _: a["account"]["passive"]),
     _Row("passive, by the plant", lambda a, _: _verdict(a)),
     _Row("guarantee rests on", lambda a, _: _premise(a["account"])),
-    _Row("net energy, from the plant", lambda a, _: a["truth"]["interaction"], _joule),
-    _Row("lowest net energy, from the plant", lambda a, _: a["truth"]["least_interaction"], _joule, is_bounded=True),
+    _Row("true net energy (plant)", lambda a, _: a["truth"]["interaction"], _joule),
+    _Row(
+        "lowest true net energy (plant)",
+        lambda a, _: a["truth"]["least_interaction"],
+        _joule,
+        is_bounded=True,
+    ),
 )
 
 
@@ -328,9 +338,9 @@ def _line(panel: "Axes", period: float, values: Array, scale: _Scale, **look: An
 def _draw_energy(panel: "Axes", run: LoopRun, period: float, scale: _Scale) -> None:
     panel.axhline(0.0, color="black", linewidth=0.8)
     left = run.interaction - run.dissipated
-    _line(panel, period, run.interaction, scale, color=style.BLUE, linewidth=1.2, label="in")
+    _line(panel, period, run.interaction, scale, color=style.BLUE, linewidth=1.2, label="net (in - out)")
     _line(panel, period, run.dissipated, scale, color=VERMILION, linewidth=1.1, linestyle="--", label="dissipated")
-    _line(panel, period, left, scale, color=GREEN, linewidth=1.1, label="margin: in less dissipated")
+    _line(panel, period, left, scale, color=GREEN, linewidth=1.1, label="margin: net less dissipated")
     panel.set_title(f"smallest margin {si(run.least_margin, 'J', 3)}", fontsize=8.0, loc="left")
     if (place := panel.get_subplotspec()) is not None and place.is_first_col() and place.rowspan.start == 2:
         panel.legend(loc="upper left", fontsize=7.5, ncols=1)

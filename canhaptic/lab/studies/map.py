@@ -432,7 +432,7 @@ _MOST_PANELS: Final = 3
 _OF_PLAIN_WALL: Final[dict[CurveStyle, str]] = {
     "colgate": "Colgate, plain wall",
     "abbott_okamura": "Abbott-Okamura, plain wall",
-    "eigenvalues": "eigenvalues, plain wall",
+    "eigenvalues": "stable without algorithm (eigenvalues)",
 }
 
 
