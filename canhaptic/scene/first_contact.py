@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple, cast
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.control.environments import Environment
 from canhaptic.errors import ParameterError
-from canhaptic.scene.hints import LEAN, advised_allowance
+from canhaptic.scene.hints import LARGEST_ADVISED, LEAN, advised_allowance
 from canhaptic.scene.models import AxisScene
 from canhaptic.scene.parts import build_axis_controller
 
@@ -187,9 +187,12 @@ def advice(axis: AxisScene) -> str:
     aim = 0.01 * axis.parameters.largest_speed if slowest == inf else slowest / 3.0
     ways = [remedy.text for remedy in remedies(axis, aim)[:1]]
     if (allowance := enough_allowance(axis, aim)) is not None:
-        least = advised_allowance(axis.loop, getattr(axis.passivity.parameters, "hand_force", None) or 0.0)
+        own: Any = axis.passivity.parameters
+        losses = int(getattr(own, "max_consecutive_losses", 0))
+        least = advised_allowance(axis.loop, getattr(own, "hand_force", None) or 0.0, losses)
         room = float(f"{least:.2g}")
-        covers = " and any wall up to half the certified stiffness" if allowance <= room else ""
+        is_whole = allowance <= room and least < LARGEST_ADVISED  # else it may be less than that wall needs
+        covers = " and any wall up to half the certified stiffness" if is_whole else ""
         allowance = max(allowance, room)
         share = rendered_share(with_declared(axis, {"energy_allowance": allowance}), aim)
         ways.append(

@@ -75,6 +75,11 @@ def test_no_wall_names_the_declaration_that_keeps_it_away_and_a_value_that_does_
     assert "J starts it, 100 % of it" in advice(late)
     snaps = axis("environment={type: detents, peak: 5, pitch: 4 mm}", "passivity.hand_force=5")
     assert "J starts it and any wall up to half the certified stiffness, " in advice(snaps)  # `check` has that of one
+    lossy = axis("environment={type: detents, peak: 5, pitch: 4 mm}", "passivity.hand_force=5",
+                 "passivity.max_consecutive_losses=2")  # fmt: skip
+    assert f"energy_allowance: {advised_allowance(lossy.loop, 5.0, 2):.2g} J starts it and any wall" in advice(lossy)
+    strong = axis("passivity.hand_force=20")  # half its certified stiffness needs more than is ever advised
+    assert f"energy_allowance: {LARGEST_ADVISED:g} J starts it, " in advice(strong)
 
 
 def test_check_and_run_say_that_there_is_no_wall_and_strict_fails(capsys: pytest.CaptureFixture[str]) -> None:
