@@ -200,7 +200,7 @@ def make_sweep(
     if recipe.engine == "python":
         most = min(most, max(1, _CYCLES_IN_PYTHON // each))
     chunk = chunk or min(most, max(least, -(-len(points) // _FEWEST_CHUNKS)))
-    is_slow = engine == "auto" and pays and not is_numba_installed()
+    is_slow = engine == "auto" and pays and not recipe.displays and not is_numba_installed()  # displays: always Python
     return Asked(recipe, points, chunk, _identity(scene, recipe, points), engine == "auto", is_slow)
 
 

@@ -19,7 +19,7 @@ from canhaptic.lab.studies.chunk import ChunkResult
 from canhaptic.lab.studies.store import SweepTable
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.scene.load import load_scene
-from tests.lab.sweep.conftest_sweep import DEMO, VARY, content
+from tests.lab.sweep.conftest_sweep import DEMO, REPOSITORY, VARY, content
 
 LONG = [
     "sweep", DEMO, "--vary", "environment.stiffness=1e2:1e4:log:6", "--vary", "simulation.seed=0:4:lin:5",
@@ -100,6 +100,8 @@ def test_without_numba_a_long_sweep_says_so_and_its_chunks_take_seconds_in_pytho
         assert table.span(0) == (0, 50)
     sweep(demo, vary, tmp_path / "few", cycles=100, **options)
     sweep(demo, vary, tmp_path / "python", cycles=2000, engine="python", **options)
+    display = load_scene(REPOSITORY / "configs/admittance/virtual_mass.yaml")  # Python runs it with numba, too
+    sweep(display, ["environment.mass=2,3"], tmp_path / "display", cycles=1000000, **options)
     assert len(said) == 1
 
 
