@@ -437,13 +437,13 @@ def display_design_report(result: Row) -> RenderableType:
     parts = [Text.assemble(" ", (str(result["scene"]), "bold"), said)]
     for name, found in result["displays"].items():
         low, high = found["mass_felt.share"]
-        given = si(max(0.0, -found["least_interaction"]), "J", 3)
+        given, heaviest = si(max(0.0, -found["least_interaction"]), "J", 3), _MASS_RANGE[1] * found["never_acts"]
         lines = (
             "",
             f" {name}: lightest mass, tried with {found['hands']} hands",
             display_snippet(found),
             f" masses tried that pass: {found['passes'][0]:.3g} to {found['passes'][1]:.3g} {found['unit']}",
-            " no heavier mass was tried; the lightest mass above is the least that passes, with the reserve",
+            f" no mass over {heaviest:.3g} {found['unit']} was tried; the one to use has the reserve on the lightest",
             f" mass felt: {100.0 * low:.1f} to {100.0 * high:.1f} % of requested",
             f" energy given out: at most {given} (allowance {si(found['energy_allowance'], 'J', 3)})",
             f" commands limited by the guard: at most {100.0 * found['guard_acts']:.2g} %",
