@@ -71,7 +71,7 @@ _DUST: Final = 1e-9
 def without_dust(margin: float, flowed: float) -> float:
     """Return a least margin [J], or 0 where it is rounding of the energy that flowed, in plus out [J].
 
-    Every view of a run uses it, so that a table, a picture and a check agree.
+    Table, picture and `--check` of a run use it, so that they agree; the columns of a log keep every digit.
     """
     return 0.0 if -margin <= min(_DUST * flowed, PASSIVE_TOLERANCE) else margin
 
