@@ -263,7 +263,8 @@ class Judgement(NamedTuple):
 
 _ENERGY: Final = "energy in less energy out of the plant >= 0"
 JUDGEMENTS: Final = {
-    "stable": Judgement("", "stable, not passive", "by the eigenvalues of the loop; promises no passivity"),
+    "stable": Judgement("", "stable, not passive",
+                        "eigenvalues of a linear loop, else no divergence; promises no passivity"),
     "passive": Judgement("least_interaction", "passive at the motor", f"{_ENERGY} at the motor, as `run` judges it"),
     "margin": Judgement("margin", "within its margin", "margin of (4) >= 0"),
     "settled": Judgement("interaction", "passive at the end", f"{_ENERGY} at the end"),
