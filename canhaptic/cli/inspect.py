@@ -54,11 +54,10 @@ def execute(arguments: argparse.Namespace) -> int:
     for path in filter(None, (arguments.log, arguments.compare, *arguments.overlay)):
         require_readable(path)
     with EnergyLog.open(arguments.log) as log:
-        result = inspect(log, arguments.start, arguments.stop)
+        result = _explained(log, arguments)
         for path in arguments.overlay:
             with EnergyLog.open(path) as other:
-                result.setdefault("others", []).append(inspect(other, arguments.start, arguments.stop))
-        _explain(log, result, arguments)
+                result.setdefault("others", []).append(_explained(other, arguments))
         result["checks"] = _checks(result, arguments)
         _judge(log, result, arguments)
         _write_files(log, result, arguments)
@@ -66,22 +65,24 @@ def execute(arguments: argparse.Namespace) -> int:
     return 0 if _is_good(result) else 1
 
 
-def _explain(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) -> None:
-    """Add to each axis on which nothing was rendered the reason, if the log's scene is there and unchanged."""
+def _explained(log: EnergyLog, arguments: argparse.Namespace) -> Inspection:
+    """Return the summary of a log; an axis on which nothing was rendered has the reason, if the scene is unchanged."""
+    result = inspect(log, arguments.start, arguments.stop)
     silent = [port for port in result["ports"].values() if port.get("verdict") == "nothing rendered"]
     if not silent:
-        return
+        return result
     from canhaptic.scene.first_contact import why_silent
 
     try:
         with catch_warnings(action="ignore"):  # the run has shown them
             scene = scene_of(log, arguments.config, allow_code=arguments.allow_code)
     except CanHapticError:
-        return
+        return result
     for axis in scene.axes:
         port = result["ports"][axis.parameters.name]
         if port in silent and (why := why_silent(axis, int(result["link"]["skipped_syncs"]), result["cycles"])):
             port["advice"] = why
+    return result
 
 
 def _checks(result: Checked, arguments: argparse.Namespace) -> list[Outcome]:

@@ -64,7 +64,7 @@ class EnergyLossMeter:
 _NONE: Final = Certificate.NONE.value
 
 
-_DUST: Final = 1e-9
+_DUST: Final = 1e-12
 """Part of the energy that flowed, below which a negative margin is the rounding of its sums."""
 
 

@@ -5,7 +5,8 @@ only the kernel; for a loop of 170 functions that was 18 of 26 s. Here a functio
 its caller, and machine code is emitted once, for the kernel.
 
 **Passes.** numba takes each function through 27 passes over its code. Most look for what no kernel has: closures,
-contexts, generators, expressions of whole arrays, calls that are to be inlined. `Steps` leaves them out.
+contexts, generators, expressions of whole arrays, calls that are to be inlined, exceptions with computed texts. `Steps`
+leaves them out.
 
 **Types.** numba looks for the meaning of `a * b` among all implementations, at every place. Within `linked` the answer
 for an operation and types of operands is kept.
@@ -183,8 +184,8 @@ _PASSES: Final = (
     untyped_passes.TranslateByteCode, untyped_passes.FixupArgs, untyped_passes.IRProcessing,
     untyped_passes.RewriteSemanticConstants, untyped_passes.DeadBranchPrune, untyped_passes.GenericRewrites,
     untyped_passes.ReconstructSSA, typed_passes.NopythonTypeInference, typed_passes.PreLowerStripPhis,
-    typed_passes.InlineOverloads, typed_passes.IRLegalization, typed_passes.AnnotateTypes,
-    typed_passes.NativeLowering, typed_passes.NoPythonBackend,
+    typed_passes.InlineOverloads, typed_passes.NoPythonSupportedFeatureValidation, typed_passes.IRLegalization,
+    typed_passes.AnnotateTypes, typed_passes.NativeLowering, typed_passes.NoPythonBackend,
 )  # fmt: skip
 """Passes of a function without closures, in numba's order."""
 

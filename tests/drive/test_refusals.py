@@ -14,13 +14,13 @@ from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.drive_bench import OUR_EDS, Bench, MakeBench, axis, dictionary
 
 
-def refuse(b: Bench, step: str, *texts: str) -> StartError:
-    """Starts, expects a refusal at `step`, and that nothing ever moved."""
+def refuse(b: Bench, step: str, *texts: str, says: str = "got ") -> StartError:
+    """Starts, expects a refusal at `step` that begins with `says`, and that nothing ever moved."""
     with pytest.raises(StartError) as caught:
         b.rig.start()
     error = caught.value
     assert error.step == step, error
-    assert str(error).startswith(f"axis5: {step}: ")
+    assert str(error).startswith(f"axis5: {step}: {says}")
     for text in texts:
         assert text in str(error)
     assert set(b.torques_sent()) <= {0}
@@ -30,7 +30,8 @@ def refuse(b: Bench, step: str, *texts: str) -> StartError:
 
 
 def test_an_absent_drive_is_named_with_what_to_check(bench: MakeBench) -> None:
-    refuse(bench(absent=True), "presence", "node 5", "no answer", "check power, node ID, bit rate and cable")
+    texts = ("node 5", "no answer", "check power, node ID, bit rate and cable")
+    refuse(bench(absent=True), "presence", *texts, says="read 0x1000:00 Device type: ")
 
 
 def test_a_drive_in_fault_is_refused_with_its_error_code(bench: MakeBench) -> None:

@@ -261,12 +261,12 @@ class Judgement(NamedTuple):
     words: str
 
 
-_ENERGY: Final = "energy in less energy out of the plant >= 0"
+_ENERGY: Final = "net energy into the plant >= 0, to 1 uJ,"
 JUDGEMENTS: Final = {
     "stable": Judgement("", "stable, not passive",
                         "eigenvalues of a linear loop, else no divergence; promises no passivity"),
     "passive": Judgement("least_interaction", "passive at the motor", f"{_ENERGY} at the motor, as `run` judges it"),
-    "margin": Judgement("margin", "within its margin", "margin of (4) >= 0"),
+    "margin": Judgement("margin", "within its margin", "margin of (4) >= 0, to 1 uJ"),
     "settled": Judgement("interaction", "passive at the end", f"{_ENERGY} at the end"),
     "covered": Judgement("least_covered", "passive at the handle", f"{_ENERGY} at the handle, friction and damping of "
                          "the device included (`run` judges the motor alone unless they are declared: --by passive)"),
