@@ -105,7 +105,7 @@ def test_the_first_pulse_is_one_count_of_the_drive_and_each_is_said_in_per_mille
     rising = list(dict.fromkeys(abs(torque) for torque in sent if torque))
     assert rising[0] == 1
     assert rising == sorted(rising)
-    assert any("from 0.01 N (1 per mille) to 1 N (100 per mille)" in text for text in said)
+    assert any("from 0.01 N (1 per mille) up to 1 N (100 per mille) until it moves" in text for text in said)
 
 
 def test_a_rising_torque_ends_at_zero_where_the_axis_goes_too_far_or_nothing_is_lifted() -> None:

@@ -72,7 +72,7 @@ def test_a_wall_of_which_nothing_is_rendered_is_no_pass_as_a_run_of_the_same_sce
     assert result["figures"]["handle"]["guarded"]["nothing_rendered"] == 2
     assert main(["map", str(tmp_path / "a")]) == 0
     shown = capsys.readouterr().out
-    assert " guarded: 0 % of the scenes with a contact pass (judged by: passive; energy in less" in shown
+    assert " guarded: 0 % of the scenes with a contact pass (judged by: passive; net energy into the plant" in shown
     assert " at the motor, as `run` judges it), 100 % rendered nothing" in shown
     assert main(["compare", DEMO, "--algorithms", "unprotected,guarded", "--duration", "1.4", *late, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["axes"]["handle"]["algorithms"]
