@@ -343,7 +343,7 @@ def _draw_energy(panel: "Axes", run: LoopRun, period: float, scale: _Scale) -> N
     _line(panel, period, left, scale, color=GREEN, linewidth=1.1, label="margin: net less dissipated")
     panel.set_title(f"smallest margin {si(run.least_margin, 'J', 3)}", fontsize=8.0, loc="left")
     if (place := panel.get_subplotspec()) is not None and place.is_first_col() and place.rowspan.start == 2:
-        panel.legend(loc="upper left", fontsize=7.5, ncols=1)
+        panel.legend(loc="best", fontsize=7.5, ncols=1)
 
 
 def _write_verdict(panel: "Axes", run: LoopRun) -> None:
