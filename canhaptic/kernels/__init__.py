@@ -37,6 +37,10 @@ SettingsT = TypeVar("SettingsT")
 StateT = TypeVar("StateT", covariant=True)
 MemoryT = TypeVar("MemoryT")
 
+OFTEN_ZERO: Final = "often zero"
+"""Mark of a number in settings, `Annotated[float, OFTEN_ZERO]`: if it is 0 in all scenes, it is a constant of their
+compiled loop, which leaves out what only another value needs."""
+
 new: Final = tuple.__new__
 """Makes a NamedTuple from a tuple in half the time of calling its class: `new(EnergyBalance, (0.0, ...))`."""
 

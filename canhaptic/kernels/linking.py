@@ -4,9 +4,12 @@
 only the kernel; for a loop of 170 functions that was 18 of 26 s. Here a function that only kernels call is linked into
 its caller, and machine code is emitted once, for the kernel.
 
-**Passes.** numba takes each function through 27 passes over its code. Most look for what no kernel has: closures,
-contexts, generators, expressions of whole arrays, calls that are to be inlined, exceptions with computed texts. `Steps`
-leaves them out.
+**Zeros.** A field of settings that is 0 in all scenes (`canhaptic.kernels.OFTEN_ZERO`) is a constant of their loop. A
+branch that needs another value is left out, with the functions that only it calls.
+
+**Passes.** numba takes each function through 27 passes over its code, and looks up the lifetimes of its variables after
+most of them. Most passes look for what no kernel has: closures, contexts, generators, expressions of whole arrays,
+calls that are to be inlined, exceptions with computed texts, counted references. `Steps` leaves them out.
 
 **Types.** numba looks for the meaning of `a * b` among all implementations, at every place. Within `linked` the answer
 for an operation and types of operands is kept.
@@ -24,10 +27,14 @@ from typing import Any, Final, cast
 
 import numba
 from llvmlite import binding
-from numba.core import codegen, compiler, errors, typed_passes, types, untyped_passes
-from numba.core.compiler_machinery import PassManager, _pass_registry
+from numba.core import codegen, compiler, compiler_machinery, errors, ir, typed_passes, types, untyped_passes
+from numba.core.analysis import dead_branch_prune
+from numba.core.compiler_machinery import PassManager, register_pass
+from numba.core.ir_utils import get_definition, guard
 from numba.core.postproc import PostProcessor
 from numba.core.registry import cpu_target
+
+from canhaptic.kernels.records import of_zero
 
 # numba states no types of its passes and its code generator
 # mypy: allow-untyped-calls
@@ -108,7 +115,7 @@ class _Library(codegen.JITCodeLibrary):
         module.data_layout = self._codegen._data_layout  # noqa: SLF001
         manager = binding.create_new_function_pass_manager()
         manager.add_sroa_pass()
-        manager.add_dead_code_elimination_pass()
+        manager.add_aggressive_dce_pass()
         builder = self._codegen._pass_builder()  # noqa: SLF001
         for function in module.functions:
             if not function.is_declaration:
@@ -180,18 +187,85 @@ def _set_environments(owner: Numba) -> None:
         owner.set_env(name, _waiting.pop(name))
 
 
-_PASSES: Final = (
-    untyped_passes.TranslateByteCode, untyped_passes.FixupArgs, untyped_passes.IRProcessing,
-    untyped_passes.RewriteSemanticConstants, untyped_passes.DeadBranchPrune, untyped_passes.GenericRewrites,
-    untyped_passes.ReconstructSSA, typed_passes.NopythonTypeInference, typed_passes.PreLowerStripPhis,
-    typed_passes.InlineOverloads, typed_passes.NoPythonSupportedFeatureValidation, typed_passes.IRLegalization,
-    typed_passes.AnnotateTypes, typed_passes.NativeLowering, typed_passes.NoPythonBackend,
-)  # fmt: skip
-"""Passes of a function without closures, in numba's order."""
-
-
 _new_error_context: Final[Numba] = cast(Numba, errors).new_error_context
 _Function: Final[Numba] = types.Function
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class KnownZeros(compiler_machinery.FunctionPass):
+    """Writes zero for a field that is zero in all scenes, and leaves out the branches that are not taken then."""
+
+    _name = "known_zeros"
+
+    def __init__(self) -> None:
+        super().__init__()
+
+    def run_pass(self, state: Numba) -> bool:
+        """Return whether the function reads such a field."""
+        whole_ir, is_changed = state.func_ir, False
+        for block in whole_ir.blocks.values():
+            for one in block.find_insts(ir.Assign):
+                value = one.value
+                if not (isinstance(value, ir.Expr) and value.op == "getattr"):
+                    continue
+                zero = _zero_of(_type_of(whole_ir, value.value, state.args), value.attr)
+                if zero is not None:
+                    definitions = whole_ir._definitions[one.target.name]  # noqa: SLF001
+                    one.value = ir.Const(zero, value.loc)
+                    definitions[definitions.index(value)] = one.value
+                    is_changed = True
+        if is_changed:
+            dead_branch_prune(whole_ir, state.args)
+            PostProcessor(whole_ir).run()
+        return is_changed
+
+
+def _type_of(whole_ir: Numba, variable: Numba, args: tuple[Numba, ...]) -> Numba:
+    """Return the type of a variable that is an argument or a part of one; None for another."""
+    found = guard(get_definition, whole_ir, variable)
+    if isinstance(found, ir.Arg):
+        return args[found.index]
+    match getattr(found, "op", ""):
+        case "getattr":
+            return _part_of(_type_of(whole_ir, found.value, args), found.attr)
+        case "static_getitem" if items := _items_of(whole_ir, found.value):
+            return _type_of(whole_ir, items[found.index], args)
+        case "getitem" | "static_getitem":
+            array = _type_of(whole_ir, found.value, args)
+            return array.dtype if isinstance(array, types.Array) and array.ndim == 1 else None
+    return None
+
+
+def _part_of(kind: Numba, name: str) -> Numba:
+    """Return the type of a field of a record or NamedTuple; None if there is none."""
+    if isinstance(kind, types.Record):
+        return kind.typeof(name) if name in kind.fields else None
+    return dict(zip(getattr(kind, "fields", ()), getattr(kind, "types", ()), strict=True)).get(name)
+
+
+def _items_of(whole_ir: Numba, variable: Numba) -> list[Numba]:
+    """Return the variables on the right of `a, b, c, d = w, x, y, z`, given the tuple that is taken apart."""
+    unpacked: Numba = guard(get_definition, whole_ir, variable)
+    built: Numba = unpacked
+    if getattr(unpacked, "op", "") == "exhaust_iter":
+        built = guard(get_definition, whole_ir, unpacked.value)
+    return built.items if getattr(built, "op", "") == "build_tuple" else []
+
+
+def _zero_of(kind: Numba, name: str) -> float | None:
+    """Return the zero for which a field of a record stands; None if it has a value in each record."""
+    if not isinstance(kind, types.Record) or name in kind.fields:
+        return None
+    return next((zero for zero in (0, 0.0, False) if of_zero(name, type(zero)) in kind.fields), None)
+
+
+_PASSES: Final = (
+    untyped_passes.TranslateByteCode, untyped_passes.FixupArgs, untyped_passes.IRProcessing, KnownZeros,
+    untyped_passes.GenericRewrites, untyped_passes.ReconstructSSA, typed_passes.NopythonTypeInference,
+    typed_passes.PreLowerStripPhis, typed_passes.NoPythonSupportedFeatureValidation, typed_passes.AnnotateTypes,
+    typed_passes.NativeLowering, typed_passes.NoPythonBackend,
+)  # fmt: skip
+"""Passes of a function without closures, in numba's order."""
 
 
 class _Passes(PassManager):
@@ -201,9 +275,7 @@ class _Passes(PassManager):
         """Run one pass."""
         one.analysis = self._analysis
         with _new_error_context("Pass {name}", name=one.name()):
-            has_changed = [step(state) for step in (one.run_initialization, one.run_pass, one.run_finalizer)]
-        if any(has_changed) and _pass_registry.get(type(one)).mutates_CFG:
-            PostProcessor(state.func_ir).run()
+            one.run_pass(state)
 
 
 class Steps(compiler.Compiler):
@@ -213,7 +285,11 @@ class Steps(compiler.Compiler):
         """Return the passes of the function that is compiled."""
         has_closures = any(isinstance(constant, CodeType) for constant in self.state.func_id.code.co_consts)
         if has_closures or not _installed():
-            return cast("list[Numba]", super().define_pipelines())
+            of_numba = cast("list[Numba]", super().define_pipelines())
+            for one in of_numba:
+                one.add_pass_after(KnownZeros, untyped_passes.IRProcessing)
+                one.finalize()
+            return of_numba
         manager = _Passes("kernel")
         for one in _PASSES:
             manager.add_pass(one, one.__name__)

@@ -1,7 +1,7 @@
 """Copies of kernels with some functions replaced, and their data as NumPy records and arrays for compiled code."""
 
 import builtins
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from dis import get_instructions
 from operator import attrgetter
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import Buffer, Indices, Matrix, fields_of
+from canhaptic.kernels import OFTEN_ZERO, Buffer, Indices, Matrix, fields_of
 
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
@@ -108,10 +108,30 @@ _ARRAYS: Final[dict[object, type[np.generic]]] = {Buffer: np.float64, Matrix: np
 _NUMBER: Final = (float, int, np.generic)
 
 
-def record_type(value: object) -> np.dtype[np.void]:
-    """NumPy record type of the numbers of an object, nested objects included; see `_parts_of`."""
-    kinds = [(n, type(part) if isinstance(part, _NUMBER) else record_type(part)) for n, part in _parts_of(value)]
+def record_type(values: Sequence[object]) -> np.dtype[np.void]:
+    """NumPy record type of the numbers of similar objects, nested objects included; see `_parts_of`.
+
+    A field of `OFTEN_ZERO` that is 0 in all of them is left out; another field, named by `of_zero`, says so.
+    """
+    kinds, often_zero = list[tuple[str, object]](), _often_zero(values[0])
+    for name, part in _parts_of(values[0]):
+        if not isinstance(part, _NUMBER):
+            kinds.append((name, record_type([getattr(value, name) for value in values])))
+        elif name in often_zero and not any(getattr(value, name) for value in values):
+            kinds.append((of_zero(name, type(part)), np.int8))
+        else:
+            kinds.append((name, type(part)))
     return np.dtype(kinds, align=True)
+
+
+def of_zero(name: str, kind: type) -> str:
+    """Return the name of the field that stands for a field of zeros, given the type of its numbers."""
+    return f"{name} = {kind()}"
+
+
+def _often_zero(value: object) -> set[str]:
+    annotations: dict[str, object] = getattr(type(value), "__annotations__", {})
+    return {name for name, kind in annotations.items() if OFTEN_ZERO in getattr(kind, "__metadata__", ())}
 
 
 def _parts_of(value: object) -> list[tuple[str, object]]:
@@ -124,7 +144,7 @@ def _parts_of(value: object) -> list[tuple[str, object]]:
 def records_of(values: Iterable[object]) -> Records:
     """Return dataclasses of one class as records, shape (n,)."""
     values = list(values)
-    kind = record_type(values[0])
+    kind = record_type(values)
     names, kinds, offsets = zip(*_flat(kind), strict=True)
     flat = np.dtype({"names": names, "formats": kinds, "offsets": offsets, "itemsize": kind.itemsize})
     read = attrgetter(*names)
@@ -137,7 +157,7 @@ def _flat(kind: _Kind, path: str = "", offset: int = 0) -> Iterable[tuple[str, _
     for name, (part, at, *_) in (kind.fields or {}).items():
         if part.fields:
             yield from _flat(part, f"{path}{name}.", offset + at)
-        else:
+        elif " = " not in name:  # which stands for a field of zeros
             yield path + name, part, offset + at
 
 
@@ -173,15 +193,17 @@ def record_of(value: object) -> Records:
 
 def _record_type(value: object) -> np.dtype[np.void]:
     if is_dataclass(value):
-        return record_type(value)
+        return record_type([value])
     kind = type(value)
-    parts: list[tuple[str, object] | tuple[str, object, tuple[int, ...]]] = []
+    parts, often_zero = list[tuple[str, object] | tuple[str, object, tuple[int, ...]]](), _often_zero(value)
     for name in fields_of(kind):
         part, annotation = getattr(value, name), kind.__annotations__[name]
         if annotation in _ARRAYS:
             parts.append((name, *_form(annotation, part)))
         elif isinstance(part, list):
-            parts.append((name, record_type(part[0]), (len(part),)))
+            parts.append((name, record_type(part), (len(part),)))
+        elif name in often_zero and not part:
+            parts.append((of_zero(name, type(part)), np.int8))
         else:
             parts.append((name, _record_type(part)))
     return np.dtype(parts, align=True) if parts else cast("np.dtype[np.void]", np.dtype(kind))
@@ -194,7 +216,7 @@ def _form(annotation: object, value: Buffer | Matrix | Indices) -> tuple[type[np
 
 
 def _fill(record: np.void, value: object) -> None:
-    for name in fields_of(value):
+    for name in {*fields_of(value)} & {*(record.dtype.names or ())}:
         part = getattr(value, name)
         if hasattr(part, "_fields"):
             _fill(record[name], part)

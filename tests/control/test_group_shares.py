@@ -263,10 +263,10 @@ def test_lost_samples_with_late_torques_leave_more_in_doubt() -> None:
         reach = [abs(ended.displacement[i]) + 2.0 * start[i] + 5.0 * roots[i] * push for i in range(2)]
         late = sum(doubt_of_late_gap(axes, memory, ended, missed, i, reach[i]) for i in range(2))
         found = []
-        for is_ideal in (False, True):
+        for is_uneven in (True, False):
             memory.before.highest[:], memory.before.lowest[:] = older
             memory.displacement[:], memory.torques[:], memory.position_uncertainty[:] = kept
-            known = axes._replace(timing=axes.timing._replace(is_ideal=is_ideal))
+            known = axes._replace(timing=axes.timing._replace(is_uneven=is_uneven))
             settings = AccountSettings(known, case.settings.apart, moves=False)
             found.append(end_group_gap(settings, GroupAccount(), memory, ended, missed))
         assert found[0][1] == pytest.approx(late)

@@ -90,7 +90,7 @@ def test_the_timing_of_a_group_is_that_of_its_axes() -> None:
     )  # fmt: skip
     axes = axes_of((loop, loop.model_copy(update={"moving_mass": 0.6})), 5.0, 0.3)
     timing, longest, shortest, late = axes.timing, 1.02 * T, 0.98 * T, 1.8e-4
-    assert not timing.is_ideal
+    assert timing.is_uneven
     assert timing.growth == pytest.approx(longest / shortest)
     assert timing.share == pytest.approx([late / shortest] * 2)
     assert timing.counted == pytest.approx([2.0 * late / shortest] * 2)
@@ -108,8 +108,8 @@ def test_the_timing_of_a_group_is_that_of_its_axes() -> None:
     free = axes_of((loop.model_copy(update={"device_damping_bound": None}),), None, None)
     assert free.timing.swing == [1.0]
     exact = loop.model_copy(update={"sync_jitter": 0.0, "torque_window": 0.0, "current_lag": 0.0})
-    assert axes_of((exact,), 5.0, None).timing.is_ideal
-    assert not axes_of((exact.model_copy(update={"sync_jitter": 0.02}),), 5.0, None).timing.is_ideal
+    assert not axes_of((exact,), 5.0, None).timing.is_uneven
+    assert axes_of((exact.model_copy(update={"sync_jitter": 0.02}),), 5.0, None).timing.is_uneven
     assert axes_of((exact.model_copy(update={"torque_window": 0.6 * T}),), 5.0, None).timing.counted == [1.0]
     assert axes_of((exact.model_copy(update={"device_damping": 1e-4}),), None, None).by_damping
 

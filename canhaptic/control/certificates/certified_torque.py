@@ -89,11 +89,11 @@ hand. For a hand that is always slower than c / 2 T, 2 f_c / c would suffice.
 
 from dataclasses import dataclass
 from math import inf, isnan, nan, sqrt
-from typing import Final, NamedTuple, Protocol
+from typing import Annotated, Final, NamedTuple, Protocol
 
 from canhaptic.control.certificates import scalar_bounds
 from canhaptic.control.certificates.scalar_bounds import WINDOW, hand_force_bound, next_displacement, tail_reach
-from canhaptic.kernels import Buffer, MakeBuffer, new
+from canhaptic.kernels import OFTEN_ZERO, Buffer, MakeBuffer, new
 
 _WHOLE: Final = 1.0 - 1e-9
 """Fraction of an encoder count from which a displacement is a full count; below 1 only to allow for rounding."""
@@ -105,13 +105,13 @@ class Declared:
 
     sample_time: float  # longest hold [s]
     delay: int  # whole holds between computation and action
-    losses: int  # consecutive cycles without a new torque that the certificates survive
+    losses: Annotated[int, OFTEN_ZERO]  # consecutive cycles without a new torque that the certificates survive
     by_hand_force: bool  # whether that certificate is declared
     response: scalar_bounds.DisplacementResponse  # for it
     damping: float  # certain damping of the device [N*s/m or N*m*s/rad]; 0: not declared
     hand_speed: float  # largest speed of the hand [m/s or rad/s]; 0: not declared
     encoder_count: float  # [m or rad]; 0: ideal
-    late: float = 0.0  # theta of `hold_timing`: window and lag of a new torque [s]; 0: torques change at the SYNC
+    late: Annotated[float, OFTEN_ZERO] = 0.0  # theta of `hold_timing`: window and lag of a new torque [s]
     late_share: float = 0.0  # the same as a part of the shortest hold
     left: float = 0.0  # c of `hold_timing`: share of older torques that is left after a hold
     friction: float = 0.0  # certain dry friction of the device [N or N*m]; 0: not declared

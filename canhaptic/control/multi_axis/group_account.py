@@ -404,7 +404,7 @@ def doubt_of_late_gap(
 def older_needs(axes: AxisLimits, memory: AccountMemory) -> tuple[float, float]:
     """Return the energy to reserve for older torques of the last SYNC, by device damping and by hand speed [J]."""
     damped = paths = 0.0
-    if axes.timing.is_ideal:
+    if not axes.timing.is_uneven:
         return damped, paths
     copy_range(axes, memory, ended=True)
     for i in range(len(memory.torques)):
@@ -452,7 +452,7 @@ def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: Acc
     """
     axes = settings.axes
     doubt = 0.0
-    if not axes.timing.is_ideal:
+    if axes.timing.is_uneven:
         doubt, damped = doubt_of_late_group(axes, memory, ended.displacement, ended.applied)
         if axes.by_damping:  # a promise to every hand rests on no hand
             account.dissipated += doubt - damped
@@ -498,7 +498,7 @@ def end_group_gap(
         uneven = (growth - 1.0) * excursion
         gap = Gap(holds, moved, start, count + holds * uneven, position_uncertainty + uneven, step, axes.lost[i])
         doubt += doubt_of_axis(axes, memory, ended, gap, missed, i)
-        if not axes.timing.is_ideal:
+        if axes.timing.is_uneven:
             late = doubt_of_late_gap(axes, memory, ended, missed, i, excursion + step)
             doubt, further = doubt + late, further + late
         memory.position_uncertainty[i] = (
@@ -599,7 +599,7 @@ def worst_case(at: Accounting, torques: Buffer, count: int) -> float:
     """Return the bound `base_of` for torques that act after the first `count` queued commands [J]."""
     axes, memory, sent, first = at.settings.axes, at.memory, at.under_way.torques, at.under_way.first
     along = along_last(axes, torques, memory.displacement, memory.position_uncertainty)
-    if not axes.timing.is_ideal:
+    if axes.timing.is_uneven:
         copy_range(axes, memory, False)
     return base_of(axes, torques, memory.displacement, along, memory.torques, sent, first, count, memory.now)
 
@@ -608,7 +608,7 @@ def extraction_of(at: Accounting, hold: int) -> float:
     """Return the most energy that the torques of one queued command may give out during its hold [J]."""
     axes, memory, torques = at.settings.axes, at.memory, at.under_way.torques[at.under_way.first + hold]
     taken = worst_case(at, torques, hold) + gain_of(axes, torques)
-    if not axes.timing.is_ideal:
+    if axes.timing.is_uneven:
         taken += response_to_late(axes, torques, memory.now.highest, memory.now.lowest, torques, axes.during)
     return taken + taken_by_mover(torques, memory.mover_motion[hold]) if at.settings.moves else taken
 
@@ -628,7 +628,7 @@ def needed_under_way(at: Accounting) -> float:
     for hold in range(at.under_way.holds):
         given += extraction_of(at, hold)
         worst = max(worst, given)
-    if axes.timing.is_ideal:
+    if not axes.timing.is_uneven:
         return worst
     return worst + share_of_late(axes, memory, at.under_way, memory.nothing, 1.0).constant
 
@@ -700,7 +700,7 @@ def by_hand_force(at: Accounting, torques: Buffer, energy: float, moved: float) 
         along = dot(under_way.torques[under_way.first + hold], torques)
         energy -= extraction if along >= 0.0 else max(0.0, extraction)
     base, gain = worst_case(at, torques, under_way.holds) + moved, gain_of(axes, torques)
-    if axes.timing.is_ideal:
+    if not axes.timing.is_uneven:
         return hand_force_bound(energy, base, gain)
     late = share_of_late(axes, memory, under_way, torques, 1.0)
     if not energy >= late.constant:

@@ -81,18 +81,18 @@ the torque of the group that pulls one axis along its own torque is part of the 
 
 import math
 from math import inf, sqrt
-from typing import Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
 
 from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE, displacement_response, hand_force_bound
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.stepped import towards_zero
-from canhaptic.kernels import Buffer, Indices, Matrix, list_of_zeros, zeros
+from canhaptic.kernels import OFTEN_ZERO, Buffer, Indices, Matrix, list_of_zeros, zeros
 
 
 class GroupTiming(NamedTuple):
     """Declared timing of a group's holds as the certificates use it; see `hold_timing`. Shapes (axes,)."""
 
-    is_ideal: bool  # whether every hold is exact, and no torque late
+    is_uneven: Annotated[bool, OFTEN_ZERO]  # whether a hold may be longer or shorter, or a torque late
     growth: float  # longest hold over the shortest
     share: Buffer  # theta over the shortest hold
     counted: Buffer  # part of it for which an older torque counts as held throughout
@@ -121,7 +121,7 @@ def timing_of(loops: tuple[LoopProperties, ...], by_hand: bool, pull: float, spe
     fading = [bound * longest / mass for bound, mass in zip(bounds, masses, strict=True)]
     late = [timing.late for timing in timings]
     return GroupTiming(
-        is_ideal=not any(late) and longest == shortest,
+        is_uneven=any(late) or longest != shortest,
         growth=longest / shortest,
         share=[theta / shortest for theta in late],
         counted=[min(1.0, 2.0 * theta / shortest) for theta in late],
@@ -293,18 +293,18 @@ def base_of(
             is advanced to the SYNC of W.
     """
     hand, friction = _hand_term(axes, torques), _raised_by_friction(axes, torques, displacement)
-    is_ideal, growth = axes.timing.is_ideal, axes.timing.growth
+    is_uneven, growth = axes.timing.is_uneven, axes.timing.growth
     highest, lowest = range_of.highest, range_of.lowest
     friction *= growth
     total = _stretched(bound, growth) + friction
     total += _response_to(torques, last, axes.before) + hand
-    if not is_ideal:
+    if is_uneven:
         total += response_to_late(axes, torques, highest, lowest, last, axes.before)
         pass_range(axes, highest, lowest, last)
     for place in range(first, first + under_way):
         acting = sent[place]
         total += _response_to(torques, acting, axes.during)
-        if not is_ideal:
+        if is_uneven:
             total += response_to_late(axes, torques, highest, lowest, acting, axes.during)
         if len(axes.lost) > 1:
             total = _stretched(total, growth) + friction
@@ -314,7 +314,7 @@ def base_of(
         else:
             total *= growth
         total += _response_to(torques, acting, axes.before) + hand
-        if not is_ideal:
+        if is_uneven:
             total += response_to_late(axes, torques, highest, lowest, acting, axes.before)
             pass_range(axes, highest, lowest, acting)
     return total
@@ -361,12 +361,12 @@ class PerAxisLimits(NamedTuple):
     """Constants of the per-axis certificates in one run."""
 
     delay: int  # whole holds between computation and action
-    losses: int  # consecutive cycles in which an axis may be without a new torque
+    losses: Annotated[int, OFTEN_ZERO]  # consecutive cycles in which an axis may be without a new torque
     holds: int  # in which the next torque may act, counted from now
     first: float  # share of a whole response that a torque has in its first hold
-    is_ideal: bool  # whether every hold is exact, and no torque late
-    is_apart: bool  # whether axes are certified one by one
-    is_late: bool  # whether any torque comes late
+    is_uneven: Annotated[bool, OFTEN_ZERO]  # whether a hold may be longer or shorter, or a torque late
+    is_apart: Annotated[bool, OFTEN_ZERO]  # whether axes are certified one by one
+    is_late: Annotated[bool, OFTEN_ZERO]  # whether any torque comes late
     responses: Buffer  # T^2 / m of each axis
     roots: Buffer  # of these
 
@@ -400,7 +400,7 @@ def per_axis_limits(axes: AxisLimits, delay: int, losses: int) -> PerAxisLimits:
     is_late = any(axes.timing.share)
     is_apart = losses > 0 or (len(whole) > 1 and not is_late)
     return PerAxisLimits(
-        delay, losses, delay + 1 + losses, first, axes.timing.is_ideal, is_apart, is_late, whole,
+        delay, losses, delay + 1 + losses, first, axes.timing.is_uneven, is_apart, is_late, whole,
         [sqrt(r) for r in whole],
     )  # fmt: skip
 
@@ -522,7 +522,7 @@ def take_sent(
         for side in range(2):
             start = memory.starts[i][side]
             memory.lost[i][side] = axes.lost[i] * max(0.0, -start)
-        if not limits.is_ideal:
+        if limits.is_uneven:
             take_older(axes, memory, older, i)
     for hold in range(limits.delay):
         row = under_way[first + hold]

@@ -71,7 +71,7 @@ from canhaptic.control.environments import knows_turns as tells_turns
 from canhaptic.control.passivity import LoopProperties, stepped
 from canhaptic.control.passivity.stepped import begin, clipped, efforts_inside, repeat, send, settle, towards_zero
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import Buffer, Kernel, MakeBuffer, Run, new
+from canhaptic.kernels import OFTEN_ZERO, Buffer, Kernel, MakeBuffer, Run, new
 from canhaptic.units import Parameters, quantity
 
 PREDICTION_HOLDS: Final = 0.75
@@ -210,7 +210,7 @@ class GuardedSettings:
 
     sample_time: float  # [s]
     credit: float  # [J]
-    drag: float  # in free motion [N or N*m]
+    drag: Annotated[float, OFTEN_ZERO]  # in free motion [N or N*m]
     alpha: float  # [s/m^2 or s/rad^2]
     torque_limit: float  # largest torque that limiter and drive let act [N or N*m]
     least_limit: float  # torque up to which no limit cuts [N or N*m]
@@ -230,7 +230,7 @@ class GuardedSettings:
     declared: Declared
     earned: float = 0.0  # energy kept for later contacts [J]
     outside: float = 0.0  # direction out of the environment, 1 or -1; 0: it has none or several
-    turns: bool = False  # whether it has none or several, and the hand-force certificate is declared
+    turns: Annotated[bool, OFTEN_ZERO] = False  # whether it has none or several, with a declared hand force
     knows_turns: bool = False  # whether the environment states where its effort reverses
 
 

@@ -10,7 +10,7 @@ differ in their last bit, because they come from the C library. A linear plant m
 hold, a plant with events by the stepper of `canhaptic.sim.plant` (both in `plants`). Scenes are computed one after the
 other and are independent.
 
-Compiling takes some 10 s, once for each algorithm and environment; the machine code is stored on disk (`compiler`).
+Compiling takes some 5 s, once for each algorithm and environment; the machine code is stored on disk (`compiler`).
 
 `chosen_engine` chooses between machine code and Python; both give the same bits.
 """
@@ -28,10 +28,10 @@ ChosenEngine = Literal["numba", "python"]
 
 WORTH_COMPILING: Final = 1e6
 """Scenes times cycles from which compiling pays. Python takes 5 us (`unprotected`) to 60 us (`guarded`, a stop and
-friction) a cycle, compiled code at most 0.5 us; compiling takes 4 to 14 s, once for a kind of scene."""
+friction) a cycle, compiled code at most 0.5 us; compiling takes 3 to 8 s, once for a kind of scene."""
 
 WORTH_COMPILING_GROUPS: Final = 3e5
-"""The same for groups: Python takes some 150 us a cycle, and compiling 20 s."""
+"""The same for groups: Python takes some 150 us a cycle, and compiling 10 s."""
 _FOREIGN: Final = ".numba_config.yaml"
 WITHOUT_NUMBA: Final = (
     f"numba is not installed: computed in Python, about 100 times slower; {install_hint('fast')} installs it"

@@ -14,11 +14,11 @@ found by a few safeguarded Newton steps.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import inf, isfinite
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Annotated, Any, Final, NamedTuple, TypeAlias
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments import Environment
-from canhaptic.kernels import Buffer, Matrix, Run, new
+from canhaptic.kernels import OFTEN_ZERO, Buffer, Matrix, Run, new
 from canhaptic.lab.batch.mode_arrays import evaluate
 from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, diverge, miss, take
 from canhaptic.sim.plant.effects.encoder_noise import noise, uniform
@@ -32,7 +32,7 @@ TERMS: Final = 14  # of the Taylor series: 0.5^14 / 14! is below 1e-15
 class ReferenceSettings:
     """Constants of a continuous environment."""
 
-    exists: bool = False  # whether the loop has a continuous environment to compare with
+    exists: Annotated[bool, OFTEN_ZERO] = False  # whether the loop is compared with a continuous environment
     lower: float = -inf  # surface of the wall below [m or rad]
     upper: float = inf  # surface of the wall above [m or rad]
     stiffness: float = 0.0  # [N/m or N*m/rad]
@@ -249,10 +249,10 @@ class Winding:
 class Signals:
     """Effects of a plant on the encoder reading, and on a torque before it reaches the motor."""
 
-    noise: float = 0.0  # standard deviation of a reading [m or rad]
+    noise: Annotated[float, OFTEN_ZERO] = 0.0  # standard deviation of a reading [m or rad]
     seed: int = 0  # of the noise
     encoder_step: float = 0.0  # of readings; 0: none [m or rad]
-    on_torque: bool = False  # whether any of the following effects exists
+    on_torque: Annotated[bool, OFTEN_ZERO] = False  # whether any of the following effects exists
     saturation: float = inf  # largest torque [N or N*m]
     saturates_last: bool = False  # whether the saturation acts after the winding's limit
     torque_step: float = 0.0  # quantisation of the torque; 0: none [N or N*m]
@@ -263,7 +263,7 @@ class Signals:
 class Losses:
     """Frame losses of a bus, single or in bursts: a two-state model (good, lossy) for each direction."""
 
-    exists: bool = False
+    exists: Annotated[bool, OFTEN_ZERO] = False
     after_heard: float = 0.0  # probability of a loss after a received frame
     after_lost: float = 0.0  # probability of a loss after a lost frame
     to_drive: bool = False  # whether SYNCs and torques are lost

@@ -61,11 +61,6 @@ def step_of_numbers(numbers: tuple[float, ...], run: AxisRun, position: float, t
     return own_step(new_environment(*numbers), run, position, torque_applied)
 
 
-def follow_nothing(*_unused: object) -> float:
-    """Replace `follow` where no scene has a continuous run: a third less code to optimise."""
-    return 0.0
-
-
 def run_loops(
     table: Array, settings: Records, loops: Records, rest: Records, states: Records, memory: object, zeros: Array,
     meters: Records, plants: closed_loop.LinearPlants, rest_place: Records, places: Records, continuous: Records,
@@ -125,7 +120,7 @@ class CompiledLoops:
         self._kind = tuple_type(rows[0].environment)
         numbers = attrgetter(*self._kind._fields)
         self._table = np.array([numbers(row.environment) for row in rows], dtype=float).reshape(len(rows), -1)
-        self._instead = (*instead.items(), *({} if np.any(modes.exist) else {follow: follow_nothing}).items())
+        self._instead = tuple(instead.items())
         size = modes.starts.shape[1]
         self._state, self._moved, self._series = np.empty(size), np.empty(size), np.zeros((closed_loop.TERMS, size))
 

@@ -18,7 +18,7 @@ It splits the held torques into the rendered shares of spring and damper.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, isfinite, sqrt
-from typing import Any, NamedTuple, cast
+from typing import Annotated, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from canhaptic.control.multi_axis import GROUP_ALGORITHMS, group_kernel
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
 from canhaptic.control.multi_axis.group_kernel import GroupModel, MotionAhead, begin_motion, follow, write_efforts
 from canhaptic.drive.axis_parameters import BusParameters
-from canhaptic.kernels import Buffer, Indices, Kernel, Matrix, list_of_zeros, new
+from canhaptic.kernels import OFTEN_ZERO, Buffer, Indices, Kernel, Matrix, list_of_zeros, new
 from canhaptic.kernels.records import record_of, records_of
 from canhaptic.lab.batch import plants as event_plant
 from canhaptic.lab.batch.closed_loop import LoopSettings, Signals, acting, commanded, measured, read
@@ -60,7 +60,7 @@ class GroupRig(NamedTuple):
     loops: list[LoopSettings]  # one for each motor
     damping_per_time: Buffer  # b / T of each motor, with b its certain damping [N/m or N*m/rad]
     furthest: float  # distance from the origin that counts as divergence [m or rad]
-    explains: bool  # whether the rendered shares of spring and damper are needed
+    explains: Annotated[bool, OFTEN_ZERO]  # whether the rendered shares of spring and damper are needed
     true: group_kernel.MotionSettings  # settings with which the network follows the true positions
 
 

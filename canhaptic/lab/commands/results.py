@@ -47,7 +47,7 @@ def show(arguments: argparse.Namespace, plain: object, report: Callable[[], Rend
         make_console().print(report())
 
 
-_NOTE: Final = "compiling the loop, once for this kind of scene, about 15 s"
+_NOTE: Final = "compiling the loop, once for this kind of scene, about 10 s"
 
 
 @contextmanager

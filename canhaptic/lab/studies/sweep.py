@@ -3,20 +3,18 @@
 The result of a scene depends only on its values and its global index, so that one thread, a pool and a cluster write
 the same bits; only the order in which chunks become ready differs.
 
-`FirstUse` lets Python run scenes while a separate process compiles their loop.
+Where the loop of the scenes is new, `run_first` lets Python run the first ones, and compiles where that saves time.
 """
 
 import json
 import math
-import multiprocessing
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import asdict, replace
 from functools import partial
 from importlib.metadata import version
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -49,7 +47,7 @@ from canhaptic.lab.studies.chunk import (
     scene_of,
     usual_figures,
 )
-from canhaptic.lab.studies.runner import Count, Job, Progress, begin_worker, pool_of, run_jobs
+from canhaptic.lab.studies.runner import Count, Job, Progress, pool_of, run_jobs
 from canhaptic.lab.studies.store import SweepTable, create
 from canhaptic.lab.studies.vary import Column, Points, Varied, make_points, parse_vary, short
 from canhaptic.scene.method import plant_errors
@@ -105,8 +103,8 @@ def sweep(
         resume: Whether to continue in an existing folder; a missing folder is created.
         force: Whether to replace the results of an existing folder.
         in_flight: Largest number of chunks submitted to an executor and not yet stored; ignored for a `Pool`.
-        processes: Whether processes may be started if no executor is given: one on each core for a long sweep in
-            Python, and one that compiles a new loop while Python runs scenes.
+        processes: Whether processes may be started if no executor is given, one on each core for a long sweep in
+            Python.
         progress: Called regularly with the progress.
         note: Called before the first scene with a line on what makes the sweep slow, if there is such a thing.
         stop_requested: Polled regularly; True ends the sweep after the submitted chunks.
@@ -129,10 +127,8 @@ def sweep(
         count = Count(len(table), table.finished(), progress)
         if executor is None and processes and cores > 1 and _is_long(asked):
             executor = stack.enter_context(pool_of(cores))
-        elif executor is None and processes and cores > 1 and asked.is_auto and asked.recipe.engine == "numba":
-            first = FirstUse(count.compiling, begin_worker)
-            stack.callback(first.close)
-            run = first.run
+        elif executor is None and asked.is_auto and asked.recipe.engine == "numba":
+            run = partial(run_first, count)
         jobs = [_job(table, chunk, asked.recipe, run) for chunk in np.flatnonzero(~table.done()).tolist()]
         run_jobs(jobs, executor, stop_requested, path, count, in_flight)
         return count.state
@@ -296,76 +292,40 @@ def _words(value: Any) -> str:
     return " ".join(str(one["given"]) for one in value) if varied else str(value)[:160]
 
 
-_FIRST: Final = 4
+_FIRST: Final = 2
 """Scenes that Python runs to measure the time of one."""
-_SLICE: Final = 0.5
-"""Time between two checks whether compiling has ended [s]."""
-_COMPILING: Final = 10.0
-"""Approximate time of compiling [s]. If Python would take longer for the rest of a chunk, it runs only the first scenes
-and then waits, which leaves the processor and its caches to the compiler."""
+_COMPILING: Final = 8.0
+"""Approximate time of compiling [s]."""
 
 
-class FirstUse:
-    """Runs chunks, and compiles a new loop in a separate process in the meantime.
+def run_first(count: Count, recipe: Recipe, start: int, columns: Mapping[str, Column]) -> ChunkResult:
+    """Return the figures of a chunk; see `run_chunk`. Where its loop is new, Python runs the first scenes.
 
-    Both engines give the same bits, so that the figures do not depend on which scenes Python ran.
+    From their time it follows whether the rest of the sweep is worth compiling. Both engines give the same bits, so
+    that the figures do not depend on which scenes Python ran.
 
     Args:
-        report: Called with the number of finished scenes of a chunk while its loop is being compiled.
-        begin: Called first in the compiling process.
+        count: Finished scenes of the sweep; it is told when compiling begins.
+        recipe: As for `run_chunk`, like the other arguments.
+        start: Index of the first scene.
+        columns: Values of the scenes.
     """
+    from canhaptic.kernels.compiler import if_kept  # numba is installed
 
-    def __init__(self, report: Callable[[int], None], begin: Callable[[], None]) -> None:
-        self._report, self._begin = report, begin
-        self._compiling: BaseProcess | None = None
-
-    def run(self, recipe: Recipe, start: int, columns: Mapping[str, Column]) -> ChunkResult:
-        """Return the figures of a chunk; see `run_chunk`."""
-        from canhaptic.kernels.compiler import if_kept  # numba is installed
-
-        found = if_kept(run_chunk, recipe, start, columns)
-        if found is not None:
-            return found
-        if self._compiling is None or not self._compiling.is_alive():
-            context = multiprocessing.get_context("spawn")
-            self._compiling = context.Process(target=_compile, args=(self._begin, recipe, start, columns), daemon=True)
-            self._compiling.start()
-        return self._meanwhile(self._compiling, recipe, start, columns)
-
-    def _meanwhile(
-        self, compiling: BaseProcess, recipe: Recipe, start: int, columns: Mapping[str, Column]
-    ) -> ChunkResult:
-        """Run scenes in Python until their loop is compiled; if compiling ends sooner, wait for it after the first."""
-        clock, count, done, size, each = WallClock(), len(next(iter(columns.values()))), 0, _FIRST, 0.0
-        parts: list[ChunkResult] = []
-        while done < count:
-            if each * (count - done) > _COMPILING and compiling.is_alive():
-                compiling.join(_SLICE)
-                self._report(done)
-                continue
-            compiles = compiling.is_alive()
-            size = min(size if compiles else count, count - done)
-            began = clock.now()
-            rows = {key: values[done : done + size] for key, values in columns.items()}
-            chosen = replace(recipe, engine="python") if compiles else recipe
-            parts.append(run_chunk(chosen, start + done, rows))
-            each, done = (clock.now() - began) * 1e-9 / size, done + size
-            size = max(1, int(min(4.0 * size, _SLICE / max(each, 1e-9))))
-            self._report(done)
-        return joined(parts)
-
-    def close(self) -> None:
-        """Terminate the compiling process, whose result is no longer needed."""
-        if self._compiling is not None:
-            self._compiling.terminate()
-            self._compiling.join()
-
-
-def _compile(begin: Callable[[], None], recipe: Recipe, start: int, columns: Mapping[str, Column]) -> None:
-    """Compile the loops of a chunk by running two SYNCs of every scene; errors are ignored, the sweep repeats them."""
-    begin()
-    with suppress(Exception):
-        run_chunk(replace(recipe, cycles=2, duration=None), start, columns)
+    found = if_kept(run_chunk, recipe, start, columns)
+    if found is not None:
+        return found
+    clock, first = WallClock(), {key: values[:_FIRST] for key, values in columns.items()}
+    began, in_python = clock.now(), replace(recipe, engine="python")
+    part, done = run_chunk(in_python, start, first), len(next(iter(first.values())))
+    rest = {key: values[done:] for key, values in columns.items()}
+    if done == len(next(iter(columns.values()))):
+        return part
+    left = count.state.total - count.state.done - done
+    pays = (clock.now() - began) * 1e-9 / done * left > _COMPILING
+    if pays:
+        count.compiling(done)
+    return joined([part, run_chunk(recipe if pays else in_python, start + done, rest)])
 
 
 def joined(parts: list[ChunkResult]) -> ChunkResult:

@@ -1,13 +1,12 @@
-"""The first sweep of a kind of scene: Python runs scenes while their loop is compiled, and the bits are the same."""
+"""The first sweep of a kind of scene: Python runs the first scenes, and the bits are those of compiled ones."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from canhaptic.lab.studies.chunk import ENGINES, ChunkResult, run_chunk
-from canhaptic.lab.studies.runner import begin_worker
+from canhaptic.lab.studies.runner import Count
 from canhaptic.lab.studies.store import MORE, SLOTS, numbered
 from canhaptic.lab.studies.sweep import Asked, joined, make_sweep
 from tests.lab.sweep.conftest_sweep import VARY
@@ -33,41 +32,30 @@ def first_use(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_python_runs_scenes_until_their_loop_is_compiled_and_the_bits_are_the_same(demo, first_use):
-    asked, reported = asked_of(demo), []
-    first: Any
-    columns = asked.points.columns(0, len(asked.points))
-
-    def report(scenes):
-        reported.append(scenes)
-        first._compiling.join()
-
-    first = first_use.FirstUse(report, begin_worker)
-    found = first.run(asked.recipe, 0, columns)
-    first.close()
+@pytest.mark.parametrize("worth", [0.0, float("inf")])
+def test_python_runs_the_first_scenes_and_all_where_compiling_takes_longer(demo, first_use, monkeypatch, worth):
+    monkeypatch.setattr(first_use, "_COMPILING", worth)
+    asked, shown = asked_of(demo), []
+    columns, scenes = asked.points.columns(0, len(asked.points)), len(asked.points)
+    found = first_use.run_first(Count(scenes, 0, shown.append), asked.recipe, 0, columns)
     expected = run_chunk(replace(asked.recipe, engine="python"), 0, columns)
     for name, values in expected.figures.items():
         assert found.figures[name].tobytes() == values.tobytes()
     python, numba = ENGINES.index("python"), ENGINES.index("numba")
-    assert found.engine.tolist() == [python] * 4 + [numba] * (len(asked.points) - 4)
-    assert reported == [4, len(asked.points)]
-    again = first_use.FirstUse(pytest.fail, pytest.fail).run(asked.recipe, 0, columns)
-    assert set(again.engine.tolist()) == {numba}
+    rest = numba if worth == 0.0 else python
+    assert found.engine.tolist() == [python] * 2 + [rest] * (scenes - 2)
+    assert [(one.done, one.compiles) for one in shown] == [(0, False), (2, True)][: 2 if rest == numba else 1]
+    if rest == numba:
+        again = first_use.run_first(Count(scenes, 0, shown.append), asked.recipe, 0, columns)
+        assert set(again.engine.tolist()) == {numba}
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_what_cannot_be_compiled_elsewhere_is_compiled_here(demo, first_use):
+def test_a_chunk_that_the_first_scenes_fill_is_done_by_python(demo, first_use):
     asked = asked_of(demo)
-    columns = asked.points.columns(0, len(asked.points))
-    first: Any = None
-
-    def report(scenes):
-        first._compiling.join()
-
-    first = first_use.FirstUse(report, None)  # the process ends with an error
-    found = first.run(asked.recipe, 0, columns)
-    assert found.engine.tolist()[4:] == [ENGINES.index("numba")] * (len(asked.points) - 4)
+    found = first_use.run_first(Count(2, 0, lambda _: None), asked.recipe, 0, asked.points.columns(0, 2))
+    assert found.engine.tolist() == [ENGINES.index("python")] * 2
 
 
 def result(remarks: list[str], of_plant: str = "") -> ChunkResult:
