@@ -13,15 +13,17 @@ other environment or plant is integrated by DOP853 on the textbook plant (`canha
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from math import nan
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments import Environment, plain
+from canhaptic.control.multi_axis.group_controller import GroupBalance
 from canhaptic.control.multi_axis.group_kernel import GroupMotion
 from canhaptic.control.passivity import LoopProperties
-from canhaptic.errors import CanHapticError, ControlError
+from canhaptic.drive.profile.admittance_parameters import ForceChannel
+from canhaptic.errors import CanHapticError, ControlError, InputError
 from canhaptic.kernels import Run, with_quick_fields
 from canhaptic.lab import reference
 from canhaptic.lab.batch import ChosenEngine, closed_loop
@@ -38,19 +40,24 @@ from canhaptic.lab.batch.closed_loop import CycleState, Loops, LoopSettings, Ref
 from canhaptic.lab.batch.group_loop import OBJECTS, GroupCase, GroupControl, GroupMeter, Motors, TrueNetwork, group_case
 from canhaptic.lab.batch.marching import reference_memory_of
 from canhaptic.lab.batch.plants import PlantValues, is_linear
+from canhaptic.lab.figures import figures
 from canhaptic.lab.figures.figures import CONTINUOUS, METRICS, last_rows, metrics_of, sums_of, sums_of_continuous
 from canhaptic.lab.figures.meter import Meter, compare, diverge
 from canhaptic.lab.judge.reference_model import Model
 from canhaptic.lab.loop import axis_loop
+from canhaptic.lab.loop.admittance_loop import AdmittanceRun
 from canhaptic.lab.loop.axis_loop import EVERYWHERE, Array, LoopCase, LoopRun, Reach, Recorder, finished
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.far_side import build_plant
-from canhaptic.scene.models import AxisSimulation, Scene
+from canhaptic.scene.method import simulation_of
+from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
+from canhaptic.scene.parts import build_axis_controller, build_group
 from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
+from canhaptic.sim.plant.velocity_drive import AdmittancePlant
 
 
 def respond_as_object(control: closed_loop.AxisControl, room: Room, place: CycleState) -> EnergyBalance:
@@ -267,6 +274,131 @@ def run_case(
         found |= sums_of_continuous(continuous, len(continuous.position), case.sample_time_ns * 1e-9)
     sums = {name: np.array([found[name]]) for name in sums_of(names)}
     return {name: float(values[0]) for name, values in metrics_of(names, sums).items()}
+
+
+class _Display:
+    """One simulated admittance display with its encoder and force sensor: a plant of `Motors`."""
+
+    def __init__(self, axis: AxisScene, scene: Scene) -> None:
+        given, display, simulation = axis.parameters, axis.parameters.admittance, simulation_of(axis)
+        if display is None:
+            raise InputError(f"{given.name}: is not an admittance display, expected one")
+        self._name, self._counts = given.name, given.counts_per_unit
+        self.plant = plant = cast(AdmittancePlant, build_plant(simulation, scene.bus.sample_time_ns))
+        self.begin, self.advance_to, self.energy = plant.begin, plant.advance_to, plant.energy
+        self._channel = ForceChannel(display.force, scene.bus.sample_time)
+        own = simulation.drive.display
+        self._per_count = own.force_per_count if own else display.force.per_count
+        self._offset = own.force_offset_counts if own else display.force.offset_counts
+        self._fastest = 2.0 * given.largest_speed * scene.bus.sample_time  # [m or rad] in a hold, as in the link policy
+
+    @property
+    def position(self) -> float:
+        """True position [m or rad]."""
+        return self.plant.position
+
+    @property
+    def encoder_position(self) -> float:
+        """Encoder reading [m or rad]."""
+        return round(self.plant.encoder_position * self._counts) / self._counts
+
+    def force(self) -> float:
+        """Sensor reading [N or N*m]."""
+        return self._channel.take(round(self.plant.read_force() / self._per_count + self._offset))
+
+    def why_stopped(self, moved: float) -> str:
+        """Return why the rig stops after a hold with the measured displacement `moved` [m or rad]; "": it does not."""
+        if self._channel.is_wrong:
+            return f"{self._name}: the force sensor is beyond its range, or frozen"
+        return f"{self._name}: the position moved faster than the speed limit" if abs(moved) > self._fastest else ""
+
+
+class _DisplayControl:
+    """Controller of displays, with what it measured at the last SYNC."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.displays, self.is_group = [_Display(axis, scene) for axis in scene.axes], bool(scene.groups)
+        self.controller: Any = (
+            build_group(scene, scene.groups[0]) if self.is_group else build_axis_controller(scene.axes[0])
+        )
+        self.seen, self.motion = [nan] * len(self.displays), list[list[float]]()
+        self.reason = ""  # why the rig stops
+
+
+def respond_as_display(control: _DisplayControl, room: Room, place: CycleState) -> EnergyBalance:
+    """Replace `respond`: read the force sensors too; the commands are velocities [m/s or rad/s]."""
+    forces, before = [-display.force() for display in control.displays], control.seen
+    control.seen = list(room.seen)
+    for display, now, last in zip(control.displays, control.seen, before, strict=True):
+        control.reason = display.why_stopped(now - last) or control.reason
+    if not control.is_group:
+        account: EnergyBalance = control.controller.step(control.seen[0], forces[0])
+        room.commands[0] = account.torque
+        return account
+    balance: GroupBalance = control.controller.step(control.seen, forces)
+    room.commands[:] = balance.torques
+    return balance.account
+
+
+def record_display(
+    control: _DisplayControl, loops: Loops, room: Room, place: CycleState, recorder: Recorder, balance: EnergyBalance
+) -> None:
+    """Replace `take_sync`: record a SYNC.
+
+    Raises:
+        ControlError: The rig stops here.
+    """
+    record(control, loops, room, place, recorder, balance)
+    plants = [display.plant for display in control.displays]
+    control.motion.append([value for plant in plants for value in (plant.position, plant.velocity, plant.force)])
+    if control.reason:
+        raise ControlError(control.reason)
+
+
+def run_display(scene: Scene, cycles: int) -> AdmittanceRun:
+    """Run one axis or one group of admittance displays; an error that would stop the rig ends the run.
+
+    Encoder and force are read in whole counts, commands are whole quanta, and the delay is that of the scene's bus.
+
+    Args:
+        scene: Simulated scene with only that axis or group.
+        cycles: Number of SYNCs.
+
+    Raises:
+        InputError: An axis is not simulated, or is not an admittance display.
+        ParameterError: The controller cannot be built.
+    """
+    control, recorder, reason = _DisplayControl(scene), Recorder(len(scene.axes)), ""
+    motors = Motors(control.displays, scene.bus.sample_time_ns)
+    loops = [LoopSettings(scene.bus.delay, lowest=EVERYWHERE.lowest, highest=EVERYWHERE.highest)] * len(scene.axes)
+    shown: dict[object, object] = {closed_loop.respond: respond_as_display, closed_loop.take_sync: record_display}
+    try:
+        run_in_python({**OBJECTS, **_RECORDED, **shown}, control, loops, motors, None, recorder, cycles)
+    except CanHapticError as error:
+        reason = str(error).splitlines()[0]
+    run = finished(recorder.run("stopped" if reason else "", reason), cycles, EVERYWHERE)
+    moved = np.array(control.motion).reshape(-1, len(scene.axes), 3)
+    return AdmittanceRun(
+        run.rows, run.axes, run.ended, run.reason, run.engine, moved, control.controller.energy_resolution
+    )
+
+
+def display_figures(
+    scene: Scene, cycles: int, metrics: Sequence[str] = tuple(figures.DISPLAY_METRICS)
+) -> dict[str, float]:
+    """Return the figures of one admittance display or group; NaN for figures that only impedance displays have.
+
+    Args:
+        scene: Simulated scene with only that axis or group.
+        cycles: Number of SYNCs.
+        metrics: Names of the figures.
+
+    Raises:
+        InputError: An axis is not simulated.
+        ParameterError: The controller cannot be built.
+    """
+    found = figures.figures_of(run_display(scene, cycles), scene)
+    return {name: found.get(name, nan) for name in metrics}
 
 
 def loop_settings(case: LoopCase, cycles: int) -> LoopSettings:
