@@ -28,9 +28,18 @@ from canhaptic.control.port_hamiltonian.shapes.guided_path import FromPath
 from canhaptic.control.port_hamiltonian.shapes.sphere import Round
 from canhaptic.control.port_hamiltonian.shapes.tube import AroundLine
 from canhaptic.errors import ParameterError
-from canhaptic.lab.batch.closed_loop import run_loop
-from canhaptic.lab.batch.group_loop import move_event_motors, move_five_bar, run_group, run_with_efforts, step
-from canhaptic.lab.batch.plants import book_motor, by_its_way, residual_of_plant
+from canhaptic.lab.batch import closed_loop
+from canhaptic.lab.batch.closed_loop import run_loop, watch_continuous
+from canhaptic.lab.batch.group_loop import explain, move_five_bar, respond_as_group, step, take_group
+from canhaptic.lab.batch.plants import (
+    book_motor,
+    booked_work,
+    by_its_way,
+    event_position_of,
+    move_event_motors,
+    residual_of_plant,
+    run_substeps,
+)
 from canhaptic.registry import load
 
 FORBIDDEN = (
@@ -119,21 +128,23 @@ def test_an_environment_keeps_to_the_form_of_kernels(world: str) -> None:
 
 def test_the_loop_with_plant_reference_and_figures_keeps_to_the_form() -> None:
     known = {load(ALGORITHMS, "unprotected", "passivity algorithm").kernel.step}
-    parts = [part for part in reached(run_loop, known) if part.__name__ != "step"]  # the place of an algorithm's
+    every = (part for function in (run_loop, watch_continuous) for part in reached(function, known))
+    parts = [part for part in every if part.__name__ != "step"]  # the place of an algorithm's
     assert len(parts) >= 15
     assert [fault for part in parts for fault in faults(part)] == []
 
 
 def parts_of_groups() -> list[Any]:
     """Returns what the loop of a group reaches; of the stepper not what it replaces."""
-    known = {step, *by_its_way()}
-    moving = (run_group, move_event_motors, run_with_efforts, residual_of_plant, book_motor, move_five_bar)
+    known = {step, closed_loop.step, *by_its_way()}
+    group = (run_loop, respond_as_group, take_group, explain, move_five_bar)
+    moving = (*group, move_event_motors, event_position_of, booked_work, run_substeps, residual_of_plant, book_motor)
     return [part for move in moving for part in reached(move, known)]
 
 
 def test_the_loop_of_a_group_and_its_motors_keep_to_the_form() -> None:
     parts = parts_of_groups()
-    assert {part.__name__ for part in parts} >= {"pose_at", "discrete_gradient", "mean_pull", "run_substeps", "see"}
+    assert {part.__name__ for part in parts} >= {"pose_at", "discrete_gradient", "mean_pull", "run_substeps", "explain"}
     assert [fault for part in parts for fault in faults(part)] == []
 
 

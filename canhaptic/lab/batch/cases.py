@@ -160,7 +160,8 @@ def linear_plants(motion: event_plant.LinearMotion, *, listed: bool) -> LinearPl
         listed: Whether to use lists, for loops that Python runs, instead of arrays.
     """
     size = motion.starts.shape[1]
-    found = np.ascontiguousarray(motion.flows[:, : size - 2]), motion.starts, np.zeros(size), np.zeros(size - 2)
+    flows = np.ascontiguousarray(motion.flows[:, : size - 2])
+    found = flows, motion.starts, np.zeros(size), np.zeros(size - 2), np.zeros(1, dtype=np.int64)
     return LinearPlants(*(array.tolist() for array in found) if listed else found)
 
 

@@ -1,8 +1,14 @@
-"""Kernel of the loop of one axis: plant, encoder, controller, delay and torque limit, from SYNC to SYNC.
+"""Kernel of the loop without a bus: motors, encoders, controller, delay and torque limits, from SYNC to SYNC.
 
-`run_loop` calls small functions that other loops share or replace. A linear plant moves by its exact transition matrix
-over one hold, each row summed term by term. `plants.EventPlant` replaces it for plants with events,
-`scalar.ObjectPlant` for all others.
+`run_loop` moves one motor or several, in Python or compiled. It calls small functions that its callers replace. Those
+of this file are for an axis with a linear plant, which moves by its exact transition matrix over one hold, each row
+summed term by term:
+
+* `move_motors` and `work_of` move the motors and give their work: `plants.EventMotors` replaces them for plants with
+  events, `group_loop` has those for a five-bar and for plants as objects;
+* `respond` steps the controller: of an axis, a group, or a display;
+* `take_sync`, `miss_sync` and `diverge` fill figures, or record rows;
+* `watch` computes something more, such as the continuous environment: by default nothing.
 
 `follow` computes the continuous environment that the loop is compared with. Plant, hand and a continuous wall are
 linear in each of at most three modes: outside, in the lower wall, in the upper wall. A step multiplies the state by
@@ -11,14 +17,16 @@ repeated from its Taylor series in monotonic pieces, so that no graze is missed:
 found by a few safeguarded Newton steps.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from math import inf, isfinite
 from typing import Annotated, Any, Final, NamedTuple, TypeAlias
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments import Environment
-from canhaptic.kernels import OFTEN_ZERO, Buffer, Matrix, Run, new
+from canhaptic.kernels import OFTEN_ZERO, Buffer, Indices, Matrix, Run, list_of_zeros, new, with_quick_fields
+from canhaptic.kernels.records import bound
 from canhaptic.lab.batch.mode_arrays import evaluate
 from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, diverge, miss, take
 from canhaptic.sim.plant.effects.encoder_noise import noise, uniform
@@ -124,12 +132,7 @@ def force(settings: ReferenceSettings, memory: ReferenceMemory) -> float:
 def move_step(settings: ReferenceSettings, reference: ReferenceState, memory: ReferenceMemory) -> None:
     """Advance by one step; repeat it in pieces where it may contain an event."""
     state, moved, mode = memory.state, memory.moved, reference.mode
-    size, flow = len(state), memory.flows[mode]
-    for row in range(size - 1):
-        factors, total = flow[row], 0.0
-        for column in range(size):
-            total += factors[column] * state[column]
-        moved[row] = total
+    evaluate(memory.flows[mode], state, moved)
     position = moved[0]
     crossed = (position < settings.lower) != (mode == LOWER) or (position > settings.upper) != (mode == UPPER)
     if crossed or state[1] * moved[1] < 0.0:
@@ -138,7 +141,7 @@ def move_step(settings: ReferenceSettings, reference: ReferenceState, memory: Re
         if nearest <= reach:  # a reversal farther away meets no event
             move_in_pieces(settings, reference, memory)
             return
-    for row in range(size - 1):
+    for row in range(len(state) - 1):
         state[row] = moved[row]
 
 
@@ -273,7 +276,7 @@ class Losses:
 
 @dataclass(frozen=True, slots=True)
 class LoopSettings:
-    """Properties of the loop between plant and controller."""
+    """Properties of the loop between one motor and the controller; delay and losses are common to all motors."""
 
     delay: int = 0  # whole holds between the computation of a torque and its hold, 0 or 1
     counts_per_unit: float = 0.0  # resolution of the encoder; 0: ideal
@@ -286,17 +289,17 @@ class LoopSettings:
     losses: Losses = field(default_factory=Losses)
 
 
+Loops: TypeAlias = Sequence[LoopSettings]
+"""Settings of the loop of each motor."""
+
+
 @dataclass(slots=True)
 class CycleState:
-    """State of a loop, kept from SYNC to SYNC, without the state of its plant."""
+    """State of a loop, kept from SYNC to SYNC, without its buffers and the state of its plant."""
 
-    cycle: int = 0  # last SYNC to which the plant was moved
-    held: float = 0.0  # torque held since the previous SYNC [N or N*m]
-    waiting: float = 0.0  # torque that is held from the next SYNC on, where commands are one sample late
-    acting: float = 0.0  # part of `held` that reaches the motor
-    interaction: float = 0.0  # true energy received [J]
-    temperature: float = 0.0  # winding [K]
-    command: float = 0.0  # last command of the controller [N or N*m]
+    cycle: int = 0  # SYNC to which the motors are moved
+    work: float = 0.0  # work of all motors since the start [J]
+    supplied: float = 0.0  # energy from a mover since the start [J]
     is_synced: bool = True  # whether the drive received the last SYNC
     is_heard: bool = True  # whether the master received its position
     is_sent: bool = True  # whether the drive received the command that followed
@@ -304,37 +307,68 @@ class CycleState:
     lost_to_master: bool = False  # whether the last frame to the master was lost
 
 
+class Room(NamedTuple):
+    """Buffers of a loop, shapes (motors,)."""
+
+    held: Buffer  # torques held since the previous SYNC [N or N*m]
+    waiting: Buffer  # torques that are held from the next SYNC on, where commands are one sample late
+    acting: Buffer  # part of `held` that reaches the motors
+    temperatures: Buffer  # windings [K]
+    true: Buffer  # true positions [m or rad]
+    moved: Buffer  # true displacement in the hold that ended
+    seen: Buffer  # positions as the encoders report them to the controller
+    commands: Buffer  # last commands of the controller [N or N*m]
+
+
+def room_for(motors: int) -> Room:
+    """Return the buffers of a loop of several motors."""
+    return Room(*(list_of_zeros(motors) for _ in Room._fields))
+
+
 AxisRun: TypeAlias = Run[Any, Any, Any]
 """State on which the kernel of any algorithm of one axis works."""
 
 
-class LinearPlant(NamedTuple):
-    """A linear plant, which moves by one transition matrix."""
+class AxisControl(NamedTuple):
+    """The controller of one axis."""
 
-    flow: Sequence[Sequence[float]]  # transition matrix over one hold, shape (states, states + 2)
-    state: Buffer  # [states..., torque, 1]; the first state is the position [m or rad]
-    moved: Buffer  # buffer for the states, shape (states,)
+    environment: Environment  # the rendered environment
+    run: AxisRun  # settings of the algorithm, its state at rest, and memory of zeros
+
+
+class Continuous(NamedTuple):
+    """Continuous environment that the loop of an axis is compared with, if it exists."""
+
+    settings: ReferenceSettings
+    state: ReferenceState  # before it begins
+    memory: ReferenceMemory  # at the start
+
+
+class LinearMotors(NamedTuple):
+    """Linear motors, which move by one transition matrix."""
+
+    flow: Matrix  # transition matrix over one hold, shape (states, states + motors + 1)
+    state: Buffer  # [states..., torques..., 1]
+    moved: Buffer  # buffer for the states
+    places: Indices  # index of each motor's position in the state [m or rad]
 
 
 class LinearPlants(NamedTuple):
-    """Linear plants of many loops; the loops run in turn and share the buffers."""
+    """Linear plants of many loops of one axis; the loops run in turn and share the buffers."""
 
     flows: Any  # transition matrices, shape (n, states, states + 2), n = 1 where all are equal
     starts: Any  # initial states, shape (n, states + 2)
-    state: Buffer  # as in `LinearPlant`
+    state: Buffer  # as in `LinearMotors`
     moved: Buffer
+    places: Indices
 
 
-def begin_plant(plants: LinearPlants, row: int) -> None:
-    """Reset the plant of a loop to its start."""
-    start = plants.starts[row % len(plants.starts)]
-    for place in range(len(plants.state)):
-        plants.state[place] = start[place]
-
-
-def plant_at(plants: LinearPlants, row: int) -> LinearPlant:
-    """Return the plant of a loop."""
-    return LinearPlant(plants.flows[row % len(plants.flows)], plants.state, plants.moved)
+def motors_at(plants: LinearPlants, row: int) -> LinearMotors:
+    """Return the plant of a loop, at its start."""
+    start, state = plants.starts[row % len(plants.starts)], plants.state
+    for place in range(len(state)):
+        state[place] = start[place]
+    return LinearMotors(plants.flows[row % len(plants.flows)], state, plants.moved, plants.places)
 
 
 def measured(loop: LoopSettings, position: float) -> float:
@@ -342,20 +376,6 @@ def measured(loop: LoopSettings, position: float) -> float:
     if loop.counts_per_unit == 0.0:
         return position
     return round(position * loop.counts_per_unit) * (1.0 / loop.counts_per_unit)
-
-
-def read(signals: Signals, cycle: int, position: float) -> float:
-    """Return a position after the effects of the encoder [m or rad]."""
-    if signals.noise > 0.0:
-        position += noise(signals.noise, signals.seed, cycle * TICKS)
-    if signals.encoder_step > 0.0:
-        position = round(position / signals.encoder_step) * signals.encoder_step
-    return position
-
-
-def encoder(plant: LinearPlant, signals: Signals, cycle: int, position: float) -> float:
-    """Return the encoder reading of a position [m or rad]."""
-    return read(signals, cycle, position)
 
 
 def commanded(loop: LoopSettings, torque: float) -> float:
@@ -413,107 +433,171 @@ def step(environment: Environment, run: AxisRun, position: float, torque_applied
 
 
 def run_loop(
-    environment: Environment,
-    run: AxisRun,
-    loop: LoopSettings,
-    meter: Meter,
-    plant: LinearPlant,
-    place: CycleState,
-    continuous: ReferenceSettings,
-    reference: ReferenceState,
-    reference_memory: ReferenceMemory,
-    cycles: int,
-) -> bool:
+    control: AxisControl, loops: Loops, motors: LinearMotors, room: Room, place: CycleState, watched: object,
+    meter: Meter, cycles: int,
+) -> bool:  # fmt: skip
     """Run a loop until its last SYNC or until it diverges; a number that is not finite counts as divergence.
 
     Args:
-        environment: The rendered environment.
-        run: Settings of the algorithm, its state at rest, and memory of zeros.
-        loop: Properties of the loop between plant and controller.
-        meter: Accumulates the figures.
-        plant: Plant in the form of `move_plant`, at its start.
-        place: State of the run, at its beginning.
-        continuous: Continuous environment that the loop is compared with, if it exists.
-        reference: Continuous run, before it begins.
-        reference_memory: Memory of the continuous run, at the start.
+        control: Controller in the form of `respond`, at rest.
+        loops: Properties of the loop between each motor and the controller.
+        motors: Motors in the form of `move_motors`, at their start.
+        room: Buffers of zeros.
+        place: State of the loop, at its beginning.
+        watched: What a replacement of `watch` takes.
+        meter: What `take_sync` fills.
         cycles: Number of SYNCs.
 
     Returns:
-        False where `move_plant` cannot move the plant any further.
+        False where `move_motors` cannot move the motors any further.
     """
+    each, losses = range(len(room.held)), loops[0].losses
+    begin(loops, motors, room, each)
     for cycle in range(cycles):
-        before = plant.state[0]
-        if cycle and not advance(loop, plant, place, cycle):
+        place.cycle = cycle
+        if cycle and not move_motors(motors, room, each, cycle):
             return False
-        true_position = plant.state[0]
-        if continuous.exists:
-            mean = follow(continuous, reference, reference_memory, cycle)
-            compare(meter, true_position, place.held, reference_memory.state[0], mean)
-        place.interaction = work_in(plant, place.interaction, place.acting, true_position - before)
-        if loop.losses.exists and cycle:
-            pass_frames(loop.losses, place, cycle)
+        total = see(loops, motors, room, place, each)
+        watch(watched, room, meter, cycle)
+        if cycle and losses.exists:
+            pass_frames(losses, place, cycle)
         if not place.is_heard:
-            run.state.axis.missed += 1
-            miss(environment, loop.meter, meter, cycle, true_position, place.held, place.interaction)
-        elif not answer(environment, run, loop, meter, plant, place, true_position, cycle):
+            miss_sync(control, loops, room, place, meter)
+        elif isfinite(total):
+            balance = respond(control, room, place)
+            for i in each:
+                total += room.commands[i]
+            if isfinite(total):
+                take_sync(control, loops, room, place, meter, balance)
+        if not (isfinite(total) and hand_over(loops, room, place, each)):
             diverge(meter)
             break
-        if not loop.lowest < true_position < loop.highest:
-            diverge(meter)
-            break
-        hand_over(loop, place)
     return True
 
 
-def advance(loop: LoopSettings, plant: LinearPlant, place: CycleState, cycle: int) -> bool:
-    """Move the plant to a SYNC; return the result of `move_plant`."""
-    place.cycle, place.acting = cycle, place.held
-    if loop.signals.on_torque:
-        place.acting, place.temperature = acting(loop.signals, place.temperature, place.held)
-    return move_plant(plant, place.acting, cycle)
+def run_in_python(
+    replaced: Mapping[object, object], control: object, loops: Loops, motors: object, watched: object, meter: object,
+    cycles: int,
+) -> int:  # fmt: skip
+    """Run a loop in Python, with some functions replaced; return 0, or the SYNC to which its motors cannot be moved."""
+    run, room, place = _bound_loop(tuple(replaced.items())), with_quick_fields(room_for(len(loops))), CycleState()
+    return 0 if run(control, loops, motors, room, place, watched, meter, cycles) else place.cycle
 
 
-def answer(
-    environment: Environment, run: AxisRun, loop: LoopSettings, meter: Meter, plant: LinearPlant, place: CycleState,
-    true_position: float, cycle: int,
-) -> bool:  # fmt: skip
-    """Read the encoder, step the controller, add the SYNC to the figures; return False if a number is not finite."""
-    held = place.held
-    position = encoder(plant, loop.signals, cycle, true_position)
-    position = measured(loop, position) if isfinite(position) else position
-    if not isfinite(position - run.state.axis.position + held):
-        return False
-    balance = step(environment, run, position, held)
-    if not isfinite(balance.torque):
-        return False
-    take(environment, loop.meter, meter, cycle, position, true_position, held, place.interaction, balance)
-    place.command = balance.torque
+@lru_cache(maxsize=64)
+def _bound_loop(replaced: tuple[tuple[object, object], ...]) -> Callable[..., bool]:
+    return bound(run_loop, dict(replaced))
+
+
+def begin(loops: Loops, motors: LinearMotors, room: Room, each: range) -> None:
+    """Set positions and temperatures at the first SYNC."""
+    for i in each:
+        room.temperatures[i] = loops[i].signals.winding.ambient
+        room.true[i] = position_of(motors, i)
+
+
+def see(loops: Loops, motors: LinearMotors, room: Room, place: CycleState, each: range) -> float:
+    """Take the true positions, the work in the hold that ended, and what the encoders report of the positions.
+
+    Returns:
+        A number that is not finite if a reported position or a held torque is not.
+    """
+    total = work = 0.0
+    for i in each:
+        at, loop = position_of(motors, i), loops[i]
+        moved = at - room.true[i]
+        room.true[i], room.moved[i] = at, moved
+        work += room.acting[i] * moved
+        if isfinite(at):
+            at = measured(loop, encoder(motors, i, loop.signals, place.cycle, at))
+        room.seen[i] = at
+        total += at + room.held[i]
+    place.work = work_of(motors, place.work + work)
+    return total
+
+
+def hand_over(loops: Loops, room: Room, place: CycleState, each: range) -> bool:
+    """Pass the commands to the drives, for this hold or, one sample late, for the next; return False out of range."""
+    for i in each:
+        loop = loops[i]
+        if not loop.lowest < room.true[i] < loop.highest:
+            return False
+        torque = room.waiting[i] if loop.delay and place.is_synced else room.held[i]
+        if place.is_sent:
+            command = commanded(loop, room.commands[i])
+            if loop.delay:
+                room.waiting[i] = command
+            else:
+                torque = command
+        room.held[i] = torque
+        if loop.signals.on_torque:
+            torque, room.temperatures[i] = acting(loop.signals, room.temperatures[i], torque)
+        room.acting[i] = torque
     return True
 
 
-def hand_over(loop: LoopSettings, place: CycleState) -> None:
-    """Pass the command to the drive, for this hold or, one sample late, for the next."""
-    if loop.delay and place.is_synced:
-        place.held = place.waiting
-    if not place.is_sent:
-        return
-    command = commanded(loop, place.command)
-    if loop.delay:
-        place.waiting = command
-    else:
-        place.held = command
-
-
-def move_plant(plant: LinearPlant, torque: float, cycle: int) -> bool:
-    """Advance a linear plant to the next SYNC under a constant torque [N or N*m]; return True, since it cannot fail."""
-    state, moved = plant.state, plant.moved
-    state[len(moved)] = torque
-    evaluate(plant.flow, state, moved)
+def move_motors(motors: LinearMotors, room: Room, each: range, cycle: int) -> bool:
+    """Move linear motors to a SYNC under `room.acting`; return True, since it cannot fail."""
+    state, moved = motors.state, motors.moved
+    for i in each:
+        state[len(moved) + i] = room.acting[i]
+    evaluate(motors.flow, state, moved)
     for row in range(len(moved)):
         state[row] = moved[row]
     return True
 
 
-def work_in(plant: LinearPlant, interaction: float, torque: float, travel: float) -> float:
-    """Return the energy received so far [J], after a hold of constant torque over a displacement."""
-    return interaction - torque * travel
+def position_of(motors: LinearMotors, i: int) -> float:
+    """Return the true position of a motor [m or rad]."""
+    return motors.state[motors.places[i]]
+
+
+def encoder(motors: object, i: int, signals: Signals, cycle: int, position: float) -> float:
+    """Return the position of a motor after the effects of its encoder [m or rad]."""
+    if signals.noise > 0.0:
+        position += noise(signals.noise, signals.seed, cycle * TICKS)
+    if signals.encoder_step > 0.0:
+        position = round(position / signals.encoder_step) * signals.encoder_step
+    return position
+
+
+def work_of(motors: object, work: float) -> float:
+    """Return the work of the motors since the start [J]: the sum `work` of torque times displacement."""
+    return work
+
+
+def nothing(*_unused: object) -> None:
+    """Replace a function of the loop by nothing."""
+
+
+def watch(watched: object, room: Room, meter: object, cycle: int) -> None:
+    """Do nothing; a replacement such as `watch_continuous` computes something more at a SYNC."""
+
+
+def watch_continuous(watched: Continuous, room: Room, meter: Meter, cycle: int) -> None:
+    """Replace `watch`: compare an axis with its continuous environment."""
+    if watched.settings.exists:
+        mean = follow(watched.settings, watched.state, watched.memory, cycle)
+        compare(meter, room.true[0], room.held[0], watched.memory.state[0], mean)
+
+
+def respond(control: AxisControl, room: Room, place: CycleState) -> EnergyBalance:
+    """Step the controller of an axis, and write its command; return the balance of the hold that ended."""
+    balance = step(control.environment, control.run, room.seen[0], room.held[0])
+    room.commands[0] = balance.torque
+    return balance
+
+
+def take_sync(
+    control: AxisControl, loops: Loops, room: Room, place: CycleState, meter: Meter, balance: EnergyBalance
+) -> None:
+    """Add a SYNC to the figures of an axis."""
+    received, world, of = place.supplied - place.work, control.environment, loops[0].meter
+    take(world, of, meter, place.cycle, room.seen[0], room.true[0], room.held[0], received, balance)
+
+
+def miss_sync(control: AxisControl, loops: Loops, room: Room, place: CycleState, meter: Meter) -> None:
+    """Add a SYNC whose position did not reach the controller of an axis."""
+    control.run.state.axis.missed += 1
+    received = place.supplied - place.work
+    miss(control.environment, loops[0].meter, meter, place.cycle, room.true[0], room.held[0], received)

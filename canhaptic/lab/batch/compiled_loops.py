@@ -1,6 +1,6 @@
 """Loops of axes and groups compiled by numba, each with its controller, plant and figures; needs the extra `fast`.
 
-For studies that need every SYNC, a replacement of the meter writes rows (`compiled_rows`, `compiled_group_rows`). A
+For studies that need every SYNC, `keep` writes rows (`compiled_rows`, `compiled_group_rows`). A
 compiled linear plant adds its products in another order than `Plant`, so that its rows differ from those of
 `scalar.render` by rounding; use `render` where the last bit matters.
 """
@@ -17,18 +17,17 @@ from numpy.typing import NDArray
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments import Environment
-from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupModel, GroupMotion, why_not_world
+from canhaptic.control.multi_axis.group_kernel import GroupModel, GroupMotion, why_not_world
 from canhaptic.errors import EventLimitError, InputError, ParameterError
 from canhaptic.kernels import Buffer, Kernel, Matrix, Run
 from canhaptic.kernels.compiler import compiled, fixed_tuple, tuple_type
 from canhaptic.kernels.records import Records, arrays_of, record_of, records_of
 from canhaptic.lab.batch import cases, closed_loop
 from canhaptic.lab.batch.cases import NotBatchableError
-from canhaptic.lab.batch.closed_loop import AxisRun, ReferenceMemory, begin_plant, follow, plant_at, run_loop
-from canhaptic.lab.batch.group_loop import GroupCase, GroupMeter, GroupRig, GroupRoom, run_group, take_group
-from canhaptic.lab.batch.group_loop import step as step_group
+from canhaptic.lab.batch.closed_loop import AxisControl, Continuous, ReferenceMemory, follow, motors_at, run_loop
+from canhaptic.lab.batch.group_loop import GroupCase, GroupControl, GroupMeter, TrueNetwork
 from canhaptic.lab.batch.plants import CALLS, Plants, Stopped, loop_replacements, never_stopped, run_event_plants
-from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, diverge, miss, take
+from canhaptic.lab.figures.meter import Meter, diverge
 from canhaptic.lab.loop.axis_loop import Array, LoopCase, Reach
 from canhaptic.sim.plant import stepper
 from canhaptic.sim.plant.effects.encoder_noise import gaussian, noise, uniform
@@ -46,41 +45,39 @@ def new_environment(*_numbers: float) -> Environment:
     raise NotImplementedError
 
 
-def own_step(environment: Environment, run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
+def own_step(
+    environment: Environment, run: closed_loop.AxisRun, position: float, torque_applied: float
+) -> EnergyBalance:
     """Placeholder: the step of an algorithm."""
     raise NotImplementedError
 
 
-def step_with(environment: Any, run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
+def step_with(environment: Any, run: closed_loop.AxisRun, position: float, torque_applied: float) -> EnergyBalance:
     """Replace `step`: pass the environment as plain numbers; its NamedTuple type exists in this process only."""
     return step_of_numbers(environment[0:], run, position, torque_applied)
 
 
-def step_of_numbers(numbers: tuple[float, ...], run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
+def step_of_numbers(
+    numbers: tuple[float, ...], run: closed_loop.AxisRun, position: float, torque_applied: float
+) -> EnergyBalance:
     """Step the algorithm in an environment given by its numbers; the machine code is stored on disk."""
     return own_step(new_environment(*numbers), run, position, torque_applied)
 
 
 def run_loops(
-    table: Array, settings: Records, loops: Records, rest: Records, states: Records, memory: object, zeros: Array,
-    meters: Records, plants: closed_loop.LinearPlants, rest_place: Records, places: Records, continuous: Records,
-    references: Records, mode_flows: Array, mode_rates: Array, mode_starts: Array, state: Buffer,
-    moved_state: Buffer, series: Matrix, first: int, cycles: int,
+    table: Array, settings: Records, loops: Any, states: Records, memory: object, zeros: Array, meters: Records,
+    plants: closed_loop.LinearPlants, rooms: Records, places: Records, continuous: Records, references: Records,
+    mode_flows: Array, mode_rates: Array, mode_states: Any, moved: Buffer, series: Matrix, first: int, cycles: int,
 ) -> int:  # fmt: skip
     """Run the loops from index `first` on; return the index of a loop whose plant failed, else their number."""
     for i in range(first, len(table)):
         environment = new_environment(*fixed_tuple(table[i], WIDTH))
         zeros[:] = 0.0
-        states[0], places[0] = rest[0], rest_place[0]
-        places[0].temperature = loops[i].signals.winding.ambient
-        begin_plant(plants, i)
-        for place in range(len(state)):
-            state[place] = moved_state[place] = mode_starts[i % len(mode_starts), place]
         modes = i % len(mode_flows)
+        reference = ReferenceMemory(mode_flows[modes], mode_rates[modes], mode_states[i], moved, series)
         if not run_loop(
-            environment, Run(settings[i], states[0], memory), loops[i], meters[i], plant_at(plants, i), places[0],
-            continuous[i], references[i],
-            ReferenceMemory(mode_flows[modes], mode_rates[modes], state, moved_state, series), cycles,
+            AxisControl(environment, Run(settings[i], states[i], memory)), loops[i], motors_at(plants, i),
+            rooms[i], places[i], Continuous(continuous[i], references[i], reference), meters[i], cycles,
         ):  # fmt: skip
             return i
     return len(table)
@@ -112,17 +109,15 @@ class CompiledLoops:
     def __init__(self, job: cases.LoopJob) -> None:
         kernel, rows, modes, self._cycles, instead = job
         self._kernel, self._rows, self._modes = kernel, rows, modes
-        self._settings, self._loops = records_of([row.settings for row in rows]), records_of([row.loop for row in rows])
+        self._settings = records_of([row.settings for row in rows])
+        self._loops = records_of([row.loop for row in rows])[:, None]
         self._continuous = records_of(modes.settings)
-        self._rest, self._place = records_of([kernel.state()]), records_of([closed_loop.CycleState()])
         self.meters: Any = np.repeat(records_of([Meter()]), len(rows))
         self.references = np.repeat(records_of([closed_loop.ReferenceState()]), len(rows))
         self._kind = tuple_type(rows[0].environment)
         numbers = attrgetter(*self._kind._fields)
         self._table = np.array([numbers(row.environment) for row in rows], dtype=float).reshape(len(rows), -1)
         self._instead = tuple(instead.items())
-        size = modes.starts.shape[1]
-        self._state, self._moved, self._series = np.empty(size), np.empty(size), np.zeros((closed_loop.TERMS, size))
 
     def run(self, some: Sequence[int], plants: Plants, stopped: Stopped) -> None:
         """Run some of the scenes; see `InterpretedLoops.run`."""
@@ -132,26 +127,28 @@ class CompiledLoops:
     def _run_alike(self, some: Numbers, numbers: Numbers, plants: Plants, stopped: Stopped) -> None:
         memory, zeros = _memory(self._kernel, self._rows[some[0]].settings)
         meters, references, modes = self.meters[some], self.references[some], self._modes
-        states, places, first = self._rest.copy(), self._place.copy(), 0
+        begun = records_of([self._kernel.state()]), records_of([closed_loop.CycleState()])
+        states, places, rooms = (np.repeat(one, len(some)) for one in (*begun, record_of(closed_loop.room_for(1))))
+        size = modes.starts.shape[1]
+        mode_states = np.array(np.broadcast_to(_of(modes.starts, some), (len(some), size)))
         if isinstance(plants, closed_loop.LinearPlants):
             plants = plants._replace(flows=_of(plants.flows, numbers), starts=_of(plants.starts, numbers))
-        fixed = (
-            self._table[some], self._settings[some], self._loops[some], self._rest, states, memory, zeros, meters,
+        given = (
+            self._table[some], self._settings[some], self._loops[some], states, memory, zeros, meters, plants, rooms,
+            places, self._continuous[some], references, _of(modes.flows, some), _of(modes.rates, some), mode_states,
+            np.empty(size), np.empty((closed_loop.TERMS, size)),
         )  # fmt: skip
-        compared = (
-            self._continuous[some], references, *(_of(values, some) for values in modes[1:]), self._state, self._moved,
-            self._series,
-        )  # fmt: skip
+        first = 0
         while first < len(some):
             try:
                 run = compiled_loops(self._kind, self._kernel, self._instead)
-                first = run(*fixed, plants, self._place, places, *compared, first, self._cycles)
+                first = run(*given, first, self._cycles)
             except (InputError, NumbaError) as error:
                 raise NotBatchableError(
                     f"numba cannot compile {self._kind.__name__} under this algorithm: {str(error).splitlines()[-1]}"
                 ) from error
             if first < len(some):
-                stopped(plants, int(some[first]), int(places[0]["cycle"]))
+                stopped(plants, int(some[first]), int(places[first]["cycle"]))
             first += 1
         self.meters[some], self.references[some] = meters, references
 
@@ -227,45 +224,42 @@ def compiled_world(world: GroupModel) -> tuple[Any, Records]:
     return bare, record_of(world.tables)
 
 
-def run_records(
-    world: GroupModel, tables: Records, settings: Records, states: Records, memories: Records, rig: Records,
-    motors: Any, room: Records, followed: Records, meters: Records, rows: Any, cycles: int,
-) -> None:  # fmt: skip
-    """Call `run_group` on records; each has shape (1,), except the motors."""
-    whole = GroupModel(world.mechanism, world.geometry, world.mover, tables[0], world.functions)
-    run_group(
-        whole, settings[0], states[0], memories[0], rig[0], motors, room[0], followed[0], meters[0], rows, cycles
-    )  # fmt: skip
-
-
 @lru_cache(maxsize=16)
 def _compiled_loop(kernel: Kernel, parts: tuple[type, ...], replaced: tuple[tuple[object, object], ...]) -> Any:
-    """Return `run_records` for an algorithm; numba compiles it once for each size of group."""
-    instead = {step_group: kernel.step, noise: compiled_noise, uniform: compiled_uniform, **dict(replaced)}
-    return compiled(run_records, instead, keep=True, parts=parts, units=(kernel.step, stepper.run))
+    """Return `run_loop` for an algorithm of groups; numba compiles it once for each size of group."""
+    instead = {noise: compiled_noise, uniform: compiled_uniform, **dict(replaced)}
+    return compiled(run_loop, instead, keep=True, parts=parts, units=(kernel.step, stepper.run))
 
 
-def run_compiled(case: GroupCase, cycles: int, rows: Array, instead: Mapping[object, object]) -> GroupMeter:
-    """Run the compiled loop of a group; return its sums at the end, or when it diverged.
+def run_compiled(case: GroupCase, cycles: int, sums: Any, meter: Any, instead: Mapping[object, object]) -> bool:
+    """Run the compiled loop of a group; return False if its motors cannot be moved any further.
 
     Args:
         case: Case that can be compiled.
         cycles: Number of SYNCs.
-        rows: Rows that a replacement of `take_group` fills, shape (cycles, columns).
+        sums: Record of the sums of the shares.
+        meter: What `take_sync` fills.
         instead: Function of the loop -> its replacement.
     """
-    world = case.world
-    bare, tables = compiled_world(world)
-    parts = type(world.mechanism), type(world.geometry), type(world.functions)
-    run = _compiled_loop(case.kernel, parts, (*case.motors.replaced.items(), *instead.items()))
-    meters = records_of([GroupMeter()])
-    run(
-        bare, tables, record_of(case.settings), records_of([case.kernel.state()]),
-        record_of(case.kernel.memory(world, case.settings)), record_of(case.rig), case.motors.made(False),
-        record_of(case.room()), records_of([GroupMotion()]), meters, rows, cycles,
-    )  # fmt: skip
-    found = GroupMeter()
-    _fill(found, meters[0])
+    bare, tables = compiled_world(case.world)
+    world, parts = bare._replace(tables=tables[0]), (type(bare.mechanism), type(bare.geometry), type(bare.functions))
+    buffers = case.settings, case.kernel.memory(case.world, case.settings), case.true_memory()
+    settings, memory, true, room = (record_of(one)[0] for one in (*buffers, closed_loop.room_for(len(case.loops))))
+    begun = case.kernel.state(), closed_loop.CycleState(), GroupMotion()
+    state, place, motion = (records_of([one])[0] for one in begun)
+    control, watched = GroupControl(world, settings, state, memory), TrueNetwork(world, motion, true, sums)
+    run = _compiled_loop(case.kernel, parts, (*case.replaced.items(), *instead.items()))
+    loops, motors = records_of(case.loops), case.motors.made(False)
+    return bool(run(control, loops, motors, room, place, watched, meter, cycles))
+
+
+def compiled_group_meter(case: GroupCase, cycles: int) -> GroupMeter:
+    """Return the sums of a group at the end of its loop, or when it diverged."""
+    sums, found = records_of([GroupMeter()])[0], GroupMeter()
+    is_moved = run_compiled(case, cycles, sums, sums["figures"], {})
+    _fill(found, sums)
+    if not is_moved:
+        diverge(found.figures)
     return found
 
 
@@ -288,33 +282,40 @@ def write(row: Buffer, at: int, balance: EnergyBalance) -> None:
 
 
 def keep(
-    environment: Environment, settings: MeterSettings, rows: Matrix, cycle: int, position: float,
-    true_position: float, torque: float, interaction: float, balance: EnergyBalance,
+    control: object, loops: closed_loop.Loops, room: closed_loop.Room, place: closed_loop.CycleState, rows: Matrix,
+    balance: EnergyBalance,
 ) -> None:  # fmt: skip
-    """Replace `meter.take`: write a row in the order of `LoopRun.rows`."""
-    row = rows[cycle]
-    row[0], row[1], row[2], row[3] = interaction, position, true_position, torque
-    write(row, 4, balance)
-
-
-def keep_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, rows: Matrix, hold: GroupHold) -> None:
-    """Replace `take_group`: write the row of a SYNC, in the order of `LoopRun.rows`."""
-    row, motors = rows[int(meter.figures.cycles)], len(room.held)
-    meter.figures.cycles += 1.0
-    row[0] = meter.supplied - meter.work
+    """Replace `take_sync`: write the row of a SYNC, in the order of `LoopRun.rows`."""
+    row, motors = rows[place.cycle], len(room.held)
+    row[0] = place.supplied - place.work
     for i in range(motors):
         row[1 + i], row[1 + motors + i], row[1 + 2 * motors + i] = room.seen[i], room.true[i], room.held[i]
-    write(row, 1 + 3 * motors, hold.account)
+    write(row, 1 + 3 * motors, balance)
 
 
-def nothing(*_unused: object) -> None:
-    """Replace `meter.compare`, `meter.miss` and `meter.diverge`: no-op."""
+_KEPT: Final[Mapping[object, object]] = {
+    closed_loop.take_sync: keep,
+    closed_loop.miss_sync: closed_loop.nothing,
+    diverge: closed_loop.nothing,
+}
+"""Replacements of functions of the loop that keep rows."""
+
+
+def _no_rows(cycles: int, motors: int) -> Array:
+    return np.full((1, cycles, 1 + 3 * motors + len(EnergyBalance._fields)), np.nan)
+
+
+def _kept(rows: Array) -> Array:
+    """Return the rows of the SYNCs that were reached."""
+    found: Array = rows[0, np.isfinite(rows[0, :, 0])]
+    return found
 
 
 def compiled_group_rows(case: GroupCase, cycles: int) -> Array:
     """Return the rows of all SYNCs of a group until its loop ends; see `LoopRun.rows`."""
-    rows = np.empty((cycles, 1 + 3 * len(case.rig.loops) + len(EnergyBalance._fields)))
-    return rows[: int(run_compiled(case, cycles, rows, {take_group: keep_group}).figures.cycles)]
+    rows = _no_rows(cycles, len(case.loops))
+    run_compiled(case, cycles, records_of([GroupMeter()])[0], rows[0], _KEPT)
+    return _kept(rows)
 
 
 def compiled_rows(case: LoopCase, cycles: int, reach: Reach) -> Array:
@@ -331,11 +332,9 @@ def compiled_rows(case: LoopCase, cycles: int, reach: Reach) -> Array:
     """
     batch, kernel = replace(cases.many_loops(case, {}, {}), reach=reach), cast(Kernel, cases.kernel_of(case.algorithm))
     rows = [*cases.scene_rows(batch, kernel, 1)]
-    instead: dict[object, object] = {take: keep, miss: nothing, compare: nothing, diverge: nothing}
-    loops = CompiledLoops(
-        cases.LoopJob(kernel, rows, cases.no_modes(1), cycles, instead | loop_replacements(batch.plants))
-    )
-    loops.meters = np.full((1, cycles, 4 + len(EnergyBalance._fields)), np.nan)
+    instead = {**_KEPT, **loop_replacements([plant.scene() for plant in batch.plants[:1]])}
+    loops = CompiledLoops(cases.LoopJob(kernel, rows, cases.no_modes(1), cycles, instead))
+    loops.meters = _no_rows(cycles, 1)
     if batch.linear is None:
         stopped: dict[int, EventLimitError] = {}
         run_event_plants(loops, batch.plants, np.zeros(1), stopped, listed=False)
@@ -343,5 +342,4 @@ def compiled_rows(case: LoopCase, cycles: int, reach: Reach) -> Array:
             raise stopped[0]
     else:
         loops.run([0], cases.linear_plants(batch.linear, listed=False), never_stopped)
-    found: Array = loops.meters[0]
-    return found[np.isfinite(found[:, 0])]
+    return _kept(loops.meters)

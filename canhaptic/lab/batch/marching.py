@@ -10,15 +10,13 @@ with events must be run.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from canhaptic.control.environments import Environment
 from canhaptic.errors import EventLimitError, ParameterError
-from canhaptic.kernels import Kernel, Run, list_of_zeros
-from canhaptic.kernels.records import bound
+from canhaptic.kernels import Run, list_of_zeros
 from canhaptic.lab.batch import WORTH_COMPILING, Engine, cases, chosen_engine, closed_loop
 from canhaptic.lab.batch.cases import NotBatchableError
 from canhaptic.lab.batch.plants import Plants, Stopped, loop_replacements, never_stopped, run_event_plants
@@ -41,7 +39,7 @@ class InterpretedLoops:
 
     def __init__(self, job: cases.LoopJob) -> None:
         self._kernel, self._rows, self._modes, self._cycles, instead = job
-        self._begin, self._at, self._run = _functions(self._kernel, tuple(instead.items()))
+        self._instead = {**instead, closed_loop.step: self._kernel.step}
         self.meters = [Meter() for _ in self._rows]
         self.references = [closed_loop.ReferenceState() for _ in self._rows]
 
@@ -53,24 +51,19 @@ class InterpretedLoops:
             plants: Plants of the scenes.
             stopped: Called for each plant that cannot be advanced: (plants, index of the scene, SYNC it cannot reach).
         """
+        motors_at: Any = self._instead.get(closed_loop.motors_at, closed_loop.motors_at)
         for number, i in enumerate(some):
             row, kernel = self._rows[i], self._kernel
-            place = closed_loop.CycleState(temperature=row.loop.signals.winding.ambient)
             run = Run(row.settings, kernel.state(), kernel.memory(row.settings, list_of_zeros))
-            reference = reference_memory_of(self._modes, i)
-            self._begin(plants, number)
-            if not self._run(
-                row.environment, run, row.loop, self.meters[i], self._at(plants, number), place,
-                self._modes.settings[i], self.references[i], reference, self._cycles,
-            ):  # fmt: skip
-                stopped(plants, i, place.cycle)
-
-
-@lru_cache(maxsize=64)
-def _functions(kernel: Kernel, instead: tuple[tuple[object, object], ...]) -> tuple[Any, Any, Any]:
-    replaced = {**dict(instead), closed_loop.step: kernel.step}
-    begin, at = (replaced.get(function, function) for function in (closed_loop.begin_plant, closed_loop.plant_at))
-    return begin, at, bound(closed_loop.run_loop, replaced)
+            continuous = closed_loop.Continuous(
+                self._modes.settings[i], self.references[i], reference_memory_of(self._modes, i)
+            )
+            cycle = closed_loop.run_in_python(
+                self._instead, closed_loop.AxisControl(row.environment, run), [row.loop], motors_at(plants, number),
+                continuous, self.meters[i], self._cycles,
+            )  # fmt: skip
+            if cycle:
+                stopped(plants, i, cycle)
 
 
 def reference_memory_of(modes: cases.ContinuousModes, row: int) -> closed_loop.ReferenceMemory:
@@ -147,7 +140,10 @@ def _part(
         modes = cases.continuous_modes(case, count, cycles, with_force=forces, with_travel=travels)
     listed = engine == "python"
     rows = list(cases.scene_rows(case, kernel, count))
-    job = cases.LoopJob(kernel, rows, modes, cycles, loop_replacements(case.plants))
+    instead = loop_replacements([plant.scene() for plant in case.plants[:1]])
+    if modes.exist.any():
+        instead[closed_loop.watch] = closed_loop.watch_continuous
+    job = cases.LoopJob(kernel, rows, modes, cycles, instead)
     if listed:
         loops: Any = InterpretedLoops(job)
     else:

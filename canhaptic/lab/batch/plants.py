@@ -1,4 +1,4 @@
-"""Plants of one axis for the loops of a batch: linear ones in arrays, and those with events as kernels.
+"""Plants for loops without a bus: linear ones in arrays, and those with events as kernels.
 
 `linear_motion` gives the transition matrices of many linear plants (mass, bearings, a hand that follows sinusoids):
 
@@ -7,10 +7,9 @@
 The states and exp(F T), by a series and doubling, are as in `Plant`. Each row is summed term by term, so that a
 position may differ from that of `Plant` by a few units in its last place per hold.
 
-`EventPlant` is a plant with events, a current loop, or forces over substeps that are not piecewise affine. Its
-functions replace `closed_loop.move_plant`; the modes, the stepper and the secant over a substep are those of
-`canhaptic.sim.plant`, on arrays. All modes are computed before a loop starts (about a millisecond each), and scenes
-with equal plants share them.
+`EventMotors` are the motors of plants with events, a current loop, or forces over substeps that are not piecewise
+affine. The modes, the stepper and the secant over a substep are those of `canhaptic.sim.plant`, on arrays. All modes
+are computed before a loop starts (about a millisecond each), and scenes with equal plants share them.
 
 `signals_of` gives the effects that change a number and not the motion: the encoder reading and the acting torque.
 """
@@ -28,7 +27,7 @@ from canhaptic.errors import EventLimitError, ParameterError
 from canhaptic.kernels import Buffer, Indices
 from canhaptic.kernels.records import Records, records_of
 from canhaptic.lab.batch import closed_loop, mode_arrays
-from canhaptic.lab.batch.closed_loop import Signals, Winding
+from canhaptic.lab.batch.closed_loop import Room, Signals, Winding
 from canhaptic.lab.batch.mode_arrays import Books, move
 from canhaptic.lab.batch.varied import simulation_with
 from canhaptic.lab.loop.axis_loop import Array
@@ -56,7 +55,6 @@ class EventState:
     slope: float = -1.0  # slope of their residual there
     rippled: float = 0.0  # work of a torque ripple [J]
     is_stopped: bool = False  # whether there were too many events
-    began_work: float = 0.0  # motor's work at the start of the hold, with that of a ripple [J]
     saved_work: float = 0.0  # work, mode and events at the start of the substep, with `EventPlant.saved`
     saved_mode: int = 0
     saved_events: int = 0
@@ -90,43 +88,62 @@ class EventPlant(NamedTuple):
     torque_place: int  # index of the motor torque in z
     travel_place: int  # index of the displacement in the substep
     force_place: int  # index of the sum of the forces
-
-
-class EventPlants(NamedTuple):
-    """One plant with events, used by many loops in turn."""
-
-    plant: EventPlant
-    start: Buffer  # state at the first SYNC, shape (n,)
+    start: Buffer  # z at the first SYNC
     first: int  # mode at the first SYNC
 
 
-def begin_events(plants: EventPlants, row: int) -> None:
-    """Reset the plant of a loop to its start."""
-    plant, now = plants.plant, plants.plant.now[0]
-    for place in range(len(plants.start)):
-        plant.state[place] = plant.spare[place] = plants.start[place]
-    plant.counts[MODE], plant.counts[EVENTS] = plants.first, 0
+class EventMotors(NamedTuple):
+    """Motors whose plants have events."""
+
+    plants: tuple[EventPlant, ...]
+    owners: Indices  # index of each motor's plant
+    forces: Indices  # index of each motor's torque in the state of that plant
+    places: Indices  # index of its position there
+
+
+def event_motors_at(motors: EventMotors, row: int) -> EventMotors:
+    """Replace `closed_loop.motors_at` for one plant that many loops use in turn."""
+    plant = motors.plants[0]
+    now = plant.now[0]
+    for place in range(len(plant.start)):
+        plant.state[place] = plant.spare[place] = plant.start[place]
+    plant.counts[MODE], plant.counts[EVENTS] = plant.first, 0
     plant.books[0].totals[0] = 0.0
     now.changes, now.force, now.slope, now.rippled = 0, 0.0, -1.0, 0.0
     for i in range(len(plant.bristles)):
         plant.bristles[i].deflection = 0.0
+    return motors
 
 
-def events_at(plants: EventPlants, row: int) -> EventPlant:
-    """Return the plant of a loop."""
-    return plants.plant
+def move_event_motors(motors: EventMotors, room: Room, each: range, cycle: int) -> bool:
+    """Replace `closed_loop.move_motors`; return False if a plant had too many events."""
+    for i in each:
+        motors.plants[motors.owners[i]].state[motors.forces[i]] = room.acting[i]
+    for k in range(len(motors.plants)):
+        if not move_held(motors.plants[k], cycle):
+            return False
+    return True
 
 
-def move_events(plant: EventPlant, torque: float, cycle: int) -> bool:
-    """Replace `move_plant`: move a plant to a SYNC under a torque; return False if it had too many events."""
-    plant.state[len(plant.state) - 2] = torque
-    return move_held(plant, cycle)
+def event_position_of(motors: EventMotors, i: int) -> float:
+    """Replace `closed_loop.position_of`."""
+    at: float = motors.plants[motors.owners[i]].state[motors.places[i]]
+    return at
+
+
+def booked_work(motors: EventMotors, work: float) -> float:
+    """Replace `closed_loop.work_of` where the stepper integrates the work of the motors."""
+    total = 0.0
+    for k in range(len(motors.plants)):
+        plant = motors.plants[k]
+        total += plant.books[0].totals[0] + plant.now[0].rippled
+    return total
 
 
 def move_held(plant: EventPlant, cycle: int) -> bool:
-    """Move a plant to a SYNC under the torque in its state; see `move_events`."""
+    """Move a plant to a SYNC under the torques in its state; return False if it had too many events."""
     counts, now = plant.counts, plant.now[0]
-    now.is_stopped, now.began_work = False, plant.books[0].totals[0] + now.rippled
+    now.is_stopped = False
     end = cycle * TICKS
     tick, left = end - TICKS, 0
     most = counts[EVENTS] + plant.settings.max_events + 1
@@ -185,15 +202,14 @@ def book_motor(works: Any, state: Buffer, books: tuple[Books]) -> None:
     only.totals[0] += total
 
 
-def booked_work(plant: EventPlant, interaction: float, torque: float, travel: float) -> float:
-    """Replace `closed_loop.work_in` where the stepper integrates the motor's work."""
-    booked: float = plant.books[0].totals[0] + plant.now[0].rippled
-    return 0.0 - booked
-
-
 def run_substeps(plant: EventPlant, ticks: int, most: int) -> int:
-    """Replace `run_ticks`: advance in substeps, each of which ends at its first event at the latest."""
+    """Replace `run_ticks`: advance in substeps, each of which ends at its first event at the latest.
+
+    A plant of the same loop that has no such forces needs none.
+    """
     counts, now = plant.counts, plant.now[0]
+    if not len(plant.efforts):
+        return run_on(plant, ticks, most)
     while ticks:
         ticks -= substep(plant, min(ticks, plant.substep_ticks), most)
         if now.is_stopped or (ticks and counts[EVENTS] >= most):
@@ -261,7 +277,7 @@ CALLS: Final = (
 """Functions that are called, not inlined: long ones with several callers, and certificates that are rarely needed."""
 
 
-Plants = closed_loop.LinearPlants | EventPlants
+Plants = closed_loop.LinearPlants | EventMotors
 """Plants of the loops of a batch."""
 Stopped = Callable[[Plants, int, int], None]
 """Called for a plant that cannot be advanced, with (plants, index of the scene, SYNC that it cannot reach)."""
@@ -318,7 +334,13 @@ class EventModes:
         self._is_booked = works_are_booked(scene) if is_booked is None else is_booked
         self._form: Callable[[Any], Any] = (lambda array: array.tolist()) if listed else np.ascontiguousarray
 
-    def plants(self) -> EventPlants:
+    def motor(self) -> EventMotors:
+        """Return the motor of a plant that has only one, at its start."""
+        plant = self.plant()
+        places = [[0], [len(plant.state) - 2], [0]]
+        return EventMotors((plant,), *(places if self._listed else np.array(places)))
+
+    def plant(self) -> EventPlant:
         """Return the plant at its start."""
         form, names, machine, accuracy = self._form, [*self._scene.names], self._machine, self._accuracy
         start, first = machine.state.copy(), machine.modes.index(machine.mode)
@@ -328,16 +350,15 @@ class EventModes:
         counts = np.zeros(COUNTS, dtype=np.int64)
         counts[MODE], counts[MISSING] = first, NONE
         width = 2 * max(len(mode.exits) for mode in machine.modes) + len(names)
-        plant = EventPlant(
+        return EventPlant(
             ModeTables(*map(form, tables)), machine.settings, form(start.copy()), form(start.copy()),
             (Books(form(np.zeros(len(self._scene.works))), form(np.zeros(2 * len(names) * self._is_booked))),),
             form(counts), (form(np.zeros(width)), form(np.zeros(width))),
             form(np.array([place for place, name in enumerate(names) if name.endswith("_sine")], dtype=np.int64)),
             form(ticks), form(targets), [EventState()] if self._listed else records_of([EventState()]),
             form(start.copy()), *self._efforts(), TICKS // accuracy.substeps, names.index(self._scene.motor_torque),
-            *((names.index("travel"), names.index("effort")) if self._scene.efforts else (0, 0)),
+            *((names.index("travel"), names.index("effort")) if self._scene.efforts else (0, 0)), form(start), first,
         )  # fmt: skip
-        return EventPlants(plant, form(start), first)
 
     def _changes(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Compute every mode that can be entered; return ticks and targets of the scheduled mode changes."""
@@ -352,9 +373,9 @@ class EventModes:
             mode += 1
         return np.array([tick for tick, _, _ in changes], dtype=np.int64), np.array(targets, dtype=np.int64).T.copy()
 
-    def error(self, plants: EventPlants, cycle: int) -> EventLimitError:
+    def error(self, motors: EventMotors, cycle: int) -> EventLimitError:
         """Return the error of a loop that was stopped in the hold before a SYNC."""
-        machine, plant, accuracy = self._machine, plants.plant, self._accuracy
+        machine, plant, accuracy = self._machine, motors.plants[0], self._accuracy
         where = f"plant before {cycle * TICKS * machine.tick_time:.9g} s"
         described = machine.described(int(plant.counts[MODE]), [float(value) for value in plant.state])
         used_up = plant.counts[EVENTS] < plant.counts[LIMIT]
@@ -369,30 +390,29 @@ class EventModes:
         return records_of(efforts or [Effort(0)])[: len(efforts)], records_of(bristles or [Bristle()])[: len(efforts)]
 
 
+def works_are_booked(scene: PlantModel) -> bool:
+    """Return whether the motor's work must be integrated: with a current loop, or a torque ripple."""
+    return scene.motor_torque != "torque" or any(effort.account == "motor" for effort in scene.efforts)
+
+
 def by_its_way() -> dict[object, object]:
     """Return the replacements for a loop in which the motor's work is its torque times displacement."""
     products = ("move", "evaluate", "pace", "largest_term", "stored")
     return {stepper.book: book_nothing, **{getattr(stepper, name): getattr(mode_arrays, name) for name in products}}
 
 
-def works_are_booked(scene: PlantModel) -> bool:
-    """Return whether the motor's work must be integrated: with a current loop, or a torque ripple."""
-    return scene.motor_torque != "torque" or any(effort.account == "motor" for effort in scene.efforts)
-
-
-def loop_replacements(plants: Sequence[PlantValues]) -> dict[object, object]:
-    """Return the replacements of functions of the loop for plants with events; none for linear plants."""
-    if not plants:
+def loop_replacements(scenes: Sequence[PlantModel]) -> dict[object, object]:
+    """Return the replacements of functions of the loop for plants with events, which one loop moves; none for none."""
+    if not scenes:
         return {}
-    scene = plants[0].scene()
     found: dict[object, object] = {
-        **by_its_way(), closed_loop.move_plant: move_events, closed_loop.begin_plant: begin_events,
-        closed_loop.plant_at: events_at,
+        **by_its_way(), closed_loop.move_motors: move_event_motors, closed_loop.position_of: event_position_of,
+        closed_loop.motors_at: event_motors_at,
     }  # fmt: skip
-    if scene.efforts:
+    if any(scene.efforts for scene in scenes):
         found |= {run_ticks: run_substeps, splitting.residual: residual_of_plant}
-    if works_are_booked(scene):
-        return found | {stepper.book: book_motor, closed_loop.work_in: booked_work}
+    if any(map(works_are_booked, scenes)):
+        found |= {stepper.book: book_motor, closed_loop.work_of: booked_work}
     return found
 
 
@@ -415,7 +435,7 @@ def run_event_plants(
         def stop(plants: Any, loop: int, cycle: int, modes: EventModes = modes) -> None:
             stopped[loop] = modes.error(plants, cycle)
 
-        loops.run(np.flatnonzero(which == number).tolist(), modes.plants(), stop)
+        loops.run(np.flatnonzero(which == number).tolist(), modes.motor(), stop)
 
 
 def never_stopped(*_what: object) -> None:

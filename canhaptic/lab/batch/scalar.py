@@ -10,23 +10,21 @@ wall, damper or free space on a linear plant is solved in closed form between ev
 other environment or plant is integrated by DOP853 on the textbook plant (`canhaptic.lab.reference`).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
-from functools import lru_cache
 from math import nan
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, Final, cast
 
 import numpy as np
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments import Environment, plain
-from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupMotion
+from canhaptic.control.multi_axis.group_controller import GroupBalance
+from canhaptic.control.multi_axis.group_kernel import GroupMotion
 from canhaptic.control.passivity import LoopProperties
-from canhaptic.control.passivity.stepped import Axis
-from canhaptic.errors import CanHapticError, ControlError
-from canhaptic.kernels import Kernel, Run, with_quick_fields
-from canhaptic.kernels.records import bound
+from canhaptic.drive.profile.admittance_parameters import ForceChannel
+from canhaptic.errors import CanHapticError, ControlError, InputError
+from canhaptic.kernels import Run, with_quick_fields
 from canhaptic.lab import reference
 from canhaptic.lab.batch import ChosenEngine, closed_loop
 from canhaptic.lab.batch.cases import (
@@ -38,104 +36,70 @@ from canhaptic.lab.batch.cases import (
     why_not_compiled,
     why_not_continuous,
 )
-from canhaptic.lab.batch.closed_loop import AxisRun, LoopSettings, ReferenceMemory, ReferenceSettings, ReferenceState
-from canhaptic.lab.batch.group_loop import GroupCase, GroupMeter, GroupRig, GroupRoom, group_case, run_group, take_group
-from canhaptic.lab.batch.group_loop import step as step_group
+from canhaptic.lab.batch.closed_loop import CycleState, Loops, LoopSettings, ReferenceState, Room, run_in_python
+from canhaptic.lab.batch.group_loop import OBJECTS, GroupCase, GroupControl, GroupMeter, Motors, TrueNetwork, group_case
 from canhaptic.lab.batch.marching import reference_memory_of
 from canhaptic.lab.batch.plants import PlantValues, is_linear
+from canhaptic.lab.figures import figures
 from canhaptic.lab.figures.figures import CONTINUOUS, METRICS, last_rows, metrics_of, sums_of, sums_of_continuous
-from canhaptic.lab.figures.meter import Meter, MeterSettings, diverge, take
+from canhaptic.lab.figures.meter import Meter, compare, diverge
 from canhaptic.lab.judge.reference_model import Model
 from canhaptic.lab.loop import axis_loop
+from canhaptic.lab.loop.admittance_loop import AdmittanceRun
 from canhaptic.lab.loop.axis_loop import EVERYWHERE, Array, LoopCase, LoopRun, Reach, Recorder, finished
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.far_side import build_plant
-from canhaptic.scene.models import AxisSimulation, Scene
+from canhaptic.scene.method import simulation_of
+from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
+from canhaptic.scene.parts import build_axis_controller, build_group
 from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import Effect
-from canhaptic.sim.plant.plant import Plant, PlantParameters
+from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
+from canhaptic.sim.plant.velocity_drive import AdmittancePlant
 
 
-class ObjectPlant:
-    """A plant as an object, used in place of `LinearPlant`.
-
-    Args:
-        plant: Plant at its start.
-        sample_time_ns: Time between two SYNCs [ns].
-    """
-
-    def __init__(self, plant: Plant, sample_time_ns: int) -> None:
-        plant.begin(0)
-        self.of, self.period, self.state = plant, sample_time_ns, [plant.position]
-
-
-def move_object(plant: ObjectPlant, torque: float, cycle: int) -> bool:
-    """Replace `move_plant` for a plant as an object."""
-    plant.of.advance_to(cycle * plant.period, torque)
-    plant.state[0] = plant.of.position
-    return True
-
-
-def object_work(plant: ObjectPlant, interaction: float, torque: float, travel: float) -> float:
-    """Replace `work_in` by the energy that a plant as an object reports."""
-    return 0.0 - plant.of.energy().motor
-
-
-def object_encoder(plant: ObjectPlant, signals: closed_loop.Signals, cycle: int, position: float) -> float:
-    """Replace `encoder` for a plant as an object."""
-    return plant.of.encoder_position
-
-
-def object_step(environment: Environment, run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
-    """Replace `step`: the memory is a controller object."""
-    balance: EnergyBalance = run.memory.step(position, torque_applied)
+def respond_as_object(control: closed_loop.AxisControl, room: Room, place: CycleState) -> EnergyBalance:
+    """Replace `respond`: the memory is a controller object."""
+    balance: EnergyBalance = control.run.memory.step(room.seen[0], room.held[0])
+    room.commands[0] = balance.torque
     return balance
 
 
-def known_reference(_settings: object, _reference: object, memory: ReferenceMemory, cycle: int) -> float:
-    """Replace `follow`: `memory.series` holds the positions and mean torques of a finished continuous run."""
-    positions, torques = memory.series
-    memory.state[0] = positions[cycle]
-    return torques[cycle]
+def compare_with_known(known: Sequence[Sequence[float]], room: Room, meter: Meter, cycle: int) -> None:
+    """Replace `watch`: compare with the positions and mean torques of a finished continuous run."""
+    positions, torques = known
+    compare(meter, room.true[0], room.held[0], positions[cycle], torques[cycle])
 
 
 def record(
-    environment: Environment, settings: MeterSettings, recorder: Recorder, cycle: int, position: float,
-    true_position: float, torque: float, interaction: float, balance: EnergyBalance,
-) -> None:  # fmt: skip
-    """Replace `meter.take`: record a SYNC."""
-    recorder.take(interaction, (position,), (true_position,), (torque,), balance)
+    control: object, loops: Loops, room: Room, place: CycleState, recorder: Recorder, balance: EnergyBalance
+) -> None:
+    """Replace `take_sync`: record a SYNC."""
+    recorder.take(place.supplied - place.work, room.seen, room.true, room.held, balance)
 
 
-def forget(recorder: Recorder) -> None:
-    """Replace `meter.diverge`: no-op, because the recorded rows end here by themselves."""
+_RECORDED: Final[Mapping[object, object]] = {closed_loop.take_sync: record, diverge: closed_loop.nothing}
+"""Replacements of functions of the loop that record rows, which end where the run diverges."""
 
 
 def _run(case: LoopCase, cycles: int, loop: LoopSettings, meter: Any, continuous: ContinuousReference | None) -> str:
     """Run a loop with plant and controller as objects; return "", or why the controller stopped it."""
-    known = [] if continuous is None else [continuous.position.tolist(), continuous.torque.tolist()]
+    replaced: dict[object, object] = {closed_loop.respond: respond_as_object, **OBJECTS}
+    if isinstance(meter, Recorder):
+        replaced.update(_RECORDED)
+    known = None
+    if continuous is not None:
+        known = continuous.position.tolist(), continuous.torque.tolist()
+        replaced[closed_loop.watch] = compare_with_known
+    control = closed_loop.AxisControl(plain(case.environment), Run(None, None, case.controller()))
+    motors = Motors([case.make_plant()], case.sample_time_ns)
     try:
-        _object_loop(isinstance(meter, Recorder))(
-            plain(case.environment), Run(None, SimpleNamespace(axis=Axis()), case.controller()), loop, meter,
-            ObjectPlant(case.make_plant(), case.sample_time_ns), closed_loop.CycleState(),
-            ReferenceSettings(exists=bool(known)), ReferenceState(), ReferenceMemory((), (), [0.0], [], known), cycles,
-        )  # fmt: skip
+        run_in_python(replaced, control, [loop], motors, known, meter, cycles)
     except ControlError as error:
         return str(error)
     return ""
-
-
-@lru_cache(maxsize=2)
-def _object_loop(is_recorded: bool) -> Callable[..., bool]:
-    """Return `run_loop` bound to objects, with a recorder or a meter."""
-    of, replaced = closed_loop, dict[object, object]()
-    replaced |= {of.step: object_step, of.move_plant: move_object, of.work_in: object_work}
-    replaced |= {of.encoder: object_encoder, of.follow: known_reference}
-    if is_recorded:
-        replaced |= {take: record, diverge: forget}
-    return bound(closed_loop.run_loop, replaced)
 
 
 def render(
@@ -203,11 +167,6 @@ def work_of(case: LoopCase, cycles: int) -> float:
     return cycles * 4.0 * (accuracy.substeps if accuracy else 1) if plant.efforts else cycles  # a secant a substep
 
 
-def record_group(rig: GroupRig, room: GroupRoom, meter: GroupMeter, recorder: Recorder, hold: GroupHold) -> None:
-    """Replace `take_group`: record a SYNC."""
-    recorder.take(meter.supplied - meter.work, room.seen, room.true, room.held, hold.account)
-
-
 def render_group(
     engine: ChosenEngine, scene: Scene, cycles: int, furthest: float = axis_loop.FURTHEST,
     progress: Callable[[], None] | None = None,
@@ -226,14 +185,14 @@ def render_group(
         ParameterError: The group cannot be built.
     """
     case, reach = group_case(scene), Reach(-furthest, furthest)
-    case = case._replace(rig=case.rig._replace(furthest=furthest))
-    recorder, reason = Recorder(len(case.rig.loops), progress), ""
+    case = case._replace(loops=[replace(loop, lowest=-furthest, highest=furthest) for loop in case.loops])
+    recorder, reason = Recorder(len(case.loops), progress), ""
     if engine == "numba" and not case.why_not:
         from canhaptic.lab.batch.compiled_loops import compiled_group_rows
 
-        return finished(LoopRun(compiled_group_rows(case, cycles), len(case.rig.loops), engine="numba"), cycles, reach)
+        return finished(LoopRun(compiled_group_rows(case, cycles), len(case.loops), engine="numba"), cycles, reach)
     try:
-        _run_group(case.with_objects(scene), cycles, GroupMeter(), recorder, {take_group: record_group})
+        _run_group(case.with_objects(scene), cycles, GroupMeter(), recorder, _RECORDED)
     except ControlError as error:
         reason = str(error)
     run = recorder.run("stopped" if reason else "", reason)
@@ -249,32 +208,27 @@ def group_meter(case: GroupCase, cycles: int, engine: ChosenEngine = "python") -
         engine: "numba" falls back to Python for a case that cannot be compiled.
     """
     if engine == "numba" and not case.why_not:
-        from canhaptic.lab.batch.compiled_loops import run_compiled
+        from canhaptic.lab.batch.compiled_loops import compiled_group_meter
 
-        return run_compiled(case, cycles, np.empty((0, 0)), {})
+        return compiled_group_meter(case, cycles)
     meter = GroupMeter()
     try:
-        _run_group(case, cycles, meter, None, {})
+        is_stuck = _run_group(case, cycles, meter, meter.figures, {})
     except CanHapticError:  # of a mechanism that is pushed where it cannot move
-        meter.figures.diverged = 1.0
+        is_stuck = True
+    if is_stuck:
+        diverge(meter.figures)
     return meter
 
 
-def _run_group(
-    case: GroupCase, cycles: int, meter: GroupMeter, rows: Recorder | None, replaced: dict[object, object]
-) -> None:
-    """Run a group in Python."""
-    memory = with_quick_fields(case.kernel.memory(case.world, case.settings))
-    run = _python_loop(case.kernel, (*case.motors.replaced.items(), *replaced.items()))
+def _run_group(case: GroupCase, cycles: int, sums: GroupMeter, meter: Any, replaced: Mapping[object, object]) -> bool:
+    """Run a group in Python; return whether its motors could not be moved any further."""
     world, settings = (with_quick_fields(part) for part in (case.world, case.settings))
-    begun = case.kernel.state(), memory, case.rig, case.motors.made(True), case.room(), GroupMotion()
-    run(world, settings, *begun, meter, rows, cycles)
-
-
-@lru_cache(maxsize=16)
-def _python_loop(kernel: Kernel, replaced: tuple[tuple[object, object], ...]) -> Callable[..., None]:
-    found: Callable[..., None] = bound(run_group, {step_group: kernel.step, **dict(replaced)})
-    return found
+    memory = with_quick_fields(case.kernel.memory(case.world, case.settings))
+    control = GroupControl(world, settings, case.kernel.state(), memory)
+    true = with_quick_fields(TrueNetwork(world, GroupMotion(), case.true_memory(), sums))
+    replaced = {**case.replaced, **replaced}
+    return run_in_python(replaced, control, case.loops, case.motors.made(True), true, meter, cycles) > 0
 
 
 def group_figures(meter: GroupMeter, metrics: Sequence[str] | None = None) -> dict[str, float]:
@@ -282,8 +236,8 @@ def group_figures(meter: GroupMeter, metrics: Sequence[str] | None = None) -> di
     names, sums = list(METRICS if metrics is None else metrics), meter.figures
     of_a_position = "travel", "stiffness_rendered.value", "stiffness_rendered.share", *CONTINUOUS
     own = [name for name in names if name not in of_a_position]
-    figures = metrics_of(own, {name: np.array([getattr(sums, name)]) for name in sums_of(own)})
-    return {name: float(figures[name][0]) if name in figures else nan for name in names}
+    found = metrics_of(own, {name: np.array([getattr(sums, name)]) for name in sums_of(own)})
+    return {name: float(found[name][0]) if name in found else nan for name in names}
 
 
 def run_scalar(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) -> dict[str, float]:
@@ -320,6 +274,131 @@ def run_case(
         found |= sums_of_continuous(continuous, len(continuous.position), case.sample_time_ns * 1e-9)
     sums = {name: np.array([found[name]]) for name in sums_of(names)}
     return {name: float(values[0]) for name, values in metrics_of(names, sums).items()}
+
+
+class _Display:
+    """One simulated admittance display with its encoder and force sensor: a plant of `Motors`."""
+
+    def __init__(self, axis: AxisScene, scene: Scene) -> None:
+        given, display, simulation = axis.parameters, axis.parameters.admittance, simulation_of(axis)
+        if display is None:
+            raise InputError(f"{given.name}: is not an admittance display, expected one")
+        self._name, self._counts = given.name, given.counts_per_unit
+        self.plant = plant = cast(AdmittancePlant, build_plant(simulation, scene.bus.sample_time_ns))
+        self.begin, self.advance_to, self.energy = plant.begin, plant.advance_to, plant.energy
+        self._channel = ForceChannel(display.force, scene.bus.sample_time)
+        own = simulation.drive.display
+        self._per_count = own.force_per_count if own else display.force.per_count
+        self._offset = own.force_offset_counts if own else display.force.offset_counts
+        self._fastest = 2.0 * given.largest_speed * scene.bus.sample_time  # [m or rad] in a hold, as in the link policy
+
+    @property
+    def position(self) -> float:
+        """True position [m or rad]."""
+        return self.plant.position
+
+    @property
+    def encoder_position(self) -> float:
+        """Encoder reading [m or rad]."""
+        return round(self.plant.encoder_position * self._counts) / self._counts
+
+    def force(self) -> float:
+        """Sensor reading [N or N*m]."""
+        return self._channel.take(round(self.plant.read_force() / self._per_count + self._offset))
+
+    def why_stopped(self, moved: float) -> str:
+        """Return why the rig stops after a hold with the measured displacement `moved` [m or rad]; "": it does not."""
+        if self._channel.is_wrong:
+            return f"{self._name}: the force sensor is beyond its range, or frozen"
+        return f"{self._name}: the position moved faster than the speed limit" if abs(moved) > self._fastest else ""
+
+
+class _DisplayControl:
+    """Controller of displays, with what it measured at the last SYNC."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.displays, self.is_group = [_Display(axis, scene) for axis in scene.axes], bool(scene.groups)
+        self.controller: Any = (
+            build_group(scene, scene.groups[0]) if self.is_group else build_axis_controller(scene.axes[0])
+        )
+        self.seen, self.motion = [nan] * len(self.displays), list[list[float]]()
+        self.reason = ""  # why the rig stops
+
+
+def respond_as_display(control: _DisplayControl, room: Room, place: CycleState) -> EnergyBalance:
+    """Replace `respond`: read the force sensors too; the commands are velocities [m/s or rad/s]."""
+    forces, before = [-display.force() for display in control.displays], control.seen
+    control.seen = list(room.seen)
+    for display, now, last in zip(control.displays, control.seen, before, strict=True):
+        control.reason = display.why_stopped(now - last) or control.reason
+    if not control.is_group:
+        account: EnergyBalance = control.controller.step(control.seen[0], forces[0])
+        room.commands[0] = account.torque
+        return account
+    balance: GroupBalance = control.controller.step(control.seen, forces)
+    room.commands[:] = balance.torques
+    return balance.account
+
+
+def record_display(
+    control: _DisplayControl, loops: Loops, room: Room, place: CycleState, recorder: Recorder, balance: EnergyBalance
+) -> None:
+    """Replace `take_sync`: record a SYNC.
+
+    Raises:
+        ControlError: The rig stops here.
+    """
+    record(control, loops, room, place, recorder, balance)
+    plants = [display.plant for display in control.displays]
+    control.motion.append([value for plant in plants for value in (plant.position, plant.velocity, plant.force)])
+    if control.reason:
+        raise ControlError(control.reason)
+
+
+def run_display(scene: Scene, cycles: int) -> AdmittanceRun:
+    """Run one axis or one group of admittance displays; an error that would stop the rig ends the run.
+
+    Encoder and force are read in whole counts, commands are whole quanta, and the delay is that of the scene's bus.
+
+    Args:
+        scene: Simulated scene with only that axis or group.
+        cycles: Number of SYNCs.
+
+    Raises:
+        InputError: An axis is not simulated, or is not an admittance display.
+        ParameterError: The controller cannot be built.
+    """
+    control, recorder, reason = _DisplayControl(scene), Recorder(len(scene.axes)), ""
+    motors = Motors(control.displays, scene.bus.sample_time_ns)
+    loops = [LoopSettings(scene.bus.delay, lowest=EVERYWHERE.lowest, highest=EVERYWHERE.highest)] * len(scene.axes)
+    shown: dict[object, object] = {closed_loop.respond: respond_as_display, closed_loop.take_sync: record_display}
+    try:
+        run_in_python({**OBJECTS, **_RECORDED, **shown}, control, loops, motors, None, recorder, cycles)
+    except CanHapticError as error:
+        reason = str(error).splitlines()[0]
+    run = finished(recorder.run("stopped" if reason else "", reason), cycles, EVERYWHERE)
+    moved = np.array(control.motion).reshape(-1, len(scene.axes), 3)
+    return AdmittanceRun(
+        run.rows, run.axes, run.ended, run.reason, run.engine, moved, control.controller.energy_resolution
+    )
+
+
+def display_figures(
+    scene: Scene, cycles: int, metrics: Sequence[str] = tuple(figures.DISPLAY_METRICS)
+) -> dict[str, float]:
+    """Return the figures of one admittance display or group; NaN for figures that only impedance displays have.
+
+    Args:
+        scene: Simulated scene with only that axis or group.
+        cycles: Number of SYNCs.
+        metrics: Names of the figures.
+
+    Raises:
+        InputError: An axis is not simulated.
+        ParameterError: The controller cannot be built.
+    """
+    found = figures.figures_of(run_display(scene, cycles), scene)
+    return {name: found.get(name, nan) for name in metrics}
 
 
 def loop_settings(case: LoopCase, cycles: int) -> LoopSettings:

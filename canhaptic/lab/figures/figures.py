@@ -17,7 +17,7 @@ import numpy as np
 from canhaptic.control.balance import WEAKEST_LAST
 from canhaptic.control.environments import Environment
 from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, diverge, take
-from canhaptic.lab.loop.admittance_loop import AdmittanceRun, felt, run_display
+from canhaptic.lab.loop.admittance_loop import AdmittanceRun, felt
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
 from canhaptic.lab.reference import REST, ContinuousReference
 from canhaptic.scene.models import Scene
@@ -340,22 +340,6 @@ FIELD_FIGURES: Final[dict[str, Figure]] = {
 
 def _most(values: Array) -> float:
     return float(values.max()) if values.size else nan
-
-
-def display_figures(scene: Scene, cycles: int, metrics: Sequence[str] = tuple(DISPLAY_METRICS)) -> dict[str, float]:
-    """Return the figures of one admittance display or group; NaN for figures that only impedance displays have.
-
-    Args:
-        scene: Simulated scene with only that axis or group.
-        cycles: Number of SYNCs.
-        metrics: Names of the figures.
-
-    Raises:
-        InputError: An axis is not simulated.
-        ParameterError: The controller cannot be built.
-    """
-    found = figures_of(run_display(scene, cycles), scene)
-    return {name: found.get(name, nan) for name in metrics}
 
 
 def figures_of(run: AdmittanceRun, scene: Scene) -> dict[str, float]:

@@ -1,25 +1,14 @@
-"""Run an admittance display without a bus: plants, sensors, encoders, controller, and the energies of the plants.
+"""Result of a run of an admittance display without a bus, and the mass and damping that its user feels."""
 
-A run has one axis, or one group of axes with a common account. Encoder and force are read in whole counts, commands are
-whole quanta, and the delay is that of the scene's bus. An error that would stop the rig ends the run.
-"""
-
-from collections import deque
 from dataclasses import dataclass, field
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.control.balance import RANKS, Certificate
-from canhaptic.drive.profile.admittance_parameters import ForceChannel
-from canhaptic.errors import CanHapticError, InputError
-from canhaptic.lab.loop.axis_loop import EVERYWHERE, FURTHEST, Array, LoopRun, Recorder, finished
-from canhaptic.scene.far_side import build_plant
-from canhaptic.scene.method import simulation_of
-from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.scene.parts import build_axis_controller, build_group
-from canhaptic.sim.plant.velocity_drive import AdmittancePlant
+from canhaptic.lab.loop.axis_loop import Array, LoopRun
+from canhaptic.scene.models import Scene
 
 _STILL: Final = 1e-9  # smallest command that counts as motion [m/s or rad/s]
 _FEWEST: Final = 30  # fewest SYNCs for a fit of the apparent mass
@@ -51,89 +40,6 @@ class AdmittanceRun(LoopRun):
         weakest = max(certificate.tolist(), key=RANKS.__getitem__, default=Certificate.EXACT.value)
         cycles = max(1, len(certificate))
         return cut.sum() / max(1, moving), np.count_nonzero(certificate == Certificate.NONE.value) / cycles, weakest
-
-
-class _Motor:
-    """One simulated axis, with its encoder and force sensor."""
-
-    def __init__(self, axis: AxisScene, scene: Scene) -> None:
-        given, display, simulation = axis.parameters, axis.parameters.admittance, simulation_of(axis)
-        if display is None:
-            raise InputError(f"{given.name}: is not an admittance display, expected one")
-        self.name, self._counts = given.name, given.counts_per_unit
-        self.plant = cast(AdmittancePlant, build_plant(simulation, scene.bus.sample_time_ns))
-        self.channel = ForceChannel(display.force, scene.bus.sample_time)
-        own = simulation.drive.display
-        self._per_count = own.force_per_count if own else display.force.per_count
-        self._offset = own.force_offset_counts if own else display.force.offset_counts
-        self.fastest = 2.0 * given.largest_speed * scene.bus.sample_time  # [m or rad] in a hold, as in the link policy
-
-    def position(self) -> float:
-        """Encoder reading [m or rad]."""
-        return round(self.plant.encoder_position * self._counts) / self._counts
-
-    def force(self) -> float:
-        """Sensor reading [N or N*m]."""
-        return self.channel.take(round(self.plant.read_force() / self._per_count + self._offset))
-
-
-def run_display(scene: Scene, cycles: int) -> AdmittanceRun:
-    """Run one axis or one group of admittance displays.
-
-    Args:
-        scene: Simulated scene with only that axis or group.
-        cycles: Number of SYNCs.
-
-    Raises:
-        InputError: An axis is not simulated, or is not an admittance display.
-        ParameterError: The controller cannot be built.
-    """
-    motors, groups = [_Motor(axis, scene) for axis in scene.axes], scene.groups
-    controller: Any = build_group(scene, groups[0]) if groups else build_axis_controller(scene.axes[0])
-    recorder, motion, reason = Recorder(len(motors)), list[list[float]](), ""
-    try:
-        reason = _walk(motors, controller, scene, cycles, recorder, motion)
-    except CanHapticError as error:
-        reason = str(error).splitlines()[0]
-    run = finished(recorder.run("stopped" if reason else "", reason), cycles, EVERYWHERE)
-    moved = np.array(motion).reshape(-1, len(motors), 3)
-    return AdmittanceRun(run.rows, run.axes, run.ended, run.reason, run.engine, moved, controller.energy_resolution)
-
-
-def _walk(
-    motors: list[_Motor], controller: Any, scene: Scene, cycles: int, recorder: Recorder, motion: list[list[float]]
-) -> str:
-    """Run and record every SYNC; return "", or why the rig was stopped."""
-    period = scene.bus.sample_time_ns
-    under_way = deque([[0.0] * len(motors) for _ in range(scene.bus.delay)])
-    held, before, reason = [0.0] * len(motors), [0.0] * len(motors), ""
-    for motor in motors:
-        motor.plant.begin(0)
-    for k in range(cycles):
-        for motor, command in zip(motors if k else (), held, strict=False):
-            motor.plant.advance_to(k * period, command)
-        positions, forces = [motor.position() for motor in motors], [motor.force() for motor in motors]
-        for motor, now, last in zip(motors, positions, before, strict=True):
-            if motor.channel.is_wrong:
-                reason = f"{motor.name}: the force sensor is beyond its range, or frozen"
-            elif k and abs(now - last) > motor.fastest:
-                reason = f"{motor.name}: the position moved faster than the speed limit"
-        if scene.groups:
-            balance = controller.step(positions, [-force for force in forces])
-            commands, account = list(balance.torques), balance.account
-        else:
-            account = controller.step(positions[0], -forces[0])
-            commands = [account.torque]
-        plants = [motor.plant for motor in motors]
-        true, received = [plant.position for plant in plants], 0.0 - sum(plant.energy().motor for plant in plants)
-        recorder.take(received, positions, true, held, account)
-        motion.append([value for plant in plants for value in (plant.position, plant.velocity, plant.force)])
-        if reason or not all(-FURTHEST < now < FURTHEST for now in positions):
-            return reason
-        before = positions
-        under_way.append(commands)
-        held = under_way.popleft()
-    return ""
 
 
 def felt(run: AdmittanceRun, scene: Scene) -> tuple[float, float]:

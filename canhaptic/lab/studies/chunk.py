@@ -26,9 +26,9 @@ from canhaptic.lab.batch import ChosenEngine
 from canhaptic.lab.batch.cases import NotBatchableError, not_in_loop, why_not_batchable, why_not_compared
 from canhaptic.lab.batch.group_loop import group_case
 from canhaptic.lab.batch.marching import run_batch, spectral_radius
-from canhaptic.lab.batch.scalar import group_figures, group_meter, run_scalar
+from canhaptic.lab.batch.scalar import display_figures, group_figures, group_meter, run_scalar
 from canhaptic.lab.batch.varied import BATCH_KEYS
-from canhaptic.lab.figures.figures import ALL, DISPLAY_METRICS, METRICS, OUTCOMES, display_figures
+from canhaptic.lab.figures.figures import ALL, DISPLAY_METRICS, METRICS, OUTCOMES
 from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.loop.admittance_loop import is_display
 from canhaptic.lab.loop.axis_loop import Array

@@ -17,7 +17,7 @@ from canhaptic.control.multi_axis.group_kernel import (
     world_of,
     write_efforts,
 )
-from canhaptic.lab.batch.group_loop import Motors
+from canhaptic.lab.batch.group_loop import motors_of
 from canhaptic.lab.batch.scalar import render_group
 from canhaptic.lab.judge.reference_group import mechanism_model
 from canhaptic.lab.judge.solvers import located
@@ -69,7 +69,7 @@ def held_finely(scene: Scene, cycles: int) -> np.ndarray:
     ideal = [axis.loop.model_copy(update={"encoder_count": 0.0}) for axis in axes]
     world = world_of(cast(Any, group.network.parameters), cast(Any, group.kinematics.parameters), tuple(ideal))
     settings = motion_settings(world, tuple(ideal))
-    memory, state, motors = motion_memory(world, settings), MotionState(), Motors(scene, axes)
+    memory, state, motors = motion_memory(world, settings), MotionState(), motors_of(scene, axes)
     request, still = RequestedEfforts(*([0.0] * len(axes) for _ in range(4))), [0.0] * len(axes)
     before, rows = list(motors.positions()), [list(motors.positions())]
     begin_motion(world, settings, state, memory, before)

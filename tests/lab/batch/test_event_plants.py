@@ -81,7 +81,7 @@ class _Watched:
     def run(self, some, plants, stopped):
         for one in some:
             self._loops.run([one], plants, stopped)
-            self.events.append(plants.plant.counts[1])
+            self.events.append(plants.plants[0].counts[1])
 
     def __getattr__(self, name):
         return getattr(self._loops, name)

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.lab.batch.scalar import render_by, work_of
-from canhaptic.lab.figures.meter import MeterSettings
+from canhaptic.lab.batch.closed_loop import CycleState, room_for
+from canhaptic.lab.batch.scalar import record, render_by, work_of
 from canhaptic.lab.loop.axis_loop import Reach, Recorder, loop_case
 from canhaptic.lab.studies.accuracy.loop_sensitivity import engines_of, variants
 from canhaptic.lab.studies.compare import compare
@@ -20,15 +19,22 @@ def case_of(scene):
     return loop_case(scene.axes[0], scene)
 
 
-def test_a_row_holds_what_a_recorder_takes():
+@pytest.mark.parametrize("motors", [1, 2])
+def test_a_row_holds_what_a_recorder_takes(motors):
     pytest.importorskip("numba")
     from canhaptic.lab.batch.compiled_loops import keep
 
-    balance = EnergyBalance(*(float(i) for i in range(4, 19)))  # type: ignore[arg-type]
-    rows, recorder = [[0.0] * 19, [0.0] * 19], Recorder()
-    keep(SpringDamperWall(stiffness=1.0), MeterSettings(), rows, 1, 1.0, 2.0, 3.0, 0.0, balance)
-    assert rows == [[0.0] * 19, [float(i) for i in range(19)]]
-    recorder.take(0.0, (1.0,), (2.0,), (3.0,), balance)
+    width = 16 + 3 * motors
+    values = [float(i) for i in range(width)]
+    balance = EnergyBalance(*values[-15:])  # type: ignore[arg-type]
+    rows, recorder = [[0.0] * width, [0.0] * width], Recorder(motors)
+    room, place = room_for(motors), CycleState(cycle=1, supplied=3.0, work=3.0)
+    buffers = zip((room.seen, room.true, room.held), (1, 1 + motors, 1 + 2 * motors), strict=True)
+    for buffer, first in buffers:
+        buffer[:] = values[first : first + motors]
+    keep(None, [], room, place, rows, balance)
+    assert rows == [[0.0] * width, values]
+    record(None, [], room, place, recorder, balance)
     assert recorder.run().rows.tolist() == rows[1:]
 
 

@@ -5,14 +5,13 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.mechanisms.kinematics import PoseAsked
 from canhaptic.control.mechanisms.transmission import Transmission
-from canhaptic.control.multi_axis.group_kernel import GroupHold, why_not_world
+from canhaptic.control.multi_axis.group_kernel import why_not_world
 from canhaptic.errors import ParameterError
-from canhaptic.lab.batch.group_loop import GroupMeter, LinearMotors, group_case, shares
+from canhaptic.lab.batch.closed_loop import LinearMotors
+from canhaptic.lab.batch.group_loop import GroupMeter, group_case, shares
 from canhaptic.lab.batch.scalar import group_meter, render_group
-from canhaptic.lab.loop.axis_loop import Recorder
 from canhaptic.lab.studies.chunk import ENGINES
 from canhaptic.lab.studies.compare import compare
 from canhaptic.lab.studies.store import SweepTable
@@ -178,24 +177,6 @@ def test_a_sweep_of_groups_says_what_computed_it(tmp_path) -> None:
             assert table.engine().tolist() == [ENGINES.index(computed)] * 2
             found.append(table.figure("stage", "believed_error").tolist())
     assert found[0] == found[1]
-
-
-def test_a_row_of_a_group_holds_what_its_recorder_takes() -> None:
-    pytest.importorskip("numba")
-    from canhaptic.lab.batch.compiled_loops import keep_group
-
-    case = group_case(scene_of("xy_box"))
-    room, meter, rows = case.room(), GroupMeter(supplied=3.0, work=1.0), [[0.0] * 22, [0.0] * 22]
-    for buffer, values in ((room.seen, [3.0, 4.0]), (room.true, [5.0, 6.0]), (room.held, [7.0, 8.0])):
-        buffer[:] = values
-    meter.figures.cycles = 1.0
-    balance = EnergyBalance(*(float(i) for i in range(9, 24)))  # type: ignore[arg-type]
-    keep_group(case.rig, room, meter, rows, GroupHold(balance, 0.0, 0.0, 0.0, 0, 0))
-    assert rows == [[0.0] * 22, [2.0, *(float(i) for i in range(3, 24))]]
-    assert meter.figures.cycles == 2.0
-    recorder = Recorder(2)
-    recorder.take(2.0, room.seen, room.true, room.held, balance)
-    assert recorder.run().rows.tolist() == rows[1:]
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
-from canhaptic.lab.loop.admittance_loop import run_display
+from canhaptic.lab.batch.scalar import run_display
 from canhaptic.lab.render.accuracy_picture import draw_accuracy
 from canhaptic.lab.studies.accuracy.loop_sensitivity import exact_display, study_display, why_no_equations
 from canhaptic.scene.load import load_scene

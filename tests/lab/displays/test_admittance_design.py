@@ -7,7 +7,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.errors import CheckFailedError
-from canhaptic.lab.figures.figures import display_figures
+from canhaptic.lab.batch.scalar import display_figures
 from canhaptic.lab.studies.design import search
 from canhaptic.lab.studies.design.search import design_displays
 from canhaptic.scene.load import load_scene

@@ -11,8 +11,9 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.lab.figures.figures import DISPLAY_METRICS, display_figures
-from canhaptic.lab.loop.admittance_loop import AdmittanceRun, felt, run_display
+from canhaptic.lab.batch.scalar import display_figures, run_display
+from canhaptic.lab.figures.figures import DISPLAY_METRICS
+from canhaptic.lab.loop.admittance_loop import AdmittanceRun, felt
 from canhaptic.lab.loop.axis_loop import parts_of
 from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.displays import display_properties, refuse_displays

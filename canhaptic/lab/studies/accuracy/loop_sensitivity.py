@@ -29,13 +29,13 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
 from canhaptic.errors import CanHapticError, InputError, ParameterError
 from canhaptic.lab.batch import WORTH_COMPILING, WORTH_COMPILING_GROUPS, ChosenEngine, Engine, chosen_engine
-from canhaptic.lab.batch.scalar import render_by, render_group, work_of
+from canhaptic.lab.batch.scalar import render_by, render_group, run_display, work_of
 from canhaptic.lab.figures.figures import figures_of
 from canhaptic.lab.judge.reference_group import DisplayModel
 from canhaptic.lab.judge.reference_model import MotionError
 from canhaptic.lab.judge.solvers import located
 from canhaptic.lab.loop import axis_loop
-from canhaptic.lab.loop.admittance_loop import AdmittanceRun, is_display, run_display
+from canhaptic.lab.loop.admittance_loop import AdmittanceRun, is_display
 from canhaptic.lab.loop.axis_loop import at_rate, parts_of
 from canhaptic.lab.reference import ContinuousRun
 from canhaptic.lab.studies import Row

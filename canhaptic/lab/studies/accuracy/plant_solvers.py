@@ -19,7 +19,7 @@ import numpy as np
 
 from canhaptic.axis_units import counted
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.lab.batch.group_loop import Motors
+from canhaptic.lab.batch.group_loop import Motors, motors_of
 from canhaptic.lab.batch.scalar import render_group
 from canhaptic.lab.judge import solvers
 from canhaptic.lab.judge.reference_group import ReferenceMechanism
@@ -488,7 +488,7 @@ class _Mechanism(_Solved):
         axes = [scene.axis(name) for name in scene.groups[0].axes]
 
         def run(look: Callable[[Motors], object]) -> tuple[list[Any], int]:
-            motors, found = Motors(scene, axes), []
+            motors, found = motors_of(scene, axes), []
             for k, torques in enumerate(self.torques):
                 motors.advance_to((k + 1) * self._period, tuple(torques))
                 found.append(look(motors))

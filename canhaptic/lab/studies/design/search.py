@@ -28,7 +28,7 @@ from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParamete
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import CheckFailedError, InputError
 from canhaptic.lab.batch import Engine
-from canhaptic.lab.figures.figures import display_figures
+from canhaptic.lab.batch.scalar import display_figures
 from canhaptic.lab.loop.axis_loop import Array, parts_of, require_design_room
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.chunk import places_of
