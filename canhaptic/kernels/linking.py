@@ -253,7 +253,7 @@ def _items_of(whole_ir: Numba, variable: Numba) -> list[Numba]:
 
 
 def _zero_of(kind: Numba, name: str) -> float | None:
-    """Return the zero for which a field of a record stands; None if it has a value in each record."""
+    """Return the zero that every record has in a field; None where the records differ."""
     if not isinstance(kind, types.Record) or name in kind.fields:
         return None
     return next((zero for zero in (0, 0.0, False) if of_zero(name, type(zero)) in kind.fields), None)

@@ -125,7 +125,7 @@ def record_type(values: Sequence[object]) -> np.dtype[np.void]:
 
 
 def of_zero(name: str, kind: type) -> str:
-    """Return the name of the field that stands for a field of zeros, given the type of its numbers."""
+    """Return the name of the field that replaces a field of zeros, given the type of its numbers."""
     return f"{name} = {kind()}"
 
 
@@ -157,7 +157,7 @@ def _flat(kind: _Kind, path: str = "", offset: int = 0) -> Iterable[tuple[str, _
     for name, (part, at, *_) in (kind.fields or {}).items():
         if part.fields:
             yield from _flat(part, f"{path}{name}.", offset + at)
-        elif " = " not in name:  # which stands for a field of zeros
+        elif " = " not in name:  # which replaces a field of zeros
             yield path + name, part, offset + at
 
 

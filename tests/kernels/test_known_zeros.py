@@ -60,7 +60,7 @@ def test_a_number_that_is_zero_in_all_scenes_is_left_out_of_their_records() -> N
     assert rows.dtype.names == ("inner", "losses", "exists = False", "offset")
     assert rows.dtype["inner"].names == ("late = 0.0", "gain")
     assert rows["losses"].tolist() == [0, 2]
-    assert rows["offset"].tolist() == [1.0, 0.0]  # 0 in one alone, and nobody marked it
+    assert rows["offset"].tolist() == [1.0, 0.0]  # not marked
     assert rows["inner"]["gain"].tolist() == [2.0, 2.0]
 
 
