@@ -305,7 +305,7 @@ def run_first(count: Count, recipe: Recipe, start: int, columns: Mapping[str, Co
     that the figures do not depend on which scenes Python ran.
 
     Args:
-        count: Finished scenes of the sweep; it is told when compiling begins.
+        count: Count of the finished scenes of the sweep, which shows that a loop is being compiled.
         recipe: As for `run_chunk`, like the other arguments.
         start: Index of the first scene.
         columns: Values of the scenes.
