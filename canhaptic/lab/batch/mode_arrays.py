@@ -40,10 +40,10 @@ def move(columns: Matrix, state: Buffer, moved: Buffer) -> None:
 
 def evaluate(guards: Matrix, state: Buffer, values: Buffer) -> Buffer:
     """Write the matrix, given by its rows, times the state into `values`, and return it."""
-    columns = range(len(state))
+    size = len(state)
     for row in range(len(guards)):
         factors, total = guards[row], 0.0
-        for column in columns:
+        for column in range(size):
             total += factors[column] * state[column]
         values[row] = total
     return values
