@@ -29,7 +29,8 @@ from canhaptic.control.port_hamiltonian.shapes.sphere import Round
 from canhaptic.control.port_hamiltonian.shapes.tube import AroundLine
 from canhaptic.errors import ParameterError
 from canhaptic.lab.batch import closed_loop
-from canhaptic.lab.batch.closed_loop import run_loop, watch_continuous
+from canhaptic.lab.batch.closed_loop import run_loop
+from canhaptic.lab.batch.continuous_run import watch_continuous
 from canhaptic.lab.batch.group_loop import explain, move_five_bar, respond_as_group, step, take_group
 from canhaptic.lab.batch.plants import (
     book_motor,

@@ -23,7 +23,8 @@ from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.kernels import Kernel
 from canhaptic.lab.batch import plants as event_plant
-from canhaptic.lab.batch.closed_loop import LinearPlants, LoopSettings, Losses, ReferenceSettings
+from canhaptic.lab.batch.closed_loop import LinearPlants, LoopSettings, Losses
+from canhaptic.lab.batch.continuous_run import ReferenceSettings
 from canhaptic.lab.batch.varied import scene_with, split_key
 from canhaptic.lab.figures.figures import CONTINUOUS, last_rows
 from canhaptic.lab.figures.meter import MeterSettings

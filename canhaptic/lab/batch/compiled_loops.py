@@ -24,7 +24,8 @@ from canhaptic.kernels.compiler import compiled, fixed_tuple, tuple_type
 from canhaptic.kernels.records import Records, arrays_of, record_of, records_of
 from canhaptic.lab.batch import cases, closed_loop
 from canhaptic.lab.batch.cases import NotBatchableError
-from canhaptic.lab.batch.closed_loop import AxisControl, Continuous, ReferenceMemory, follow, motors_at, run_loop
+from canhaptic.lab.batch.closed_loop import AxisControl, motors_at, run_loop
+from canhaptic.lab.batch.continuous_run import TERMS, Continuous, ReferenceMemory, ReferenceState, follow
 from canhaptic.lab.batch.group_loop import GroupCase, GroupControl, GroupMeter, TrueNetwork
 from canhaptic.lab.batch.plants import CALLS, Plants, Stopped, loop_replacements, never_stopped, run_event_plants
 from canhaptic.lab.figures.meter import Meter, diverge
@@ -113,7 +114,7 @@ class CompiledLoops:
         self._loops = records_of([row.loop for row in rows])[:, None]
         self._continuous = records_of(modes.settings)
         self.meters: Any = np.repeat(records_of([Meter()]), len(rows))
-        self.references = np.repeat(records_of([closed_loop.ReferenceState()]), len(rows))
+        self.references = np.repeat(records_of([ReferenceState()]), len(rows))
         self._kind = tuple_type(rows[0].environment)
         numbers = attrgetter(*self._kind._fields)
         self._table = np.array([numbers(row.environment) for row in rows], dtype=float).reshape(len(rows), -1)
@@ -136,7 +137,7 @@ class CompiledLoops:
         given = (
             self._table[some], self._settings[some], self._loops[some], states, memory, zeros, meters, plants, rooms,
             places, self._continuous[some], references, _of(modes.flows, some), _of(modes.rates, some), mode_states,
-            np.empty(size), np.empty((closed_loop.TERMS, size)),
+            np.empty(size), np.empty((TERMS, size)),
         )  # fmt: skip
         first = 0
         while first < len(some):

@@ -17,7 +17,7 @@ import numpy as np
 from canhaptic.control.environments import Environment
 from canhaptic.errors import EventLimitError, ParameterError
 from canhaptic.kernels import Run, list_of_zeros
-from canhaptic.lab.batch import WORTH_COMPILING, Engine, cases, chosen_engine, closed_loop
+from canhaptic.lab.batch import WORTH_COMPILING, Engine, cases, chosen_engine, closed_loop, continuous_run
 from canhaptic.lab.batch.cases import NotBatchableError
 from canhaptic.lab.batch.plants import Plants, Stopped, loop_replacements, never_stopped, run_event_plants
 from canhaptic.lab.batch.varied import scene_with
@@ -41,7 +41,7 @@ class InterpretedLoops:
         self._kernel, self._rows, self._modes, self._cycles, instead = job
         self._instead = {**instead, closed_loop.step: self._kernel.step}
         self.meters = [Meter() for _ in self._rows]
-        self.references = [closed_loop.ReferenceState() for _ in self._rows]
+        self.references = [continuous_run.ReferenceState() for _ in self._rows]
 
     def run(self, some: Sequence[int], plants: Plants, stopped: Stopped) -> None:
         """Run the loops of the given scenes; `meters` then holds their sums.
@@ -55,7 +55,7 @@ class InterpretedLoops:
         for number, i in enumerate(some):
             row, kernel = self._rows[i], self._kernel
             run = Run(row.settings, kernel.state(), kernel.memory(row.settings, list_of_zeros))
-            continuous = closed_loop.Continuous(
+            continuous = continuous_run.Continuous(
                 self._modes.settings[i], self.references[i], reference_memory_of(self._modes, i)
             )
             cycle = closed_loop.run_in_python(
@@ -66,11 +66,11 @@ class InterpretedLoops:
                 stopped(plants, i, cycle)
 
 
-def reference_memory_of(modes: cases.ContinuousModes, row: int) -> closed_loop.ReferenceMemory:
+def reference_memory_of(modes: cases.ContinuousModes, row: int) -> continuous_run.ReferenceMemory:
     """Return the matrices and buffers of one scene's continuous run, as lists."""
     flows, rates, starts = (values[row % len(values)].tolist() for values in modes[1:])
-    return closed_loop.ReferenceMemory(
-        flows, rates, starts, list(starts), [[0.0] * len(starts) for _ in range(closed_loop.TERMS)]
+    return continuous_run.ReferenceMemory(
+        flows, rates, starts, list(starts), [[0.0] * len(starts) for _ in range(continuous_run.TERMS)]
     )
 
 
@@ -142,7 +142,7 @@ def _part(
     rows = list(cases.scene_rows(case, kernel, count))
     instead = loop_replacements([plant.scene() for plant in case.plants[:1]])
     if modes.exist.any():
-        instead[closed_loop.watch] = closed_loop.watch_continuous
+        instead[closed_loop.watch] = continuous_run.watch_continuous
     job = cases.LoopJob(kernel, rows, modes, cycles, instead)
     if listed:
         loops: Any = InterpretedLoops(job)

@@ -6,7 +6,7 @@ names. For a group their meaning is: energies are sums over all its motors and a
 group has no single position.
 
 `continuous_reference` gives motion and force in the continuous environment, the reference for sampled algorithms. A
-wall, damper or free space on a linear plant is solved in closed form between events (`closed_loop.follow_hold`); any
+wall, damper or free space on a linear plant is solved in closed form between events (`continuous_run.follow_hold`); any
 other environment or plant is integrated by DOP853 on the textbook plant (`canhaptic.lab.reference`).
 """
 
@@ -36,7 +36,8 @@ from canhaptic.lab.batch.cases import (
     why_not_compiled,
     why_not_continuous,
 )
-from canhaptic.lab.batch.closed_loop import CycleState, Loops, LoopSettings, ReferenceState, Room, run_in_python
+from canhaptic.lab.batch.closed_loop import CycleState, Loops, LoopSettings, Room, run_in_python
+from canhaptic.lab.batch.continuous_run import ReferenceState, begin_reference, follow_hold
 from canhaptic.lab.batch.group_loop import OBJECTS, GroupCase, GroupControl, GroupMeter, Motors, TrueNetwork, group_case
 from canhaptic.lab.batch.marching import reference_memory_of
 from canhaptic.lab.batch.plants import PlantValues, is_linear
@@ -467,9 +468,9 @@ def _in_closed_form(
     if not settings.exists:
         return None
     motion = np.empty((count, 2))
-    closed_loop.begin_reference(settings, state, memory)
+    begin_reference(settings, state, memory)
     for k in range(count):
         if k:
-            closed_loop.follow_hold(settings, state, memory)
+            follow_hold(settings, state, memory)
         motion[k] = memory.state[0], memory.state[1]
     return motion[:, 0], motion[:, 1]

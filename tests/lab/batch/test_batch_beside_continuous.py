@@ -7,7 +7,7 @@ import pytest
 
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.lab.batch.cases import continuous_modes, why_not_continuous
-from canhaptic.lab.batch.closed_loop import ReferenceState, begin_reference, follow_hold
+from canhaptic.lab.batch.continuous_run import ReferenceState, begin_reference, follow_hold
 from canhaptic.lab.batch.marching import march, reference_memory_of, run_batch
 from canhaptic.lab.batch.scalar import continuous_reference, render, run_scalar
 from canhaptic.lab.batch.varied import scene_with
