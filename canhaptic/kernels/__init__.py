@@ -39,7 +39,7 @@ MemoryT = TypeVar("MemoryT")
 
 OFTEN_ZERO: Final = "often zero"
 """Mark of a number in settings, `Annotated[float, OFTEN_ZERO]`: if it is 0 in all scenes, it is a constant of their
-compiled loop, which leaves out what only another value needs."""
+compiled loop, which leaves out what only another value needs. Scenes with other zeros have a loop of their own."""
 
 new: Final = tuple.__new__
 """Makes a NamedTuple from a tuple in half the time of calling its class: `new(EnergyBalance, (0.0, ...))`."""

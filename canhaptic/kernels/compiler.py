@@ -188,7 +188,7 @@ def _say_that_nothing_is_kept() -> None:
     """Warn once, in the process that the user started."""
     if parent_process() is None:
         text = (
-            "compiled code is not kept, and each run compiles for 1 to 10 s: the folder canhaptic/kernels in "
+            "compiled code is not kept, and each run compiles for 3 to 15 s: the folder canhaptic/kernels in "
             "XDG_CACHE_HOME, or in ~/.cache, cannot be written, or others can read it; make it private (chmod 700)"
         )
         warnings.warn(text, RuntimeWarning, stacklevel=2)

@@ -221,19 +221,28 @@ class KnownZeros(compiler_machinery.FunctionPass):
 
 
 def _type_of(whole_ir: Numba, variable: Numba, args: tuple[Numba, ...]) -> Numba:
-    """Return the type of a variable that is an argument or a part of one; None for another."""
+    """Return the type of a variable that is an argument or a part of one; a list of types for a tuple of variables."""
     found = guard(get_definition, whole_ir, variable)
     if isinstance(found, ir.Arg):
         return args[found.index]
     match getattr(found, "op", ""):
+        case "build_tuple":
+            return [_type_of(whole_ir, item, args) for item in found.items]
+        case "exhaust_iter":
+            return _type_of(whole_ir, found.value, args)
         case "getattr":
             return _part_of(_type_of(whole_ir, found.value, args), found.attr)
-        case "static_getitem" if items := _items_of(whole_ir, found.value):
-            return _type_of(whole_ir, items[found.index], args)
-        case "getitem" | "static_getitem":
-            array = _type_of(whole_ir, found.value, args)
-            return array.dtype if isinstance(array, types.Array) and array.ndim == 1 else None
+        case "static_getitem" | "getitem":
+            return _item_of(_type_of(whole_ir, found.value, args), found.index)
     return None
+
+
+def _item_of(kind: Numba, index: Numba) -> Numba:
+    """Return the type of an item of an array or tuple; None if it is not known."""
+    if isinstance(kind, types.Array):
+        return kind.dtype if kind.ndim == 1 else None
+    is_tuple = isinstance(kind, list | types.BaseTuple) and isinstance(index, int)
+    return cast(Numba, kind)[index] if is_tuple else None
 
 
 def _part_of(kind: Numba, name: str) -> Numba:
@@ -243,18 +252,9 @@ def _part_of(kind: Numba, name: str) -> Numba:
     return dict(zip(getattr(kind, "fields", ()), getattr(kind, "types", ()), strict=True)).get(name)
 
 
-def _items_of(whole_ir: Numba, variable: Numba) -> list[Numba]:
-    """Return the variables on the right of `a, b, c, d = w, x, y, z`, given the tuple that is taken apart."""
-    unpacked: Numba = guard(get_definition, whole_ir, variable)
-    built: Numba = unpacked
-    if getattr(unpacked, "op", "") == "exhaust_iter":
-        built = guard(get_definition, whole_ir, unpacked.value)
-    return built.items if getattr(built, "op", "") == "build_tuple" else []
-
-
 def _zero_of(kind: Numba, name: str) -> float | None:
     """Return the zero that every record has in a field; None where the records differ."""
-    if not isinstance(kind, types.Record) or name in kind.fields:
+    if not isinstance(kind, types.Record):
         return None
     return next((zero for zero in (0, 0.0, False) if of_zero(name, type(zero)) in kind.fields), None)
 

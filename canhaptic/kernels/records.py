@@ -108,24 +108,24 @@ _ARRAYS: Final[dict[object, type[np.generic]]] = {Buffer: np.float64, Matrix: np
 _NUMBER: Final = (float, int, np.generic)
 
 
-def record_type(values: Sequence[object]) -> np.dtype[np.void]:
+def record_type(values: Sequence[object], *, plain: bool = False) -> np.dtype[np.void]:
     """NumPy record type of the numbers of similar objects, nested objects included; see `_parts_of`.
 
-    A field of `OFTEN_ZERO` that is 0 in all of them is left out; another field, named by `of_zero`, says so.
+    A further field, named by `of_zero`, says that a field of `OFTEN_ZERO` is 0 in all of them; none does if `plain`.
     """
-    kinds, often_zero = list[tuple[str, object]](), _often_zero(values[0])
+    kinds, often_zero = list[tuple[str, object]](), set[str]() if plain else _often_zero(values[0])
     for name, part in _parts_of(values[0]):
         if not isinstance(part, _NUMBER):
-            kinds.append((name, record_type([getattr(value, name) for value in values])))
-        elif name in often_zero and not any(getattr(value, name) for value in values):
+            kinds.append((name, record_type([getattr(value, name) for value in values], plain=plain)))
+            continue
+        kinds.append((name, type(part)))
+        if name in often_zero and not any(getattr(value, name) for value in values):
             kinds.append((of_zero(name, type(part)), np.int8))
-        else:
-            kinds.append((name, type(part)))
     return np.dtype(kinds, align=True)
 
 
 def of_zero(name: str, kind: type) -> str:
-    """Return the name of the field that replaces a field of zeros, given the type of its numbers."""
+    """Return the name of the field that marks a field of zeros, given the type of its numbers."""
     return f"{name} = {kind()}"
 
 
@@ -141,10 +141,10 @@ def _parts_of(value: object) -> list[tuple[str, object]]:
     return [(name, part) for name, part in vars(value).items() if isinstance(part, _NUMBER)]
 
 
-def records_of(values: Iterable[object]) -> Records:
-    """Return dataclasses of one class as records, shape (n,)."""
+def records_of(values: Iterable[object], *, plain: bool = False) -> Records:
+    """Return dataclasses of one class as records, shape (n,); `plain` as for `record_type`."""
     values = list(values)
-    kind = record_type(values)
+    kind = record_type(values, plain=plain)
     names, kinds, offsets = zip(*_flat(kind), strict=True)
     flat = np.dtype({"names": names, "formats": kinds, "offsets": offsets, "itemsize": kind.itemsize})
     read = attrgetter(*names)
@@ -157,7 +157,7 @@ def _flat(kind: _Kind, path: str = "", offset: int = 0) -> Iterable[tuple[str, _
     for name, (part, at, *_) in (kind.fields or {}).items():
         if part.fields:
             yield from _flat(part, f"{path}{name}.", offset + at)
-        elif " = " not in name:  # which replaces a field of zeros
+        elif " = " not in name:  # which marks a field of zeros
             yield path + name, part, offset + at
 
 
@@ -202,10 +202,10 @@ def _record_type(value: object) -> np.dtype[np.void]:
             parts.append((name, *_form(annotation, part)))
         elif isinstance(part, list):
             parts.append((name, record_type(part), (len(part),)))
-        elif name in often_zero and not part:
-            parts.append((of_zero(name, type(part)), np.int8))
         else:
             parts.append((name, _record_type(part)))
+        if name in often_zero and not part:
+            parts.append((of_zero(name, type(part)), np.int8))
     return np.dtype(parts, align=True) if parts else cast("np.dtype[np.void]", np.dtype(kind))
 
 
@@ -216,7 +216,7 @@ def _form(annotation: object, value: Buffer | Matrix | Indices) -> tuple[type[np
 
 
 def _fill(record: np.void, value: object) -> None:
-    for name in {*fields_of(value)} & {*(record.dtype.names or ())}:
+    for name in fields_of(value):
         part = getattr(value, name)
         if hasattr(part, "_fields"):
             _fill(record[name], part)

@@ -37,7 +37,7 @@ def test_the_table_shows_the_algorithm_that_gives_energy(capsys: pytest.CaptureF
     assert main(["compare", str(CONFIGS / "xy_box.yaml"), "--duration", "2"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert next(line for line in lines if "passive" in line).split()[-2:] == ["yes", "no"]
-    guarded, _, scaled, _ = next(line for line in lines if "from the plant" in line).split()[6:]
+    guarded, _, scaled, _ = next(line for line in lines if "net energy (plant)" in line).split()[-4:]
     assert (guarded, scaled[0]) == ("0", "-")
 
 

@@ -210,7 +210,8 @@ class Attack:
         kind = tuple_type(environment)
         settings = Guarded.kernel.settings(environment, parameters, declared)
         self._numbers = np.array([getattr(environment, name) for name in kind._fields], dtype=float)
-        self._settings, self._rest = records_of([settings])[0], records_of([Guarded.kernel.state()])
+        self._settings = records_of([settings], plain=True)[0]  # one machine code for every rig
+        self._rest = records_of([Guarded.kernel.state()])
         self._states = self._rest.copy()
         lengths: list[int] = []
 

@@ -1,8 +1,8 @@
 """Loops of axes and groups compiled by numba, each with its controller, plant and figures; needs the extra `fast`.
 
-For studies that need every SYNC, `keep` writes rows (`compiled_rows`, `compiled_group_rows`). A
-compiled linear plant adds its products in another order than `Plant`, so that its rows differ from those of
-`scalar.render` by rounding; use `render` where the last bit matters.
+For studies that need every SYNC, `keep` writes rows (`compiled_rows`, `compiled_group_rows`). A compiled linear plant
+adds its products in another order than `Plant`, so that its rows differ from those of `scalar.render` by rounding; use
+`render` where the last bit matters.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ from canhaptic.lab.batch.closed_loop import AxisControl, motors_at, run_loop
 from canhaptic.lab.batch.continuous_run import TERMS, Continuous, ReferenceMemory, ReferenceState, follow
 from canhaptic.lab.batch.group_loop import GroupCase, GroupControl, GroupMeter, TrueNetwork
 from canhaptic.lab.batch.plants import CALLS, Plants, Stopped, loop_replacements, never_stopped, run_event_plants
-from canhaptic.lab.figures.meter import Meter, diverge
+from canhaptic.lab.figures.meter import Meter, diverge, miss
 from canhaptic.lab.loop.axis_loop import Array, LoopCase, Reach
 from canhaptic.sim.plant import stepper
 from canhaptic.sim.plant.effects.encoder_noise import gaussian, noise, uniform
@@ -296,7 +296,7 @@ def keep(
 
 _KEPT: Final[Mapping[object, object]] = {
     closed_loop.take_sync: keep,
-    closed_loop.miss_sync: closed_loop.nothing,
+    miss: closed_loop.nothing,
     diverge: closed_loop.nothing,
 }
 """Replacements of functions of the loop that keep rows."""

@@ -402,7 +402,7 @@ def by_its_way() -> dict[object, object]:
 
 
 def loop_replacements(scenes: Sequence[PlantModel]) -> dict[object, object]:
-    """Return the replacements of functions of the loop for plants with events, which one loop moves; none for none."""
+    """Return the replacements of functions of the loop for plants with events; an empty one without such plants."""
     if not scenes:
         return {}
     found: dict[object, object] = {

@@ -1,4 +1,4 @@
-"""Run one axis or one group without a bus, in Python or compiled: its figures, or a record of every SYNC.
+"""Run one axis, group or admittance display without a bus, in Python or compiled: figures, or a record of every SYNC.
 
 It takes every plant, also those that do not fit a batch, and is the reference for batches. The figures have the same
 names. For a group their meaning is: energies are sums over all its motors and a mover; torques are Euclidean norms,

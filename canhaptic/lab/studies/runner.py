@@ -33,7 +33,7 @@ class Progress(NamedTuple):
     done: int  # cases whose results are in the store
     total: int
     begun: int  # cases that an earlier run had finished
-    compiles: bool = False  # whether a loop is being compiled while Python runs some
+    compiles: bool = False  # whether a loop is being compiled
 
 
 class Job(NamedTuple):
@@ -67,9 +67,9 @@ class Count:
         self.state = self.state._replace(done=self.state.done + cases)
         self._progress(self.state)
 
-    def compiling(self, cases: int) -> None:
-        """Show how many cases of the running job are done while their loop is being compiled."""
-        self._progress(self.state._replace(done=self.state.done + cases, compiles=True))
+    def within(self, cases: int, *, compiles: bool) -> None:
+        """Show how many cases of the running job are done, and whether their loop is being compiled."""
+        self._progress(self.state._replace(done=self.state.done + cases, compiles=compiles))
 
 
 class SerialExecutor(Executor):

@@ -3,7 +3,7 @@
 The result of a scene depends only on its values and its global index, so that one thread, a pool and a cluster write
 the same bits; only the order in which chunks become ready differs.
 
-Where the loop of the scenes is new, `run_first` lets Python run the first ones, and compiles where that saves time.
+Where the loop of the scenes is new, `FirstUse` lets Python run the first ones, and compiles where that saves time.
 """
 
 import json
@@ -128,7 +128,7 @@ def sweep(
         if executor is None and processes and cores > 1 and _is_long(asked):
             executor = stack.enter_context(pool_of(cores))
         elif executor is None and asked.is_auto and asked.recipe.engine == "numba":
-            run = partial(run_first, count)
+            run = FirstUse(count).run
         jobs = [_job(table, chunk, asked.recipe, run) for chunk in np.flatnonzero(~table.done()).tolist()]
         run_jobs(jobs, executor, stop_requested, path, count, in_flight)
         return count.state
@@ -294,38 +294,53 @@ def _words(value: Any) -> str:
 
 _FIRST: Final = 2
 """Scenes that Python runs to measure the time of one."""
+_SLICE: Final = 0.5
+"""Time that Python spends on further scenes before it is asked again whether compiling pays [s]."""
 _COMPILING: Final = 8.0
 """Approximate time of compiling [s]."""
 
 
-def run_first(count: Count, recipe: Recipe, start: int, columns: Mapping[str, Column]) -> ChunkResult:
-    """Return the figures of a chunk; see `run_chunk`. Where its loop is new, Python runs the first scenes.
+class FirstUse:
+    """Runs chunks; while their loop is not compiled, Python runs some of the scenes.
 
-    From their time it follows whether the rest of the sweep is worth compiling. Both engines give the same bits, so
-    that the figures do not depend on which scenes Python ran.
+    A loop is compiled as soon as Python would take longer for the scenes that are left, by the time of the last ones,
+    than compiling takes, or has already taken longer. Both engines give the same bits, so that the figures do not
+    depend on which scenes Python ran.
 
     Args:
-        count: Count of the finished scenes of the sweep, which shows that a loop is being compiled.
-        recipe: As for `run_chunk`, like the other arguments.
-        start: Index of the first scene.
-        columns: Values of the scenes.
+        count: Finished scenes of the sweep.
     """
-    from canhaptic.kernels.compiler import if_kept  # numba is installed
 
-    found = if_kept(run_chunk, recipe, start, columns)
-    if found is not None:
-        return found
-    clock, first = WallClock(), {key: values[:_FIRST] for key, values in columns.items()}
-    began, in_python = clock.now(), replace(recipe, engine="python")
-    part, done = run_chunk(in_python, start, first), len(next(iter(first.values())))
-    rest = {key: values[done:] for key, values in columns.items()}
-    if done == len(next(iter(columns.values()))):
-        return part
-    left = count.state.total - count.state.done - done
-    pays = (clock.now() - began) * 1e-9 / done * left > _COMPILING
-    if pays:
-        count.compiling(done)
-    return joined([part, run_chunk(recipe if pays else in_python, start + done, rest)])
+    def __init__(self, count: Count) -> None:
+        self._count = count
+        self._each = 0.0  # time of a scene in Python, by the last ones [s]
+        self._spent = 0.0  # time of all scenes in Python [s]
+
+    def run(self, recipe: Recipe, start: int, columns: Mapping[str, Column]) -> ChunkResult:
+        """Return the figures of a chunk; see `run_chunk`."""
+        from canhaptic.kernels.compiler import if_kept  # numba is installed
+
+        found = if_kept(run_chunk, recipe, start, columns)
+        if found is not None:
+            return found
+        clock, scenes, done, parts = WallClock(), len(next(iter(columns.values()))), 0, list[ChunkResult]()
+        size = _FIRST
+        while done < scenes:
+            compiles = self._pays(done)
+            size = scenes - done if compiles else min(size, scenes - done)
+            self._count.within(done, compiles=compiles)
+            rows = {key: values[done : done + size] for key, values in columns.items()}
+            began = clock.now()
+            parts.append(run_chunk(recipe if compiles else replace(recipe, engine="python"), start + done, rows))
+            took, done = (clock.now() - began) * 1e-9, done + size
+            if not compiles:
+                self._each, self._spent = took / size, self._spent + took
+                size = max(1, int(min(4.0 * size, _SLICE / max(self._each, 1e-9))))
+        return joined(parts)
+
+    def _pays(self, done: int) -> bool:
+        left = self._count.state.total - self._count.state.done - done
+        return self._spent > _COMPILING or self._each * left > _COMPILING
 
 
 def joined(parts: list[ChunkResult]) -> ChunkResult:

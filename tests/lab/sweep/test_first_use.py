@@ -30,6 +30,9 @@ def first_use(tmp_path, monkeypatch):
     compiled_loops.cache_clear()
 
 
+PYTHON, NUMBA = ENGINES.index("python"), ENGINES.index("numba")
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("worth", [0.0, float("inf")])
@@ -37,25 +40,65 @@ def test_python_runs_the_first_scenes_and_all_where_compiling_takes_longer(demo,
     monkeypatch.setattr(first_use, "_COMPILING", worth)
     asked, shown = asked_of(demo), []
     columns, scenes = asked.points.columns(0, len(asked.points)), len(asked.points)
-    found = first_use.run_first(Count(scenes, 0, shown.append), asked.recipe, 0, columns)
+    found = first_use.FirstUse(Count(scenes, 0, shown.append)).run(asked.recipe, 0, columns)
     expected = run_chunk(replace(asked.recipe, engine="python"), 0, columns)
     for name, values in expected.figures.items():
         assert found.figures[name].tobytes() == values.tobytes()
-    python, numba = ENGINES.index("python"), ENGINES.index("numba")
-    rest = numba if worth == 0.0 else python
-    assert found.engine.tolist() == [python] * 2 + [rest] * (scenes - 2)
-    assert [(one.done, one.compiles) for one in shown] == [(0, False), (2, True)][: 2 if rest == numba else 1]
-    if rest == numba:
-        again = first_use.run_first(Count(scenes, 0, shown.append), asked.recipe, 0, columns)
-        assert set(again.engine.tolist()) == {numba}
+    rest = NUMBA if worth == 0.0 else PYTHON
+    assert found.engine.tolist() == [PYTHON] * 2 + [rest] * (scenes - 2)
+    assert [(one.done, one.compiles) for one in shown[:3]] == [(0, False), (0, False), (2, rest == NUMBA)]
+    if rest == NUMBA:
+        again = first_use.FirstUse(Count(scenes, 0, shown.append)).run(asked.recipe, 0, columns)
+        assert set(again.engine.tolist()) == {NUMBA}
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-def test_a_chunk_that_the_first_scenes_fill_is_done_by_python(demo, first_use):
-    asked = asked_of(demo)
-    found = first_use.run_first(Count(2, 0, lambda _: None), asked.recipe, 0, asked.points.columns(0, 2))
-    assert found.engine.tolist() == [ENGINES.index("python")] * 2
+class Chunks:
+    """In place of `run_chunk` and its clock: Python takes a given time for each scene [s], and compiling none."""
+
+    def __init__(self, monkeypatch, seconds):
+        from canhaptic.lab.studies import sweep as module
+
+        self.module, self.seconds, self.time, self.engines = module, seconds, 0.0, []
+        monkeypatch.setattr(module, "run_chunk", self.run_chunk)
+        monkeypatch.setattr(module, "WallClock", lambda: self)
+        monkeypatch.setattr(module, "joined", sum)
+        monkeypatch.setattr("canhaptic.kernels.compiler.if_kept", self.if_kept)
+
+    def now(self):
+        return self.time * 1e9
+
+    def if_kept(self, run, *arguments):
+        return run(*arguments) if "numba" in self.engines else None
+
+    def run_chunk(self, recipe, start, columns):
+        scenes = len(columns["a"])
+        if recipe.engine == "python":
+            self.time += sum(self.seconds(start + i) for i in range(scenes))
+        self.engines += [recipe.engine] * scenes
+        return scenes
+
+    def run(self, recipe, scenes, chunk):
+        count = Count(scenes, 0, lambda _: None)
+        first = self.module.FirstUse(count)
+        for start in range(0, scenes, chunk):
+            assert first.run(recipe, start, {"a": np.zeros(chunk)}) == chunk
+            count.add(chunk)
+        return self.engines.count("python")
+
+
+def test_small_chunks_are_compiled_too(demo, monkeypatch):
+    pytest.importorskip("numba")
+    chunks = Chunks(monkeypatch, lambda scene: 1.5)
+    assert chunks.run(asked_of(demo).recipe, 32, 2) == 2  # 45 s are left: one slice of Python is enough to see it
+    assert Chunks(monkeypatch, lambda scene: 0.01).run(asked_of(demo).recipe, 32, 2) == 32
+
+
+def test_scenes_that_end_at_once_do_not_speak_for_the_others(demo, monkeypatch):
+    pytest.importorskip("numba")
+    for quick, chunk in ((2, 5000), (100, 100)):
+        chunks = Chunks(monkeypatch, lambda scene, quick=quick: 1e-6 if scene < quick else 0.02)
+        chunks.run(asked_of(demo).recipe, 5000, chunk)  # 98 s in Python
+        assert chunks.time < chunks.module._COMPILING + chunks.module._SLICE
 
 
 def result(remarks: list[str], of_plant: str = "") -> ChunkResult:
