@@ -85,7 +85,7 @@ class TrueMemory(NamedTuple):
 
 
 class TrueNetwork(NamedTuple):
-    """A network that follows the true positions, and the sums by which it explains the held torques."""
+    """A network moved by the true positions, and the sums from which the rendered shares are computed."""
 
     world: GroupModel
     motion: group_kernel.GroupMotion  # at rest
@@ -306,15 +306,7 @@ class GroupPlant(NamedTuple):
 
 
 def _plant_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> GroupPlant | str:
-    """Return the motors of a group, or the reason why the loop of a group cannot move them.
-
-    Args:
-        scene: Scene with only this group.
-        axes: Axes of the group.
-
-    Raises:
-        InputError: The motors are not simulated, or their mechanism also moves other axes.
-    """
+    """Return the motors of a group in the form of its loop, or the reason why there is none; see `motors_of`."""
     of, time = mechanism_of_group(scene), scene.bus.sample_time_ns
     if of is not None:
         return _of_mechanism(build_mechanism(of, time), [of.axes.index(axis.parameters.name) for axis in axes], of)

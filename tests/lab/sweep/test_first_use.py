@@ -1,4 +1,4 @@
-"""The first sweep of a kind of scene: Python runs the first scenes, and the bits are those of compiled ones."""
+"""In the first sweep of a kind of scene Python runs the first scenes, and their figures are those of compiled ones."""
 
 from dataclasses import replace
 
