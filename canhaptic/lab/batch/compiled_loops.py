@@ -244,11 +244,14 @@ def run_compiled(case: GroupCase, cycles: int, sums: Any, meter: Any, instead: M
     """
     bare, tables = compiled_world(case.world)
     world, parts = bare._replace(tables=tables[0]), (type(bare.mechanism), type(bare.geometry), type(bare.functions))
-    buffers = case.settings, case.kernel.memory(case.world, case.settings), case.true_memory()
-    settings, memory, true, room = (record_of(one)[0] for one in (*buffers, closed_loop.room_for(len(case.loops))))
-    begun = case.kernel.state(), closed_loop.CycleState(), GroupMotion()
-    state, place, motion = (records_of([one])[0] for one in begun)
-    control, watched = GroupControl(world, settings, state, memory), TrueNetwork(world, motion, true, sums)
+    buffers = case.settings, case.kernel.memory(case.world, case.settings), closed_loop.room_for(len(case.loops))
+    settings, memory, room = (record_of(one)[0] for one in buffers)
+    state, place, motion = (
+        records_of([one])[0] for one in (case.kernel.state(), closed_loop.CycleState(), GroupMotion())
+    )
+    control, watched = GroupControl(world, settings, state, memory), None
+    if case.explains:
+        watched = TrueNetwork(world, motion, record_of(case.true_memory())[0], sums)
     run = _compiled_loop(case.kernel, parts, (*case.replaced.items(), *instead.items()))
     loops, motors = records_of(case.loops), case.motors.made(False)
     return bool(run(control, loops, motors, room, place, watched, meter, cycles))

@@ -227,9 +227,11 @@ def _run_group(case: GroupCase, cycles: int, sums: GroupMeter, meter: Any, repla
     world, settings = (with_quick_fields(part) for part in (case.world, case.settings))
     memory = with_quick_fields(case.kernel.memory(case.world, case.settings))
     control = GroupControl(world, settings, case.kernel.state(), memory)
-    true = with_quick_fields(TrueNetwork(world, GroupMotion(), case.true_memory(), sums))
+    watched = None
+    if case.explains:
+        watched = with_quick_fields(TrueNetwork(world, GroupMotion(), case.true_memory(), sums))
     replaced = {**case.replaced, **replaced}
-    return run_in_python(replaced, control, case.loops, case.motors.made(True), true, meter, cycles) > 0
+    return run_in_python(replaced, control, case.loops, case.motors.made(True), watched, meter, cycles) > 0
 
 
 def group_figures(meter: GroupMeter, metrics: Sequence[str] | None = None) -> dict[str, float]:
