@@ -60,7 +60,7 @@ def add_further(seed: int, values: dict[str, Any], tags: set[str], outward: tupl
 
 def _let_friction_brake(chance: Chance, values: dict[str, Any], tags: set[str]) -> None:
     """Declares in half of the scenes with dry friction that it brakes; bristles by their own stiffness."""
-    passivity, is_drawn, ratio = values["passivity"], chance.drawn(0.5), chance.decades(5.0, 1000.0)
+    passivity, is_drawn, ratio = values["passivity"], chance.drawn(0.5), chance.decades(1.3, 1000.0)
     effects = {effect["type"]: effect for effect in values["simulation"]["effects"]}
     if not is_drawn or "moving_mass" not in passivity:
         return

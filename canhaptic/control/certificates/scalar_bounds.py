@@ -20,27 +20,15 @@ the energy taken out, sum(f_i D_i) + F D, is largest if every D_i is: a bound D_
 comes IN. The largest F with F (base + gain F) <= budget is the certified torque (`hand_force_bound`).
 Dry friction F_c of the device may push out as well as hold: F_h + F_c takes the place of F_h (`device_friction_bound`).
 
-**Friction that only brakes.** Cogging, weight and the wind-up of a gear can pull. Dry friction r opposes the motion, so
-that it pushes outward only during an inward motion. The part that only brakes is `device_friction_bound` less
-`device_cogging_bound`, F_c from here on. At a reversal the bristles give back the energy of the inward motion: with a
-stiffness sigma (`presliding_stiffness`) no more than F_c^2 / 2 sigma, within d = F_c / sigma of the way out. Let
-w = F_c / sqrt(sigma m), a = (f + F_h) / m the largest acceleration without friction, and q the last instant of hold 0
-at which the axis does not move outward. Then, besides the bound above,
+**Friction that only brakes.** Cogging, weight and the wind-up of a gear can pull. Dry friction opposes the motion, so
+that it pushes outward only during an inward motion and at a reversal, where its bristles give back no more than an
+energy F_c^2 / 2 sigma. F_c is `device_friction_bound` less `device_cogging_bound`, sigma is `presliding_stiffness`. So
 
-    D_1 <= max(D_0, 0) + the terms of both torques and of F_h + F_c (T^2 / 8m + 1.5 T / sqrt(sigma m) + 4 / sigma).
+    D_1 <= max(D_0, 0) + the terms of both torques and of F_h + F_c (T^2 / 8m + T / sqrt(sigma m))
 
-With v_T the speed at the end of hold 0, hold 1 moves no farther than max(v_T, 0) T + T^2 a_1 / 2, plus w T if the
-reversal is in it: after a reversal, m v^2 / 2 <= the integral of m a v + m w^2 / 2, so that v <= a t + w.
-If q >= T/2, v_T <= a (T - q) + w, so that v_T T <= a T^2 / 2 + w T. If q < T/2, let q_2 be where the friction has left
-its d. From q_2 on it brakes: with x(q) - x(0) >= -(a + F_c / m) q^2 / 2,
-
-    v_T T - D_0 <= a T^2 / 2 + F_c q^2 / 2m + (v_2 q_2 - a (q_2^2 - q^2) / 2),   v_2 <= w + min(a t, sqrt(2 a d)),
-
-t = q_2 - q: the bracket is at most w T + min(a t^2 / 2, T (sqrt(2 a d) - a t / 2)) <= w T + 4 d. An axis that moves
-outward throughout, its bristles not yet unloaded, has v_2 <= sqrt(2) w + sqrt(2 a d) and the same bound with
-1.5 w T + d. Damping lowers each of these. An older torque of a late one counts in full, (g - f) theta T / m, at any
-time in the hold. So friction may be any part of F_c in either direction; `brake` is the amount by which it lowers the
-bound of a motion outward or from rest.
+(docs/theory/dry_friction.md, T1; T2 with unequal holds, T3 with damping), besides the bound above. So friction may be
+any part of F_c in either direction; `brake` is the amount by which it lowers the bound of a motion outward or from
+rest.
 
 **Device damping.** The device itself dissipates at least (b/T) D^2 in a hold of displacement D (Cauchy-Schwarz). For
 every D, -F D + (b/T) D^2 >= -F^2 T / 4b, so F^2 <= 4 b E_d / T, less the squares of the queued torques, keeps
@@ -197,8 +185,8 @@ def displacement_response(
         damping_most: Upper bound of that damping.
         hand_push: Largest inward force of the hand [N or N*m]; infinite: no bound is known.
         timing: Timing of the holds; None: exact.
-        friction: Part of `hand_force` and `hand_push` that is friction which only brakes [N or N*m], and its presliding
-            stiffness [N/m or N*m/rad].
+        friction: Part of `hand_force` and `hand_push` that is friction which only brakes [N or N*m], static peak
+            included, and its presliding stiffness, by the energy that it gives back [N/m or N*m/rad].
     """
     timing = timing or HoldTiming(sample_time, sample_time, 0.0, 0.0)
     longest, shortest, late = timing.longest, timing.shortest, timing.late
@@ -211,7 +199,7 @@ def displacement_response(
         during, before = whole * (y - 1.0 + fade) / (y * y), whole * (1.0 - fade - y * fade) / (y * y)
     both, share = during + before, late / shortest
     fading, (braking, stiffness) = max(damping_most, damping_least) * longest / mass, friction
-    given_back = (1.5 * longest / math.sqrt(stiffness * mass) + 4.0 / stiffness) * longest / shortest
+    given_back = longest / math.sqrt(stiffness * mass)
     retained = math.exp(-fading) * (shortest / longest)
     return DisplacementResponse(
         retained=retained,

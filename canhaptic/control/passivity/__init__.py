@@ -63,8 +63,9 @@ class LoopProperties(Parameters):
     """Part of `device_friction_bound` that can pull: cogging, weight, wind-up of a gear. The rest only brakes, if
     `presliding_stiffness` is declared too. None: all of it can pull, as always in a group."""
     presliding_stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0)] | None = None
-    """Lower bound of the stiffness of dry friction before it slides. It improves the bound only above some 20 times
-    the moving mass over T^2. None: not known."""
+    """Stiffness of dry friction before it slides, as an energy: F^2 / 2E, with F the friction that only brakes, static
+    peak included, and E the most that it gives back at a reversal. The first slope of a force over a small motion is
+    larger and no lower bound. It improves the bound above 1.31 times the moving mass over T^2. None: not known."""
     sync_jitter: Annotated[float, quantity("1", ge=0.0, le=0.5)] | None = None
     """Largest relative deviation of a hold from T: from position to position it lasts T (1 +- jitter).
     None: not known, taken as 0 by a controller."""
