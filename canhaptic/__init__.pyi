@@ -14,8 +14,8 @@ from canhaptic.control.passivity import build_controller as build_controller
 from canhaptic.cycle import Cycle as Cycle
 from canhaptic.cycle import run as run
 from canhaptic.drive.can.background_sdo import BackgroundSdo as BackgroundSdo
-from canhaptic.drive.profile.link_policy import StopReason as StopReason
 from canhaptic.drive.rig import Rig as Rig
+from canhaptic.drive.safety.link_policy import StopReason as StopReason
 from canhaptic.errors import CanHapticError as CanHapticError
 from canhaptic.errors import InputError as InputError
 from canhaptic.errors import RigError as RigError

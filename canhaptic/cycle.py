@@ -15,8 +15,8 @@ from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.control.ledger import EnergyLossMeter, Ledger
 from canhaptic.control.passivity import Controller
 from canhaptic.drive.clock import DurationHistogram, VirtualClock
-from canhaptic.drive.profile.link_policy import StopReason, reason_of
 from canhaptic.drive.rig import Rig
+from canhaptic.drive.safety.link_policy import StopReason, reason_of
 from canhaptic.errors import CycleFailedError, EmergencyError, InputError, LogStoppedError, RigError, cause_of
 from canhaptic.meters import RunMeters
 from canhaptic.signals import CycleTiming, Sample, Truth

@@ -41,7 +41,7 @@
           |- TorqueNotFiniteError            3   the controller's torque is no number
           `- CycleFailedError                3   anything else was raised in the cycle; it is the cause
 
-A rig that stops by itself raises one of the innermost, by the reason in `canhaptic.drive.profile.link_policy`, with
+A rig that stops by itself raises one of the innermost, by the reason in `canhaptic.drive.safety.link_policy`, with
 the last thousand records.
 
 Every message states what happened, the value seen, the limit, and what to do.

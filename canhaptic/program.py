@@ -29,7 +29,7 @@ from canhaptic.axis_units import effort_unit
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.cycle import Cycle, running
 from canhaptic.drive.clock import WallClock
-from canhaptic.drive.profile.link_policy import StopReason
+from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import CanHapticError, InputError, RigError, cause_of
 from canhaptic.registry import nearest
 from canhaptic.replay import OpenReplay, ReplayOverError, ReplayResult

@@ -25,10 +25,10 @@ from canhaptic.drive.can.pdo_map import choose_map, codec
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import Clock, WallClock
 from canhaptic.drive.profile.fitness import agreed_rated_torque
-from canhaptic.drive.profile.power_states import is_enabled
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.profile.scaling import axis_scaling
 from canhaptic.drive.rig import Rig
+from canhaptic.drive.safety.power_states import is_enabled
 from canhaptic.errors import InputError, LogFormatError, RigError
 from canhaptic.logs.bus_reader import Frame, SkippedKind, read_bus_log
 from canhaptic.logs.decoder import BusDecoder

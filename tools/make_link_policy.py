@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-from canhaptic.drive.profile.link_policy import READ_BACK_TABLE, STOP_TABLE, StopReason
+from canhaptic.drive.safety.link_policy import READ_BACK_TABLE, STOP_TABLE, StopReason
 from tools.page_part import with_part, write_page
 
 PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "troubleshooting.md"

@@ -59,7 +59,7 @@ ROOMS: Final[dict[str, tuple[str, ...]]] = {  # part of the package -> folders o
     "control/axis_meter.py": _ACCOUNT,
     "control/ledger.py": (*_ACCOUNT, "acceptance/test_energy_loss.py"),
     "meters.py": _ACCOUNT,
-    "drive/profile/limiter.py": ("mutation", "replay"),
+    "drive/safety/limiter.py": ("mutation", "replay"),
 }
 EQUIVALENT: Final[dict[str, str]] = json.loads(Path(__file__).with_name("equivalent_mutants.json").read_text("utf-8"))
 """`path: name of the mutant` -> why no test can notice it, or should."""

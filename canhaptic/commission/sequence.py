@@ -15,7 +15,7 @@ from canhaptic.commission.session import OpenLoop, Session, StepVerdict
 from canhaptic.commission.torque_tests import SCALE, identify_dynamics, verified_axes
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
-from canhaptic.drive.profile.power_states import TORQUE_FREE
+from canhaptic.drive.safety.power_states import TORQUE_FREE
 from canhaptic.errors import InputError, RigError, SdoError, StartError
 
 _ASK_DEVICE_TYPE: Final = bytes.fromhex("40 00 10 00 00 00 00 00")

@@ -14,9 +14,9 @@ from canhaptic.canopen.objects import StatusBit, is_writable
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import CanBringUp, ServoDrive
-from canhaptic.drive.profile.link_policy import StopReason
-from canhaptic.drive.profile.power_states import ENABLED_MASK, ENABLED_VALUE
 from canhaptic.drive.rig import Rig
+from canhaptic.drive.safety.link_policy import StopReason
+from canhaptic.drive.safety.power_states import ENABLED_MASK, ENABLED_VALUE
 from canhaptic.errors import InputError, RigError
 
 METHODS: Final = {

@@ -15,14 +15,16 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
 from canhaptic.drive.axis_parameters import BusParameters
-from canhaptic.drive.can import start_and_stop
 from canhaptic.drive.can.bus_budget import budget_of, has_room_for_sdo, own_frames
 from canhaptic.drive.can.exchange import Exchange
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
-from canhaptic.drive.can.start_and_stop import Trust
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.drive.profile.link_policy import STOP_TABLE, StopReason
+from canhaptic.drive.profile.restore import restore
+from canhaptic.drive.safety import stop
+from canhaptic.drive.safety.link_policy import STOP_TABLE, StopReason
+from canhaptic.drive.safety.stop import Trust
+from canhaptic.drive.start import start
 from canhaptic.errors import ControlError, InputError, LinkError, RigError
 from canhaptic.host.realtime import Realtime, RealtimeParameters
 from canhaptic.signals import CycleTiming, Sample
@@ -113,7 +115,7 @@ class Rig:
             link.reserve(own_frames(link, self.drives, self.bus))
         self.realtime.begin()
         try:
-            start_and_stop.start(self._exchange, [drive.bring_up() for drive in self.drives])
+            start(self._exchange, [drive.bring_up() for drive in self.drives])
         except BaseException as error:
             self.stop_reason = StopReason.EXCEPTION
             self._disable(Trust.FULL)  # it was never given a torque
@@ -275,7 +277,7 @@ class Rig:
         trust = Trust.SOME
         try:
             if ramp:
-                start_and_stop.ramp_down(self._exchange, self.bus.stop_ramp)
+                stop.ramp_down(self._exchange, self.bus.stop_ramp)
                 trust = Trust.FULL
         except RigError:
             trust = Trust.NONE
@@ -312,7 +314,12 @@ class Rig:
         try:
             for line in self._sdo_lines:
                 line.close()
-            return start_and_stop.disable(self._exchange, trust)
+            problems = stop.disable(self._exchange, trust)
+            for drive, problem in zip(self.drives, problems, strict=True):
+                if drive.answers and drive.sdo.changes:
+                    restore(drive, problem)
+                    drive.unrestored += drive.elsewhere
+            return [f"{drive.axis.name}: {what}" for drive, what in zip(self.drives, problems, strict=True) if what]
         finally:
             self.realtime.end()
 

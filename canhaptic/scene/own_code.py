@@ -37,7 +37,7 @@ from pydantic_core import PydanticCustomError
 
 from canhaptic.cycle import Cycle
 from canhaptic.drive.clock import WallClock
-from canhaptic.drive.profile.link_policy import StopReason
+from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import InputError, OwnCodeError, ParameterError, cause_of
 from canhaptic.files import read_regular
 from canhaptic.logs.ring import allocate

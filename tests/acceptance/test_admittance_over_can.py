@@ -18,7 +18,7 @@ from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGOR
 from canhaptic.control.admittance.group_environment import PathMass, nearest
 from canhaptic.cycle import run
 from canhaptic.drive.profile.admittance_parameters import ForceChannel, ForceParameters
-from canhaptic.drive.profile.link_policy import StopReason
+from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import (
     ForceContradictedError,
     ForceFrozenError,

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from canhaptic.audit.listened_axis import _RATED_TORQUE_COUNTS, _TORQUE_COUNTS, DeclaredDrive, ListenedAxis
 from canhaptic.canopen import objects as od
-from canhaptic.drive.profile.power_states import drive_state
 from canhaptic.drive.profile.quirks import _QUIRKS, quirks_of
 from canhaptic.drive.profile.scaling import AxisScaling
+from canhaptic.drive.safety.power_states import drive_state
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import Frame
 from canhaptic.logs.decoder import state_text

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from canhaptic.drive.profile.link_policy import STOP_TABLE
+from canhaptic.drive.safety.link_policy import STOP_TABLE
 from canhaptic.errors import InputError
 from tools import make_safety_case
 from tools.make_safety_case import hazards, page

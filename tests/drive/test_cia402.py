@@ -7,8 +7,8 @@ from canopen.profiles.p402 import State402
 
 from canhaptic.canopen.objects import DataType
 from canhaptic.drive.profile.fitness import _of_value
-from canhaptic.drive.profile.link_policy import StopReason
-from canhaptic.drive.profile.power_states import TORQUE_FREE, PowerState, drive_state, is_enabled, next_controlword
+from canhaptic.drive.safety.link_policy import StopReason
+from canhaptic.drive.safety.power_states import TORQUE_FREE, PowerState, drive_state, is_enabled, next_controlword
 
 
 def test_every_statusword_has_the_state_that_canopens_masks_give() -> None:

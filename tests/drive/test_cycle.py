@@ -9,7 +9,7 @@ import pytest
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.cycle import Cycle
-from canhaptic.drive.profile.link_policy import StopReason
+from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import CommandLostError, DriveFaultError, InputError, LinkError
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.drive_bench import MakeBench, axis, started

@@ -16,7 +16,7 @@ from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceChannel, ForceParameters
 from canhaptic.drive.profile.fitness import Verdict, profile_findings
-from canhaptic.drive.profile.link_policy import StopReason
+from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import ParameterError
 from canhaptic.signals import Sample
 from tests.drive.drive_bench import REPOSITORY, axis, private_channel

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.drive.profile.limiter import TorqueLimiter
-from canhaptic.drive.profile.link_policy import STOP_TABLE, LinkPolicy, StopReason
+from canhaptic.drive.safety.limiter import TorqueLimiter
+from canhaptic.drive.safety.link_policy import STOP_TABLE, LinkPolicy, StopReason
 from canhaptic.errors import ControlError, ParameterError, RigError
 
 LIMIT, SAMPLE_TIME, RATE, POWER = 5.0, 1e-3, 1000.0, 2.0

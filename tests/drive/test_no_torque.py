@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.drive.profile.limiter import DryRunLimiter, TorqueLimiter
+from canhaptic.drive.safety.limiter import DryRunLimiter, TorqueLimiter
 from canhaptic.errors import ControlError
 from tests.drive.drive_bench import MakeBench, axis, started
 

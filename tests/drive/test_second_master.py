@@ -3,7 +3,7 @@
 import can
 import pytest
 
-from canhaptic.drive.profile.link_policy import StopReason
+from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import SecondMasterError
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.drive_bench import Bench, MakeBench, axis

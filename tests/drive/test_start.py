@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from canhaptic.canopen.objects import NmtState
-from canhaptic.drive.profile.power_states import is_enabled
+from canhaptic.drive.safety.power_states import is_enabled
 from canhaptic.errors import StartError
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.drive_bench import OUR_EDS, RATED_TORQUE, MakeBench, axis

@@ -1,4 +1,4 @@
-"""What `canhaptic.drive.profile.power_states` must do, from the tables in IEC 61800-7-201 and CiA 402-2."""
+"""What `canhaptic.drive.safety.power_states` must do, from the tables in IEC 61800-7-201 and CiA 402-2."""
 
 from types import ModuleType
 

@@ -1,4 +1,4 @@
-"""What `canhaptic.drive.profile.limiter` must do, as properties on numbers that binary floating point holds exactly."""
+"""What `canhaptic.drive.safety.limiter` must do, as properties on numbers that binary floating point holds exactly."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""What `canhaptic.drive.profile.link_policy` must do: decision table, numbers in the log, shares by hand."""
+"""What `canhaptic.drive.safety.link_policy` must do: decision table, numbers in the log, shares by hand."""
 
 from types import ModuleType
 

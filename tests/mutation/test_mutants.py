@@ -15,8 +15,9 @@ from typing import NamedTuple
 import pytest
 
 from canhaptic.canopen.objects import Controlword, StatusBit
-from canhaptic.drive.profile import limiter, link_policy, scaling
-from canhaptic.drive.profile import power_states as cia402
+from canhaptic.drive.profile import scaling
+from canhaptic.drive.safety import limiter, link_policy
+from canhaptic.drive.safety import power_states as cia402
 from canhaptic.sim.drive.profile import state_machine
 from tests.mutation import (
     specification_of_cia402,

@@ -17,7 +17,7 @@ from canhaptic.audit.inspection import inspect
 from canhaptic.audit.recompute import recompute_all, scene_of
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
-from canhaptic.drive.profile.link_policy import StopReason
+from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import InputError, OwnCodeError, OwnCodeLateError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.ring import allocate

@@ -394,7 +394,7 @@ def split(run: GuardedRun, place: int, most: float, energy: float, certificate: 
 
 
 def within_limits(run: GuardedRun) -> float:
-    """Return the largest share, up to 1, of the requested torques that no limiter cuts; see `drive.profile.limiter`.
+    """Return the largest share, up to 1, of the requested torques that no limiter cuts; see `drive.safety.limiter`.
 
     A cut of one axis, after all were certified together, would change the direction of the group's torque.
     """

@@ -594,7 +594,7 @@ def certain_energy(state: GuardedState, energy: float) -> float:
 
 
 def within_limits(settings: GuardedSettings, newest: float, sign: float, moved: float) -> float:
-    """Return the largest torque along `sign` that the limiter permits [N or N*m]; see `drive.profile.limiter`.
+    """Return the largest torque along `sign` that the limiter permits [N or N*m]; see `drive.safety.limiter`.
 
     The bound is computed before the torque is certified: a certified torque that the limiter then reduced would absorb
     less energy than the next torque relies on.

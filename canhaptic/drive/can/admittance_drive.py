@@ -19,10 +19,10 @@ from canhaptic.drive.can.servo_drive import CanBringUp, ServoDrive
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceChannel
 from canhaptic.drive.profile.bring_up import Confirmation
 from canhaptic.drive.profile.fitness import RAMPS, largest_value
-from canhaptic.drive.profile.limiter import TorqueLimiter
-from canhaptic.drive.profile.link_policy import StopReason
-from canhaptic.drive.profile.power_states import PowerState
 from canhaptic.drive.profile.scaling import AxisScaling
+from canhaptic.drive.safety.limiter import TorqueLimiter
+from canhaptic.drive.safety.link_policy import StopReason
+from canhaptic.drive.safety.power_states import PowerState
 from canhaptic.errors import ParameterError
 from canhaptic.signals import Sample
 

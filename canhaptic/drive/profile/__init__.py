@@ -1,1 +1,1 @@
-"""The CiA 402 profile: power states, bring-up steps, limiter, link policy. Knows objects, not frames."""
+"""The CiA 402 profile: an axis, its parameters and scaling, bring-up steps. Knows objects, not frames."""

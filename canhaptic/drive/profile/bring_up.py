@@ -13,9 +13,9 @@ from typing import Final, NamedTuple
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import Controlword, is_writable
 from canhaptic.drive.profile.fitness import MODES, agreed_rated_torque, decimal_period
-from canhaptic.drive.profile.power_states import FAULTED, TORQUE_FREE, PowerState, drive_state
 from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.profile.torque_axis import TorqueAxis
+from canhaptic.drive.safety.power_states import FAULTED, TORQUE_FREE, PowerState, drive_state
 from canhaptic.errors import DictionaryError, LinkError, SdoError, StartError
 
 _REMEDIES: Final = tomllib.loads(Path(__file__).parents[1].joinpath("remedies.toml").read_text(encoding="utf-8"))

@@ -10,12 +10,12 @@ from typing import Final, NamedTuple, Protocol
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import Dictionary
-from canhaptic.drive.profile.limiter import DryRunLimiter, TorqueLimiter
-from canhaptic.drive.profile.link_policy import LinkPolicy, StopReason
-from canhaptic.drive.profile.power_states import ENABLED_MASK, ENABLED_VALUE, FAULTED, PowerState, drive_state
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.profile.scaling import axis_scaling
 from canhaptic.drive.profile.torque_axis_parameters import ReadBack, TorqueAxisParameters
+from canhaptic.drive.safety.limiter import DryRunLimiter, TorqueLimiter
+from canhaptic.drive.safety.link_policy import LinkPolicy, StopReason
+from canhaptic.drive.safety.power_states import ENABLED_MASK, ENABLED_VALUE, FAULTED, PowerState, drive_state
 from canhaptic.signals import Sample
 
 
