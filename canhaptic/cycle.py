@@ -14,6 +14,7 @@ from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.control.ledger import EnergyLossMeter, Ledger
 from canhaptic.control.passivity import Controller
+from canhaptic.control.verdict import BY_CONSTRUCTION, NOT_CHECKED, UNDECIDED
 from canhaptic.drive.clock import DurationHistogram, VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.safety.link_policy import StopReason, reason_of
@@ -205,6 +206,22 @@ class Cycle:
             if drive.hold:
                 self._event(0, "hold", drive.axis.name, drive.hold)
 
+    def note_found_holds(self) -> None:
+        """Log what the test of a dithered axis has found of its hold, which its verdict needs."""
+        for axis, found in self.found_holds().items():
+            self._event(self.rig.sync_index, "hold", self.rig.drives[axis].axis.name, found)
+
+    def found_holds(self) -> dict[int, str]:
+        """Return for each dithered axis what is known of its hold: by commissioning, else by the test of the run."""
+        known: dict[int, str] = {}
+        grouped = {axis for group in self.groups for axis in group.axes}
+        alone = (axis for axis in self._axes if axis not in grouped)
+        for axis, controller in zip(alone, self.controllers, strict=False):
+            if (found := getattr(controller, "hold_found", "")) and not self.rig.dry_run:
+                before = self.rig.drives[axis].hold
+                known[axis] = before if found == UNDECIDED and before not in (NOT_CHECKED, BY_CONSTRUCTION) else found
+        return known
+
     def note_unrestored(self) -> None:
         """Log objects of a drive that the start changed and the stop did not restore."""
         for drive in self.rig.drives:
@@ -335,4 +352,5 @@ def running(cycle: Cycle) -> Iterator[None]:
             raise
         rig.stop()
     finally:
+        cycle.note_found_holds()
         cycle.note_unrestored()

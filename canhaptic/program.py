@@ -13,11 +13,9 @@ interpreter), each drive's watchdog acts; a rig without watchdogs is refused.
 import atexit
 import os
 import signal
-import sys
 import threading
 import weakref
 from collections.abc import Iterator, Mapping
-from functools import partial
 from math import isfinite
 from numbers import Real
 from os import PathLike
@@ -37,7 +35,7 @@ from canhaptic.scene.build import Experiment, build, experiment_account, logs_el
 from canhaptic.scene.load import for_program, says_none
 from canhaptic.scene.models import AxisScene, RunParameters, Scene, require_no_guesses
 from canhaptic.signals import Sample
-from canhaptic.simulation import Account, load_any
+from canhaptic.simulation import Account, load_any, with_checked_holds
 from canhaptic.units import shown
 
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
@@ -266,10 +264,8 @@ class OpenRig:
         if self._replay is not None:
             self._source = OpenReplay(self._replay, scene, realtime=self._pace == "real", dry_run=self._no_torque)
         else:
-            if not self._no_torque and any(axis.parameters.check_hold is not None for axis in scene.axes):
-                from canhaptic.commission.torque_tests import checked_holds
-
-                self.scene = scene = checked_holds(scene, partial(print, file=sys.stderr), lambda: False)
+            if not self._no_torque:
+                self.scene = scene = with_checked_holds(scene)
             self._source = build(scene, self._pace, *self._logs, no_torque=self._no_torque)
         controllers = self._source.cycle.controllers
         for axis, controller in zip(scene.axes, controllers, strict=True):

@@ -18,7 +18,7 @@ from typing import Final, NotRequired, TypedDict, cast
 
 from canhaptic.control import verdict as verdicts
 from canhaptic.control.balance import Certificate
-from canhaptic.control.verdict import NOT_CHECKED, Headline, PortResult, Verdict
+from canhaptic.control.verdict import WORST_LAST, Headline, PortResult, Verdict
 from canhaptic.cycle import Cycle
 from canhaptic.meters import PortFigures, Promise, promise_of
 
@@ -68,7 +68,6 @@ _OF_AN_AXIS: Final = (
     *("dry_run", "withheld_torque", "hold", "mass"),
 )
 """Keys that the account of an axis in a group keeps."""
-_WORST_LAST: Final[tuple[Verdict, ...]] = ("yes", "in doubt", "no")
 _HEADLINES: Final[tuple[Headline, ...]] = ("no contact", "dry run", "yes", "in doubt", "nothing rendered", "no")
 """Headline words, worst last; "no contact" is first, so that one untouched handle never decides the overall verdict."""
 
@@ -78,13 +77,13 @@ def overall(ports: Mapping[str, PortResult]) -> Verdicts:
     accounts = [account for account in ports.values() if "passive" in account]
     found: Verdicts = {
         "verdict": max((of.get("verdict", of["passive"]) for of in accounts), key=_HEADLINES.index, default="in doubt"),
-        "passive": max((account["passive"] for account in accounts), key=_WORST_LAST.index, default="in doubt"),
+        "passive": max((account["passive"] for account in accounts), key=WORST_LAST.index, default="in doubt"),
     }
     if any("dry_run" in account for account in accounts):
         found["dry_run"] = True
     for key in ("passive_at_handle", "plant_passive"):
         if any(key in account for account in accounts):
-            found[key] = max((of[key] for of in accounts if key in of), key=_WORST_LAST.index)
+            found[key] = max((of[key] for of in accounts if key in of), key=WORST_LAST.index)
     return found
 
 
@@ -124,6 +123,7 @@ def _accounts(cycle: Cycle, truth: Mapping[str, TruthResult]) -> dict[str, PortR
     axes, grouped = [drive.axis for drive in cycle.rig.drives], {axis for group in cycle.groups for axis in group.axes}
     alone, known, sample_time = iter(cycle.controllers), cycle.meters.ports, cycle.rig.bus.sample_time
     accounts: dict[str, PortResult] = {}
+    found = cycle.found_holds()
     for axis, drive in enumerate(cycle.rig.drives):
         promise, name = Promise() if axis in grouped else promise_of(next(alone)), drive.axis.name
         accounts[name] = {
@@ -132,8 +132,8 @@ def _accounts(cycle: Cycle, truth: Mapping[str, TruthResult]) -> dict[str, PortR
             "read_back": drive.map.read_back,
             "read_back_bound": drive.read_back_bound,
         }
-        if drive.hold:
-            accounts[name]["hold"] = drive.hold
+        if hold := found.get(axis, drive.hold):
+            accounts[name]["hold"] = hold
         if cycle.rig.dry_run:
             accounts[name]["withheld_torque"] = drive.withheld
     for place, group in enumerate(cycle.groups, len(axes)):
@@ -253,7 +253,7 @@ def with_groups(
     found = {name: account.copy() for name, account in accounts.items()}
     for group, axes in groups.items():
         if holds := [found[name]["hold"] for name in axes if "hold" in found[name]]:
-            found[group]["hold"] = max(holds, key=NOT_CHECKED.__eq__)
+            found[group]["hold"] = verdicts.worst_hold(holds)
     for name, account in found.items():
         known = None if truth is None else truth.get(name)
         verdicts.add_verdicts(account, known and (known["least_interaction"], known["least_at_handle"]))

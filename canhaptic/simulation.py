@@ -13,12 +13,13 @@ import importlib
 import io
 import json
 import shutil
+import sys
 import tempfile
 import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass, fields
-from functools import cached_property
+from dataclasses import dataclass, field, fields
+from functools import cached_property, partial
 from math import nan
 from os import PathLike, fspath
 from pathlib import Path
@@ -27,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.control.verdict import Headline, Verdict
+from canhaptic.control.verdict import RESTS_ON, WORST_LAST, Headline, Verdict
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.logs import energy_reader
 from canhaptic.result import RunResult
@@ -64,9 +65,15 @@ class PortAccount:
         least_interaction: Least value of the summed interaction energy (eq. 3), as accounted by the controller.
         true_least_interaction: The same from the plant's energy; NaN for an axis without its own simulated plant.
         certificate: Name of the weakest certificate of the run; `none` if nothing was certified.
-        passive: Verdict on `least_interaction` from the account alone; an axis in a group has the group's verdict.
-        verdict: Displayed verdict: that of the simulated plant if it is known, or that nothing was rendered
-            ("nothing rendered", "no contact", "dry run").
+        passive: Displayed verdict: by the simulated plant if it is known, else by the account, at the handle if damping
+            or friction of the device is declared. An axis in a group has the group's verdict.
+        verdict: The same, or that there is none ("nothing rendered", "no contact", "dry run").
+        why: Grounds of the account's yes, or the reason of its doubt; empty for a no.
+        passive_at_motor: Verdict on `least_interaction` from the account alone.
+        passive_at_handle: The same including what the device dissipated; None without declared damping or friction.
+        energy_resolution: Largest error of the accounted sum of energy [J].
+        certificates: Every certificate of the run, with the declared properties that it rests on.
+        hold: Whether a test has found the hold in which the torques act; empty for a display.
         plant_passive: Verdict from the energy of the simulated plant.
         first_active: First time at which the summed interaction energy was below 0 [s]; None: never.
         active_since: First time at which the port had certainly generated energy [s]; None: never.
@@ -87,6 +94,12 @@ class PortAccount:
     certificate: str
     passive: Verdict
     verdict: Headline
+    why: str = ""
+    passive_at_motor: Verdict = "in doubt"
+    passive_at_handle: Verdict | None = None
+    energy_resolution: float = nan
+    certificates: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    hold: str = ""
     plant_passive: Verdict | None = None
     first_active: float | None = None
     active_since: float | None = None
@@ -117,8 +130,8 @@ class Account(Mapping[str, PortAccount]):
 
     @property
     def passive(self) -> Verdict:
-        """The worst verdict of all ports, judged only by the account."""
-        return self.raw["passive"]
+        """The worst `passive` of all ports; "in doubt" if there are none."""
+        return max((port.passive for port in self.values()), key=WORST_LAST.index, default="in doubt")
 
     @property
     def verdict(self) -> Headline:
@@ -372,6 +385,7 @@ def simulate(
         text = f"{loaded.source}: duration: missing"
         raise InputError(f"{text}; add it to the scene or call simulate(..., duration=10.0)")
     cycles = max(1, round(length / loaded.bus.sample_time))
+    loaded = loaded if no_torque else with_checked_holds(loaded)
     folder = Path(tempfile.mkdtemp(prefix="canhaptic-"))
     try:
         with build(loaded, "free", folder / _LOG_NAME, None, no_torque=no_torque) as experiment, (
@@ -384,6 +398,19 @@ def simulate(
         shutil.rmtree(folder, ignore_errors=True)
         raise
     return SimulationResult(loaded, raw, error, folder)
+
+
+def with_checked_holds(scene: Scene) -> Scene:
+    """Return the scene with the holds that `check_hold: each_start` has confirmed, tested now.
+
+    Raises:
+        StartError: A torque acts in another hold than declared.
+    """
+    if all(axis.parameters.check_hold is None for axis in scene.axes):
+        return scene
+    from canhaptic.commission.torque_tests import checked_holds
+
+    return checked_holds(scene, partial(print, file=sys.stderr), lambda: False)
 
 
 def _imported(library: str) -> Any:
@@ -433,8 +460,12 @@ def _plain(value: object) -> object:
 def _port_account(name: str, raw: "RunResult | Inspection") -> PortAccount:
     port, truth = raw["ports"][name], raw["truth"].get(name)
     whole = cast("dict[str, Any]", raw["ports"][port["group"]] if "group" in port else port)
-    account = {field.name: whole[field.name] for field in fields(PortAccount) if field.name in whole}
+    account = {each.name: whole[each.name] for each in fields(PortAccount) if each.name in whole}
+    word, by_account = whole["verdict"], whole.get("passive_at_handle", whole["passive"])
     account |= {
+        "passive": word if word in WORST_LAST else by_account,
+        "passive_at_motor": whole["passive"],
+        "certificates": {each: RESTS_ON.get(each, ()) for each in whole.get("certificates", ())},
         "dissipated": nan if whole["dissipated"] is None else whole["dissipated"],
         "name": name,
         "energy_in": port["in"],

@@ -174,8 +174,8 @@ class PortRecord(PortFigures):
         self._is_open = bool(branch[-1] == Branch.HELD)
         if not self._hold:
             axes = log.groups.get(self._name, (self._name,))
-            found = [event.text for event in log.events if event.kind == "hold" and event.port in axes]
-            self._hold = max(found, key=verdict.NOT_CHECKED.__eq__, default="")
+            found = {event.port: event.text for event in log.events if event.kind == "hold" and event.port in axes}
+            self._hold = verdict.worst_hold(found.values())  # of each axis the last word
         if self._is_measured:
             self._take_measured(log, start, stop, running, torque, branch)
 

@@ -23,7 +23,7 @@ from canhaptic.canopen import objects as od
 from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.multi_axis.group_controller import GroupedControllers
-from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, NOT_CHECKED, PortResult, claim_nothing
+from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, PortResult, claim_nothing
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
@@ -359,8 +359,9 @@ def _holds(scene: Scene, log: EnergyLog | None) -> dict[str, str]:
     """Return whether the hold of each axis was checked: by the energy log, or without one by the scene."""
     if log is not None:
         return {event.port: event.text for event in log.events if event.kind == "hold"}
-    given = [axis.parameters for axis in scene.axes if not scene.simulated and axis.parameters.admittance is None]
-    return {of.name: "checked at commissioning" if of.hold_checked else NOT_CHECKED for of in given}
+    known = {axis.parameters.name: scene.hold_of(axis) for axis in scene.axes}
+    checked = {axis.parameters.name for axis in scene.axes if axis.parameters.hold_checked}
+    return {name: "checked at commissioning" if name in checked else hold for name, hold in known.items() if hold}
 
 
 def _asked(

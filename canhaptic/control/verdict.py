@@ -9,15 +9,16 @@ Then the certificates promise the sum at the handle. It is refuted if booked + R
 device can have dissipated. An R that is only an estimate refutes nothing.
 
 **Passive: "yes".** "Measured": booked - R >= -A after every hold. So no more energy came out, even if the declarations
-of hand and device are false; the declared timing and hold must be true. "By certificate": every torque was certified,
-nothing refutes the certificates, and R at the end is at most a tenth of the energy received, or A, or 10 uJ, because a
-certificate relies on the positions too. For a spring pressed to a depth, R over the energy received is 2 counts over
-the depth. For a real drive a hands-off test must also have found the hold in which its torques act.
+of hand and device are false; hold, torque window and current lag must be true. "By certificate": every torque was
+certified, nothing refutes the certificates, and R at the end is at most a tenth of the energy received, or A, or 10 uJ,
+because a certificate relies on the positions too. For a spring pressed to a depth, R over the energy received is 2
+counts over the depth. Both need a hold that a test has found: a torque booked in the hold beside its own makes any sum.
+A simulated drive that is configured as its scene declares needs no test.
 
 **Otherwise "in doubt"**, with the reason. A dry run sends no torque and proves nothing about the controller.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from math import inf
 from typing import Final, Literal, NotRequired, TypedDict
 
@@ -25,6 +26,7 @@ from canhaptic.control.balance import Certificate
 
 Verdict = Literal["yes", "no", "in doubt"]
 """Whether a port was passive; "in doubt" if the uncertain energy decides."""
+WORST_LAST: Final[tuple[Verdict, ...]] = ("yes", "in doubt", "no")
 Headline = Literal["yes", "no", "in doubt", "nothing rendered", "no contact", "dry run"]
 """Displayed result of a port: the verdict by its simulated plant, else by its account, or why there is no verdict."""
 
@@ -38,13 +40,23 @@ ACTIVE_AT_HANDLE: Final = 2
 """Bit of the log column `active`: the energy received at the handle certainly fell below minus the allowance."""
 NOT_CHECKED: Final = "not checked"
 """Value of `hold` if no hands-off test has found the hold in which the torques act."""
+UNDECIDED: Final = "undecided"
+"""Value of `hold` if the test during a run has neither found nor refuted the declared hold."""
+FOUND: Final = "found by hold_dither"
+EARLY: Final = "acts before its SYNC, run canhaptic commission"
+LATE: Final = "acts a hold late, run canhaptic commission"
+"""Values of `hold` by that test; with the last two no torque of the run has a certificate."""
+BY_CONSTRUCTION: Final = "by construction"
+"""Value of `hold` of a simulated drive that acts in the hold that its scene declares."""
+UNCHECKED: Final = frozenset({NOT_CHECKED, UNDECIDED})
+"""Values of `hold` with which no port is passive."""
 _LARGEST_DOUBT: Final = 0.1
 """Largest energy uncertainty, as a share of the energy received, for a "yes" by certificate."""
 _SMALLEST_DOUBT: Final = 1e-5
 """Energy uncertainty that permits a "yes" by certificate however little energy was received [J]."""
 _LEAST_RENDERED: Final = 0.1
 """Part of the requested torque in contact below which nothing counts as rendered."""
-_SUSPECTS: Final[Mapping[str, tuple[str, ...]]] = {
+RESTS_ON: Final[Mapping[str, tuple[str, ...]]] = {
     "hand_force": ("moving_mass", "hand_force"),
     "hand_speed": ("hand_speed",),
     "device_damping": ("device_damping",),
@@ -220,6 +232,11 @@ def _too_coarse(resolution: float, energy_in: float) -> str:
     return f"the contact acts as if {deep:.2g} counts deep, {needed:.0f} needed"
 
 
+def worst_hold(holds: Iterable[str]) -> str:
+    """Return what is known of the hold of several axes: of one that was not checked, if there is one; "" of none."""
+    return max(holds, key=UNCHECKED.__contains__, default="")
+
+
 def is_certified(account: PortResult) -> bool:
     """Return whether every torque of a port had a certificate, none of them withdrawn or refuted."""
     names = account.get("certificates", [account["certificate"]])
@@ -270,8 +287,9 @@ def _verdict_of(
         has_open_hold=account.get("open_hold", False), allowance=account.get("energy_allowance", 0.0),
         is_estimated=account.get("resolution_is_estimated", False), books_least=account.get("books_least", False),
     )  # fmt: skip
-    if why == "by certificate" and account.get("hold") == NOT_CHECKED:
-        return "in doubt", f"the hold of its torques was {NOT_CHECKED}: run canhaptic commission, or set check_hold"
+    if found == "yes" and (hold := account.get("hold")) in UNCHECKED:
+        remedy = "render for longer, or harder" if hold == UNDECIDED else "run canhaptic commission, or set check_hold"
+        return "in doubt", f"the hold of its torques was {hold}: {remedy}"
     is_other = account.get("uncommanded_cycles", 0) > 0  # the read-back may be of another hold than declared
     return ("in doubt", "torques were held that were not commanded") if is_other and found == "yes" else (found, why)
 
@@ -287,7 +305,7 @@ def contradict(account: PortResult) -> None:
     if key not in account or not names:
         return
     account["contradicted"] = names
-    account["suspects"] = [*(key for name in names for key in _SUSPECTS.get(name, ())), *_OF_EVERY_TORQUE]
+    account["suspects"] = [*(key for name in names for key in RESTS_ON.get(name, ())), *_OF_EVERY_TORQUE]
     account["certificate"], account["certificates"] = "none", ["none"]
 
 

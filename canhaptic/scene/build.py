@@ -400,9 +400,8 @@ def _build_clock(
 def _build_rig(scene: Scene, links: Sequence[Link], *, dry_run: bool) -> Rig:
     by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
     drives = [build_servo_drive(axis, *by_name[axis.bus], dry_run=dry_run) for axis in scene.axes]
-    for drive, given in zip(drives, (axis.parameters for axis in scene.axes), strict=True):
-        is_asked = not scene.simulated or given.hold_checked or given.check_hold  # else it is as the simulation says
-        drive.hold = "not checked" if is_asked and given.admittance is None else ""
+    for drive, axis in zip(drives, scene.axes, strict=True):
+        drive.hold = scene.hold_of(axis)
     return Rig(links, drives, scene.bus, scene.group_places)
 
 
@@ -450,18 +449,15 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
 
 
 def _add_of_axes(experiment: Experiment, ports: Mapping[str, PortResult]) -> None:
-    """Add to each port its algorithm, to each axis its environment, its hold check, and why a wall was not felt."""
+    """Add to each port its algorithm, to each axis its environment, and why a wall was not felt."""
     for name, passivity, _ in experiment.scene.ports:
         ports[name]["algorithm"] = passivity.name
-    controllers = iter(experiment.cycle.controllers)
     for axis in experiment.scene.axes:
-        port, controller = ports[axis.parameters.name], None if axis.group else next(controllers)
+        port = ports[axis.parameters.name]
         if not axis.group:
             port["environment"] = axis.environment.name
             if isinstance(wall := getattr(axis.environment.parameters, "position", None), float):
                 port["wall"] = wall
-        if axis.parameters.hold_dither is not None:
-            port["hold"] = getattr(controller, "hold_found", "") or port.get("hold", "undecided")
         if port.get("verdict") == "nothing rendered":
             from canhaptic.scene.first_contact import why_silent
 

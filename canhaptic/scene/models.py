@@ -25,6 +25,7 @@ from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
 from canhaptic.control.passivity import ALGORITHMS, LoopProperties
+from canhaptic.control.verdict import BY_CONSTRUCTION, NOT_CHECKED
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import InputError
@@ -414,6 +415,20 @@ class Scene:
     def bus_of(self, axis: AxisScene) -> BusParameters:
         """Return the bus that an axis is on."""
         return next(bus.parameters for bus in self.buses if bus.name == axis.bus)
+
+    def hold_of(self, axis: AxisScene) -> str:
+        """Return what is known before a start of the hold in which the torques of an axis act; "" of a display."""
+        given, twin = axis.parameters, axis.simulated_drive
+        if axis.simulation is not None:
+            twin = axis.simulation.drive
+        if given.admittance is not None:
+            return ""
+        if not self.simulated or twin is None or given.hold_checked or given.check_hold:
+            return NOT_CHECKED  # so far
+        quirks = quirks_of(given.quirks)
+        declared = quirks.acts_at_once, quirks.syncs_late, given.demand_reported == "after"
+        acts = twin.acts_at_once, twin.syncs_late, twin.torque_read_back == "after_update"
+        return BY_CONSTRUCTION if acts == declared else NOT_CHECKED
 
     def passivity_of(self, axis: AxisScene) -> ComponentSpec:
         """Return the algorithm that renders on an axis: its own, or its group's."""

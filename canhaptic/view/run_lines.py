@@ -11,7 +11,7 @@ from rich.table import Table as TerminalTable
 from rich.text import Text
 
 from canhaptic.axis_units import counted, mass_unit, si
-from canhaptic.control.verdict import GUARANTEEING, NO_PULL, Headline, PortResult
+from canhaptic.control.verdict import BY_CONSTRUCTION, EARLY, GUARANTEEING, LATE, NO_PULL, Headline, PortResult
 from canhaptic.view.terminal import visible
 
 _INDENT: Final = "    "
@@ -127,8 +127,9 @@ def _first_figures(port: PortResult) -> list[str]:
     if certificate not in ("none", "exact") and abs((port.get("mass", {}).get("share") or 1.0) - 1.0) > _MASS_OFF:
         found.append("guard limited the speed: raise environment.mass or damping, lower force.slew, or move further")
     found += _guarantee(port, certificate)
-    if "hold" in port and (port["verdict"] == "yes" or port["hold"].startswith("acts ")):
-        found.append(f"hold: {port['hold']}")
+    hold = port.get("hold", BY_CONSTRUCTION)
+    if hold != BY_CONSTRUCTION and (port["verdict"] == "yes" or hold in (EARLY, LATE)):
+        found.append(f"hold: {hold}")
     return found
 
 

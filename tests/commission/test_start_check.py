@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+import canhaptic
 from canhaptic.audit.inspection import inspect
 from canhaptic.audit.recompute import recompute_all, rederive, scene_of
 from canhaptic.cli import run as run_command
@@ -118,3 +119,40 @@ def test_a_person_at_a_real_drive_has_three_seconds_in_which_to_stop_it(monkeypa
     assert said == ["x: check_hold: reversals of 1 N in 3 s"]
     assert torque_tests._Announced(said.append, lambda: False, scene).confirm("x: Start now?") is True
     assert next(times) >= 3 * 10**9
+
+
+@pytest.mark.parametrize(
+    ("changes", "hold"),
+    [
+        ([], "by construction"),
+        (["simulation.drive.acts_at_once=true", "axes.0.demand_reported=after"], "not checked"),
+        (["simulation.drive.syncs_late=1"], "not checked"),
+        (["axes.0.quirks=[acts_a_sync_late]"], "by construction"),
+        (["simulation.drive.torque_read_back=after_update"], "not checked"),
+    ],
+)
+def test_the_hold_of_a_twin_is_known_where_it_acts_as_its_scene_declares(changes: list[str], hold: str) -> None:
+    scene = load_scene(DEMO, changes)
+    assert [scene.hold_of(axis) for axis in scene.axes] == [hold]
+
+
+def test_a_twin_that_acts_in_another_hold_than_declared_makes_no_measured_yes() -> None:
+    scene = load_scene(DEMO, [
+        "simulation.drive.acts_at_once=true", "axes.0.demand_reported=after", "bus.rate=100",
+        "environment={type: detents, peak: 1.73 N, pitch: 8.19 mm}", "passivity.moving_mass=0.739",
+        "passivity.hand_force=5", "passivity.hand_push=40", "simulation.plant.mass=0.821",
+        "simulation.user={stiffness: 787, damping: 3.52, motion: {type: sinusoid, amplitude: 62.3 mm, frequency: 2.97}}",
+    ])  # fmt: skip
+    with build(scene) as experiment:
+        run(experiment.cycle, 300)
+        port = experiment_account(experiment, "completed", 3.0)["ports"]["handle"]
+    assert port["in"] > 1e-3
+    assert port["least_certain"] > -1e-9  # the account itself sees nothing: it would be measured
+    assert (port["passive"], port["hold"], port["plant_passive"]) == ("in doubt", "not checked", "no")
+
+
+def test_a_simulation_from_python_checks_the_hold_as_a_run_does() -> None:
+    port = canhaptic.simulate(load_scene(DEMO, [ASKED]), duration=0.01, progress=False).account["handle"]
+    assert port.hold == "checked at this start"
+    with pytest.raises(StartError, match="acts before its SYNC"):
+        canhaptic.simulate(load_scene(DEMO, [ASKED, "simulation.drive.acts_at_once=true"]), duration=0.01)

@@ -235,7 +235,7 @@ def test_a_check_of_the_hold_is_of_the_drive_that_was_tried(serial: int, *, is_c
     with build(load_scene(DEMO, [objects.format(7)])) as experiment:
         run(experiment.cycle, 2)
         signature = experiment.rig.drives[0].signature()
-        assert "hold" not in experiment_account(experiment, "completed", 1.0)["ports"]["handle"]
+        assert experiment_account(experiment, "completed", 1.0)["ports"]["handle"]["hold"] == "by construction"
     for rate, expected in (("1 kHz", is_checked), ("500 Hz", False)):
         values = [objects.format(serial), f"axes.0.hold_checked={signature}", f"bus.rate={rate}"]
         with build(load_scene(DEMO, values)) as experiment:

@@ -8,11 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canhaptic.audit.inspection import inspect
 from canhaptic.audit.recompute import recompute_all
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
-from canhaptic.control.passivity.hold_dither import EARLY, LATE, DitheredGuarded, HoldWatch
+from canhaptic.control.passivity.hold_dither import DitheredGuarded, HoldWatch
+from canhaptic.control.verdict import EARLY, FOUND, LATE, UNDECIDED
 from canhaptic.cycle import run
 from canhaptic.errors import SceneError
 from canhaptic.logs.energy_reader import EnergyLog
@@ -69,22 +71,23 @@ def said_of(shift: int, *, lag: float = 0.0, lost: float = 0.0, holds: int = 120
     return controller
 
 
-@pytest.mark.parametrize(("shift", "said"), [(-1, EARLY), (0, ""), (1, LATE)])
+@pytest.mark.parametrize(("shift", "said"), [(-1, EARLY), (0, FOUND), (1, LATE)])
 def test_signs_find_the_drive_that_acts_in_another_hold_and_take_its_certificate(shift: int, said: str) -> None:
     controller = said_of(shift)
     assert controller.hold_found == said
     after = controller.step(-1e-3, 0.0)
-    assert (after.certificate == 4) is bool(said)
-    assert (controller.sample_lost().certificate == 4) is bool(said)
-    assert bool(controller.energy_resolution > 1e-4) is bool(said)
+    is_wrong = said != FOUND
+    assert (after.certificate == 4) is is_wrong
+    assert (controller.sample_lost().certificate == 4) is is_wrong
+    assert bool(controller.energy_resolution > 1e-4) is is_wrong
     controller.reset()
-    assert controller.hold_found == ""
+    assert controller.hold_found == UNDECIDED
 
 
 def test_a_late_drive_does_not_differ_from_a_lag_of_half_a_hold_and_samples_may_be_lost() -> None:
-    assert said_of(1, lag=5e-4).hold_found == ""
+    assert said_of(1, lag=5e-4).hold_found == UNDECIDED
     assert said_of(-1, lag=5e-4).hold_found == EARLY
-    assert said_of(0, lost=0.1).hold_found == ""
+    assert said_of(0, lost=0.1, holds=2400).hold_found == FOUND
     assert said_of(-1, lost=0.1, holds=2400).hold_found == EARLY
 
 
@@ -96,14 +99,17 @@ def test_looks_are_as_few_as_doublings() -> None:
 
 
 @pytest.mark.parametrize(
-    ("drive", "said"),
+    ("drive", "said", "cycles"),
     [
-        ("acts_at_once=false", "undecided"),
-        ("acts_at_once=true", EARLY),
-        pytest.param("syncs_late=1", LATE, marks=pytest.mark.slow),
+        ("acts_at_once=false", UNDECIDED, 1700),
+        pytest.param("acts_at_once=false", FOUND, 4000, marks=pytest.mark.slow),
+        ("acts_at_once=true", EARLY, 1700),
+        pytest.param("syncs_late=1", LATE, 1700, marks=pytest.mark.slow),
     ],
 )
-def test_a_run_says_what_its_signs_found_and_its_log_recomputes(tmp_path: Path, drive: str, said: str) -> None:
+def test_a_run_says_what_its_signs_found_and_its_log_recomputes(
+    tmp_path: Path, drive: str, said: str, cycles: int
+) -> None:
     values = [
         "axes.0.hold_dither=0.8",
         f"simulation.drive.{drive}",
@@ -111,14 +117,15 @@ def test_a_run_says_what_its_signs_found_and_its_log_recomputes(tmp_path: Path, 
         "environment.stiffness=400",
     ]
     with build(load_scene(DEMO, values), energy_log=tmp_path / "run.h5") as experiment:
-        run(experiment.cycle, 1700)
+        run(experiment.cycle, cycles)
         port = experiment_account(experiment, "completed", 1.7)["ports"]["handle"]
     assert port["hold"] == said
     assert port["in"] > 1e-3
-    assert ("none" in port["certificates"]) is (said != "undecided")
-    assert said == "undecided" or port["passive"] == "in doubt"
+    assert ("none" in port["certificates"]) is (said in (EARLY, LATE))
+    assert said == FOUND or port["passive"] == "in doubt"
     with EnergyLog.open(tmp_path / "run.h5") as log:
         assert [one["mismatch"] for one in recompute_all(log)] == [None]
+        assert inspect(log)["ports"]["handle"]["hold"] == said
 
 
 @pytest.mark.filterwarnings("ignore:--set")

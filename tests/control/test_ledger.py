@@ -172,7 +172,11 @@ def test_a_run_ends_with_an_open_hold_where_the_last_was_held_on(branch: Branch)
         ("hand_force", {"hold": "checked at commissioning"}, ("yes", "by certificate")),
         ("hand_force", {"hold": "not checked"},
          ("in doubt", "the hold of its torques was not checked: run canhaptic commission, or set check_hold")),
-        ("hand_force", {"hold": "not checked", "least_certain": 0.0}, ("yes", "measured")),
+        ("hand_force", {"hold": "not checked", "least_certain": 0.0},
+         ("in doubt", "the hold of its torques was not checked: run canhaptic commission, or set check_hold")),
+        ("hand_force", {"hold": "undecided", "least_certain": 0.0},
+         ("in doubt", "the hold of its torques was undecided: render for longer, or harder")),
+        ("hand_force", {"hold": "by construction", "least_certain": 0.0}, ("yes", "measured")),
     ],
 )  # fmt: skip
 def test_a_yes_is_measured_at_every_time_or_certified_with_a_fine_resolution(

@@ -16,6 +16,9 @@ R(1) = 0 and R(2) = R(3) > 0. So the drive is found late if R(3) - R(1) is at le
 quarter of R(3). This relies on the plant and not on causality alone. A lag of half a hold looks the same, so that the
 test is made only if window and lag together are declared as at most a quarter of a hold.
 
+**As declared.** The hold is found if R(1) - R(3) is at least 5 of its own s, and |R(3)| and |R(0)| are at most a
+quarter of R(1). This relies on the plant too, and on the same condition. A later contradiction overrides it.
+
 After such a finding no booked energy is certain: the resolution is all the energy that torques and motion could have
 exchanged. The sums are tested each time the number of signs has doubled. After a lost sample or a skipped SYNC both
 sequences restart.
@@ -29,13 +32,12 @@ from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.environments import Environment
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
+from canhaptic.control.verdict import EARLY, FOUND, LATE, UNDECIDED
 
 _SIGMAS: Final = 5.0
 _FIRST_LOOK: Final = 64  # signs
 _LATEST_PART: Final = 0.25  # window and lag, of a hold; and R(1), of R(3)
 _NONE: Final = Certificate.NONE.value
-EARLY: Final = "acts before its SYNC, run canhaptic commission"
-LATE: Final = "acts a hold late, run canhaptic commission"
 
 
 class HoldWatch:
@@ -47,12 +49,13 @@ class HoldWatch:
 
     Attributes:
         found: How the drive contradicts the declared hold; empty: no contradiction so far.
+        is_confirmed: Whether a test has found the declared hold.
         looks: Number of tests so far.
     """
 
     def __init__(self, delay: int, *, tells_late: bool) -> None:
         self._delay, self._tells_late = delay, tells_late
-        self.found, self.looks = "", 0
+        self.found, self.looks, self.is_confirmed = "", 0, False
         self._count, self._next = 0, _FIRST_LOOK
         self._early = self._early_square = self._first = self._third = self._late_square = 0.0
         self.begin_anew()
@@ -96,6 +99,9 @@ class HoldWatch:
             self.found = self.found or EARLY
         elif self._tells_late and self._late_square and whole and late >= _SIGMAS * sqrt(self._late_square):
             self.found = self.found or LATE
+        elif self._tells_late and self._late_square and -late >= _SIGMAS * sqrt(self._late_square):
+            rest = max(abs(self._third), abs(self._early))
+            self.is_confirmed = self.is_confirmed or rest <= _LATEST_PART * self._first
 
 
 class DitheredGuarded(Guarded):
@@ -129,8 +135,8 @@ class DitheredGuarded(Guarded):
 
     @property
     def hold_found(self) -> str:
-        """How the drive contradicts the declared hold; empty: no contradiction so far."""
-        return self._watch.found
+        """What the test has found: the declared hold, how the drive contradicts it, or neither."""
+        return self._watch.found or (FOUND if self._watch.is_confirmed else UNDECIDED)
 
     @property
     def energy_resolution(self) -> float:
