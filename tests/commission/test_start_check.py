@@ -141,7 +141,8 @@ def test_a_twin_that_acts_in_another_hold_than_declared_makes_no_measured_yes() 
         "simulation.drive.acts_at_once=true", "axes.0.demand_reported=after", "bus.rate=100",
         "environment={type: detents, peak: 1.73 N, pitch: 8.19 mm}", "passivity.moving_mass=0.739",
         "passivity.hand_force=5", "passivity.hand_push=40", "simulation.plant.mass=0.821",
-        "simulation.user={stiffness: 787, damping: 3.52, motion: {type: sinusoid, amplitude: 62.3 mm, frequency: 2.97}}",
+        "simulation.user={stiffness: 787, damping: 3.52}",
+        "simulation.user.motion={type: sinusoid, amplitude: 62.3 mm, frequency: 2.97}",
     ])  # fmt: skip
     with build(scene) as experiment:
         run(experiment.cycle, 300)
