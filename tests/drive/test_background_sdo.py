@@ -290,7 +290,13 @@ def test_it_is_refused_where_the_bus_has_no_room(bench: MakeBench) -> None:
         b.rig.sdo(0).read(0x6502)
 
 
-@pytest.mark.parametrize("index", [0x6040, 0x6071, 0x6060, 0x6072, 0x1016, 0x1017, 0x1400, 0x1A00, 0x1005, 0x6007])
+@pytest.mark.parametrize(
+    "index",
+    [
+        *(0x6040, 0x6071, 0x6060, 0x6072, 0x1016, 0x1017, 0x1400, 0x1A00, 0x1005, 0x6007),
+        *(0x60FE, 0x60E0, 0x60E1, 0x607E, 0x60A8, 0x6093, 0x1029, 0x100C, 0x605E),
+    ],
+)
 def test_what_belongs_to_the_cycle_is_written_by_nobody_else(bench: MakeBench, index: int) -> None:
     b = started(bench())
     sent = len(b.sent(0x605))

@@ -23,7 +23,7 @@ from canhaptic.drive.can import sdo
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.sdo import ABORT, ATTEMPTS, FRAME_LENGTH, ProtocolError, Transfer
 from canhaptic.drive.can.servo_drive import ServoDrive
-from canhaptic.drive.profile.fitness import RAMPS
+from canhaptic.drive.profile.drive_objects import DRIVE_OBJECTS, DRIVE_SETTINGS
 from canhaptic.drive.profile.torque_axis import COMMANDS
 from canhaptic.errors import LinkError, SdoError
 
@@ -32,14 +32,15 @@ _OWNED: Final = (
     # of the cycle and of the start that confirmed them: not to be written from outside while the rig runs
     COMMANDS
     | {od.SYNC_COB_ID, od.COMMUNICATION_CYCLE_PERIOD, od.STORE_PARAMETERS, od.RESTORE_PARAMETERS, od.EMCY_COB_ID}
-    | {od.CONSUMER_HEARTBEAT_TIME, od.PRODUCER_HEARTBEAT_TIME, 0x1200, od.ABORT_CONNECTION_OPTION}  # 0x1200: SDO server
-    | {od.MODES_OF_OPERATION, od.MAX_TORQUE, od.RATED_CURRENT, od.RATED_TORQUE, od.INTERPOLATION_PERIOD}
-    | {od.HOME_OFFSET, 0x607E, od.POSITION_OFFSET, od.VELOCITY_OFFSET, od.TORQUE_OFFSET}  # 0x607E: polarity
-    | {od.ENCODER_RESOLUTION, 0x6090, od.GEAR_RATIO, 0x6092}  # velocity encoder, feed constant
+    | {od.CONSUMER_HEARTBEAT_TIME, od.PRODUCER_HEARTBEAT_TIME, od.GUARD_TIME, od.LIFE_TIME_FACTOR, od.ERROR_BEHAVIOUR}
+    | {od.MODES_OF_OPERATION, od.INTERPOLATION_PERIOD, od.ABORT_CONNECTION_OPTION, 0x1200}  # 0x1200: SDO server
+    | {od.HOME_OFFSET, od.POSITION_OFFSET, od.VELOCITY_OFFSET, od.TORQUE_OFFSET}
+    | {index for index, _ in DRIVE_SETTINGS}
+    | {0x605B, 0x605C, 0x605D, 0x605E}  # reactions to shutdown, disable operation, halt and fault
     | set(range(od.RPDO_COMMUNICATION, od.TPDO_MAPPING + od.PDO_COUNT))
 )
-_OWNED_BY_DISPLAYS: Final = {od.QUICK_STOP_OPTION, od.QUICK_STOP_DECELERATION, *RAMPS}
-"""Further objects that only the cycle may write on an admittance display: quick stop, and ramps of its commands."""
+_OWNED_BY_DISPLAYS: Final = {index for index, _ in DRIVE_OBJECTS}
+"""Further objects that only the start may write on an admittance display: reactions, limits and ramps."""
 
 
 @dataclass(slots=True, eq=False)
@@ -82,8 +83,9 @@ class BackgroundSdo:
         Raises:
             SdoError: As `upload`, or the object belongs to the cycle.
         """
-        is_display = self._drive.axis.admittance is not None
-        if index in _OWNED or (is_display and index in _OWNED_BY_DISPLAYS):
+        axis = self._drive.axis
+        others = {place[0] for place in axis.written_objects} if axis.admittance is None else _OWNED_BY_DISPLAYS
+        if index in _OWNED or index in others:
             text = "it belongs to the cycle while the rig runs; stop the rig first"
             raise self._drive.sdo.failure("write", index, subindex, text)
         transfer = sdo.download(*_checked(index, subindex), bytes(data))

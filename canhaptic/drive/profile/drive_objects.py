@@ -1,25 +1,34 @@
-"""Limits, ramps and reactions stored in a drive, which a scene may set."""
+"""Objects stored in a drive: limits, ramps and reactions that a scene may set, and settings that it compares."""
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-DRIVE_OBJECTS: Final[dict[tuple[int, int], str]] = {
-    (int(name[:6], 16), int(name[7:] or "0")): meaning
-    for name, meaning in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")).items()
-}
+Objects = Mapping[tuple[int, int], str]
 """(index, subindex) -> unit and meaning."""
 
 
-def place_of(key: object) -> tuple[int, int]:
-    """Return (index, subindex) of `0x6065` or `0x607D.1`; raise ValueError for any other object."""
+def _objects(file: str) -> Objects:
+    table = tomllib.loads(Path(__file__).with_name(file).read_text(encoding="utf-8"))
+    return {(int(name[:6], 16), int(name[7:] or "0")): meaning for name, meaning in table.items()}
+
+
+DRIVE_OBJECTS: Final = _objects("drive_objects.toml")
+"""Objects that a scene may set."""
+DRIVE_SETTINGS: Final = _objects("drive_settings.toml")
+"""Objects that give positions and torques their scale, sign and limits."""
+
+
+def place_of(key: object, of: Objects = DRIVE_OBJECTS) -> tuple[int, int]:
+    """Return (index, subindex) of `0x6065` or `0x607D.1`; raise ValueError for an object that is not in `of`."""
     text = f"{key:#x}" if isinstance(key, int) else str(key)
     index, _, subindex = text.partition(".")
     try:
         place = int(index, 16), int(subindex or "0", 16)
     except ValueError:
         place = 0, 0
-    if place not in DRIVE_OBJECTS:
-        names = ", ".join(f"0x{i:04X}" + (f".{sub}" if sub else "") for i, sub in DRIVE_OBJECTS)
+    if place not in of:
+        names = ", ".join(f"0x{i:04X}" + (f".{sub}" if sub else "") for i, sub in of)
         raise ValueError(f"got {text}, expected one of: {names}")
     return place
