@@ -17,7 +17,7 @@ from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceChannel, ForceParameters
 from canhaptic.drive.profile.fitness import Verdict, profile_findings
 from canhaptic.drive.safety.link_policy import StopReason
-from canhaptic.errors import ParameterError
+from canhaptic.errors import LinkError, ParameterError
 from canhaptic.signals import Sample
 from tests.drive.drive_bench import REPOSITORY, axis, private_channel
 
@@ -133,6 +133,27 @@ def test_without_a_period_the_interpolation_in_milliseconds_is_what_a_dictionary
     assert not [each for each in profile_findings(dictionary, of) if "0x60c2:02" in each.item]
     [refused] = [each for each in profile_findings(dictionary, of, 500_000) if "0x60c2:02" in each.item]
     assert refused.verdict is Verdict.REFUSED
+
+
+def test_a_target_position_that_could_not_be_sent_is_not_added_to(
+    buses: list[can.BusABC], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise can.CanOperationError("no buffer space")
+
+    def targets() -> list[int]:
+        frames = iter(lambda: buses[1].recv(0.0), None)
+        return [int.from_bytes(frame.data[2:6], "little", signed=True) for frame in frames]
+
+    b = OnTheBus(buses, mode="position")
+    b.sample(1000, 0)
+    b.drive.write(7)
+    with monkeypatch.context() as patch:
+        patch.setattr(buses[0], "send", refuse)
+        with pytest.raises(LinkError, match="no buffer space"):
+            b.drive.write(7)
+    b.drive.write(7)
+    assert targets() == [7, 14]  # counts
 
 
 def test_while_samples_are_missing_the_velocity_is_held_and_then_falls_to_zero(buses: list[can.BusABC]) -> None:

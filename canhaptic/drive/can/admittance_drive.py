@@ -176,13 +176,15 @@ class AdmittanceDrive(ServoDrive):
         Raises:
             LinkError: It could not be sent.
         """
-        if self._is_position:
-            if self.state is not PowerState.OPERATION_ENABLED:
-                self._rest_targets = (self._target, self.position_counts)
-                self._target = self.position_counts
-            self._target = (self._target + torque_per_mille + _WRAP // 2) % _WRAP - _WRAP // 2
-            torque_per_mille = self._target
-        super().write(torque_per_mille)
+        if not self._is_position:
+            return super().write(torque_per_mille)
+        rests = self.state is not PowerState.OPERATION_ENABLED
+        begin = self.position_counts if rests else self._target
+        target = (begin + torque_per_mille + _WRAP // 2) % _WRAP - _WRAP // 2
+        super().write(target)
+        if rests:
+            self._rest_targets = (self._target, begin)
+        self._target = target  # only what was sent: the next command adds to it
 
     def rests_at(self, target: int) -> bool:
         """Whether a target read from the drive is consistent with rest."""
