@@ -100,6 +100,7 @@ def roles_of(scene: Scene) -> Roles:
 
 
 _UPLOAD: Final = 0x40  # first byte of an SDO request that reads
+_STATUSWORD: Final = struct.pack("<H", od.STATUSWORD)
 _SYNC: Final[Address] = (0, od.SYNC_FRAME_COB_ID)
 
 
@@ -146,6 +147,11 @@ class Recording:
         pairs = zip(self.addresses, (frame.data for frame in self.frames), strict=True)
         found = [(can_id - node_id, data) for (place, can_id), data in pairs if place == bus and data[1:4] == named]
         return [(base, data) for base, data in found if base in bases]
+
+    def first_request(self, bus: int, node_id: int) -> bytes:
+        """Return the data of the first SDO request to a node; empty without one."""
+        pairs = zip(self.addresses, (frame.data for frame in self.frames), strict=True)
+        return next((data for address, data in pairs if address == (bus, od.SDO_REQUEST_BASE + node_id)), b"")
 
     @property
     def restoring(self) -> int:
@@ -357,7 +363,7 @@ class JoinedRig(Rig):
 def _suppose_enabled(drive: ServoDrive) -> None:
     """Set the values that the start would have read from the drive."""
     drive.reset()
-    drive.answers = True
+    drive.is_ours = True
     drive.nmt_state = int(od.NmtState.OPERATIONAL)
     drive.controlword = int(od.Controlword.ENABLE_OPERATION)
     variable = drive.dictionary.get_variable(od.RATED_TORQUE, 0)
@@ -552,12 +558,13 @@ class OpenReplay:
         return (JoinedRig if self._joins else Rig)(links, drives, scene.bus, scene.group_places)
 
     def _follow_older_master(self, drives: list[ServoDrive]) -> None:
-        """Skip what an older recorded master did not do: write 0x1006 or an offset, restore values."""
+        """Skip what an older recorded master did not do: identify first, write 0x1006 or an offset, restore values."""
         if self._joins:
             return
         places = {bus.name: place for place, bus in enumerate(self._scene.buses)}
         for axis, drive in zip(self._scene.axes, drives, strict=True):
             where = places[axis.bus], drive.axis.node_id
+            drive.identifies = self._recording.first_request(*where)[1:3] != _STATUSWORD
             listed = {od.COMMUNICATION_CYCLE_PERIOD} & drive.dictionary.keys()
             drive.left_out = frozenset(
                 index for index in (*listed, *drive.axis.offsets) if not self._recording.sdo_frames(*where, index)

@@ -21,7 +21,10 @@ class Brake(Parameters):
     """Who operates the brake: `drive`, which releases it when enabled and sets it when disabled, or `host`, through
     `output`."""
     output: Annotated[int, quantity("1", ge=0, le=31)] | None = None
-    """Bit of the drive's digital outputs (0x60FE:01) that releases the brake; only with `by: host`."""
+    """Bit of the drive's digital outputs (0x60FE:01) that works the brake; only with `by: host`."""
+    released: Literal[0, 1] | None = None
+    """Value of that bit with the brake released; drives differ. None: 1. Bit 0, whose 1 sets the brake in CiA 402, is
+    refused without it."""
     release_time: Annotated[float, quantity("s", ge=0.0, le=5.0)]
     """Longest time until the brake is released; the controller sends no torque before."""
     set_time: Annotated[float, quantity("s", ge=0.0, le=1.0)]
@@ -31,7 +34,19 @@ class Brake(Parameters):
     def _has_an_output(self) -> "Brake":
         if (self.by == "host") != (self.output is not None):
             raise ValueError(f"output: got {self.output} with by: {self.by}, expected a bit only for by: host")
+        if self.released is None and self.output == 0:
+            text = (
+                "output: got bit 0 without `released`; in CiA 402 its 1 sets the brake (released: 0), but drives differ"
+            )
+            raise ValueError(f"{text}: say which value releases it")
+        if self.released is not None and self.by == "drive":
+            raise ValueError(f"released: got {self.released} with by: drive, expected it only for by: host")
         return self
+
+    def outputs(self, before: int, *, is_open: bool) -> int:
+        """Return 0x60FE:01 with which the brake opens, or is set; every other bit stays as it was before."""
+        bit = 1 << (self.output or 0)
+        return before | bit if is_open == (self.released != 0) else before & ~bit
 
 
 _LONGEST: Final = 8  # bytes of a frame

@@ -107,7 +107,8 @@ class Rig:
         """Bring every drive from any state to OPERATION ENABLED with zero torque, each step confirmed.
 
         Raises:
-            StartError: A step was not confirmed; all drives are left disabled.
+            StartError: A step was not confirmed; all drives are left disabled. Where one of them does not answer, or is
+                not the one of the configuration, nothing was sent but reads, and all are left as they were.
             SecondMasterError: Another master sends on a bus; all drives are left disabled.
         """
         self._reset()
@@ -316,7 +317,7 @@ class Rig:
                 line.close()
             problems = stop.disable(self._exchange, trust)
             for drive, problem in zip(self.drives, problems, strict=True):
-                if drive.answers and drive.sdo.changes:
+                if drive.is_ours and drive.sdo.changes:
                     restore(drive, problem)
                     drive.unrestored += drive.elsewhere
             return [f"{drive.axis.name}: {what}" for drive, what in zip(self.drives, problems, strict=True) if what]
@@ -353,12 +354,15 @@ class Rig:
 
         Raises:
             RigError: The rig is running.
-            StartError: A fault stays.
+            StartError: A fault stays, or a drive is not the one of the configuration.
         """
         if self.is_running:
             raise RigError("faults are not reset while the rig runs; call stop() first", self.records)
-        for drive in self.drives:
-            drive.bring_up().reset_fault()
+        bring_ups = [drive.bring_up() for drive in self.drives]
+        for bring_up in bring_ups:
+            bring_up.identify()
+        for bring_up in bring_ups:
+            bring_up.reset_fault()
 
     def read_objects(self, axis: int) -> "list[Finding]":
         """Return the limits, ramps and reactions stored in the drive of an axis; raise SdoError without an answer."""

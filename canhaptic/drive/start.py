@@ -1,6 +1,7 @@
 """Start of a rig; the stop is in `drive.safety.stop`.
 
-Each drive is configured, then SYNC is sent, the drives are taken to operational, exchange zero torque, and are enabled.
+All drives are identified before anything is written to one of them. Each is configured, then SYNC is sent, and they
+are taken to operational, exchange zero torque, and are enabled.
 """
 
 from collections.abc import Callable, Sequence
@@ -63,8 +64,13 @@ def start(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
     """
     for drive in exchange.drives:
         drive.reset()
-        drive.answers = drive.is_foreign = False
+        drive.is_ours = False
         drive.sdo.changes, drive.unrestored = [] if drive.restores else None, []
+    for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
+        if drive.identifies:
+            bring_up.identify()
+    for drive in exchange.drives:
+        drive.is_ours = True  # not before all are: this might be another machine
     for bring_up in bring_ups:
         bring_up.call()  # all of them first: their heartbeats come while the first is awaited
     for bring_up in bring_ups:
@@ -203,9 +209,9 @@ def _open_brakes(exchange: Exchange, bring_ups: Sequence[BringUp]) -> int:
         if brake is not None:
             with bring_up.step("brake"):
                 drive.command_brake(is_open=True)
-                if brake.output is not None:
+                if drive.outputs is not None:
                     seen = _read(exchange, drive, od.DIGITAL_OUTPUTS, 1)
-                    bring_up.expect("brake", "0x60FE:01", seen, drive.outputs | 1 << brake.output)
+                    bring_up.expect("brake", "0x60FE:01", seen, brake.outputs(drive.outputs, is_open=True))
             longest = max(longest, brake.release_time)
     return exchange.now() + round(longest * 1e9)
 

@@ -336,6 +336,7 @@ _LATER: Final[Mapping[str, tuple[object, ...]]] = {
     **dict.fromkeys(("energy_loss_limit", "brake", "hold_checked", "check_hold", "hold_dither", *_REQUIRED), (None,)),
     **{f"loop.{key}": (None, 0.0) for key in LATER_LOOP_KEYS},
     "admittance.limit_in_drive": (False,),
+    **dict.fromkeys(("brake.released", "simulation.drive.brake.released"), (None,)),
     "simulation.drive.acts_at_once": (False,),
     "simulation.drive.syncs_late": (0,),
     "simulation.drive.brake": (None,),

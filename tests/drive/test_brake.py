@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from canhaptic.canopen.attached_devices import Brake
+from canhaptic.canopen.objects import DataType
 from canhaptic.errors import DictionaryError, StartError
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.drive_bench import OUR_EDS, Bench, FreeMass, MakeBench, axis
@@ -31,8 +32,9 @@ def with_outputs(folder: Path, access: str = "rw") -> Path:
     return path
 
 
-def hung(bench: MakeBench, brake: Brake | None, **values: Any) -> Bench:
-    b = bench([axis(brake=brake, **values)], drive_values={"brake": brake})
+def hung(bench: MakeBench, brake: Brake | None, outputs: int | None = None, **values: Any) -> Bench:
+    objects = None if outputs is None else {"0x60FE.1": outputs}
+    b = bench([axis(brake=brake, **values)], objects=objects, drive_values={"brake": brake})
     servo = b.drives[0].servo
     servo.motor = HungMass()
     if servo._brake is None:
@@ -121,9 +123,98 @@ def test_who_works_the_brake_and_how_is_stated_once(wrong: dict[str, Any]) -> No
         Brake(**TIMES, **wrong)
 
 
-def test_a_start_refused_before_the_outputs_were_read_opens_none_of_them(bench: MakeBench, tmp_path: Path) -> None:
-    b = hung(bench, Brake(by="host", output=3, **TIMES), eds=with_outputs(tmp_path), vendor_id=0xBAD)
-    with pytest.raises(StartError, match="vendor"):
+WRITES = ("2b", "2f", "23", "27", "21")
+OTHERS = 0x000A0005  # outputs that are not the brake's
+
+
+def left_enabled(bench: MakeBench, brake: Brake, outputs: int | None = None, **values: Any) -> Bench:
+    """A rig whose master died without a stop, with the weight held by the torque and the brake open."""
+    b = hung(bench, brake, outputs, **values)
+    b.rig.start()
+    b.run(100, WEIGHT)
+    motor: Any = b.drives[0].servo.motor
+    b.drives[0].servo.measure()
+    motor.velocity = 0.0
+    return b
+
+
+@pytest.mark.parametrize(
+    ("output", "released", "set_", "opened"),
+    [(16, None, OTHERS & ~0x10000, OTHERS | 0x10000), (16, 0, OTHERS | 0x10000, OTHERS), (0, 0, OTHERS, OTHERS & ~1)],
+)
+def test_the_brake_is_the_first_write_and_the_disable_waits_for_it(
+    bench: MakeBench, tmp_path: Path, output: int, released: int | None, set_: int, opened: int
+) -> None:
+    brake = Brake(by="host", output=output, released=released, **TIMES)
+    b = left_enabled(bench, brake, OTHERS, eds=with_outputs(tmp_path))
+    held, begin = b.drives[0].servo.motor.position, len(b.frames)
+    b.rig.start()
+    sent = [(time, f"{can_id:03x} {data.hex()}") for time, can_id, data, is_rx in b.frames[begin:] if not is_rx]
+    low, high, mask = (value.to_bytes(4, "little").hex() for value in (set_, opened, 1 << output))
+    assert [text for _, text in sent[:9]] == [
+        "605 4000100000000000",  # who is it
+        "605 40fe600100000000",  # its outputs, once
+        f"605 23fe6001{low}",
+        "605 40fe600100000000",
+        "605 40fe600200000000",
+        f"605 23fe6002{mask}",
+        "605 40fe600200000000",
+        "605 4041600000000000",
+        "605 2b40600000000000",  # only now disabled
+    ]
+    assert sent[8][0] - sent[7][0] == 50_000_000
+    assert (f"605 23fe6001{high}") in [text for _, text in sent[9:]]
+    assert b.drives[0].servo.motor.position == pytest.approx(held, abs=2e-5)  # 0 mm but for the first torque-free SYNCs
+    b.rig.stop()  # and it does not restore an open brake
+    outputs = [data.hex() for data in b.sent(0x605) if data.hex().startswith("23fe6001")]
+    assert outputs[-1] == f"23fe6001{low}"
+
+
+def test_a_drive_that_works_its_brake_holds_the_weight_until_it_does(bench: MakeBench) -> None:
+    b = left_enabled(bench, Brake(**TIMES))
+    held, begin = b.drives[0].servo.motor.position, len(b.frames)
+    b.rig.start()
+    sent = [(time, data.hex()) for time, can_id, data, is_rx in b.frames[begin:] if not is_rx and can_id == 0x605]
+    writes = [(time, text) for time, text in sent if text.startswith(WRITES)]
+    assert [text for _, text in writes[:2]] == ["2b40600007000000", "2b40600000000000"]
+    assert writes[1][0] - writes[0][0] == 50_000_000
+    assert b.drives[0].servo.motor.position == pytest.approx(held, abs=2e-5)
+
+
+def test_without_an_answer_of_the_outputs_none_of_them_is_written_also_at_the_stop(
+    bench: MakeBench, tmp_path: Path
+) -> None:
+    b = hung(bench, Brake(by="host", output=16, **TIMES), eds=with_outputs(tmp_path))
+    b.rig.start()
+    b.rig.stop()  # this start read them
+    begin = len(b.sent(0x605))
+    b.tampered.on_receive = lambda frame: None if bytes(frame.data[1:4]) == b"\xfe\x60\x01" else frame
+    with pytest.raises(StartError, match="brake: read 0x60fe:01"):
         b.rig.start()
-    outputs = [data[4:] for data in b.sent(0x605) if data.startswith(bytes.fromhex("23fe6001"))]
-    assert set(outputs) == {bytes(4)}
+    frames = [data.hex() for data in b.sent(0x605)[begin:] if data[1:3] == b"\xfe\x60" and data[0] != 0x80]
+    assert frames == ["40fe600100000000"]
+
+
+@pytest.mark.parametrize("foreign", [5, 6])
+@pytest.mark.parametrize("how", ["vendor", "device type"])
+def test_a_foreign_drive_is_sent_nothing_but_reads(bench: MakeBench, tmp_path: Path, foreign: int, how: str) -> None:
+    brake = Brake(by="host", output=3, **TIMES)
+    other = {"vendor_id": 0xBAD} if how == "vendor" else {}
+    b = bench([axis(n, brake=brake, eds=with_outputs(tmp_path), **(other if n == foreign else {})) for n in (5, 6)])
+    drive = b.drives[foreign - 5]
+    drive.wake(0)
+    if how == "device type":
+        drive.store.entry(0x1000, DataType.UNSIGNED32).value = 0x00020191
+    with pytest.raises(StartError, match=how):
+        b.rig.start()
+    b.rig.stop()
+    assert {(can_id, data[0]) for _, can_id, data, is_rx in b.frames if not is_rx} <= {(0x605, 0x40), (0x606, 0x40)}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [({"by": "host", "output": 0}, "bit 0 without `released`"), ({"released": 1}, "released: got 1 with by: drive")],
+)
+def test_the_polarity_of_the_profiles_own_brake_bit_is_said(wrong: dict[str, Any], named: str) -> None:
+    with pytest.raises(ValueError, match=named):
+        Brake(**TIMES, **wrong)

@@ -25,8 +25,8 @@ def test_the_start_sends_the_frames_that_cia_301_and_402_ask_for_in_order(bench:
     b = bench()
     b.rig.start()
     wanted = [
+        (0x605, "40 00 10 00 00 00 00 00"),  # device type, before anything is written
         (0x000, "80 05"),  # NMT enter pre-operational
-        (0x605, "40 00 10 00 00 00 00 00"),  # device type
         (0x605, "2b 17 10 00 14 00 00 00"),  # producer heartbeat 20 ms
         (0x605, "40 02 65 00 00 00 00 00"),  # supported drive modes
         (0x605, "40 41 60 00 00 00 00 00"),  # statusword

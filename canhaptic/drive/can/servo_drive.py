@@ -166,10 +166,13 @@ class ServoDrive(TorqueAxis):
         self._write_unconfirmed(od.CONTROLWORD, 0, self.stop_word.to_bytes(2, "little"))
 
     def command_brake(self, *, is_open: bool) -> None:
-        """Open or set a brake operated by the host, and await no answer; raise LinkError."""
+        """Open or set a brake operated by the host, and await no answer; raise LinkError.
+
+        Nothing is sent before the outputs were read: zeros would command those that are not ours.
+        """
         brake = self.axis.brake
-        if brake is not None and brake.output is not None:
-            value = self.outputs | is_open << brake.output
+        if brake is not None and self.outputs is not None:
+            value = brake.outputs(self.outputs, is_open=is_open)
             self._write_unconfirmed(od.DIGITAL_OUTPUTS, 1, value.to_bytes(4, "little"))
 
     def _write_unconfirmed(self, index: int, subindex: int, data: bytes) -> None:
@@ -300,6 +303,11 @@ class CanBringUp(BringUp):
 
     def _command_pre_operational(self) -> None:
         self._drive.leave_operational()
+
+    def _wake(self) -> None:
+        """Command pre-operational unless heartbeats show a state with SDO: a node in NMT STOPPED takes none."""
+        if self._drive.nmt_state not in (od.NmtState.PRE_OPERATIONAL, od.NmtState.OPERATIONAL):
+            self._drive.leave_operational()
 
     def _explain_absence(self) -> None:
         """Ask for nodes without a node ID (LSS, CiA 305, 6.4.6), which take no SDO."""

@@ -43,13 +43,31 @@ class BringUp(ABC):
     def __init__(self, drive: TorqueAxis) -> None:
         self._drive, self._sdo = drive, drive.sdo
 
+    def identify(self) -> None:
+        """Read which drive this is, and write nothing to it.
+
+        Raises:
+            StartError: The drive does not answer, or is not the one of the configuration.
+        """
+        self._presence()
+        self._identity()
+
     def call(self) -> None:
         """Take the drive from any state to pre-operational and request its state reports; `configure` follows.
 
+        A drive that another run left enabled is disabled once its brake holds.
+
         Raises:
-            StartError: The drive does not answer, or a step was refused.
+            StartError: A step was refused.
         """
-        self._presence()
+        drive = self._drive
+        if drive.identifies:
+            self._set_brake()
+        self._disable_if_powered()
+        with self.step("bus"):
+            self._command_pre_operational()
+        if not drive.identifies:
+            self._presence()
         self._monitor()
 
     def configure(self) -> None:
@@ -59,14 +77,14 @@ class BringUp(ABC):
             StartError: A step was refused or not confirmed.
         """
         self._await_pre_operational()
-        self._identity()
+        if not self._drive.identifies:
+            self._identity()
         self._drive_modes()
         self._drive_state()
         self._zero_torque()
         self._rated_torque()
         self._torque_limit()
         self._drive_objects()
-        self._set_brake()
         self._watchdog()
         self._interpolation_period()
         self._map()
@@ -77,6 +95,10 @@ class BringUp(ABC):
     @abstractmethod
     def _command_pre_operational(self) -> None:
         """Command the state for configuring a drive; raise LinkError."""
+
+    def _wake(self) -> None:
+        """Make a drive answer that is silent because of its communication state; raise LinkError."""
+        return
 
     def _explain_absence(self) -> None:
         """Look for the cause why the drive does not answer; raise StartError if one is found."""
@@ -156,35 +178,42 @@ class BringUp(ABC):
     # --- the steps --------------------------------------------------------------------------------------------------
 
     def _presence(self) -> None:
-        drive = self._drive
+        """Read 0x1000, again and again where the drive may not have booted yet; compare its profile."""
+        drive, is_woken = self._drive, False
         deadline = drive.now() + round(drive.axis.start_timeout * 1e9)
         while True:
-            self._disable_if_powered()
-            with self.step("bus"):
-                self._command_pre_operational()
             try:
                 device_type = self._sdo.read(od.DEVICE_TYPE)
                 break
             except SdoError as error:
-                if error.code is None and not isinstance(error.__cause__, LinkError) and drive.now() < deadline:
-                    continue  # it may not have booted yet
+                is_silent = error.code is None and not isinstance(error.__cause__, LinkError)
+                if is_silent and (drive.now() < deadline or not is_woken):
+                    with self.step("bus"):
+                        self._wake()
+                    is_woken = True
+                    continue
                 with self.step("presence"):
                     self._explain_absence()
                     raise
-        drive.is_foreign = device_type & 0xFFFF != od.CIA402_PROFILE
-        drive.answers = not drive.is_foreign
-        if drive.is_foreign:
+        if device_type & 0xFFFF != od.CIA402_PROFILE:
             seen = f"0x1000 = {device_type:#010x}"
             raise self.refusal("device type", seen, f"low word {od.CIA402_PROFILE:#06x}")
 
     def _disable_if_powered(self) -> None:
         """Disable a drive that another run left enabled: leaving OPERATIONAL with power on would be a fault to it.
 
-        A drive that does not answer yet may be in NMT STOPPED, so this step confirms nothing; later ones do.
+        A torque that it holds stays until a brake of the axis holds. This step confirms nothing; later ones do.
         """
+        brake, drive = self._drive.axis.brake, self._drive
         try:
-            if drive_state(self._sdo.probe(od.STATUSWORD)) in _POWERED:
-                self._sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
+            state = drive_state(self._sdo.probe(od.STATUSWORD))
+            if state not in _POWERED:
+                return
+            if brake is not None and brake.by == "drive" and state is PowerState.OPERATION_ENABLED:
+                self._sdo.write(od.CONTROLWORD, 0, Controlword.SWITCH_ON)  # it holds until its brake does
+            if brake is not None:
+                drive.pump(drive.now() + round(brake.set_time * 1e9))
+            self._sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
         except SdoError:
             return
 
@@ -307,18 +336,17 @@ class BringUp(ABC):
             self._write_confirmed("drive objects", *place, value)
 
     def _set_brake(self) -> None:
-        """Set a brake that the host operates, and enable writing of its output."""
-        drive, outputs = self._drive, od.DIGITAL_OUTPUTS
-        if drive.axis.brake is None or drive.axis.brake.output is None:
+        """Set a brake that the host operates, and enable writing of its output: the first write to the drive."""
+        drive, index, brake = self._drive, od.DIGITAL_OUTPUTS, self._drive.axis.brake
+        if brake is None or brake.output is None:
             return
-        bit = 1 << drive.axis.brake.output
         with self.step("brake"):
-            drive.outputs = self._sdo.read(outputs, 1) & ~bit
-        self._write_confirmed("brake", outputs, 1, drive.outputs)
-        if is_writable(drive.dictionary, outputs, 2):
+            drive.outputs = self._sdo.probe(index, 1)
+        self._write_confirmed("brake", index, 1, brake.outputs(drive.outputs, is_open=False))
+        if is_writable(drive.dictionary, index, 2):
             with self.step("brake"):
-                mask = self._sdo.read(outputs, 2)
-            self._write_confirmed("brake", outputs, 2, mask | bit)
+                mask = self._sdo.read(index, 2)
+            self._write_confirmed("brake", index, 2, mask | 1 << brake.output)
 
     def _watchdog(self) -> None:
         """Make the drive detect a dead master: 0x6007 selects its reaction, the fieldbus arms it."""

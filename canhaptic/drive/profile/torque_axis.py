@@ -53,8 +53,10 @@ class ObjectAccess(Protocol):
         """Return an object as `0x6072:00 Max torque`."""
 
 
-COMMANDS: Final = frozenset((od.CONTROLWORD, od.TARGET_TORQUE, od.TARGET_POSITION, od.TARGET_VELOCITY))
-"""Objects that command a drive; they are no settings and are never restored."""
+COMMANDS: Final = frozenset(
+    (od.CONTROLWORD, od.TARGET_TORQUE, od.TARGET_POSITION, od.TARGET_VELOCITY, od.DIGITAL_OUTPUTS)
+)
+"""Objects that command a drive or its brake; they are no settings and are never restored."""
 _tuple: Final = tuple.__new__  # makes a sample at half the cost of calling its class
 _NO_REASON: Final = StopReason.NONE  # bound once: to look a member up in its enum takes as long as all of `fault`
 _LIMITED: Final = int(od.StatusBit.INTERNAL_LIMIT)
@@ -104,12 +106,13 @@ class TorqueAxis(ABC):
         is_complete: Whether all process data of the last SYNC arrived in their window.
         is_operational: Whether the drive exchanges process data, by its last report.
         alive_at: Time of the drive's last sign of life [ns].
-        answers: Whether the drive answered an SDO since the last start.
+        is_ours: Whether this start found every drive to be the one of the configuration, and so may write to this one.
         left_out: Objects that the start skips, as the older master of a replayed run did.
         restores: Whether the stop restores values that the start wrote; False for the older master of a replayed run.
+        identifies: Whether nothing is written before the identity was read; False for such a master.
         hold: Result, in words, of the hands-off test in which hold its torques act; empty if no account needs it.
         unrestored: Objects that the stop did not restore, in words.
-        outputs: Digital outputs of the drive (0x60FE:01) with the brake set.
+        outputs: Digital outputs of the drive (0x60FE:01) as the start read them, for a brake; None before.
         elsewhere: Writes to other nodes, whose objects are not restored.
         controlword: Controlword sent with the next torque.
         unasked: Number of process data since the last `reset` that arrived in no SYNC window.
@@ -151,13 +154,12 @@ class TorqueAxis(ABC):
         limiter = DryRunLimiter if dry_run else TorqueLimiter
         self.limiter = limiter(axis.torque_limit, rules.sample_time, axis.torque_rate_limit, axis.power_limit)
         self.policy = LinkPolicy(rules.hold_cycles, rules.stop_cycles)
-        self.answers = False
+        self.is_ours = False
         self.left_out: frozenset[int] = frozenset()
-        self.restores = True
+        self.restores = self.identifies = True
         self.unrestored: list[str] = []
         self.hold = ""
         self.elsewhere: list[str] = []
-        self.outputs, self.is_foreign = 0, False
         self.sample_time_ns = rules.sample_time_ns
         self._is_synchronous, self._silence = rules.is_synchronous, rules.silence
         self._sample_time, self._stop_cycles = rules.sample_time, rules.stop_cycles
@@ -174,6 +176,7 @@ class TorqueAxis(ABC):
         self.statusword, self.is_operational, self.is_complete = 0, False, False
         self.alive_at = self.now()
         self.emergency: ReceivedEmergency | None = None
+        self.outputs: int | None = None
         self.controlword = int(od.Controlword.DISABLE_VOLTAGE)
         self._values: tuple[int, ...] | list[int] = (0, 0, 0)  # statusword, position counts, torque per mille
         self.unheard = self.unasked = 0

@@ -25,8 +25,7 @@ class StoppedAxis(Protocol):
     stop_word: Controlword
     stop_time: int
     controlword: int
-    answers: bool
-    is_foreign: bool
+    is_ours: bool
     is_operational: bool
     is_complete: bool
 
@@ -149,12 +148,12 @@ def disable(exchange: StoppedExchange, trust: Trust) -> list[str]:
             still hold a torque.
 
     Returns:
-        What was not confirmed, one text per drive; "" where all is well, and for a drive that never answered.
+        What was not confirmed, one text per drive; "" where all is well, and where nothing was written yet.
     """
-    _try(lambda: _write_zero([drive for drive in exchange.drives if not drive.is_foreign]))
-    reachable = [drive for drive in exchange.drives if drive.answers]
+    reachable = [drive for drive in exchange.drives if drive.is_ours]
     if not reachable:
         return [""] * len(exchange.drives)
+    _try(lambda: _write_zero(reachable))
     _try_each(partial(drive.command_brake, is_open=False) for drive in reachable if drive.axis.brake is not None)
     if trust is Trust.NONE:
         _try_each(drive.disable_unconfirmed for drive in reachable)

@@ -259,7 +259,7 @@ class Servo:
     def __init__(self, store: ObjectStore, motor: Motor, parameters: SimulatedDriveParameters) -> None:
         brake = parameters.brake
         self._brake = None if brake is None else _BrakedMotor(motor, brake)
-        self._brake_output = None if brake is None else brake.output
+        self._host_brake = brake if brake is not None and brake.by == "host" else None
         self._outputs = store.find(objects.DIGITAL_OUTPUTS, 1)
         self.motor, self._mover = motor, self._brake or motor
         self.machine = StateMachine()
@@ -297,6 +297,8 @@ class Servo:
     def _connect(self) -> None:
         for commanded in (self._controlword, self._mode, self._target, self._torque_offset):
             commanded.changed = self.obey
+        if self._brake is not None and self._outputs is not None:
+            self._outputs.changed = self._work_brake
         self._mode.check = self._check_mode
         measured = (self._position, self._torque_demand, self._torque_actual, self._current_actual)
         for entry in (*measured, self.velocity_entry):
@@ -390,6 +392,7 @@ class Servo:
         if word != self._statusword.value or (before is not None and before is not state):
             self._statusword.value = word
             self.has_event = True
+            self._work_brake()
 
     def _home(self, homing: "Homing") -> tuple[int, int]:
         """Return torque demand and statusword of the homing mode, and move the zero once the home is found."""
@@ -433,7 +436,7 @@ class Servo:
         """Measure at a SYNC; the first SYNC in OPERATION ENABLED starts the motor's clock."""
         motor, now, encoder = self.motor, self.now, self._read_encoder
         if self._brake is not None:
-            self._brake.command(now, is_open=self._opens_brake())
+            self._work_brake()
         if self.is_running:
             self._mover.advance_to(now, self.torque)
         elif self.machine.state is _ENABLED:
@@ -447,10 +450,15 @@ class Servo:
             self.update()
         self.show_torque()
 
-    def _opens_brake(self) -> bool:
-        if self._brake_output is None or self._outputs is None:
-            return self.machine.state is _ENABLED
-        return bool(self._outputs.number >> self._brake_output & 1)
+    def _work_brake(self) -> None:
+        """Open or set the brake as its output, or the state of the drive, demands now."""
+        if self._brake is None:
+            return
+        is_open = self.machine.state is _ENABLED
+        if self._host_brake is not None and self._outputs is not None:
+            outputs = self._outputs.number
+            is_open = self._host_brake.outputs(outputs, is_open=True) == outputs
+        self._brake.command(self.now, is_open=is_open)
 
     def show_torque(self) -> None:
         """Update 0x6074 from the present demand, 0x6077 and 0x6078 from the measurement; current equals torque."""
