@@ -2,6 +2,7 @@
 
 from canhaptic import errors as errors
 from canhaptic import extending as extending
+from canhaptic import passivity as passivity
 from canhaptic.audit.recompute import recompute as recompute
 from canhaptic.control.balance import Branch as Branch
 from canhaptic.control.balance import Certificate as Certificate

@@ -21,6 +21,7 @@ SAYS = {
     "own_wall.py": "passive='yes'",
     "own_hand.py": r"startled .* passive yes",
     "lossy_bus.py": r"drop.* link +9\d",
+    "own_loop.py": r"least_interaction=0\.0",
     "own_program.py": r"passive: yes; in [\d.]+ mJ",
     "code_in_a_process.py": r"\d+ cycles, .* [1-9]\d* holds without an answer",
     "stop_when_deep.py": r"stopped after \d+ cycles at -8",

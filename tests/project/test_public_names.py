@@ -4,19 +4,21 @@ import sys
 import pytest
 
 import canhaptic
-from canhaptic import extending
+from canhaptic import extending, passivity
 
 
-def test_every_public_name_can_be_imported_and_there_are_at_most_65() -> None:
-    assert len({*canhaptic.__all__, *extending.__all__}) <= 65
+def test_every_public_name_can_be_imported_and_there_are_at_most_80() -> None:
+    assert len({*canhaptic.__all__, *extending.__all__, *passivity.__all__}) <= 80
     for name in canhaptic.__all__:
         assert getattr(canhaptic, name).__name__ == name
-    for name in extending.__all__:
-        assert hasattr(extending, name)
+    for module in (extending, passivity):
+        for name in module.__all__:
+            assert hasattr(module, name)
+            assert name in dir(module)
 
 
-def test_dir_lists_the_public_names_and_the_two_modules_that_hold_more() -> None:
-    assert dir(canhaptic) == sorted([*canhaptic.__all__, "errors", "extending"])
+def test_dir_lists_the_public_names_and_the_three_modules_that_hold_more() -> None:
+    assert dir(canhaptic) == sorted([*canhaptic.__all__, "errors", "extending", "passivity"])
     assert canhaptic.extending is extending
     assert set(canhaptic.__all__).isdisjoint(extending.__all__)
 
@@ -29,6 +31,15 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
 def test_importing_the_package_imports_nothing_else() -> None:
     code = (
         "import sys, canhaptic; print([m for m in sys.modules if m.startswith('canhaptic.') or m in {'can', 'numpy'}])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
+
+
+def test_a_loop_of_its_own_loads_neither_numpy_nor_a_bus_nor_a_file_format() -> None:
+    code = (
+        "import sys, examples.own_loop; "
+        "print(sorted({'can', 'canopen', 'h5py', 'numpy', 'rich', 'yaml'} & set(sys.modules)))"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
