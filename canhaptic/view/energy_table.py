@@ -9,7 +9,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from canhaptic.axis_units import counted, damping_unit, effort_unit, si
-from canhaptic.control.verdict import PASSIVE_TOLERANCE, Verdict
+from canhaptic.control.verdict import BY_CONSTRUCTION, PASSIVE_TOLERANCE, Verdict
 from canhaptic.view.run_lines import (
     Result,
     failure_text,
@@ -125,6 +125,10 @@ def _margin(port: Result) -> Styled:
     return Styled(f"{si(margin, 'J')}{place}", "green" if margin >= -PASSIVE_TOLERANCE else "red")
 
 
+def _hold(port: Result) -> str:
+    return _NOTHING if port["hold"] == BY_CONSTRUCTION else f"{port['hold']}   "
+
+
 def _silent(port: Result) -> str | Styled:
     """Return the number of cycles in contact without torque; in red if it is all of them, as nothing was rendered."""
     contact = port["contact"]
@@ -200,7 +204,7 @@ _PORT_ROWS: Final[tuple[tuple[str, _Shown], ...]] = (
     ("force beyond declared friction and hand", _friction),
     ("algorithm", lambda port: f"{port['algorithm']}   "),
     ("guarantee rests on", _certificates),
-    ("when a torque acts", lambda port: f"{port['hold']}   "),
+    ("when a torque acts", _hold),
 )
 """Label of each row, and the path of an energy in the account or a function that formats a figure."""
 _TRUTH_ROWS: Final = {
@@ -235,7 +239,8 @@ def inspection_tables(result: Result) -> list[Table]:
             port = run["ports"][name]
             unit = port["unit"]
             tables.append(_contacts_table(f"{file} {name}", contacts, unit, port.get("state_unit", unit)))
-        tables.append(_events_table(run.get("events", []), file))
+        told = [event for event in run.get("events", []) if event["text"] != BY_CONSTRUCTION]  # of every simulated run
+        tables.append(_events_table(told, file))
     tables.append(_checks_table(result.get("checks", [])))
     return [table for table in tables if table.rows]
 

@@ -21,6 +21,7 @@ from canhaptic.control.multi_axis.group_account import (
     extraction_of,
     free_energy,
     given_in_debt,
+    has_two_bounds,
     largest_of,
     needed_under_way,
     norms_of,
@@ -28,6 +29,7 @@ from canhaptic.control.multi_axis.group_account import (
     older_size,
     share_of_late,
     shares,
+    shares_if_apart,
     worst_case,
 )
 from canhaptic.control.multi_axis.group_certificates import (
@@ -371,3 +373,62 @@ def test_mirrored_axes_that_act_apart_need_the_same_and_get_the_mirrored_torques
         assert found[0] == pytest.approx(found[1], rel=1e-9, abs=1e-15), seed
         held += 0.0 < found[0][1] < 1.0
     assert held > 5
+
+
+def even_group(masses: list[float], hand: float, delay: int, losses: int = 0) -> Accounting:
+    """A group of undamped axes with ideal encoders, at rest and without torques under way."""
+    loops = tuple(
+        LoopProperties(sample_time=T, delay=delay, moving_mass=mass, device_damping_bound=0.0) for mass in masses
+    )
+    known = axes_of(loops, hand, None)
+    limits = per_axis_limits(known, delay, losses)
+    rows = [[0.0] * len(masses) for _ in range(delay + 1)]
+    settings = AccountSettings(known, limits, moves=False)
+    return Accounting(settings, GroupAccount(), account_memory(limits), QueuedTorques(rows, 0, delay))
+
+
+def test_axes_together_permit_more_than_one_by_one_and_nothing_where_a_frame_may_be_lost() -> None:
+    """Two axes that move against each other: a lost frame of one takes 4 mJ, whatever the sum says."""
+    for losses, expected in ((0, 1.0), (1, 0.0)):
+        at = even_group([0.2, 0.2], 0.0, 0, losses)
+        at.memory.displacement[:] = [-1.0e-3, 0.8e-3]
+        assert min(1.0, shares(at, [5.0, 5.0], 0.0)[0]) == pytest.approx(expected)
+        assert has_two_bounds(at) is (losses == 0)
+    at = even_group([0.2, 0.2], 0.0, 0)
+    at.memory.displacement[:] = [-1.0e-3, 0.8e-3]
+    assert shares(at, [5.0, 5.0], -1e-6)[0] == shares_if_apart(at, [5.0, 5.0], -1e-6)[0]  # in debt one by one
+
+
+def least_energy(seed: int, factor: float) -> tuple[float, int]:
+    """Least energy of a group that a greedy hand moves, and in how many holds the axes together permitted more."""
+    draw = random.Random(seed)
+    masses = [draw.uniform(0.1, 1.0) for _ in range(draw.choice([2, 3]))]
+    hand, delay = draw.choice([0.0, 2.0]), draw.choice([0, 1])
+    axes, larger, energy, least = range(len(masses)), 0, draw.choice([0.0, 1e-4]), 0.0
+    at = even_group(masses, hand, delay)
+    speeds = [draw.gauss(0.0, 0.2) for _ in axes]
+    at.memory.displacement[:] = [speed * T for speed in speeds]
+    queue = at.under_way.torques
+    for _ in range(30):
+        asked = [draw.gauss(0.0, 5.0) for _ in axes]
+        share = shares(at, asked, energy)[0]
+        larger += min(1.0, share) > min(1.0, shares_if_apart(at, asked, energy)[0]) + 1e-9
+        queue[delay] = [min(1.0, share) * factor * f for f in asked]
+        held = queue.pop(0)
+        queue.append([0.0] * len(masses))
+        push = draw.choice([1.0, 1.0, -1.0]) * hand  # both ways, since the torques turn
+        for i in axes:
+            force = held[i] + math.copysign(push, held[i])
+            at.memory.displacement[i] = speeds[i] * T + 0.5 * force / masses[i] * T * T
+            speeds[i] += force / masses[i] * T
+            at.memory.torques[i] = held[i]
+            energy -= held[i] * at.memory.displacement[i]
+        least = min(least, energy)
+    return least, larger
+
+
+def test_no_greedy_hand_takes_more_than_came_in_from_the_larger_of_two_bounds() -> None:
+    found = [least_energy(seed, 1.0) for seed in range(60)]
+    assert min(least for least, _ in found) >= -1e-15
+    assert sum(larger for _, larger in found) > 50
+    assert min(least_energy(seed, 1.5)[0] for seed in range(60)) < -1e-6  # the attack has teeth

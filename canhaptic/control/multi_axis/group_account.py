@@ -638,7 +638,8 @@ def free_energy(at: Accounting, energy: float) -> float:
     settings, account, memory, under_way = at
     axes = settings.axes
     if settings.apart.is_apart:
-        return free_if_apart(at, energy)
+        free = free_if_apart(at, energy)
+        return max(free, energy - needed_under_way(at)) if has_two_bounds(at) else free
     free, moved = 0.0, moved_at_most(at)
     if axes.by_hand:
         free = max(free, energy - needed_under_way(at))
@@ -656,6 +657,16 @@ def free_energy(at: Accounting, energy: float) -> float:
     return free
 
 
+def has_two_bounds(at: Accounting) -> bool:
+    """Return whether the axes together bound the same queue as the axes one by one, so that the larger share counts.
+
+    Both bound the energy of all that is queued and of the new torques, from one measured state and with one budget. It
+    does not matter by which of them the queue was admitted. With losses the axes one by one bound more queues.
+    """
+    axes, apart = at.settings.axes, at.settings.apart
+    return axes.by_hand and apart.losses == 0 and not axes.timing.is_uneven and not at.settings.moves
+
+
 def shares(at: Accounting, torques: Buffer, energy: float) -> tuple[float, float, float]:
     """Return the share of torques that each certificate permits: hand force, device damping, hand speed; may exceed 1.
 
@@ -667,7 +678,10 @@ def shares(at: Accounting, torques: Buffer, energy: float) -> tuple[float, float
     settings, account, memory, under_way = at
     axes = settings.axes
     if settings.apart.is_apart:
-        return shares_if_apart(at, torques, energy)
+        by_force, by_damping, by_speed = shares_if_apart(at, torques, energy)
+        if by_force < 1.0 and has_two_bounds(at) and energy >= needed_under_way(at):
+            by_force = max(by_force, by_hand_force(at, torques, energy, 0.0))
+        return by_force, by_damping, by_speed
     by_force = by_damping = by_speed = moved = 0.0
     if settings.moves:
         moved = taken_by_mover(torques, memory.mover_motion[under_way.holds])
