@@ -409,6 +409,7 @@ def least_energy(seed: int, factor: float) -> tuple[float, int]:
     speeds = [draw.gauss(0.0, 0.2) for _ in axes]
     at.memory.displacement[:] = [speed * T for speed in speeds]
     queue = at.under_way.torques
+    assert isinstance(queue, list)
     for _ in range(30):
         asked = [draw.gauss(0.0, 5.0) for _ in axes]
         share = shares(at, asked, energy)[0]
