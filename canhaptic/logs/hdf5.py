@@ -1,7 +1,10 @@
 """Typed interface to the part of h5py that the logs use: the only module that touches the untyped library."""
 
+import ctypes
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from threading import RLock
 from typing import Any, Final, Self
@@ -18,6 +21,7 @@ Attribute = str | bytes | int | float | np.generic
 _TABLE_CACHE: Final = 1 << 18  # [B]
 _CHUNK_CACHE: Final = 1 << 19  # [B] a column; the default of HDF5 2.0 is 8 MiB, and a log has 40 columns
 _TEXTS_AND_CHUNKS: Final = 1 << 26  # [B], the most that those of one item may take
+_ATTEMPTS: Final = 24  # waits double from 1 ns: 17 ms for a writer to complete an item; the library's 100 last for ever
 _USER_BLOCK: Final = 512  # [B] before the file's own content, the least that the format allows
 _SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 _FAILED: Final = b"failed: "
@@ -104,7 +108,8 @@ class Hdf5File:
     def __init__(self, path: Path, mode: str) -> None:
         if mode == "live":
             with _bounded_memory():
-                self._file = h5py.File(path, "r", swmr=True, rdcc_nbytes=_CHUNK_CACHE)
+                how = h5py.h5f.ACC_RDONLY | h5py.h5f.ACC_SWMR_READ
+                self._file = h5py.File(h5py.h5f.open(os.fsencode(path), how, _live_access()))
         else:
             oldest, block = ("v110", _USER_BLOCK) if mode == "x live" else ("earliest", None)
             # Without a cache for chunks: each is written once, whole; a megabyte of them per column would be kept.
@@ -219,6 +224,21 @@ class Hdf5File:
     def flush(self) -> None:
         """Pass everything to the operating system."""
         self._file.flush()
+
+
+@cache
+def _live_access() -> Any:
+    """Return the properties for reading a live file: an item whose checksum stays wrong is given up soon.
+
+    h5py lacks the call for it; the library that it has loaded is searched, through one of its modules.
+    """
+    access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
+    elements, slots, _, preemption = access.get_cache()
+    access.set_cache(elements, slots, _CHUNK_CACHE, preemption)
+    with suppress(OSError, AttributeError):  # a system whose loader does not search: slow on a damaged file
+        library = ctypes.PyDLL(h5py.h5p.__file__)
+        library.H5Pset_metadata_read_attempts(ctypes.c_int64(access.id), ctypes.c_uint(_ATTEMPTS))
+    return access
 
 
 @contextmanager

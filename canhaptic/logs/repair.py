@@ -22,12 +22,15 @@ from canhaptic.files import require_writable_place
 from canhaptic.logs import log_file
 from canhaptic.logs.energy_reader import DAMAGE, Columns, EnergyLog, found_columns, open_file, read_safely, usual_length
 from canhaptic.logs.energy_sink import repack, unfinished
-from canhaptic.logs.hdf5 import Hdf5File
+from canhaptic.logs.hdf5 import Dataset, Hdf5File
 
 _Result = TypeVar("_Result")
 _SECONDS: Final = 2
 """Limit on the CPU time of the copy of the process [s]; plus one second for each `_BYTES_A_SECOND` of the file."""
 _BYTES_A_SECOND: Final = 1_000_000
+_PATIENCE: Final = 4
+"""Limit on the time that passes meanwhile, in multiples of it: HDF5 sleeps where it hopes for a writer."""
+_OUT_OF_TIME: Final = ("SIGXCPU", "SIGALRM")
 _PR_SET_PDEATHSIG: Final = 1  # of Linux's prctl
 
 
@@ -39,7 +42,7 @@ def in_own_process(path: Path, work: Callable[[], _Result]) -> _Result:
         work: Function whose result can be pickled; its changes in memory are lost.
 
     Raises:
-        LogFormatError: There is no file, or the copy crashed or took more CPU time than any log of this size needs.
+        LogFormatError: There is no file, or the copy crashed or took more time than any log of this size needs.
         Exception: The exception of `work`.
     """
     if sys.platform == "win32":
@@ -65,7 +68,7 @@ def in_own_process(path: Path, work: Callable[[], _Result]) -> _Result:
         code = os.waitstatus_to_exitcode(status)
         ending = signal.Signals(-code).name if code < 0 else str(code)
         what = f"crashes on it (exit status {ending})"
-        what = f"does not finish reading it (for {seconds} s)" if code == -signal.SIGXCPU else what
+        what = f"does not finish reading it within {seconds} s of a processor" if ending in _OUT_OF_TIME else what
         raise LogFormatError(f"{path}: too damaged: the HDF5 library {what}")
     result, error = pickle.loads(content)
     if error is not None:
@@ -83,10 +86,12 @@ def _answer(writer: int, work: Callable[[], object], seconds: int, parent: int) 
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:  # it died before it could be watched
             return
-        signal.signal(signal.SIGXCPU, signal.SIG_DFL)
+        for name in _OUT_OF_TIME:
+            signal.signal(signal.Signals[name], signal.SIG_DFL)
         _, most = resource.getrlimit(resource.RLIMIT_CPU)
         if most == resource.RLIM_INFINITY or seconds < most:
             resource.setrlimit(resource.RLIMIT_CPU, (seconds, most))
+        signal.setitimer(signal.ITIMER_REAL, _PATIENCE * seconds)
         signal.set_wakeup_fd(-1)  # the first process is sent its signals itself
         faulthandler.disable()
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -172,9 +177,22 @@ def _readable(columns: Columns) -> int:
     rows = min(len(dataset) for dataset in columns.values())  # a damaged column may claim any length
     for dataset in columns.values():
         for start in range(0, rows, _STEP):
+            stop = min(rows, start + _STEP)
             try:
-                dataset.read(start, min(rows, start + _STEP))
+                dataset.read(start, stop)
             except (OSError, RuntimeError):
-                rows = start
+                rows = _first_damaged(dataset, start, stop)
                 break
     return rows
+
+
+def _first_damaged(dataset: Dataset, start: int, stop: int) -> int:
+    """Return the row of the first damaged chunk among rows of which some cannot be read."""
+    chunk, row = dataset.chunk, start
+    while row < stop:
+        try:
+            dataset.read(row, row + 1)
+        except (OSError, RuntimeError):
+            break
+        row += chunk - row % chunk
+    return row if row < stop else start
