@@ -201,10 +201,12 @@ class Cycle:
         self._event(self.rig.sync_index, kind, getattr(error, "axis", ""), cause_of(error))
 
     def note_holds(self) -> None:
-        """Log for each drive whether a test has confirmed in which hold its torques act; the verdict needs it."""
+        """Log for each drive whether a test has confirmed in which hold its torques act, and remarks of the start."""
         for drive in self.rig.drives:
             if drive.hold:
                 self._event(0, "hold", drive.axis.name, drive.hold)
+            for text in drive.remarks:
+                self._event(0, "setting", drive.axis.name, text)
 
     def note_found_holds(self) -> None:
         """Log what the test of a dithered axis has found of its hold, which its verdict needs."""

@@ -100,6 +100,7 @@ def roles_of(scene: Scene) -> Roles:
 
 
 _UPLOAD: Final = 0x40  # first byte of an SDO request that reads
+_NOTED: Final = (od.POLARITY, od.POSITIVE_TORQUE_LIMIT, od.NEGATIVE_TORQUE_LIMIT)
 _STATUSWORD: Final = struct.pack("<H", od.STATUSWORD)
 _SYNC: Final[Address] = (0, od.SYNC_FRAME_COB_ID)
 
@@ -565,7 +566,7 @@ class OpenReplay:
         for axis, drive in zip(self._scene.axes, drives, strict=True):
             where = places[axis.bus], drive.axis.node_id
             drive.identifies = self._recording.first_request(*where)[1:3] != _STATUSWORD
-            listed = {od.COMMUNICATION_CYCLE_PERIOD} & drive.dictionary.keys()
+            listed = {od.COMMUNICATION_CYCLE_PERIOD, *_NOTED} & drive.dictionary.keys()
             drive.left_out = frozenset(
                 index for index in (*listed, *drive.axis.offsets) if not self._recording.sdo_frames(*where, index)
             )

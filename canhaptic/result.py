@@ -60,6 +60,7 @@ class RunResult(Verdicts):
     logs: NotRequired[dict[str, int]]
     energy_log: NotRequired[str]  # why it ends before the run, and where
     unrestored: NotRequired[dict[str, list[str]]]  # axis -> objects that the start wrote and the stop did not put back
+    remarks: NotRequired[dict[str, list[str]]]  # axis -> what the start saw in its drive and did not refuse
     error: NotRequired[Mapping[str, object]]
 
 
@@ -115,6 +116,8 @@ def run_result(cycle: Cycle, *, status: str, config_hash: str, method: str) -> R
     )
     if unrestored := {drive.axis.name: drive.unrestored for drive in cycle.rig.drives if drive.unrestored}:
         result["unrestored"] = unrestored
+    if remarks := {drive.axis.name: drive.remarks for drive in cycle.rig.drives if drive.remarks}:
+        result["remarks"] = remarks
     return result
 
 

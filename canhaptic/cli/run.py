@@ -53,6 +53,8 @@ def execute(arguments: argparse.Namespace) -> int:
 
             with EnergyLog.open(energy_log) as log:
                 draw_energy(log, arguments.png)
+    for name, texts in result.get("remarks", {}).items():
+        write_note(f"  {name}: {'; '.join(texts)}")
     for name, texts in result.get("unrestored", {}).items() if scene.axes[0].simulation is None else ():
         write_note(f"  {name}: not put back in the drive: {'; '.join(texts)}")
     if error is not None:

@@ -19,6 +19,8 @@ from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalanc
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.can.admittance_drive import AdmittanceDrive
 from canhaptic.drive.can.servo_drive import ServoDrive
+from canhaptic.drive.profile.drive_objects import settings_of, settings_text
+from canhaptic.drive.profile.drive_settings import changed_settings, recorded_settings
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import ControlError, InputError
 from canhaptic.scene.build import Experiment, build
@@ -362,6 +364,7 @@ class Session:
         dialogue: Dialogue with the person.
         limits: Limits of torque, travel and speed.
         stop_requested: The operator's stop.
+        compares: Whether a drive set otherwise than at the last commissioning is refused, as in a run.
 
     Attributes:
         axes: Axes of the scene.
@@ -372,10 +375,15 @@ class Session:
     """
 
     def __init__(
-        self, scene: Scene, dialogue: Dialogue, limits: CommissioningLimits, stop_requested: Callable[[], bool]
-    ) -> None:
+        self, scene: Scene, dialogue: Dialogue, limits: CommissioningLimits, stop_requested: Callable[[], bool],
+        *, compares: bool = False,
+    ) -> None:  # fmt: skip
+        self._settings_before = [axis.parameters.settings_checked for axis in scene.axes]
         loops = [axis.loop.model_copy(update={"torque_limit": axis.parameters.torque_limit}) for axis in scene.axes]
-        self.axes = tuple(dataclasses.replace(axis, loop=loop) for axis, loop in zip(scene.axes, loops, strict=True))
+        forget = {} if compares else {"settings_checked": None}
+        known = [axis.parameters.model_copy(update=forget) for axis in scene.axes]
+        parts = zip(scene.axes, loops, known, strict=True)
+        self.axes = tuple(dataclasses.replace(axis, loop=loop, parameters=of) for axis, loop, of in parts)
         self.scene = dataclasses.replace(scene, axes=self.axes)  # a torque that is not verified is bounded by each step
         self.dialogue, self.limits, self.stop_requested = dialogue, limits, stop_requested
         self.report = Report()
@@ -556,11 +564,26 @@ class Session:
         self.found(axis, item, configured, found, StepVerdict.AGREES if good else otherwise, "" if good else text)
 
     def note_objects(self, axis: int) -> None:
-        """Add a row for each limit, ramp and reaction stored in the drive of an axis; raise SdoError."""
+        """Add a row for each limit, ramp and reaction stored in the drive of an axis, and keep its settings.
+
+        Raises:
+            SdoError: The drive does not answer.
+        """
         for name, fitness, text in self.rig.read_objects(axis):
             value, _, meaning = text.partition(": ")
             verdict = StepVerdict.MEASURED if fitness is fitness.FIT else StepVerdict.DIFFERS
             self.found(axis, name, "", value, verdict, meaning)
+        self._keep_settings(axis)
+
+    def _keep_settings(self, axis: int) -> None:
+        """Propose scale, sign and limits of the drive as they are now, for later starts; say what changed."""
+        drive, before = self.drives[axis], self._settings_before[axis]
+        if before is not None:
+            changed, _ = changed_settings(drive, settings_of(before))
+            found = "; ".join(changed) or "the same"
+            self.judged(axis, "scale, sign, limits", "the last ones", found, good=not changed, text="kept anew")
+        kept = settings_text(recorded_settings(drive))
+        self.propose(axis, "settings_checked", kept or None, comment="scale, sign, limits: compared at each start")
 
     def agreed(self, question: str, item: str, axes: Iterable[int], text: str = "") -> bool:
         """Whether the person agrees to a test; otherwise the report records the refusal for these axes."""

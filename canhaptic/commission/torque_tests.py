@@ -477,7 +477,8 @@ def checked_holds(scene: Scene, tell: Callable[[str], None], stop_requested: Cal
     asked = [axis for axis, of in enumerate(scene.axes) if of.parameters.check_hold is not None]
     if not asked:
         return scene
-    session = Session(scene, _Announced(tell, stop_requested, scene), CommissioningLimits(), stop_requested)
+    dialogue = _Announced(tell, stop_requested, scene)
+    session = Session(scene, dialogue, CommissioningLimits(), stop_requested, compares=True)
     with session.rig_of(with_hand=False):
         for axis in asked:
             if not stop_requested():

@@ -333,8 +333,12 @@ _LATER: Final[Mapping[str, tuple[object, ...]]] = {
     "start_timeout": (5.0,),
     "drive_objects": ({},),
     "restore_limits": (False,),
-    **dict.fromkeys(("energy_loss_limit", "brake", "hold_checked", "check_hold", "hold_dither", *_REQUIRED), (None,)),
+    **dict.fromkeys(
+        ("energy_loss_limit", "brake", "hold_checked", "check_hold", "hold_dither", "settings_checked", *_REQUIRED),
+        (None,),
+    ),
     **{f"loop.{key}": (None, 0.0) for key in LATER_LOOP_KEYS},
+    "settings_accepted": (None,),
     "admittance.limit_in_drive": (False,),
     **dict.fromkeys(("brake.released", "simulation.drive.brake.released"), (None,)),
     "simulation.drive.acts_at_once": (False,),

@@ -81,8 +81,10 @@ class BringUp(ABC):
             self._identity()
         self._drive_modes()
         self._drive_state()
+        self._settings()
         self._zero_torque()
         self._rated_torque()
+        self._note_settings()
         self._torque_limit()
         self._drive_objects()
         self._watchdog()
@@ -245,6 +247,41 @@ class BringUp(ABC):
                 self._sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
             if not self._await(lambda: self._drive.read_state() in TORQUE_FREE):
                 raise self.refusal("drive state", self._drive.read_state().value, "a state without torque")
+
+    def _settings(self) -> None:
+        """Compare scale, sign and limits with those of commissioning, before anything but the state is written."""
+        drive = self._drive
+        if drive.axis.settings_checked is None:
+            return
+        from canhaptic.drive.profile.drive_objects import settings_of, settings_text
+        from canhaptic.drive.profile.drive_settings import changed_settings
+
+        wanted = settings_of(drive.axis.settings_checked) | settings_of(drive.axis.settings_accepted)
+        with self.step("settings"):
+            changed, now = changed_settings(drive, wanted)
+        if changed:
+            accepted = f", or accept what was meant: settings_accepted: {settings_text(now)}" if now else ""
+            remedy = f"{_REMEDIES['settings']}{accepted}"
+            raise self.refusal("settings", "; ".join(changed), "the settings of commissioning", remedy)
+
+    def _note_settings(self) -> None:
+        """Note a polarity, and limits below `torque_limit`, of a drive whose settings no commissioning has kept."""
+        drive = self._drive
+        limit = torque_limit_per_mille(drive.axis.torque_limit, drive.scaling.rated_torque)
+        for index in (od.POLARITY, od.POSITIVE_TORQUE_LIMIT, od.NEGATIVE_TORQUE_LIMIT):
+            listed = drive.dictionary.get_variable(index)
+            if drive.axis.settings_checked or index in drive.left_out or listed is None or not listed.readable:
+                continue
+            with self.step("settings"):
+                seen = self._read_if_there(index)
+            usual = listed.default if isinstance(listed.default, int) else 0
+            text = f"{self._sdo.describe(index)} = {seen}"
+            if index == od.POLARITY and seen not in (None, usual):
+                drive.remarks.append(
+                    f"{text}, {usual} in the dictionary: it turns signs; {_REMEDIES['settings_unknown']}"
+                )
+            elif index != od.POLARITY and seen is not None and seen < limit:
+                drive.remarks.append(f"{text}, below torque_limit ({limit}): the drive cuts what is sent")
 
     def reset_fault(self) -> None:
         """Reset a fault by the rising edge of bit 7 and leave the drive disabled; never enables it.

@@ -7,6 +7,8 @@ from typing import Final
 
 Objects = Mapping[tuple[int, int], str]
 """(index, subindex) -> unit and meaning."""
+Settings = dict[tuple[int, int], int]
+"""(index, subindex) -> value."""
 
 
 def _objects(file: str) -> Objects:
@@ -32,3 +34,22 @@ def place_of(key: object, of: Objects = DRIVE_OBJECTS) -> tuple[int, int]:
         names = ", ".join(f"0x{i:04X}" + (f".{sub}" if sub else "") for i, sub in of)
         raise ValueError(f"got {text}, expected one of: {names}")
     return place
+
+
+def settings_of(text: str | None) -> Settings:
+    """Return the settings in a text such as `0x6075=5000 0x608F.1=65536`; raise ValueError for any other text."""
+    settings: Settings = {}
+    for part in (text or "").split():
+        name, _, value = part.partition("=")
+        place = place_of(name, DRIVE_SETTINGS)
+        try:
+            settings[place] = int(value, 0)
+        except ValueError:
+            raise ValueError(f"got {part}, expected an object and its value, as in 0x6075=5000") from None
+    return settings
+
+
+def settings_text(settings: Settings) -> str:
+    """Return settings as a text that `settings_of` reads."""
+    named = ((f"0x{index:04X}" + (f".{sub}" if sub else ""), value) for (index, sub), value in settings.items())
+    return " ".join(f"{name}={value}" for name, value in named)

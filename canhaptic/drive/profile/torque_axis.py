@@ -111,6 +111,7 @@ class TorqueAxis(ABC):
         restores: Whether the stop restores values that the start wrote; False for the older master of a replayed run.
         identifies: Whether nothing is written before the identity was read; False for such a master.
         hold: Result, in words, of the hands-off test in which hold its torques act; empty if no account needs it.
+        remarks: What the last start saw in the drive and did not refuse, in words.
         unrestored: Objects that the stop did not restore, in words.
         outputs: Digital outputs of the drive (0x60FE:01) as the start read them, for a brake; None before.
         elsewhere: Writes to other nodes, whose objects are not restored.
@@ -177,6 +178,7 @@ class TorqueAxis(ABC):
         self.alive_at = self.now()
         self.emergency: ReceivedEmergency | None = None
         self.outputs: int | None = None
+        self.remarks: list[str] = []
         self.controlword = int(od.Controlword.DISABLE_VOLTAGE)
         self._values: tuple[int, ...] | list[int] = (0, 0, 0)  # statusword, position counts, torque per mille
         self.unheard = self.unasked = 0

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 
 from canhaptic.canopen import objects as od
 from canhaptic.drive.profile.quirks import quirks_of
@@ -27,6 +27,18 @@ def _by_place(objects: object) -> object:
     from canhaptic.drive.profile.drive_objects import place_of
 
     return {"0x{:04X}.{}".format(*place_of(key)): value for key, value in objects.items()}
+
+
+def _settings(text: str | None) -> str | None:
+    """Return a text of settings; raise ValueError where it is none."""
+    if text:
+        from canhaptic.drive.profile.drive_objects import settings_of
+
+        settings_of(text)
+    return text
+
+
+_Settings = Annotated[PrintableText | None, AfterValidator(_settings)]
 
 
 class TorqueAxisParameters(Parameters):
@@ -78,6 +90,11 @@ class TorqueAxisParameters(Parameters):
     """Drive, firmware, process data and rate with which `canhaptic commission` found a torque to act in the declared
     hold. None, or with another drive: the account says that its holds were not checked, and a real drive gets no
     positive certificate."""
+    settings_checked: _Settings = None
+    """Scale, sign and limits that the drive had when `canhaptic commission` measured it: `0x6075=5000 0x607E=0`. The
+    start refuses a drive in which one differs. None: not compared."""
+    settings_accepted: _Settings = None
+    """Values of such settings that were changed since on purpose, in the same form."""
     check_hold: Literal["each_start"] | None = None
     """`each_start` tests before each run in which hold a torque acts: hands off, it moves the handle for some seconds
     by at most 20 mm or mrad, and refuses a drive that acts in another hold. None: only `canhaptic commission` tests."""

@@ -188,6 +188,8 @@ _POWERED: Final = frozenset(
     (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON, _ENABLED, DriveState.QUICK_STOP_ACTIVE)
 )
 
+_TURNS_POSITION: Final = 1 << 7  # in 0x607E
+
 
 class _BrakedMotor:
     """A motor with a holding brake, which holds at first: meanwhile neither the motor nor its clock advances.
@@ -268,6 +270,7 @@ class Servo:
         self._moved_to = 0
         self.demand, self.torque = 0, 0.0
         self._counts_per_unit = parameters.position_sign * parameters.counts_per_unit
+        self._polarity, self._is_turned = store.find(objects.POLARITY), False
         self._rounds = parameters.encoder == "round"
         is_ideal = getattr(motor, "has_ideal_encoder", not hasattr(motor, "encoder_position"))
         self._read_encoder: Callable[[Motor], float] | None = None if is_ideal else attrgetter("encoder_position")
@@ -297,6 +300,8 @@ class Servo:
     def _connect(self) -> None:
         for commanded in (self._controlword, self._mode, self._target, self._torque_offset):
             commanded.changed = self.obey
+        if self._polarity is not None:
+            self._polarity.changed = self._turn
         if self._brake is not None and self._outputs is not None:
             self._outputs.changed = self._work_brake
         self._mode.check = self._check_mode
@@ -307,6 +312,7 @@ class Servo:
     def reset(self) -> None:
         """Return to the state after power-on: no torque; the motor keeps moving."""
         self._move()
+        self._turn()
         self.machine.reset()
         self.demand, self.torque = 0, 0.0
         self.was_reset = False
@@ -479,6 +485,12 @@ class Servo:
         if self.is_running and self.now != self._moved_to:
             self._mover.advance_to(self.now, self.torque)
             self._moved_to = self.now
+
+    def _turn(self) -> None:
+        """Turn the sign of positions where bit 7 of the polarity changed."""
+        is_turned = self._polarity is not None and bool(self._polarity.number & _TURNS_POSITION)
+        if is_turned is not self._is_turned:
+            self._is_turned, self._counts_per_unit = is_turned, -self._counts_per_unit
 
     def _count(self, entry: Entry, value: float, zero: int = 0) -> None:
         """Write a position or velocity in counts; one that is not finite is a fault, and the object keeps its value."""
