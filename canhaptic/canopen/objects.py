@@ -194,6 +194,19 @@ class DataType(IntEnum):
     UNSIGNED64 = 0x1B
 
 
+_FLAGS: Final = 0xE000_0000
+"""Bits 29 to 31 of a COB-ID: 29-bit frame; no RTR, or sends SYNC; does not exist (CiA 301, 7.5.2)."""
+_ONE_COB_ID: Final = frozenset({SYNC_COB_ID, 0x1012, EMCY_COB_ID})
+_PARAMETERS: Final = {0x1200: (1, 2), 0x1400: (1,), 0x1800: (1,)}  # of SDO servers and clients, RPDOs, TPDOs
+
+
+def without_flags(index: int, subindex: int, value: Any) -> Any:
+    """Return the identifier if the object is a COB-ID, else the value: a limit of a COB-ID does not mean its flags."""
+    first = 0x1200 if 0x1200 <= index < 0x1300 else index & ~0x1FF
+    is_cob_id = index in _ONE_COB_ID or subindex in _PARAMETERS.get(first, ())
+    return value & ~_FLAGS if is_cob_id and isinstance(value, int) else value
+
+
 class Variable(Protocol):
     """One object, or one subindex of it (CiA 306)."""
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 from rich.console import Console
 
-from canhaptic.canopen.eds import read_dictionary
+from canhaptic.canopen.eds import DriveDictionary, read_dictionary
 from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan
 from canhaptic.drive.profile.admittance_parameters import Mode
 from canhaptic.drive.profile.fitness import Verdict
@@ -29,6 +29,7 @@ WORDS: Final = {
 }
 """Displayed word of each verdict on an object."""
 _UNFIT: Final = 1
+_FEW: Final = 3
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -76,6 +77,26 @@ def survey_of(path: Path, mode: Mode | None = None, force_object: str | None = N
     return survey(dictionary, unconfigured_axis(path, **profile_values(name), **values)), name
 
 
+def warnings_of(found: Survey) -> list[str]:
+    """Return what of the dictionary could not be read: sections, whose objects no scene may use, and entries."""
+    given = found.dictionary
+    if not isinstance(given, DriveDictionary):
+        return []
+    sections = [
+        f"{text}; it is left out, since nothing here uses it" for text in dict.fromkeys(given.left_out.values())
+    ]
+    return [text.removeprefix(f"{found.axis.eds}: ") for text in (*sections, *given.unread)]
+
+
+def print_warnings(console: Console, found: Survey, *, full: bool = False) -> None:
+    """Print what of the dictionary could not be read; without `full` the first few."""
+    texts = warnings_of(found)
+    for text in texts if full else texts[:_FEW]:
+        console.print(f"  warning: {text}", markup=False, style="yellow")
+    if len(texts) > _FEW and not full:
+        console.print(f"  {len(texts) - _FEW} warnings more: canhaptic check-eds --full", markup=False, style="yellow")
+
+
 def _as_json(found: Survey) -> dict[str, Any]:
     return {
         "status": "ok",
@@ -83,6 +104,7 @@ def _as_json(found: Survey) -> dict[str, Any]:
         "verdict": found.suitability.value,
         "reasons": [f"{row.item}: {row.text}" for row in found.reasons],
         "conditions": [f"{row.item}: {row.text}" for row in found.conditions],
+        "warnings": warnings_of(found),
         "device": {
             "vendor": found.vendor,
             "product": found.product,
@@ -123,6 +145,7 @@ def _print(console: Console, found: Survey, profile: str | None, *, full: bool) 
     console.print(_statuses(found, profile), markup=False)
     for row in found.reasons or found.conditions:
         console.print(f"  {row.item}: {row.text}", markup=False, soft_wrap=False)
+    print_warnings(console, found, full=full)
     if not full:
         _print_brief(console, found)
         return

@@ -2,10 +2,10 @@
 
 import argparse
 
-from canhaptic.cli.check_eds import survey_of
+from canhaptic.cli.check_eds import survey_of, warnings_of
 from canhaptic.cli.options import check_place
 from canhaptic.scene.scene_text import starter_scene
-from canhaptic.view.terminal import note_file, write_file, write_line
+from canhaptic.view.terminal import note_file, write_file, write_line, write_note
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -19,6 +19,8 @@ def execute(arguments: argparse.Namespace) -> int:
     if out is not None:
         check_place(out, arguments.force)
     found, profile = survey_of(arguments.file, arguments.display, arguments.force_object)
+    for warning in warnings_of(found):
+        write_note(f"  warning: {warning}")
     text = starter_scene(found, simulate=arguments.simulate, drive=profile, out=out)
     if out is None:
         write_line(text.removesuffix("\n"))

@@ -1,6 +1,8 @@
 """The tolerant EDS reader, against literal files and against `canopen.import_od` where that can read the file."""
 
 import contextlib
+import gzip
+import re
 from pathlib import Path
 
 import canopen
@@ -9,12 +11,15 @@ from canopen.objectdictionary import ODRecord, ODVariable, datatypes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.canopen.eds import read_dictionary
+from canhaptic.canopen.eds import DriveDictionary, read_dictionary
+from canhaptic.canopen.objects import without_flags
+from canhaptic.drive.profile.fitness import ObjectUse, objection
+from canhaptic.drive.survey import Suitability, survey, unconfigured_axis
 from canhaptic.errors import DictionaryError
 from tests.drawn import examples
 
 
-def read(tmp_path: Path, text: str | bytes, node_id: int = 5, name: str = "drive.eds") -> canopen.ObjectDictionary:
+def read(tmp_path: Path, text: str | bytes, node_id: int = 5, name: str = "drive.eds") -> DriveDictionary:
     path = tmp_path / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return read_dictionary(path, node_id)
@@ -169,16 +174,93 @@ def test_types_that_the_file_defines_itself_are_followed(tmp_path: Path) -> None
         ("", "lists no object"),
         ("hello\nworld", "lists no object"),
         ("<?xml version='1.0'?>", "is XML"),
-        ("[1018sub1]\nDataType=7\n", "[1018sub1]: belongs to no object"),
-        ("[1000]\nObjectType=7\n", "[1000]: DataType: got no entry"),
-        ("[1000]\nDataType=u32\n", "[1000]: DataType: got 'u32'"),
+        ("<?xml version='1.0'?><!-- made\nby hand --><EtherCATInfo Version='1.6'>", "EtherCAT drive, and this package"),
+        ("<x:ISO15745ProfileContainer xmlns:x='http://www.canopen.org/xml/1.0'/>", "is an XDD or XDC"),
+        ("<EDS><Parameters><Group SymbolName='a'>", "is an EPF"),
+        ("\n<!DOCTYPE html>\n<html>", "is a web page"),
+        ('{"objects": {}}', "is JSON"),
+        ('VERSION ""\nBO_ 385 X: 8 Y\n', "is a DBC"),
+        ("version https://git-lfs.github.com/spec/v1\n", "Git LFS"),
+        (b"PK\x03\x04rest", "is a ZIP archive; unpack it"),
+        (b"\x1f\x8b\x08rest", "is compressed (gzip) and damaged"),
+        (gzip.compress(b"<EtherCATInfo>", mtime=0), "is an ESI"),
     ],
 )
-def test_unreadable_files_are_refused_with_file_and_section(tmp_path: Path, text: str, part: str) -> None:
+def test_unreadable_files_are_refused_with_what_they_are(tmp_path: Path, text: str | bytes, part: str) -> None:
     with pytest.raises(DictionaryError) as raised:
         read(tmp_path, text)
     assert str(tmp_path / "drive.eds") in str(raised.value)
     assert part in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("[1018sub1]\nDataType=7\n", "[1018sub1]: belongs to no object"),
+        ("[1018]\nObjectType=9\n[1018sub0]\nDataType=5\n[1018sub1]\n", "[1018sub1]: DataType: got no entry"),
+        ("[1018]\nObjectType=7\nDataType=u32\n[1018sub1]\nDataType=7\n", "[1018]: DataType: got 'u32'"),
+    ],
+)
+def test_an_unreadable_section_is_left_out_and_its_object_refused(tmp_path: Path, text: str, part: str) -> None:
+    dictionary = read(tmp_path, f"{text}[1000]\nDataType=Unsigned32 // as 0x0007\nDefaultValue=x\n")
+    assert dictionary[0x1000].data_type == datatypes.UNSIGNED32
+    assert dictionary.unread == [
+        f"{tmp_path / 'drive.eds'}: [1000]: DefaultValue: got 'x', expected a number of the type of the object; "
+        "it counts as not given: correct the file"
+    ]
+    with pytest.raises(DictionaryError, match=re.escape(f"drive.eds: {part}")):
+        dictionary.get_variable(0x1018, 1)
+
+
+@pytest.mark.parametrize(("device", "held", "number"), [("001", "0", 1), ("7", "0x9A", 0x9A), ("", "0x9A", 0x9A)])
+def test_everyone_who_asks_for_the_vendor_gets_the_same_answer(
+    tmp_path: Path, device: str, held: str, number: int
+) -> None:
+    text = f"[DeviceInfo]\nVendorNumber={device}\n[1018]\nObjectType=9\n[1018sub1]\nDataType=7\nDefaultValue={held}\n"
+    dictionary = read(tmp_path, text)
+    assert (dictionary.device_information.vendor_number, dictionary[0x1018][1].default) == (number, number)
+
+
+@pytest.mark.parametrize(("limit", "objects_to"), [("0x181", False), ("0x40000181", False), ("0x201", True)])
+def test_limits_of_a_cob_id_are_those_of_its_identifier(tmp_path: Path, limit: str, objects_to: bool) -> None:
+    entries = f"LowLimit={limit}\nHighLimit={limit}"
+    text = f"[1800]\nObjectType=9\n[1800sub1]\nDataType=7\nAccessType=rw\n{entries}\n"
+    use = ObjectUse(0x1800, 1, values=(0xC000_0181, 0x181))
+    assert (objection(read(tmp_path, text), use) is not None) is objects_to
+
+
+SERVO = Path(__file__).parents[2] / "eds" / "cia402_servo.eds"
+SECTIONS = re.findall(r"(?m)^\[([0-9A-F]{4}(?:sub[0-9A-F]+)?)\]", SERVO.read_text())
+GOOD = survey(read_dictionary(SERVO, 1), unconfigured_axis(SERVO)).axis_map
+KEYS = ["DataType", "ObjectType", "AccessType", "DefaultValue", "PDOMapping", "LowLimit", "ParameterName", "SubNumber"]
+BAD = st.sampled_from(["", "?", "0xZZ", "99999999999999999999", "-1.5e", "[", "$NODEID$", "REAL128", "\0"])
+
+
+@settings(max_examples=examples(20), deadline=None)
+@given(st.sampled_from(SECTIONS), st.sampled_from([None, "line", *KEYS]), BAD)
+def test_a_bad_section_is_a_warning_or_a_refusal_that_names_it(
+    tmp_path_factory: pytest.TempPathFactory, section: str, key: str | None, bad: str
+) -> None:
+    def spoil(found: re.Match[str]) -> str:
+        if key is None:  # the section is lost, its members remain
+            return ""
+        body = found[0].replace(f"[{section}]", f"[{section}]{bad}") if key == "line" else found[0]
+        return re.sub(rf"(?m)^{key}=.*$", lambda _: f"{key}={bad}", body)
+
+    path = tmp_path_factory.getbasetemp() / "spoilt.eds"
+    path.write_text(re.sub(rf"(?ms)^\[{section}\]\n.*?(?=^\[|\Z)", spoil, SERVO.read_text()))
+    index = section[:4].lower()
+    try:
+        found = survey(dictionary := read_dictionary(path, 1), unconfigured_axis(path))
+    except DictionaryError as error:
+        told = str(error).lower()
+    else:
+        told = " ".join([*dictionary.left_out.values(), *dictionary.unread]).lower()
+        if found.suitability is Suitability.UNFIT:
+            told += " ".join(f"{row.item} {row.text}" for row in found.reasons).lower()
+        elif found.axis_map == GOOD:
+            return
+    assert index in told
 
 
 def test_missing_file_and_impossible_node_id_are_refused(tmp_path: Path) -> None:
@@ -234,6 +316,10 @@ def test_vendor_files_read_as_canopen_reads_them_except_where_it_errs(vendor_eds
                     continue  # "$NODEID" alone, which canopen does not read
                 if (index, attribute, wanted) == (0x1016, "max", 0xFFFF):
                     continue  # allows no node
+                if attribute in ("min", "max"):
+                    wanted = wanted and without_flags(index, subindex, wanted)
+                if (index, attribute, wanted) == (0x1018, "default", None):
+                    continue  # stated in [DeviceInfo] alone
                 assert seen == wanted, (hex(index), subindex, attribute)
 
 

@@ -21,6 +21,7 @@ from canopen import ObjectDictionary
 from canopen.objectdictionary import ODVariable, datatypes
 
 from canhaptic.canopen import objects as od
+from canhaptic.canopen.eds import left_out
 from canhaptic.canopen.objects import COB_ID_INVALID, SYNCHRONOUS_EVERY_SYNC, DataType, is_writable
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.sdo import SdoChannel
@@ -193,7 +194,15 @@ def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
 def pdo_numbers(dictionary: ObjectDictionary, kind: _Kind) -> list[int]:
     """Return the numbers of all PDOs whose communication parameters the dictionary lists."""
     first = _INDICES[kind][0]
-    return [index - first + 1 for index in sorted(dictionary) if first <= index < first + od.PDO_COUNT]
+    last = first + od.PDO_COUNT - 1
+    indices = {index for index in dictionary if first <= index <= last} | left_out(dictionary, first, last).keys()
+    return [index - first + 1 for index in sorted(indices)]
+
+
+def _unreadable(dictionary: ObjectDictionary, kind: _Kind) -> dict[int, str]:
+    """Return the numbers of the PDOs of which a section could not be read, and why: none of them can be chosen."""
+    ranges = [(first, left_out(dictionary, first, first + od.PDO_COUNT - 1)) for first in _INDICES[kind]]
+    return {index - first + 1: why for first, found in ranges for index, why in found.items()}
 
 
 # --- the objects ------------------------------------------------------------------------------------------------
@@ -251,7 +260,10 @@ def _mapped(dictionary: ObjectDictionary, entry: int) -> MappedObject:
 
 def pdo_capabilities(dictionary: ObjectDictionary, kind: _Kind) -> Iterator[PdoCapability]:
     """Yield every PDO whose mapping can be written or is completely given, in order."""
+    unreadable = _unreadable(dictionary, kind)
     for number in pdo_numbers(dictionary, kind):
+        if number in unreadable:
+            continue
         members = getattr(dictionary.get(_INDICES[kind][1] + number - 1), "subindices", {})
         room = next(n for n in range(len(members) + 1) if not _is_slot(members.get(n + 1)))
         if room and _is_slot(members.get(0)):
@@ -259,10 +271,9 @@ def pdo_capabilities(dictionary: ObjectDictionary, kind: _Kind) -> Iterator[PdoC
             continue
         count = members[0].default if 0 in members else None
         values = [members[s].default for s in sorted(members) if 0 < s <= (count or 0)]
-        if values and len(values) == count and all(isinstance(v, int) and v for v in values):
-            entries = tuple(_mapped(dictionary, v) for v in values)
-            if _is_decodable(entries):
-                yield PdoCapability(kind, number, entries, room)
+        is_given = values and len(values) == count and all(isinstance(v, int) and v for v in values)
+        if is_given and (entries := _decodable(dictionary, values)):
+            yield PdoCapability(kind, number, entries, room)
 
 
 def _is_slot(variable: ODVariable | None) -> bool:
@@ -270,13 +281,14 @@ def _is_slot(variable: ODVariable | None) -> bool:
     return variable is not None and variable.readable and variable.writable
 
 
-def _is_decodable(entries: Sequence[MappedObject]) -> bool:
-    """Whether a fixed map can be decoded by bytes: a single BOOLEAN shifts every later object by a bit."""
+def _decodable(dictionary: ObjectDictionary, values: Sequence[int]) -> tuple[MappedObject, ...]:
+    """Return a fixed map; empty if it cannot be decoded: a single BOOLEAN shifts every later object by a bit."""
     try:
+        entries = tuple(_mapped(dictionary, value) for value in values)
         codec(entries, [entry.index for entry in entries if entry.entry in {used.entry for used in _USED}])
     except DictionaryError:
-        return False
-    return True
+        return ()
+    return entries
 
 
 def _choose_rpdo(
@@ -289,6 +301,7 @@ def _choose_rpdo(
     if not fits:
         text = f"no RPDO{axis.rpdo_number or ''} can carry {wanted[0]} and {wanted[1]}"
         remedy = "the drive needs a writable mapping (0x1600..) or a fixed one with exactly these two"
+        remedy += "".join(f"; {why}" for why in _unreadable(dictionary, "RPDO").values())
         raise DictionaryError(f"{axis.name}: {axis.eds}: {text}; {remedy}{unmappable}")
     return fits[0]
 
@@ -309,6 +322,7 @@ def _choose_tpdos(
             best = min(covers, key=lambda group: sum(e.bits for c in group for e in c.fixed or ()))
             return [(candidate, ()) for candidate in best]
     text = f"no writable or fixed TPDO carries {', '.join(map(str, wanted))}"
+    text += "".join(f"; {why}" for why in _unreadable(dictionary, "TPDO").values())
     raise DictionaryError(f"{axis.name}: {axis.eds}: {text}; set tpdo_numbers or read_back: none{unmappable}")
 
 

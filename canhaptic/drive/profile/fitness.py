@@ -13,7 +13,7 @@ from math import inf
 from typing import Final, Literal, NamedTuple
 
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.objects import DataType, Dictionary, Variable, is_writable
+from canhaptic.canopen.objects import DataType, Dictionary, Variable, is_writable, without_flags
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.profile.torque_axis_parameters import TorqueAxisParameters
@@ -73,7 +73,8 @@ def _of_value(variable: Variable, value: int) -> str | None:
     low, high = _type_range(variable)
     low = low if variable.min is None else max(low, variable.min)
     high = high if variable.max is None else min(high, variable.max)
-    return None if low <= value <= high else f"limited to {low}..{high}, but the scene needs {value}"
+    plain = without_flags(variable.index, variable.subindex, value)
+    return None if low <= plain <= high else f"limited to {low}..{high}, but the scene needs {plain}"
 
 
 def _type_range(variable: Variable) -> tuple[int, int]:

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Final, cast
 
 from canhaptic.canopen import objects
-from canhaptic.canopen.objects import DataType, Dictionary, SdoAbort, Variable, variables
+from canhaptic.canopen.objects import DataType, Dictionary, SdoAbort, Variable, variables, without_flags
 from canhaptic.errors import ParameterError
 
 _Value = int | float | bytes
@@ -247,9 +247,10 @@ class ObjectStore:
 
 def _refusal(entry: Entry, value: int | float) -> SdoAbort | None:
     """Abort code for a number that cannot be stored, or None."""
-    if not value <= entry.high:
+    plain = without_flags(entry.index, entry.subindex, value)
+    if not plain <= entry.high:
         return SdoAbort.VALUE_TOO_HIGH
-    if value < entry.low:
+    if plain < entry.low:
         return SdoAbort.VALUE_TOO_LOW
     if value == entry.refused:
         return SdoAbort.VALUE_RANGE
