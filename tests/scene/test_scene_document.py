@@ -5,7 +5,8 @@ import math
 import pytest
 
 from canhaptic.errors import SceneError
-from canhaptic.scene.document import _MAX_NODES, Diagnostics, MarkedMapping, parse_yaml
+from canhaptic.scene import document
+from canhaptic.scene.document import _MAX_NODES, Diagnostics, MarkedMapping, compose, parse_yaml
 
 
 def read(text: str) -> object:
@@ -122,3 +123,34 @@ def test_an_alias_bomb_is_refused_quickly() -> None:
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 9)]
     assert f"more than {_MAX_NODES} values" in fault_of("\n".join(lines))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a: 1\nb:\n- {c: [x, 'y''s', \"z\\t\"]}\n- &n\n  d: |\n   more\n   lines\ne: *n\n",
+        "{a: , b: 1}",  # libyaml places the missing value elsewhere
+        "a: x\t\n",  # and takes each of these
+        "\ufeffa: 1\n",
+        "a: >-#\n",
+        "a: {b?c: 1}\n",
+        "a: !x!y\n",
+        "%YAML 1.2#\n---\na: 1\n",
+        "a: [1, 2\nb: 3\n",
+        "a: \ud800\n",
+        "[" * 1_000 + "]" * 1_000,
+        "- " * 1_000,
+    ],
+)
+def test_libyaml_reads_what_the_parser_in_python_reads_with_the_same_faults_and_places(
+    text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def seen() -> tuple[object, ...]:
+        compose.cache_clear()
+        faults = Diagnostics()
+        value = parse_yaml(text, "s.yaml", faults)
+        return value, list(faults._lines), getattr(value, "values_at", None)
+
+    by_libyaml = seen()
+    monkeypatch.setattr(document, "_C_LOADER", None)
+    assert seen() == by_libyaml
