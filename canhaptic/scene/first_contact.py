@@ -5,7 +5,8 @@ least. Positions are encoder readings, and torques act in the declared hold; pla
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from math import inf
 from random import Random
 from typing import Any, Final, NamedTuple, cast
@@ -15,7 +16,7 @@ from canhaptic.control.environments import Environment
 from canhaptic.errors import ParameterError
 from canhaptic.scene.hints import LARGEST_ADVISED, LEAN, advised_allowance
 from canhaptic.scene.models import AxisScene
-from canhaptic.scene.parts import build_axis_controller
+from canhaptic.scene.parts import build_axis_controller, loop_as_known
 
 FELT: Final = 0.5
 """Fraction of a wall's effort from which the wall counts as felt."""
@@ -41,6 +42,25 @@ _TO_BLAME: Final = ("current_lag", "torque_window", "hand_force", "device_fricti
 """Declarations that may keep a wall from being rendered; smaller values render more."""
 ALLOWANCES: Final = tuple(10.0**power for power in range(-9, -2))
 """Values of `energy_allowance` that are tried [J]."""
+_KEPT: Final = 128
+"""Number of contacts that are kept, of at most `_MOST` holds each."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Trial:
+    """An axis that meets its wall; equal to each other one whose `parts` are equal, so that its contact is known."""
+
+    axis: AxisScene = field(compare=False)
+    speed: float
+    parts: tuple[object, ...]
+
+
+def _trial(axis: AxisScene, speed: float) -> _Trial:
+    if axis.is_own:  # code of a user may do anything, and another thing the second time
+        return _Trial(axis, speed, (object(),))
+    known, loop = axis.parameters, loop_as_known(axis)
+    parts = (axis.environment, axis.passivity, axis.guard, loop, axis.loop, known.torque_limit, known.hold_dither)
+    return _Trial(axis, speed, parts)
 
 
 class Remedy(NamedTuple):
@@ -76,10 +96,9 @@ def slowest_felt(axis: AxisScene) -> float | None:
     if not can_be_tried(axis):
         return None
     speeds = [part * axis.parameters.largest_speed for part in _SPEEDS]
-    felt = [is_felt(axis, speed) for speed in speeds]
-    if not any(felt):
+    last = next((place for place in reversed(range(len(speeds))) if is_felt(axis, speeds[place])), None)
+    if last is None:
         return inf
-    last = max(place for place, is_one in enumerate(felt) if is_one)
     if last == len(speeds) - 1:
         return speeds[last]
     low, high = speeds[last + 1], speeds[last]
@@ -103,7 +122,7 @@ def rendered_share(axis: AxisScene, speed: float) -> float:
     """
     asked = sent = 0.0
     try:
-        for effort, torque in _contact(axis, speed):
+        for effort, torque in _contact(_trial(axis, speed)):
             asked += abs(effort)
             sent += min(abs(torque), abs(effort))
     except ParameterError:  # the algorithm refuses the declaration, as a window that is as long as a hold
@@ -125,7 +144,7 @@ def halves_rendered(axis: AxisScene, speed: float, *, is_spent: bool = False) ->
     axis = with_declared(axis, {"energy_allowance": 0.0}) if is_spent else axis
     found = _inward(_environment(axis))
     asked, sent = [0.0, 0.0], [0.0, 0.0]
-    for effort, torque in _contact(axis, speed) if found else ():
+    for effort, torque in _contact(_trial(axis, speed)) if found else ():
         half = int(effort * found[1] < 0.0) if found else 0
         asked[half] += abs(effort)
         sent[half] += min(max(0.0, -torque if effort > 0.0 else torque), abs(effort))
@@ -241,10 +260,13 @@ def kept_through_losses(axis: AxisScene, speed: float) -> list[tuple[float, floa
         axis: Axis for which `can_be_tried` is true.
         speed: Speed of the approach [m/s or rad/s].
     """
-    return [(share, _share_pressed(axis, speed, share)) for share in _LOST]
+    trial = _trial(axis, speed)
+    return [(share, _share_pressed(trial, share)) for share in _LOST]
 
 
-def _share_pressed(axis: AxisScene, speed: float, lost: float) -> float:
+@lru_cache(maxsize=_KEPT)
+def _share_pressed(trial: _Trial, lost: float) -> float:
+    axis, speed = trial.axis, trial.speed
     environment, loop, limit = _environment(axis), axis.loop, axis.parameters.torque_limit
     start, sign = _inward(environment) or (0.0, 1.0)
     controller, chance, push = build_axis_controller(axis), Random(1), 0.5 * LEAN * limit
@@ -265,8 +287,13 @@ def _share_pressed(axis: AxisScene, speed: float, lost: float) -> float:
     return sent / asked if asked else 0.0
 
 
-def _contact(axis: AxisScene, speed: float) -> Iterator[tuple[float, float]]:
-    """Yield the requested effort and the torque sent in each hold of a contact [N or N*m]."""
+@lru_cache(maxsize=_KEPT)
+def _contact(trial: _Trial) -> tuple[tuple[float, float], ...]:
+    """Return the requested effort and the torque sent in each hold of a contact [N or N*m]."""
+    return tuple(_holds(trial.axis, trial.speed))
+
+
+def _holds(axis: AxisScene, speed: float) -> Iterator[tuple[float, float]]:
     environment, loop, limit = _environment(axis), axis.loop, axis.parameters.torque_limit
     found = _inward(environment)
     if found is None:

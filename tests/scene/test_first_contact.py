@@ -8,6 +8,7 @@ import pytest
 import canhaptic
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
+from canhaptic.scene import first_contact
 from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.first_contact import (
     Remedy,
@@ -245,3 +246,24 @@ def test_a_run_feels_what_check_says_of_a_link_that_loses_frames(lost: float, le
         felt = experiment_account(experiment, "completed", 1.0)["ports"]["handle"]["rendered"]["stiffness"]
     assert felt is not None
     assert least <= felt <= most
+
+
+def test_a_contact_is_kept_for_its_own_loop_algorithm_limits_and_speed_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    changes = [
+        "environment.stiffness=2000",
+        "environment={type: damper_wall, damping: 10}",
+        "passivity.hand_force=20",
+        "passivity={algorithm: internal_dissipation}",
+        "bus.rate=500",
+        "axes.0.torque_limit=1",
+        "axes.0.hold_dither=0.1",
+        "axes.0.counts_per_unit=1e4",
+    ]
+    demo = axis()
+    kept = {first_contact._trial(each, 0.2) for each in (demo, *map(axis, changes))} | {first_contact._trial(demo, 0.1)}
+    assert len(kept) == len(changes) + 2
+    assert first_contact._trial(axis("axes.0.name=other"), 0.2) in kept
+    share = rendered_share(demo, 0.2)
+    monkeypatch.setattr(first_contact, "_holds", lambda axis, speed: iter(()))
+    assert rendered_share(axis(), 0.2) == share > 0.0
+    assert rendered_share(axis(), 0.21) == 0.0
