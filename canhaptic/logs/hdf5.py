@@ -27,6 +27,7 @@ _SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 _FAILED: Final = b"failed: "
 ENDS_AT: Final = "the log ends at cycle"
 _BOUND: Final = RLock()
+_STATM: Final = Path("/proc/self/statm")
 
 
 class Dataset:
@@ -168,10 +169,12 @@ class Hdf5File:
         Raises:
             OSError: The path goes through a link, which may lead to another file or to a pipe.
         """
-        names = path.strip("/").split("/")
+        names, links = path.strip("/").split("/"), self._file.id.links
         with _bounded_memory():
             for name in filter(None, ("/".join(names[: n + 1]) for n in range(len(names)))):
-                if not isinstance(self._file.get(name, h5py.HardLink(), getlink=True), h5py.HardLink):
+                if not links.exists(os.fsencode(name)):
+                    return
+                if links.get_info(os.fsencode(name)).type != h5py.h5l.TYPE_HARD:
                     raise OSError(f"{name} is a link, which a log never contains")
 
     def names(self, group: str) -> list[str]:
@@ -248,15 +251,16 @@ def _bounded_memory(needed: int = 0) -> Iterator[None]:
     Args:
         needed: Size of an undamaged item [B], besides texts and chunks.
     """
-    pages = Path("/proc/self/statm")
-    if not pages.exists():
+    if not _STATM.exists():
         yield
         return
     import resource
 
     with _BOUND:  # the limit is of the whole process: restored before another thread reads it
         before = resource.getrlimit(resource.RLIMIT_AS)
-        bound = int(pages.read_text().split()[0]) * resource.getpagesize() + _TEXTS_AND_CHUNKS + needed
+        with _STATM.open("rb", buffering=0) as file:
+            pages = int(file.read(64).split()[0])
+        bound = pages * resource.getpagesize() + _TEXTS_AND_CHUNKS + needed
         if before[0] != resource.RLIM_INFINITY:
             bound = min(bound, before[0])
         resource.setrlimit(resource.RLIMIT_AS, (bound, before[1]))
