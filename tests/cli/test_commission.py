@@ -6,11 +6,15 @@ import pty
 import signal
 import subprocess
 import sys
+from copy import deepcopy
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from canhaptic.cli import commission as commission_command
 from canhaptic.cli.main import main
+from canhaptic.commission.session import Report, Session
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene, values_to_set
 from tests.forked import command
@@ -40,6 +44,24 @@ def commissioned(scene: Path | str, out: Path, *words: str) -> Path:
     return out
 
 
+WALKED: list[tuple[Report, Any]] = []
+
+
+@pytest.fixture
+def walked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The steps with the demonstration's rig are taken once; later sessions have their report."""
+    walk = commission_command.walk
+
+    def once(session: Session, duration: float) -> Any:
+        if not WALKED:
+            outcome = walk(session, duration)
+            WALKED.append((session.report, outcome))
+        session.report, outcome = deepcopy(WALKED[0])
+        return outcome
+
+    monkeypatch.setattr(commission_command, "walk", once)
+
+
 def felt(scene: Path, capsys: pytest.CaptureFixture[str]) -> float:
     """Share of the stiffness that a run of 3 s renders, which is passive."""
     capsys.readouterr()
@@ -50,6 +72,7 @@ def felt(scene: Path, capsys: pytest.CaptureFixture[str]) -> float:
     return float(port["rendered"]["stiffness"])
 
 
+@pytest.mark.usefixtures("walked_once")
 def test_the_whole_scene_is_written_and_says_what_was_measured(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -66,6 +89,7 @@ def test_the_whole_scene_is_written_and_says_what_was_measured(
     )  # node_id, unit, counts_per_unit, rated_torque, bound
 
 
+@pytest.mark.usefixtures("walked_once")
 def test_no_value_of_a_simulated_drive_is_taken_for_that_of_a_real_one(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -114,6 +138,7 @@ def status_of(words: list[str]) -> int:
         return int(str(end.code))
 
 
+@pytest.mark.usefixtures("walked_once")
 def test_in_place_the_scene_before_is_kept(tmp_path: Path) -> None:
     scene = tmp_path / "rig.yaml"
     scene.write_text(Path(DEMO).read_text())
@@ -123,6 +148,7 @@ def test_in_place_the_scene_before_is_kept(tmp_path: Path) -> None:
     assert "  current_lag:" in scene.read_text()
 
 
+@pytest.mark.slow_for("words1-*")
 @pytest.mark.parametrize(
     ("words", "missing"),
     [

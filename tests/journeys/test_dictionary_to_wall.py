@@ -12,7 +12,7 @@ FINE = ("--set", "axes.0.counts_per_unit=1e6 count/rad")  # mode 8 needs it, as 
 FELT = 0.1  # part of the mass by which the one that is felt may differ
 
 
-@pytest.mark.slow_but("cia402_servo.eds")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*OURS, *FIT])
 def test_a_dictionary_leads_to_a_wall_that_is_felt(name: str, person: Person, request: pytest.FixtureRequest) -> None:
     person.types("new", dictionary(name, request), "--simulate", "--out", "rig.yaml")

@@ -49,6 +49,7 @@ def test_the_log_of_a_failed_run_says_so_first_and_ends_with_1(
     assert capsys.readouterr().out.startswith(" FAILED: ")
 
 
+@pytest.mark.slow
 def test_two_logs_show_the_contacts_of_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = (
         canhaptic.simulate("rotary_knob", {"environment.peak": f"{of} mN*m"}, duration=0.1).save(tmp_path / f"{of}.h5")

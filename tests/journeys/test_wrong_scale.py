@@ -11,7 +11,7 @@ GEAR = 14.0
 PER_MILLE = 10  # a hundredth of the torque of the axis at 1000 per mille, which is 14 times what the scene says
 
 
-@pytest.mark.slow_but("cia402_servo.eds")
+@pytest.mark.slow  # `tests/commission/test_torque_scale.py` finds the same with fewer steps
 @pytest.mark.parametrize("name", [*OURS, *FIT])
 def test_a_gear_that_was_forgotten_is_caught(name: str, person: Person, request: pytest.FixtureRequest) -> None:
     eds = dictionary(name, request)

@@ -79,6 +79,7 @@ def test_a_figure_with_a_label_is_a_row_of_the_table_and_needs_no_other_file():
     assert len(set(labels)) == len(labels) >= 10
 
 
+@pytest.mark.slow
 def test_of_detents_a_comparison_shows_the_share_of_the_run_and_a_force_against_them_is_no_share() -> None:
     [axis] = compare("rotary_knob", duration=0.5).result["axes"].values()
     [port] = simulate("rotary_knob", duration=0.5).account.raw["ports"].values()

@@ -120,6 +120,7 @@ def test_errors_of_rounding_and_of_instability_tell_no_order():
     assert fitted_order([1.0, 0.5, 0.25], [3.0, 1e-15, 1e-16], 0.1) is None
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5)), min_size=3, max_size=12))
 def test_ranks_agree_as_scipy_says(pairs):
     from scipy.stats import spearmanr  # half a second, which not every worker needs

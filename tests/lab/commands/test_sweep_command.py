@@ -40,6 +40,7 @@ def test_the_table_says_engine_and_reason(capsys: Captured) -> None:
     assert "3 of 3 scenes" in shown
 
 
+@pytest.mark.slow
 def test_a_scene_without_a_contact_counts_neither_as_passive_nor_as_active(capsys: Captured, tmp_path: Path) -> None:
     words = ["--vary", "environment.position=0.01,-1", "--controllers", "unprotected,guarded"]
     assert main([*SMALL, *words, "--out", str(tmp_path / "a"), "--json"]) == 0

@@ -47,6 +47,7 @@ def designed(engine, progress):
         return design(load_scene(DEMO, RIG), engine=engine, progress=lambda *seen: progress.append(seen))
 
 
+@pytest.mark.slow
 def test_a_progress_bar_rises_and_never_passes_its_end(designed, progress):
     tried, most = zip(*progress, strict=True)
     assert list(tried) == sorted(set(tried))
@@ -55,6 +56,7 @@ def test_a_progress_bar_rises_and_never_passes_its_end(designed, progress):
     assert 0.5 * most[0] < designed["walls"] <= most[0]
 
 
+@pytest.mark.slow
 def test_the_wall_and_one_that_is_larger_by_the_margin_are_rendered_within_the_tolerance(designed):
     assert designed["stiffness"] > 100.0
     pasted = yaml.safe_load(snippet(designed))
@@ -76,6 +78,7 @@ def test_the_wall_and_one_that_is_larger_by_the_margin_are_rendered_within_the_t
     assert pasted["passivity"]["algorithm"] == "guarded"
 
 
+@pytest.mark.slow
 def test_a_wall_well_beyond_the_margin_is_not_rendered(designed, engine):
     trial = Trial(load_scene(DEMO, RIG), 0.05, engine)
     verdict = trial.verdict(
@@ -139,6 +142,7 @@ def test_a_wall_on_a_plant_with_friction_is_tried_in_the_loop_of_a_batch_and_in_
     assert search._ONE_BY_ONE.most < 300
 
 
+@pytest.mark.slow
 def test_the_lines_can_be_pasted_into_the_scene(designed):
     pasted = yaml.safe_load(snippet(designed))
     lines = [

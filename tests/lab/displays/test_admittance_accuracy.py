@@ -72,6 +72,7 @@ def test_a_picture_is_drawn(tmp_path: Path) -> None:
     assert picture.read_bytes()[:4] == b"\x89PNG"
 
 
+@pytest.mark.slow
 def test_page_and_markdown_show_every_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     files = {name: tmp_path / f"study.{name}" for name in ("html", "markdown")}

@@ -188,6 +188,7 @@ def test_scenes_that_were_refused_or_not_run_are_blank(tmp_path):
     assert np.isfinite(border.value).tolist() == [True, False]
 
 
+@pytest.mark.slow
 def test_the_usual_panels_and_one_of_a_chosen_figure(two_controllers):
     with SweepTable(two_controllers) as table:
         fields = fields_of(table)

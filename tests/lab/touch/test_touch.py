@@ -40,6 +40,7 @@ def news_of(hand: TouchHand, wanted: int, token: float = 0.0) -> TouchNews:
     return TouchNews(rows, status)
 
 
+@pytest.mark.slow
 def test_the_hand_follows_the_pointer_and_freezes_where_it_stops() -> None:
     hand = TouchHand(load_scene(STIFF))
     try:
