@@ -196,3 +196,14 @@ def test_check_and_commission_read_what_the_drive_keeps_and_name_limits_that_are
 def test_no_other_object_can_be_set_by_a_scene(key: object) -> None:
     with pytest.raises(ValueError, match=r"expected one of: 0x6065, 0x6066, 0x607D\.1"):
         AxisParameters(name="a", node_id=1, eds=OUR_EDS, counts_per_unit=1.0, torque_limit=1.0, drive_objects={key: 1})
+
+
+def test_times_that_another_master_left_in_its_pdos_are_cleared_and_put_back(bench: MakeBench) -> None:
+    left = {"0x1800.3": 500, "0x1800.5": 20}  # inhibit 50 ms; event timer 20 ms
+    places = [(int(key[:6], 16), int(key[7:])) for key in left]
+    b = bench(objects=left)
+    b.rig.start()
+    assert [b.rig.drives[0].sdo.read(*place) for place in places] == [0, 0]
+    b.run(100)
+    b.rig.stop()
+    assert [b.rig.drives[0].sdo.read(*place) for place in places] == list(left.values())

@@ -214,7 +214,7 @@ def test_a_frame_that_was_not_recorded_and_one_that_is_not_sent_are_told_apart(t
 
 def test_a_recording_that_was_cut_off_is_compared_as_far_as_it_goes(tmp_path: Path) -> None:
     lines = lines_of("paper_fig8_100hz")
-    for length in (len(lines) // 2, len(lines) // 3, 200):
+    for length in (len(lines) // 2, len(lines) // 3, 240):
         result = replay_lines(tmp_path, "paper_fig8_100hz", lines[:length])
         assert result["difference"] is None
         assert result["ended"] == "at the end of the recording"

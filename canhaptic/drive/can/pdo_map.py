@@ -29,7 +29,7 @@ from canhaptic.drive.profile import fitness
 from canhaptic.drive.profile.fitness import Finding, ObjectUse, Verdict, judged, listed, mapping_objection, objection
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.profile.torque_axis_parameters import ReadBack
-from canhaptic.errors import DictionaryError
+from canhaptic.errors import DictionaryError, SdoError
 
 _UNSIGNED_FORMATS: Final = {8: "B", 16: "H", 32: "I", 64: "Q"}
 _Kind = Literal["RPDO", "TPDO"]
@@ -358,7 +358,8 @@ def _plan(
     return PdoPlan(candidate.kind, candidate.number, cob_id, entries, candidate.fixed is None, can_write)
 
 
-_COB_ID, _TRANSMISSION_TYPE, _EVENT_TIMER = 1, 2, 5  # subindices of the communication parameters
+_COB_ID, _TRANSMISSION_TYPE, _INHIBIT_TIME, _EVENT_TIMER, _SYNC_START = 1, 2, 3, 5, 6
+"""Subindices of the communication parameters."""
 
 _Expect = Callable[[str, int, int], None]
 """Called as expect(object, seen, expected); raises when they differ."""
@@ -370,8 +371,9 @@ def rpdo_transmission_type(bus: BusParameters, axis: AxisParameters) -> int:
 
 
 def write_map(
-    sdo: SdoChannel, chosen: AxisMap, rpdo_type: int, expect: _Expect, rpdo_deadline: int | None = None
-) -> None:
+    sdo: SdoChannel, chosen: AxisMap, rpdo_type: int, expect: _Expect, rpdo_deadline: int | None = None,
+    *, clears: bool = True,
+) -> None:  # fmt: skip
     """Configure the PDOs of one axis and switch all others off; every value is read back.
 
     Args:
@@ -381,6 +383,7 @@ def write_map(
         expect: Function that judges each value read back.
         rpdo_deadline: Silence of the RPDO after which the drive itself must react [ms], where its dictionary has that
             (CiA 301: the event timer of an RPDO); None: unchanged.
+        clears: Whether inhibit times, event timers and SYNC start values of the TPDOs are set to 0.
 
     Raises:
         SdoError: The drive refused a step.
@@ -392,7 +395,7 @@ def write_map(
     for plan in (*chosen.tpdos, chosen.rpdo):
         transmission_type = rpdo_type if plan.kind == "RPDO" else SYNCHRONOUS_EVERY_SYNC
         deadline = rpdo_deadline if plan.kind == "RPDO" else None
-        _write_pdo(sdo, plan, transmission_type, deadline, expect)
+        _write_pdo(sdo, plan, transmission_type, deadline, expect, clears=clears)
         _compare_pdo(sdo, plan, transmission_type, expect)
 
 
@@ -404,7 +407,9 @@ def others_to_disable(dictionary: ObjectDictionary, chosen: AxisMap) -> list[int
     return [n for n in indices if n not in used and _is_slot(dictionary.get_variable(n, _COB_ID))]
 
 
-def _write_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int, deadline: int | None, expect: _Expect) -> None:
+def _write_pdo(
+    sdo: SdoChannel, plan: PdoPlan, transmission_type: int, deadline: int | None, expect: _Expect, *, clears: bool
+) -> None:
     communication, mapping = plan.communication_index, plan.mapping_index
     cob_id = plan.cob_id | sdo.read(communication, _COB_ID) & 1 << 30  # no RTR: some drives insist on it
     if plan.cob_id_is_written:
@@ -415,6 +420,8 @@ def _write_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int, deadline:
         sdo.write(communication, _EVENT_TIMER, deadline)
         seen = sdo.read(communication, _EVENT_TIMER)
         expect(f"{plan.name} {sdo.describe(communication, _EVENT_TIMER)}", seen, deadline)
+    if clears and plan.kind == "TPDO" and plan.cob_id_is_written:
+        _clear_times(sdo, plan)
     if plan.is_written:
         sdo.write(mapping, 0, 0)
         for subindex, entry in enumerate(plan.entries, start=1):
@@ -422,6 +429,24 @@ def _write_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int, deadline:
         sdo.write(mapping, 0, len(plan.entries))
     if plan.cob_id_is_written:
         sdo.write(communication, _COB_ID, cob_id)
+
+
+def _clear_times(sdo: SdoChannel, plan: PdoPlan) -> None:
+    """Set to 0 what delays a TPDO, makes it come without a SYNC, or begin at a later one.
+
+    It must be switched off meanwhile (CiA 301).
+    """
+    for subindex in (_INHIBIT_TIME, _EVENT_TIMER, _SYNC_START):
+        if not is_writable(sdo.dictionary, plan.communication_index, subindex):
+            continue
+        try:
+            left = sdo.read(plan.communication_index, subindex)
+        except SdoError as error:
+            if error.code is None:
+                raise
+            continue  # listed, and not in the drive
+        if left:
+            sdo.write(plan.communication_index, subindex, 0)
 
 
 def _compare_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int, expect: _Expect) -> None:

@@ -365,7 +365,8 @@ class CanBringUp(BringUp):
                 if drive.axis.hold_checked == drive.signature():
                     drive.hold = f"checked at {'this start' if drive.axis.check_hold else 'commissioning'}"
         with self.step("PDO map"):
-            pdo_map.write_map(drive.sdo, drive.map, rpdo_type, partial(self.expect, "PDO map"), self._rpdo_deadline())
+            expect, deadline = partial(self.expect, "PDO map"), self._rpdo_deadline()
+            pdo_map.write_map(drive.sdo, drive.map, rpdo_type, expect, deadline, clears=drive.identifies)
 
     def _rpdo_deadline(self) -> int | None:
         """Return how long the drive may tolerate lost RPDOs [ms], where no read-back shows them; None: not set."""
