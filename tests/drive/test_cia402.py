@@ -44,7 +44,7 @@ def test_the_numbers_of_stop_reasons_in_old_logs_keep_their_meaning() -> None:
 
 def test_a_signed_object_takes_values_from_its_least_to_its_largest_and_none_beyond() -> None:
     for data_type, bits in ((DataType.INTEGER8, 8), (DataType.INTEGER16, 16), (DataType.INTEGER32, 32)):
-        variable: Any = SimpleNamespace(data_type=data_type, min=None, max=None)
+        variable: Any = SimpleNamespace(index=0x6071, subindex=0, data_type=data_type, min=None, max=None)
         for value in (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1):
             assert _of_value(variable, value) is None
             assert "limited to" in str(_of_value(variable, value + (1 if value > 0 else -1)))
