@@ -260,10 +260,13 @@ def test_a_transducer_that_does_not_answer_the_tare_ends_the_start() -> None:
         run(experiment.cycle, 5)
 
 
-def test_a_sensor_of_another_device_type_is_refused() -> None:
-    node = "axes.0.admittance.force.node={node_id: 9, device_type: 401}"
-    with build(load_scene(_NODE, [*_OFFSET, node])) as experiment, pytest.raises(StartError) as refused:
+def test_a_sensor_of_another_device_type_is_refused_and_nobody_is_sent_anything_but_reads(tmp_path: Path) -> None:
+    node, log = "axes.0.admittance.force.node={node_id: 9, device_type: 401}", tmp_path / "bus.log"
+    scene = load_scene(_NODE, [*_OFFSET, node])
+    with build(scene, None, None, log) as experiment, pytest.raises(StartError) as refused:
         run(experiment.cycle, 5)
+    sent = [line.split()[2] for line in log.read_text().splitlines() if line.endswith(" T")]
+    assert {frame[:6] for frame in sent} == {"601#40", "609#40"}
     assert "force sensor: got 0x1000 has the low word 404, expected 401" in str(refused.value)
 
 

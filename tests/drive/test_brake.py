@@ -207,6 +207,8 @@ def test_a_foreign_drive_is_sent_nothing_but_reads(bench: MakeBench, tmp_path: P
         drive.store.entry(0x1000, DataType.UNSIGNED32).value = 0x00020191
     with pytest.raises(StartError, match=how):
         b.rig.start()
+    with pytest.raises(StartError, match=how):
+        b.rig.reset_faults()
     b.rig.stop()
     assert {(can_id, data[0]) for _, can_id, data, is_rx in b.frames if not is_rx} <= {(0x605, 0x40), (0x606, 0x40)}
 

@@ -23,7 +23,7 @@ from canhaptic.drive.profile.scaling import AxisScaling
 from canhaptic.drive.safety.limiter import TorqueLimiter
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.drive.safety.power_states import PowerState
-from canhaptic.errors import ParameterError
+from canhaptic.errors import ParameterError, SdoError
 from canhaptic.signals import Sample
 
 if TYPE_CHECKING:
@@ -209,6 +209,13 @@ class AdmittanceBringUp(CanBringUp):
 
     _drive: AdmittanceDrive
 
+    def identify(self) -> None:
+        """Read which drive and which sensor these are, and write nothing to them; raise StartError."""
+        super().identify()
+        node, channel = self._drive.display.force.node, self._drive.sensor_sdo()
+        if channel is not None and node is not None:
+            self._identify_sensor(channel, node.device_type)
+
     def _zero_torque(self) -> None:
         """Write a target at rest, the steepest ramps of the drive, zero offsets, and the quick stop."""
         with self.step("zero torque"):
@@ -232,7 +239,9 @@ class AdmittanceBringUp(CanBringUp):
         node, channel = self._drive.display.force.node, self._drive.sensor_sdo()
         if channel is not None and node is not None:
             if self._drive.restores:  # an older master left the sensor alone
-                self._configure_sensor(channel, node.device_type)
+                if not self._drive.identifies:
+                    self._identify_sensor(channel, node.device_type)
+                self._configure_sensor(channel)
             if node.tare:
                 tare = (od.AUTOZERO, od.ZERO_SIGNATURE) if node.tare == "autozero" else (od.AUTOTARE, od.TARE_SIGNATURE)
                 with self.step("tare"):
@@ -241,13 +250,24 @@ class AdmittanceBringUp(CanBringUp):
         with self.step("bus"):
             self._drive.command_sensor(od.NmtCommand.START)
 
-    def _configure_sensor(self, sensor: SdoChannel, device_type: int | None) -> None:
-        """Compare the sensor's 0x1000, and make its TPDO 1 answer each SYNC; raise StartError."""
+    def _identify_sensor(self, sensor: SdoChannel, device_type: int | None) -> None:
+        """Compare the sensor's 0x1000; raise StartError."""
+        step = "force sensor"
+        with self.step(step):
+            try:
+                seen = sensor.read(od.DEVICE_TYPE) & 0xFFFF
+            except SdoError as error:
+                if error.code is not None:
+                    raise
+                self._drive.command_sensor(od.NmtCommand.PRE_OPERATIONAL)  # in NMT STOPPED it takes no SDO
+                seen = sensor.read(od.DEVICE_TYPE) & 0xFFFF
+        if seen == od.CIA402_PROFILE if device_type is None else seen != device_type:
+            raise self.refusal(step, f"0x1000 has the low word {seen}", str(device_type or "any but a drive's"))
+
+    def _configure_sensor(self, sensor: SdoChannel) -> None:
+        """Make the sensor's TPDO 1 answer each SYNC; raise StartError."""
         step, place = "force sensor", (od.TPDO_COMMUNICATION, 2)
         with self.step(step):
-            seen = sensor.read(od.DEVICE_TYPE) & 0xFFFF
-            if seen == od.CIA402_PROFILE if device_type is None else seen != device_type:
-                raise self.refusal(step, f"0x1000 has the low word {seen}", str(device_type or "any but a drive's"))
             before = sensor.read(*place)
             if before != od.SYNCHRONOUS_EVERY_SYNC:
                 sensor.write(*place, od.SYNCHRONOUS_EVERY_SYNC, 1)

@@ -307,7 +307,7 @@ class CanBringUp(BringUp):
     def _wake(self) -> None:
         """Command pre-operational unless heartbeats show a state with SDO: a node in NMT STOPPED takes none."""
         if self._drive.nmt_state not in (od.NmtState.PRE_OPERATIONAL, od.NmtState.OPERATIONAL):
-            self._drive.leave_operational()
+            self._drive.command_nmt(od.NmtCommand.PRE_OPERATIONAL)
 
     def _explain_absence(self) -> None:
         """Ask for nodes without a node ID (LSS, CiA 305, 6.4.6), which take no SDO."""
