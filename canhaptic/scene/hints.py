@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from math import pi, sqrt
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 from canhaptic.axis_units import damping_unit, effort_unit, mass_unit, stiffness_unit
 from canhaptic.control.admittance.declared_hand import DeclaredHand, damping_border
@@ -30,8 +30,6 @@ DRAG: Final = 0.1
 """Drag force that a hand hardly feels [N or N*m]."""
 
 
-ENCODER: Final = "after repeated presses (dry friction per count)"
-"""End of the name of a hint: the stiffness that the device's dry friction keeps passive with this encoder."""
 LARGEST_ADVISED: Final = 1e-3
 """Largest energy allowance that is proposed [J]: 0.25 kg at 9 cm/s."""
 _ANY_TORQUE: Final = 1e9  # [N or N*m]
@@ -74,6 +72,7 @@ class Hint(NamedTuple):
     text: str  # source of the limit, or the declaration that is missing
     concerns: bool = True  # False: a limit of a plain wall, on which the chosen algorithm does not depend
     certificate: str = ""  # that limits this stiffness: "device damping", "hand force", "hand speed" or "largest"
+    is_of_encoder: bool = False  # whether dry friction keeps this stiffness passive with the encoder
 
     @property
     def exceeded(self) -> bool:
@@ -156,10 +155,10 @@ def _apart_hint(axis: AxisScene, axes: int) -> list[Hint]:
 
 
 def _hint(
-    axis: AxisScene, what: str, limit: float | None, text: str, certificate: str = "", *, plain: bool = False
-) -> Hint:
+    axis: AxisScene, quantity: Literal["stiffness", "damping"], what: str, limit: float | None, text: str,
+    certificate: str = "", *, plain: bool = False,
+) -> Hint:  # fmt: skip
     """Return a limit of stiffness or damping; a `plain` one holds for a spring and damper without any algorithm."""
-    quantity = "stiffness" if what.startswith("stiffness") else "damping"
     unit = (stiffness_unit if quantity == "stiffness" else damping_unit)(axis.parameters.unit)
     concerns = not plain or axis.passivity.name == "unprotected"
     text = text if concerns else f"plain wall, no algorithm: {text}"
@@ -186,11 +185,11 @@ def _stiffness_hints(axis: AxisScene) -> list[Hint]:
     period, delay = axis.loop.sample_time, axis.loop.delay
     bound = None if damping is None else bounds.renderable_by_device_damping(damping, period, 0)
     what = "stiffness, Colgate's bound 2 b / T"
-    hints = [_hint(axis, what, bound, f"passive below this, {source}", plain=True)]
+    hints = [_hint(axis, "stiffness", what, bound, f"passive below this, {source}", plain=True)]
     if delay and damping is not None:
         bound = bounds.renderable_by_device_damping(damping, period, delay)
         what = f"stiffness at delay {delay}, 2 b / {1 + delay} T"
-        hints.append(_hint(axis, what, bound, f"held by the device's damping, {source}", plain=True))
+        hints.append(_hint(axis, "stiffness", what, bound, f"held by the device's damping, {source}", plain=True))
     return hints
 
 
@@ -209,7 +208,7 @@ def _quantisation_hint(axis: AxisScene) -> Hint:
         needed = 0.5 * stiffness * axis.loop.encoder_count
         text += f"; the requested wall needs {needed:.3g} {unit}"
     what = "stiffness, quantisation bound 2 f_c / count"
-    return _hint(axis, what, quantisation_bound(axis), text, plain=True)
+    return _hint(axis, "stiffness", what, quantisation_bound(axis), text, plain=True)
 
 
 def quantisation_bound(axis: AxisScene) -> float | None:
@@ -234,13 +233,13 @@ def _damping_hints(axis: AxisScene) -> list[Hint]:
     period, delay = axis.loop.sample_time, axis.loop.delay
     if device is not None and stiffness is not None:
         limit = max(0.0, device - 0.5 * stiffness * period)
-        hints.append(_hint(axis, "damping, Colgate's bound b - k T / 2", limit, source, plain=True))
+        hints.append(_hint(axis, "damping", "damping, Colgate's bound b - k T / 2", limit, source, plain=True))
     mass, source = _known(axis, "moving_mass", "mass")
     ripples = None if mass is None else least_oscillating_damping(delay, mass, period)
     diverges = None if mass is None else largest_stable_damping(delay, mass, period)
     text = f"the most that algorithms inject at delay {delay}, {source}"
-    hints.append(_hint(axis, "damping, no ripple", ripples, text))
-    return [*hints, _hint(axis, "damping, stable", diverges, f"at delay {delay}, {source}")]
+    hints.append(_hint(axis, "damping", "damping, no ripple", ripples, text))
+    return [*hints, _hint(axis, "damping", "damping, stable", diverges, f"at delay {delay}, {source}")]
 
 
 def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list[Hint]:
@@ -289,7 +288,8 @@ def _encoder_hint(axis: AxisScene) -> list[Hint]:
         keeps = f"{asked * count:.2g} {effort_unit(unit)} of dry friction keeps" if asked else "Dry friction keeps"
         text = f"each press of one count and back costs the account {uncertain}, so repeated presses soften the wall. "
         text += f"{keeps} the wall stiff: measure it (canhaptic commission) and declare passivity.device_friction"
-    return [_hint(axis, f"stiffness {ENCODER}", limit, text)]
+    what = "stiffness after repeated presses (dry friction per count)"
+    return [_hint(axis, "stiffness", what, limit, text)._replace(is_of_encoder=True)]
 
 
 def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
@@ -325,7 +325,7 @@ def _felt_hints(axis: AxisScene, response: bounds.DisplacementResponse, lag: int
     if friction := axis.loop.device_friction:
         slowest, begins = 0.0, f"up to device_friction {friction:g} at once, more with the energy below"
     return [
-        _hint(axis, what, limit, f"{text}{_share(limit, stiffness)}"),
+        _hint(axis, "stiffness", what, limit, f"{text}{_share(limit, stiffness)}"),
         Hint(axis.parameters.name, slow, slowest, None, unit, f"{begins}; {text}", concerns=False),
         *_energy_hint(axis, response, lag, min(stiffness or limit, limit)),
     ]
@@ -360,16 +360,16 @@ def _held_stiffness(axis: AxisScene, held: dict[str, tuple[float, str]]) -> list
     """Return one hint per certificate, and one for the largest of several, which is the effective limit."""
     stiffness = _asked(axis, "stiffness")
     hints = [
-        _hint(axis, f"stiffness, certified by {name}", limit, f"{text}{_share(limit, stiffness)}", name)._replace(
-            concerns=len(held) == 1
-        )
+        _hint(
+            axis, "stiffness", f"stiffness, certified by {name}", limit, f"{text}{_share(limit, stiffness)}", name
+        )._replace(concerns=len(held) == 1)
         for name, (limit, text) in held.items()
     ]
     if len(held) > 1:
         name = max(held, key=lambda entry: held[entry][0])
         limit = held[name][0]
         text = f"the largest limit applies: by {name}{_share(limit, stiffness)}"
-        hints.append(_hint(axis, "stiffness, certified", limit, text, "largest"))
+        hints.append(_hint(axis, "stiffness", "stiffness, certified", limit, text, "largest"))
     return hints
 
 

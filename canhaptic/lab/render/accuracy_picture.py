@@ -205,20 +205,20 @@ def _name(row: Row) -> str:
 def _draw_display(result: Row, path: str | Path) -> None:
     """Draw the study of an admittance display; errors as for `draw_accuracy`."""
     unit, rows = result["unit"], [row for row in result["loop"] if "position_error" in row]
-    columns: dict[str, list[float]] = {
-        f"largest error of the position [{unit}]": [max(row["position_error"], _LEAST) for row in rows],
-        "largest error of the energy [J]": [max(row["energy_error"], _LEAST) for row in rows],
-        f"mass felt [{mass_unit(unit)}]": [row["mass_felt"] for row in rows],
-        "energy given out [J]": [max(0.0, row["given_out"]) for row in rows],
-    }
+    columns: list[tuple[str, bool, list[float]]] = [  # title, whether on a logarithmic scale
+        (f"largest error of the position [{unit}]", True, [max(row["position_error"], _LEAST) for row in rows]),
+        ("largest error of the energy [J]", True, [max(row["energy_error"], _LEAST) for row in rows]),
+        (f"mass felt [{mass_unit(unit)}]", False, [row["mass_felt"] for row in rows]),
+        ("energy given out [J]", False, [max(0.0, row["given_out"]) for row in rows]),
+    ]
     names, colours = [_name(row) for row in rows], [_COLOURS.get(row["changed"], VERMILION) for row in rows]
     if not rows:
         raise InputError(_NOTHING)
     with sheet(path, 14.5, 2.2 + 0.3 * len(rows), "\n".join(display_heading(result))) as figure:
-        for panel, (title, values) in zip(figure.subplots(1, len(columns), sharey=True), columns.items(), strict=True):
+        for panel, (title, is_log, values) in zip(figure.subplots(1, len(columns), sharey=True), columns, strict=True):
             _draw_rows(panel, names, colours, values)
             panel.set_xlabel(title)
-            if title.startswith("largest"):
+            if is_log:
                 panel.set_xscale("log")
                 panel.margins(x=0.15)
             elif not any(values):

@@ -38,7 +38,7 @@ from canhaptic.lab.studies.design.contact_quality import felt_of
 from canhaptic.lab.studies.runner import pool_of
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.displays import display_properties
-from canhaptic.scene.hints import ENCODER, guarantee, stability_hints
+from canhaptic.scene.hints import guarantee, stability_hints
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
@@ -247,7 +247,7 @@ def _account(trial: trials.Trial, verdict: trials.TrialVerdict, stiffness: float
         **verdict.account(damping),
         "certificate": run.get("certificate"),
         "certified": {hint.certificate: hint.limit for hint in hints if hint.certificate},
-        "guarantee": [guarantee(axis, hints), *(f"{h.what}: {h.text}" for h in hints if h.what.endswith(ENCODER))],
+        "guarantee": [guarantee(axis, hints), *(f"{h.what}: {h.text}" for h in hints if h.is_of_encoder)],
         "engine": trial.engine,
         "remark": trial.remark,
         "loop": {key: value for key, value in _chosen(axis.loop).items() if key in _DEVICE},
