@@ -8,7 +8,7 @@ joined at the first SYNC that found every axis enabled.
 """
 
 import struct
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -30,8 +30,9 @@ from canhaptic.drive.profile.scaling import axis_scaling
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.safety.power_states import is_enabled
 from canhaptic.errors import InputError, LogFormatError, RigError
-from canhaptic.logs.bus_reader import Frame, SkippedKind, read_bus_log
+from canhaptic.logs.bus_reader import Frame, Remarks, read_bus_log
 from canhaptic.logs.decoder import BusDecoder
+from canhaptic.logs.text_lines import SkippedKind
 from canhaptic.result import RunResult, run_result
 from canhaptic.scene import parts
 from canhaptic.scene.build import build_loss_meters, open_bus, private_channel
@@ -114,7 +115,7 @@ class Recording:
     Attributes:
         path: The log.
         frames: All other data frames, in the order of the log.
-        skipped: Frames that were left out, by kind.
+        remarks: What was left out of the log, and what is odd about its times.
         addresses: Index of each frame's bus in the scene, and its COB-ID.
         heartbeat: COB-ID of the master's heartbeat.
         is_master: Whether the master sent each frame.
@@ -122,14 +123,17 @@ class Recording:
         first_sync: Index of the frame that is SYNC 0, on the first bus; -1 when no SYNC found every axis enabled.
 
     Raises:
-        LogFormatError: The log cannot be read, or holds no frame of the master.
+        LogFormatError: The log cannot be read, lacks times, or holds no frame of the master.
     """
 
     def __init__(self, path: str | Path, scene: Scene) -> None:
         self.path, roles, channels = Path(path), roles_of(scene), Channels(scene)
         self.heartbeat = roles.heartbeat
-        self.skipped = Counter[SkippedKind]()
-        self.frames = [frame for frame in read_bus_log(path, self.skipped) if frame.can_id != roles.heartbeat]
+        self.remarks = Remarks()
+        self.frames = [frame for frame in read_bus_log(path, self.remarks) if frame.can_id != roles.heartbeat]
+        if self.remarks.untimed:
+            text = f"{self.remarks.untimed} frames have no time, and a replay needs the time of each"
+            raise LogFormatError(f"{path}: {text}; record with candump -L, or with -ta for the screen")
         self.addresses = [(channels.place_of(frame), frame.can_id) for frame in self.frames]
         self.is_master = [address in roles.master for address in self.addresses]
         if not any(self.is_master):
@@ -471,6 +475,7 @@ class ReplayResult(TypedDict):
     recording: str
     start: Literal["boot", "sync"]
     skipped: dict[SkippedKind, int]  # frames left out
+    remarks: list[str]  # the same in words, and what is odd about the times
     reads_left_out: list[str]  # `axis: object` that the start reads or writes today and the recorded master did not
     frames: dict[Literal["recorded", "played", "compared"], int]
     cycles: int
@@ -492,7 +497,7 @@ def replay_bus_log(
     first SYNC that found every axis enabled, with the maps of the scene and controllers at rest.
 
     Args:
-        bus_log: candump text, BLF, TRC or ASC.
+        bus_log: Any bus log with times: candump text, SavvyCAN's CSV, BLF, TRC, ASC; each also compressed by gzip.
         scene: Scene of the run; its bus is replaced by a virtual one and nothing is simulated.
         realtime: Whether to keep the pace of the recording instead of running as fast as the machine allows.
         from_sync: Whether to leave the start out even if it was recorded.
@@ -616,7 +621,8 @@ class OpenReplay:
             "status": "identical" if difference is None else "different",
             "recording": str(recording.path),
             "start": "sync" if self._joins else "boot",
-            "skipped": dict(recording.skipped),
+            "skipped": dict(recording.remarks.skipped),
+            "remarks": recording.remarks.lines(),
             "reads_left_out": self._left_out,
             "frames": {"recorded": len(recording.frames), "played": side.played, "compared": side.compared},
             "cycles": self.cycle.cycles,

@@ -24,9 +24,10 @@ from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.multi_axis.group_controller import GroupedControllers
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, PortResult, claim_nothing
-from canhaptic.errors import InputError
-from canhaptic.logs.bus_reader import read_bus_log
+from canhaptic.errors import InputError, LogFormatError
+from canhaptic.logs.bus_reader import Frame, Remarks, read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.text_lines import UNTIMED
 from canhaptic.meters import RunMeters, limits_of, promise_of
 from canhaptic.result import Verdicts, overall, port_account, with_groups
 from canhaptic.scene.load import load_scene
@@ -236,14 +237,14 @@ class _Heard:
             self.read_back_bound = inf
 
 
-def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[tuple[int, list[Sample], list[bool]]]:
+def _samples_of(bus_log: str | Path, scene: Scene, remarks: Remarks) -> Iterator[tuple[int, list[Sample], list[bool]]]:
     """Yield for each SYNC the sample times since the last, each axis's sample, and whether its torque is the demand.
 
     From the first SYNC that all axes answered in OPERATION ENABLED to the last one. The ramp of the stop is included,
     since frames do not distinguish it from the run.
 
     Raises:
-        LogFormatError: The bus log cannot be read.
+        LogFormatError: The bus log cannot be read, or the time of a SYNC is not known, so that a hold has no length.
     """
     axes = [ListenedAxis(_declared(axis)) for axis in scene.axes]
     on_bus = [[a for a, of in zip(axes, scene.axes, strict=True) if of.bus == bus.name] for bus in scene.buses]
@@ -259,7 +260,7 @@ def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[tuple[int, list[S
         ]
         return periods, samples, shown
 
-    for frame in read_bus_log(bus_log):
+    for frame in read_bus_log(bus_log, remarks):
         place = place_of(frame)
         if frame.can_id != od.SYNC_FRAME_COB_ID:
             for axis in on_bus[place]:
@@ -269,6 +270,7 @@ def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[tuple[int, list[S
             continue
         if any(axis.has_left for axis in axes) and cycle >= 0:
             return
+        _require_time(bus_log, frame, sent)
         if cycle >= 0 or all(axis.is_enabled for axis in axes):
             cycle += 1
             yield heard()
@@ -278,6 +280,13 @@ def _samples_of(bus_log: str | Path, scene: Scene) -> Iterator[tuple[int, list[S
     if all(axis.is_enabled for axis in axes):  # no SYNC follows the last one
         cycle += 1
         yield heard()
+
+
+def _require_time(bus_log: str | Path, sync: Frame, last: int) -> None:
+    if sync.timestamp_ns < last:
+        seen = "no time" if sync.timestamp_ns == UNTIMED else "an earlier time than the last one"
+        text = f"{bus_log}: the SYNC at line or frame {sync.number} has {seen}, so the length of a hold is not known"
+        raise LogFormatError(f"{text}; record with candump -L")
 
 
 def _declared(axis: AxisScene) -> DeclaredDrive:
@@ -298,6 +307,7 @@ class Rederived(Verdicts):
 
     status: NotRequired[str]
     cycles: int
+    remarks: list[str]  # what was left out of the bus log, and what is odd about its times
     ports: dict[str, PortResult]
     differences: NotRequired[list[dict[str, str | int | float]]]  # with a log: the first of each port
     checks: NotRequired[list[Outcome]]
@@ -321,7 +331,8 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     logged = {} if log is None else {name: _logged(log, name) for name in derived.units}
     differences: dict[str, dict[str, str | int | float]] = {}
     asked = _asked(derived.programs, scene, log, bus_log)
-    for periods, samples, shown in _samples_of(bus_log, scene):
+    remarks = Remarks()
+    for periods, samples, shown in _samples_of(bus_log, scene, remarks):
         if log is not None and derived.cycles == log.rows:
             break
         for program, efforts in asked:
@@ -337,7 +348,7 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
         text = f"{bus_log}: no SYNC was answered in OPERATION ENABLED by every axis of {scene.source}"
         raise InputError(f"{text}; name the scene of this log")
     ports = derived.accounts(_holds(scene, log))
-    result = cast("Rederived", {"cycles": cycles, **overall(ports), "ports": ports})
+    result = cast("Rederived", {"cycles": cycles, "remarks": remarks.lines(), **overall(ports), "ports": ports})
     if log is not None:
         result["differences"] = list(differences.values())
         if cycles < log.rows:  # the frames end before the log

@@ -2,13 +2,14 @@
 
 import argparse
 import json
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from canhaptic.logs.bus_reader import SkippedKind, describe_skipped, read_bus_log
+from canhaptic.errors import LogFormatError
+from canhaptic.logs.bus_reader import Remarks, read_bus_log
 from canhaptic.logs.decoder import BusDecoder
+from canhaptic.logs.text_lines import UNTIMED
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.scene.scene_logs import Channels, describe_nodes
@@ -22,16 +23,16 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: The log or the scene cannot be used.
     """
     scene = None if arguments.config is None else load_scene(arguments.config, leave_code=True)
-    skipped, seen = Counter[SkippedKind](), dict[str, None]()
+    remarks, seen = Remarks(), dict[str, None]()
     only = {kind.lower() for kind in arguments.only or ()}
-    for frame in _decode_log(arguments.bus_log, scene, arguments.start, arguments.stop, skipped):
+    for frame in _decode_log(arguments.bus_log, scene, arguments.start, arguments.stop, remarks):
         seen[frame["kind"]] = None
         if not only or frame["kind"].lower() in only:
             write_line(json.dumps(frame) if arguments.json else line(frame))
     if only.isdisjoint(kind.lower() for kind in seen) and only:
         write_note(f"  no frame matches --only {', '.join(arguments.only)}; it has {', '.join(seen) or 'no frame'}")
-    if skipped:
-        write_note(f"  frames left out: {describe_skipped(skipped)}")
+    for remark in remarks.lines():
+        write_note(f"  {remark}")
     return 0
 
 
@@ -40,26 +41,31 @@ def _decode_log(
     scene: Scene | None = None,
     start: float | None = None,
     stop: float | None = None,
-    skipped: Counter[SkippedKind] | None = None,
+    remarks: Remarks | None = None,
 ) -> Iterator[dict[str, Any]]:
     """Yield `{time, channel, direction, id, data, kind, node, text}` of every frame between two times [s].
 
     Frames before `start` are decoded too, since the PDO maps are learnt from the bring-up. Each bus has its own
-    decoder: the same node ID on two buses means two nodes.
+    decoder: the same node ID on two buses means two nodes. The time of a frame is None if the log has none.
+
+    Raises:
+        LogFormatError: The log cannot be read, or `start` or `stop` is given and a frame has no time.
     """
     nodes = [] if scene is None else describe_nodes(scene)
     place_of = None if scene is None else Channels(scene).place_of
     decoders: dict[str, BusDecoder] = {}
-    for frame in read_bus_log(path, skipped):
+    for frame in read_bus_log(path, remarks):
         decoder = decoders.get(frame.channel)
         if decoder is None:
             of_bus = [node for node in nodes if place_of is None or node.bus == place_of(frame)]
             decoder = decoders[frame.channel] = BusDecoder(of_bus)
         decoded = decoder.decode(frame.can_id, frame.data)
-        time = frame.timestamp_ns / 1e9
-        if stop is not None and time >= stop:
+        time = None if frame.timestamp_ns == UNTIMED else frame.timestamp_ns / 1e9
+        if time is None and (start is not None or stop is not None):
+            raise LogFormatError(f"{path}:{frame.number}: has no time; leave --from and --to out")
+        if stop is not None and (time or 0.0) >= stop:
             return
-        if start is None or time >= start:
+        if start is None or (time or 0.0) >= start:
             yield {
                 "time": time,
                 "channel": frame.channel,
@@ -72,7 +78,8 @@ def _decode_log(
 
 def line(frame: dict[str, Any]) -> str:
     """Return one decoded frame as a line of text."""
+    time = "-" if frame["time"] is None else f"{frame['time']:.6f}"
     return (
-        f"{frame['time']:14.6f} {frame['channel']} {frame['direction']} {frame['id']:03X} {frame['data']:<16} "
+        f"{time:>14} {frame['channel']} {frame['direction']} {frame['id']:03X} {frame['data']:<16} "
         f"{frame['kind']:<9} {frame['node']:<10} {frame['text']}"
     ).rstrip()

@@ -13,7 +13,7 @@ from canhaptic.audit.user_checks import Checked, Outcome, check
 from canhaptic.axis_units import counted
 from canhaptic.cli.options import check_page, check_picture, check_place, require_new
 from canhaptic.errors import CanHapticError, InputError
-from canhaptic.files import CONVERTIBLE
+from canhaptic.logs.bus_reader import is_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export, require_library
 from canhaptic.logs.repair import repair, require_readable
@@ -25,8 +25,6 @@ from canhaptic.view.terminal import note_file, write_json
 _EXPORTS: Final = ("csv", "parquet", "mat", "mcap")
 _OF_ONE_LOG: Final = ("compare", "recompute", "bus_log", "repair", *_EXPORTS)
 """Options that take one log."""
-_OF_FRAMES: Final = frozenset({".log", *CONVERTIBLE})
-"""Suffixes of bus logs."""
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -49,7 +47,7 @@ def execute(arguments: argparse.Namespace) -> int:
                 f" {arguments.repair}: {counted(kept, 'cycle')} saved, {lost} could not be read", soft_wrap=True
             )
         arguments.log = arguments.repair
-    if arguments.log.suffix.lower() in _OF_FRAMES:
+    if is_bus_log(arguments.log):
         return _inspect_frames(arguments, console)
     for path in filter(None, (arguments.log, arguments.compare, *arguments.overlay)):
         require_readable(path)
@@ -140,7 +138,7 @@ def _require_one_log(arguments: argparse.Namespace) -> None:
         if getattr(arguments, name):
             option = f"--{name.replace('_', '-')}"
             raise InputError(f"{option}: got {arguments.log}, {others}, expected one log; inspect each by itself")
-    if arguments.log.suffix.lower() in _OF_FRAMES:
+    if is_bus_log(arguments.log):
         raise InputError(f"{arguments.log}: is a bus log, expected alone; inspect {others} by itself")
 
 

@@ -7,7 +7,6 @@ from rich.text import Text
 from canhaptic.audit.recompute import scene_of as scene_of_log
 from canhaptic.cli.options import scene_of
 from canhaptic.errors import InputError
-from canhaptic.logs.bus_reader import describe_skipped
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.repair import require_readable
 from canhaptic.replay import FrameWords, ReplayResult, replay_bus_log
@@ -58,8 +57,7 @@ def _replay_report(result: ReplayResult) -> list[Text]:
         Text(f" {played}, {result['cycles']} cycles, {result['speed']:.1f} times real time"),
         Text(f" ended: {result['ended']}"),
     ]
-    if result["skipped"]:
-        lines.append(Text(f" frames left out: {describe_skipped(result['skipped'])}"))
+    lines += [Text(f" {remark}") for remark in result["remarks"]]
     if result["reads_left_out"]:
         objects = ", ".join(result["reads_left_out"])
         lines.append(Text(f" objects not read at the start, as in the recording by an older master: {objects}"))

@@ -222,6 +222,7 @@ def inspection_report(result: Result) -> RenderableType:
     parts += [_finding_line(finding, _file_of(run, runs)) for run in runs for finding in run.get("findings", ())]
     parts += inspection_tables(result)
     parts += [_recomputed_line(port) for port in result.get("recomputed", ())]
+    parts += [Text(f" {remark}") for remark in result.get("rederived", result).get("remarks", ())]
     if "rederived" in result:
         parts.append(_rederived_line(result["rederived"]))
     if "comparison" in result:

@@ -38,7 +38,9 @@ LINES = st.lists(
         st.from_regex(r"[0-9A-F]{1,9}", fullmatch=True),
         st.from_regex(r"[0-9A-Fa-f]{0,140}", fullmatch=True),
         st.sampled_from(["", " R", " T", " X", "\r"]),
-    ),
+    )
+    | st.from_regex(r"(\([0-9]{3}\.[0-9]{6}\)|\([0-9:. -]{10,30}\)|) ?can[0-9]  [0-9A-F]{3} {1,3}[\[{][0-9][\]}][ 0-9A-Z'.]{0,30}")
+    | st.from_regex(r"[0-9.]{1,22},[0-9A-F]{1,9},(true|false),(Rx,|)[0-9]{1,3},[0-9]{1,3}[,0-9A-F]{0,30}"),
     max_size=8,
 )
 

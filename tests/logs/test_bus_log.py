@@ -176,7 +176,7 @@ def test_our_reader_gives_back_what_was_written_to_the_microsecond(tmp_path: Pat
     ("text", "message"),
     [
         (b"", "empty"),
-        (b"(0.000001) can0 181#00\nnonsense\n", r":2: 'nonsense' is not a frame"),
+        (b"nonsense\n", r":1: 'nonsense' is not a frame"),
         (b"(0.000001) can0 181#001\n", "is not a frame"),
         (
             b"(0.000001) can0 181#00\n(00000000",
