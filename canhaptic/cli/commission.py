@@ -1,6 +1,7 @@
 """`canhaptic commission CONFIG`: from an untried drive to a measured configuration, step by step, zero torque first."""
 
 import argparse
+import json
 import os
 import select
 import sys
@@ -24,7 +25,6 @@ from canhaptic.view.terminal import failure, note_file, visible, write_failure, 
 
 _TO_CORRECT: Final = 1  # exit status: the configuration differs from the rig, or the rig must not be used
 _LONGEST_LINE: Final = 4096  # bytes; a terminal hands over one line at a time
-_NEXT_LINE: Final = "\n    "
 _YES: Final = ("y", "yes")
 
 
@@ -44,33 +44,70 @@ def execute(arguments: argparse.Namespace) -> int:
         confirmed: dict[CheckItem, str] = {} if scene.simulated or missing or error else _confirmed(dialogue)
         if stop.requested():
             missing.insert(0, "stopped")
-        if place is not None and not missing and error is None:
+        todo = _next_step(session, missing, error)
+        if place is not None and report.values:
             try:
                 changes = [Change(("confirmed", item), f'"{moment}"') for item, moment in confirmed.items()]
-                _write(scene, [*report.changes(scene), *changes], place, arguments)
+                _write(scene, [*report.changes(scene), *changes, *_mark(scene, todo)], place, arguments)
                 is_written = True
             except CanHapticError as raised:
-                error = raised
+                error = error or raised
         _print(report, missing, error, place if is_written else None, arguments)
+        write_note(_last_sentence(todo, place if is_written else None, arguments, is_right=not report.differs))
         if error is not None:
             return error.exit_status
         is_to_correct = report.failed or report.differs or place is not None
-        return stop.exit_status or (_TO_CORRECT if is_to_correct and not is_written else 0)
+        return stop.exit_status or (_TO_CORRECT if todo or (is_to_correct and not is_written) else 0)
+
+
+def _next_step(session: Session, missing: Sequence[str], error: CanHapticError | None) -> str:
+    """Return what keeps the scene from being ready, and what to do about it; empty if nothing does."""
+    if not missing and error is None:
+        return ""
+    if missing[:1] == ["stopped"]:
+        return "stopped"
+    return str(error or session.report.next_step(_required(session.scene)) or missing[0])
+
+
+def _mark(scene: Scene, todo: str) -> list[Change]:
+    """Return the change that marks a scene as unfinished, or takes the mark from one that had it."""
+    if not todo:
+        return [Change(("unfinished",), "null", "commissioned")] if scene.run.unfinished else []
+    return [Change(("unfinished",), json.dumps(" ".join(todo.split()), ensure_ascii=False))]
+
+
+def _last_sentence(todo: str, place: Path | None, arguments: argparse.Namespace, *, is_right: bool) -> str:
+    """Return the one thing to do after a commissioning."""
+    if todo:
+        kept = "" if place is None else f"; what was found is in {place}, which is marked unfinished and is not run"
+        return f"  To do: {todo}{kept}; then commission again"
+    if place is not None:
+        return f"  To do: canhaptic run {place}"
+    found = "every value is right" if is_right else "some values differ"
+    return f"  To do: {found}; --out FILE.yaml writes the scene with what was found, --in-place replaces it"
 
 
 def walk(session: Session, duration: float) -> tuple[list[str], CanHapticError | None]:
     """Take the rig through all steps; return the missing or failed items, and the error that ended the session."""
     scene, error = session.scene, None
-    displays = any(axis.parameters.admittance is not None for axis in scene.axes)
     try:
-        if displays:
+        if _has_displays(scene):
             commission_displays(session)
         else:
             commission(session, duration)
     except CanHapticError as raised:
         error = raised
     names = [axis.parameters.name for axis in scene.axes]
-    return session.report.unfinished(names, OF_DISPLAYS if displays else OF_TORQUES), error
+    return session.report.unfinished(names, _required(scene)), error
+
+
+def _has_displays(scene: Scene) -> bool:
+    return any(axis.parameters.admittance is not None for axis in scene.axes)
+
+
+def _required(scene: Scene) -> Sequence[str]:
+    """Items that must be verified for each axis."""
+    return OF_DISPLAYS if _has_displays(scene) else OF_TORQUES
 
 
 def _place(scene: Scene, arguments: argparse.Namespace) -> Path | None:
@@ -215,6 +252,6 @@ def _print(
     if place is not None:
         note_file("scene", place)
     elif arguments.out is not None or arguments.in_place:
-        write_note(f"  not finished, nothing written{''.join(f'{_NEXT_LINE}{text}' for text in missing)}")
-    elif not missing and not arguments.json:
-        write_note("  --out FILE.yaml writes the scene with these values, --in-place replaces it")
+        write_note("  nothing was found that could be written")
+    for text in missing:
+        write_note(f"    {text}")

@@ -91,7 +91,7 @@ def _loop(session: Session, axis: int) -> None:
     """Measure mass and gains of a drive, sign and latency of its sensor."""
     given, bus = session.axes[axis].parameters, session.scene.bus
     lowest, highest, seconds = 2.0, 40.0, 8.0
-    amplitude = min(_AMPLITUDE, 0.5 * (given.speed_limit or _AMPLITUDE), session.limits.speed)
+    amplitude = min(_AMPLITUDE, 0.5 * (given.speed_limit or _AMPLITUDE), session.speed(axis))
     speeds = sweep(amplitude, lowest, min(highest, 0.1 / session.sample_time), seconds, session.sample_time)
     law = session.play(axis, speeds, len(speeds) + 2, travels=3.0)  # it is the hand that pushes the drive away
     if session.stop_requested():

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.commission.session import OpenLoop, Session, StepVerdict, reversals
-from canhaptic.commission.which_hold import as_declared, report_hold, time_the_hold
+from canhaptic.commission.which_hold import HoldTimes, as_declared, report_hold, time_the_hold
 from canhaptic.scene import hints
 from canhaptic.scene.first_contact import ALLOWANCES, share_of_wall, with_declared
 from canhaptic.scene.models import AxisScene
@@ -107,7 +107,7 @@ def friction_curve(positions: _Array, applied: _Array, sample_time: float, half_
     within = within[:, known >= _FEWEST_OF_A_RANGE]
     rows = within.any(axis=1)
     columns = np.column_stack([matrix[rows, 0], within[rows] * ways[rows, None], np.ones(int(rows.sum()))])
-    solved = _solve(columns, torque[rows]) if within.shape[1] else None
+    solved = _solve(columns, torque[rows]) if within.shape[1] >= _FEWEST_RANGES else None
     if solved is None:
         return None
     (mass, *frictions, _), (mass_error, *errors, _), _ = solved
@@ -192,9 +192,26 @@ def _equations(
     middle, end = positions[starts + half_base], positions[starts + 2 * half_base]
     acceleration = (end - 2.0 * middle + positions[starts]) / (half_base * sample_time) ** 2
     velocity = _in_windows(step, starts, half_base) / sample_time
-    direction = _in_windows(np.where(np.abs(step) > _STILL, np.sign(step), 0.0), starts, half_base)
+    direction = _in_windows(_directions(step, half_base // 2), starts, half_base)
     matrix = np.column_stack([acceleration, velocity, direction, np.ones(len(starts))])
     return matrix, _in_windows(applied[1:], starts, half_base)
+
+
+def _directions(steps: _Array, near: int) -> _Array:
+    """Return the direction of motion in each hold, 1, -1 or 0: that of the nearest hold in which a count was passed.
+
+    A slow axis passes a count of a coarse encoder in a few holds only; in the others it moves all the same. Without one
+    within `near` holds it stands still.
+    """
+    passed = np.flatnonzero(np.abs(steps) > _STILL)
+    if not len(passed):
+        return np.zeros(len(steps))
+    holds = np.arange(len(steps))
+    after = np.searchsorted(passed, holds).clip(max=len(passed) - 1)
+    before = (after - 1).clip(min=0)
+    nearest = np.where(np.abs(passed[before] - holds) < np.abs(passed[after] - holds), passed[before], passed[after])
+    directions: _Array = np.where(np.abs(nearest - holds) <= near, np.sign(steps[nearest]), 0.0)
+    return directions
 
 
 def _in_windows(values: _Array, starts: NDArray[np.int64], half_base: int) -> _Array:
@@ -208,20 +225,30 @@ def _in_windows(values: _Array, starts: NDArray[np.int64], half_base: int) -> _A
 def _solve(matrix: _Array, torque: _Array) -> tuple[list[float], list[float], float] | None:
     """Least-squares solution, its standard deviations and the rms residual.
 
-    None where the columns of the matrix do not separate the unknowns.
+    The torque is known, and acceleration, the first column, is not: the counts of a coarse encoder disturb it, and as
+    a regressor it would make the mass too small. So acceleration is fitted by the torque and the other columns. None
+    where they do not separate the unknowns.
     """
-    scale = np.linalg.norm(matrix, axis=0)
+    columns = np.column_stack([torque, -matrix[:, 1:]])
+    scale = np.linalg.norm(columns, axis=0)
     used = scale > 0.0
-    normed, unknowns = matrix[:, used] / scale[used], int(np.count_nonzero(used))
-    if np.linalg.matrix_rank(normed) < unknowns:
+    normed, unknowns = columns[:, used] / scale[used], int(np.count_nonzero(used))
+    if not used[0] or np.linalg.matrix_rank(normed) < unknowns:
         return None
-    solution, *_ = np.linalg.lstsq(normed, torque, rcond=None)
-    rest = torque - normed @ solution
+    solution, *_ = np.linalg.lstsq(normed, matrix[:, 0], rcond=None)
+    rest = matrix[:, 0] - normed @ solution
     variance = float(rest @ rest) / max(1, len(torque) - unknowns)
-    values, errors = np.zeros(matrix.shape[1]), np.zeros(matrix.shape[1])
+    values, spread = np.zeros(len(scale)), np.zeros((len(scale), len(scale)))
     values[used] = solution / scale[used]
-    errors[used] = np.sqrt(np.diag(np.linalg.inv(normed.T @ normed)) * variance) / scale[used]
-    return values.tolist(), errors.tolist(), variance**0.5
+    spread[np.ix_(used, used)] = np.linalg.inv(normed.T @ normed) * variance / np.outer(scale[used], scale[used])
+    if not values[0]:
+        return None
+    mass = 1.0 / values[0]
+    values = values * mass  # of a ratio to 1 / mass, to the first order in its errors
+    variances = np.diag(spread) + values**2 * spread[0, 0] - 2.0 * values * spread[0]
+    errors = np.abs(mass) * np.sqrt(np.maximum(variances, 0.0))
+    values[0], errors[0] = mass, mass**2 * spread[0, 0] ** 0.5
+    return values.tolist(), errors.tolist(), abs(mass) * variance**0.5
 
 
 SURE: Final = 2.0
@@ -272,7 +299,9 @@ _TIMES: Final = ("sync_jitter", "torque_window", "current_lag")
 _ITEM: Final = "torque lag"
 _DOUBLETS: Final = (32, 64, 128, 256, 512)
 """Number of doublets in the first, second, ... test; testing ends when the hold is known and the wall can be judged."""
+_PASSED: Final = 60.0  # counts
 _OVER: Final = 1.1
+_OF_A_HOLD: Final = 0.95  # sample times of uncertainty at which a hold can still be found
 _EARLY: Final = 3.0  # standard deviations below 0 from which on a torque acts before its SYNC
 
 
@@ -312,9 +341,10 @@ def time_the_torque(
         times = time_the_hold(session, axis, law, longest // 3)
         is_last, hold = count == counts[-1], times.hold
         is_told, before = times.is_sure or (hold is not None and (is_last or hold == before)), hold
+        is_over = is_told or not _may_be_told(times, counts[-1] / count)
         if is_told and hold and hold > 0:  # the hold is declared, and the lag is that within it
             late = late[0] - hold * session.sample_time, late[1]
-        if is_last or (is_told and (known is None or _is_resolved(session, axis, late, known))):
+        if is_last or (is_over and (known is None or _is_resolved(session, axis, late, known))):
             report_hold(session, axis, times if is_told else times._replace(hold=None))
             if known is None:
                 return
@@ -325,8 +355,13 @@ def time_the_torque(
             if late[0] >= -_EARLY * late[1]:
                 _propose(session, axis, None if is_kept else _at_most(late), known)
             return
-        seen = f"+- {SURE * late[1] * 1e6:.2g} us costs too much of the wall" if is_told else "in which hold is unclear"
+        seen = f"+- {SURE * late[1] * 1e6:.2g} us costs too much of the wall" if is_over else "in which hold is unclear"
         session.dialogue.tell(f"  {name}: {_ITEM}: {seen}")
+
+
+def _may_be_told(times: HoldTimes, longer: float) -> bool:
+    """Whether a test that is so many times longer may tell the hold: its uncertainty falls with the root."""
+    return times.motion is None or times.motion.high - times.motion.low <= _OF_A_HOLD * math.sqrt(longer)
 
 
 def _at_most(late: tuple[float, float]) -> float:
@@ -343,14 +378,17 @@ def _is_resolved(session: Session, axis: int, late: tuple[float, float], known: 
 def _is_lost(session: Session, axis: int, lag: float, known: Mapping[str, float]) -> bool:
     """Return whether a lag [s] costs more of the wall than it may."""
     without, lagging = ({**known, "current_lag": value} for value in (0.0, lag))
-    return is_dear(session.axes[axis], session.limits.speed, without, lagging)
+    return is_dear(session.axes[axis], session.speed(axis), without, lagging)
 
 
 def _reversal(session: Session, axis: int, most: float, mass: float, friction: float) -> tuple[float, int]:
     """Return the torque of the test [N or N*m], and the cycles of its longest part, within half of the limits."""
-    travel, speed, time = 0.25 * session.limits.travel, 0.5 * session.limits.speed, session.sample_time
+    travel, speed, time = 0.25 * session.travels[axis], 0.5 * session.speed(axis), session.sample_time
     wanted = min(math.sqrt(travel * mass / most), speed * mass / most) / time
-    cycles = max(16, min(60, round(wanted)))  # of the first part of the longest doublet
+    # The first part of the longest doublet is, for a coarse encoder, long enough to pass some counts
+    cycles = max(
+        16, min(max(60, session.cycles(math.sqrt(_PASSED * session.count(axis) * mass / most))), round(wanted))
+    )
     allowed = friction + mass * min(travel / (cycles * time) ** 2, speed / (cycles * time))
     quantum = session.drives[axis].scaling.torque_quantum
     return max(1, math.floor(min(most, allowed) / quantum)) * quantum, cycles
@@ -401,7 +439,7 @@ def _propose(session: Session, axis: int, lag: float | None, known: Mapping[str,
     if lag is None or not _is_lost(session, axis, lag, known):
         return
     without, lagging = ({**known, "current_lag": value} for value in (0.0, lag))
-    allowance = needed_allowance(scene, session.limits.speed, without, lagging)
+    allowance = needed_allowance(scene, session.speed(axis), without, lagging)
     text = f"current_lag {lag * 1e6:.3g} us leaves no energy to start a contact"
     if allowance is None:
         return session.found(axis, "wall", "", "not rendered", StepVerdict.DIFFERS, f"{text}; render a softer wall")

@@ -5,18 +5,21 @@ must stay at rest, and a motion by hand checks the encoder. A silent master test
 zero torque times the cycle.
 """
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen import objects as od
-from canhaptic.commission.session import OpenLoop, Session, StepVerdict
-from canhaptic.commission.torque_tests import SCALE, identify_dynamics, verified_axes
+from canhaptic.commission.session import TRAVELS, OpenLoop, Session, StepVerdict
+from canhaptic.commission.torque_tests import SCALE, identify_dynamics, stiff_grip, verified_axes
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.safety.power_states import TORQUE_FREE
 from canhaptic.errors import InputError, RigError, SdoError, StartError
+from canhaptic.scene.models import AxisScene
+from canhaptic.sim.plant.user import SinusoidMotion
 
 _ASK_DEVICE_TYPE: Final = bytes.fromhex("40 00 10 00 00 00 00 00")
 
@@ -144,6 +147,10 @@ def _rated_torque(session: Session, axis: int, drive: ServoDrive) -> None:
 
 STANDSTILL: Final = "standstill at zero torque"
 """Name of the step in the report."""
+_LONGEST_REACH: Final = 20.0  # of a simulated hand [s]
+_REACH_RATE: Final = 0.6  # [Hz]
+_DRIFT: Final = 0.25
+"""Part of the travel, and of 20 mm or mrad, by which an axis without torque may drift within a second."""
 _FEWEST_COUNTS: Final = 200  # half a per cent
 
 
@@ -154,13 +161,13 @@ def stand_still(session: Session, axis: int) -> bool:
         RigError: Drive or link failed.
     """
     name, unit = session.axes[axis].parameters.name, session.axes[axis].parameters.unit
-    law = session.play(axis, (), session.cycles(1.0))  # [s] that an axis must stand still
+    law = session.play(axis, [0.0], session.cycles(1.0), travels=_DRIFT)  # [s] that an axis must stand still
     if not law.positions:  # the operator stopped it
         session.not_tried(STANDSTILL, [axis])
         return False
     drift = abs(law.positions[-1] - law.positions[0])
     swing = max(law.positions) - min(law.positions)
-    still = drift <= 0.25 * session.limits.travel  # an axis without torque may drift
+    still = drift <= max(_DRIFT * min(session.travels[axis], 0.02), 2.0 * session.count(axis))
     text = f"{name} moves without torque: gravity, a wrong drive offset, or somebody pushes"
     found = f"{drift:.3g} {unit}, noise {swing:.3g}"
     session.judged(axis, STANDSTILL, "", found, good=still, text=text, fatal=True)
@@ -170,36 +177,66 @@ def stand_still(session: Session, axis: int) -> bool:
 def move_by_hand(session: Session, axis: int) -> None:
     """Compare a distance moved by hand with the encoder reading; the drive holds zero torque meanwhile.
 
+    A simulated hand moves the handle by a given distance, which the plant measures.
+
     Raises:
         RigError: Drive or link failed.
     """
-    parameters = session.axes[axis].parameters
-    unit = parameters.unit
-    begin: list[float] = []
-    asked = "move the handle a distance that you can measure, in the direction that is to be positive"
-    asked = f"{parameters.name}: {asked}; hold it there and press Enter"
-    ready = session.dialogue.until_ready(asked, session.cycles(0.4))  # [s] of the simulated hand's motion
-
-    def done() -> bool:
-        truth = session.truth(axis)
-        if truth is not None and not begin:
-            begin.append(truth)
-        return ready()
-
-    session.truths = ()
-    law = session.play(axis, (), session.cycles(120.0), done)  # [s] that a person may take
+    parameters, is_twin = session.axes[axis].parameters, session.scene.simulated
+    name, unit, distance = parameters.name, parameters.unit, _FEWEST_COUNTS * session.count(axis)
+    if is_twin:
+        enough = max(1.25 * distance, TRAVELS[unit])
+        distance = session.dialogue.number(f"{name}: how far is the simulated hand to move?", unit, enough) or 0.0
+        if not distance:
+            return session.not_tried("encoder", [axis])
+        if not session.agreed(f"{name}: the hand moves. Start now?", "encoder", [axis]):
+            return
+    with session.rig_of(with_hand=True, hand=partial(_reaching, distance=distance) if is_twin else None):
+        law, moved = _moved(session, axis, distance)
     if not law.positions:
         return session.not_tried("encoder", [axis])
-    truth = session.truth(axis)
-    moved = None if truth is None or not begin else truth - begin[0]
     measured = law.positions[-1] - law.positions[0]
-    stated = session.dialogue.number(f"{parameters.name}: distance moved, with its sign?", unit, moved)
+    asked = f"{name}: distance moved, with its sign?"
+    stated = moved if is_twin else session.dialogue.number(asked, unit, None)
     counts = abs(measured) * parameters.counts_per_unit
     if not stated or counts < _FEWEST_COUNTS:
         text = f"the encoder moved by {counts:.0f} counts, at least {_FEWEST_COUNTS} and a measured distance are needed"
         return session.found(axis, "encoder", "", f"{measured:.4g} {unit}", StepVerdict.UNKNOWN, text)
     session.encoder_ratios[axis] = abs(measured / stated)
     _judge(session, axis, measured / stated)
+
+
+def _moved(session: Session, axis: int, distance: float) -> tuple[OpenLoop, float | None]:
+    """Return the record of a motion by hand, and how far a simulated hand moved [m or rad]."""
+    begin: list[float] = []
+    session.truths = ()
+
+    def reached() -> bool:
+        truth = session.truth(axis)
+        if truth is not None and not begin:
+            begin.append(truth)
+        return truth is not None and abs(truth - begin[0]) >= abs(distance)
+
+    ready, longest = reached, _LONGEST_REACH
+    if not session.scene.simulated:
+        name, unit = session.axes[axis].parameters.name, session.axes[axis].parameters.unit
+        asked = f"{name}: move the handle by {distance:.2g} {unit} or more, a distance that you can measure"
+        asked = f"{asked}, in the direction that is to be positive; hold it there and press Enter"
+        ready, longest = session.dialogue.until_ready(asked, 1), 120.0  # [s] that a person may take
+    law = session.play(axis, (), session.cycles(longest), ready)
+    truth = session.truth(axis)
+    return law, None if truth is None or not begin else truth - begin[0]
+
+
+def _reaching(axis: AxisScene, distance: float) -> object:
+    """Return a simulated hand that moves the handle by a distance [m or rad], with its sign, and beyond."""
+    if (simulation := axis.simulation) is None:
+        return None
+    grip = stiff_grip(axis, simulation)
+    speed = 0.25 * (axis.parameters.speed_limit or math.inf)
+    rate = min(_REACH_RATE, speed / (3.0 * math.pi * abs(distance)))
+    motion = SinusoidMotion(amplitude=1.5 * distance, frequency=rate)
+    return grip.model_copy(update={"motion": motion})
 
 
 def _judge(session: Session, axis: int, ratio: float) -> None:
@@ -334,11 +371,10 @@ def commission(session: Session, timing_duration: float) -> None:
     with session.rig_of(with_hand=False):
         if not _stands_still(session):
             return
-    with session.rig_of(with_hand=True):
-        tell("3 of 6: the encoder, moved by hand (zero torque)")
-        for axis in range(len(session.axes)):
-            if not session.stop_requested():
-                move_by_hand(session, axis)
+    tell("3 of 6: the encoder, moved by hand (zero torque)")
+    for axis in range(len(session.axes)):
+        if not session.stop_requested():
+            move_by_hand(session, axis)
     tell("4 of 6: first torque")
     firsts = verified_axes(session)
     with session.rig_of(with_hand=False):

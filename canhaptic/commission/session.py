@@ -127,6 +127,8 @@ class Value(NamedTuple):
 
 _SHOWN_IN: Final = {"s": (1e6, "us"), "1": (100.0, "%")}
 """SI unit -> factor and name of the unit in which small values are written."""
+_MENDED: Final = ("moving mass", "dry friction, least")
+"""Items of wrong declarations that the measured values replace."""
 _COLOURS: Final = {
     StepVerdict.AGREES: "green",
     StepVerdict.DIFFERS: "yellow",
@@ -182,8 +184,7 @@ class Report:
         """
         seen = {(row.axis, row.item) for row in self.findings if row.verdict is not StepVerdict.UNKNOWN}
         missing = [f"{axis}: {item}: not verified" for axis in axes for item in items if (axis, item) not in seen]
-        mended = ("moving mass", "dry friction, least")  # a wrong declaration, which the measured value replaces
-        failed = [row for row in self.findings if row.verdict is StepVerdict.FAILED and row.item not in mended]
+        failed = [row for row in self.findings if row.verdict is StepVerdict.FAILED and row.item not in _MENDED]
         return missing + [f"{row.axis}: {row.item}: {row.found}" for row in failed]
 
     def as_json(self) -> dict[str, Any]:
@@ -194,18 +195,41 @@ class Report:
             "values": [{**value._asdict(), "text": value.text} for value in self.values],
         }
 
+    def next_step(self, items: Collection[str]) -> str:
+        """Return the first thing that keeps a scene from being ready, and what to do about it.
+
+        Args:
+            items: Items that must be verified for each axis.
+        """
+        rows = [row for row in self.findings if row.item in items]
+        is_open = [row for row in rows if row.verdict is StepVerdict.UNKNOWN]
+        failed = [row for row in self.findings if row.verdict is StepVerdict.FAILED and row.item not in _MENDED]
+        differing = [row for row in rows if row.verdict is StepVerdict.DIFFERS]  # as a scale, which ends the torques
+        for axis, item, _, found, _, text in [*failed, *is_open, *differing]:
+            return f"{axis}: {item}: {found}{f'; {text}' if text else ''}"
+        return ""
+
     def table(self) -> Table:
-        """Return the rows as a table for a terminal."""
-        rows: list[list[Cell]] = [
-            [axis, item.replace("_", " "), configured, found, Styled(verdict.value, _COLOURS[verdict]), text]
-            for axis, item, configured, found, verdict, text in self.findings
-        ]
-        return Table("commissioning", ("axis", "what", "configured", "found", "verdict", ""), rows)
+        """Return the rows as a table for a terminal; the axis has a column where there are several."""
+        rows: list[list[Cell]] = []
+        for axis, item, configured, found, verdict, text in self.findings:
+            of = f" (configured: {configured})" if configured and verdict is not StepVerdict.AGREES else ""
+            seen = f"{found}{of}{f'; {text}' if text else ''}"
+            rows.append([axis, item.replace("_", " "), seen, Styled(verdict.value, _COLOURS[verdict])])
+        return _without_one_axis("commissioning", ("axis", "what", "found", "verdict"), rows)
 
     def values_table(self, written: str) -> Table:
         """Return the values, and where they were written, as a table for a terminal."""
-        rows = [[value.axis, value.key, value.text or "unchanged", value.comment] for value in self.values]
-        return Table(written, ("axis", "key", "value", ""), rows)
+        rows: list[list[Cell]] = [
+            [value.axis, value.key, value.text or "unchanged", value.comment] for value in self.values
+        ]
+        return _without_one_axis(written, ("axis", "key", "value", ""), rows)
+
+
+def _without_one_axis(title: str, columns: Sequence[str], rows: list[list[Cell]]) -> Table:
+    """Return a table whose first column is left out where it names one axis only."""
+    first = 0 if len({row[0] for row in rows}) > 1 else 1
+    return Table(title, columns[first:], [row[first:] for row in rows])
 
 
 def _path(scene: Scene, value: Value) -> tuple[str, ...]:
@@ -225,13 +249,36 @@ class CommissioningLimits(Parameters):
 
     torque: Annotated[float, quantity("1", gt=0.0, le=0.3)] = 0.1
     """Largest torque, as a part of the rated torque; never beyond `torque_limit` of the axis."""
-    travel: Annotated[float, quantity("m", "rad", gt=0.0)] = 0.02
-    """Distance from the start of a step beyond which its torque is removed."""
-    speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] = 0.5
-    """Speed beyond which the torque of a step is removed."""
+    travel: Annotated[float, quantity("m", "rad", gt=0.0)] | None = None
+    """Distance from the start of a step beyond which its torque is removed; None: what the tests need, asked for."""
+    speed: Annotated[float, quantity("m/s", "rad/s", gt=0.0)] | None = None
+    """Speed beyond which the torque of a step is removed; None: 0.5 m/s or 5 rad/s."""
 
 
-_LOST: Final = "a TPDO was lost"
+FAR_COUNTS: Final = 32
+"""Fewest counts of the encoder within which a travel can be limited."""
+_FAST_COUNTS: Final = 4
+"""Fewest counts over which a speed is judged: one count is no speed."""
+_LONGEST_LOOK: Final = 0.1
+"""Longest time over which a speed is judged [s]."""
+TRAVELS: Final = {"m": 0.02, "rad": 0.2}
+"""Travel of the tests where no larger one is needed: of a hand, and of a handle with an arm of 0.1 m."""
+_SPEEDS: Final = {"m": 0.5, "rad": 5.0}
+
+
+class Guard(NamedTuple):
+    """Where a test ends: too far from its first position, or too fast over some samples."""
+
+    travel: float = math.inf  # [m or rad]
+    step: float = math.inf  # largest span of the positions of `samples` successive holds [m or rad]
+    samples: int = 1
+    far: str = ""  # the limits in words
+    fast: str = ""
+
+
+UNGUARDED: Final = Guard()
+LOST: Final = "a TPDO was lost"
+"""Reason why a torque was removed after which the same torque is tried again."""
 
 
 class OpenLoop:
@@ -241,8 +288,7 @@ class OpenLoop:
 
     Args:
         torques: One torque per cycle [N or N*m]; zero after the last.
-        travel: Largest distance from the first position [m or rad].
-        largest_step: Largest displacement in one sample time [m or rad].
+        guard: Limits beyond which the torque is removed.
 
     Attributes:
         positions: Position at every SYNC since `reset` [m or rad].
@@ -253,8 +299,8 @@ class OpenLoop:
         skipped: SYNCs before which others were skipped, after `Session.play`.
     """
 
-    def __init__(self, torques: Sequence[float] = (), travel: float = math.inf, largest_step: float = math.inf) -> None:
-        self._torques, self._travel, self._largest_step = tuple(torques), travel, largest_step
+    def __init__(self, torques: Sequence[float] = (), guard: Guard = UNGUARDED) -> None:
+        self._torques, self._guard = tuple(torques), guard
         self.reset()
 
     def reset(self) -> None:
@@ -281,7 +327,7 @@ class OpenLoop:
 
     def sample_lost(self) -> EnergyBalance:
         """Send no further torque: a measurement with a missing sample is useless."""
-        self.tripped, self.has_gap = self.tripped or _LOST, True
+        self.tripped, self.has_gap = self.tripped or LOST, True
         self._last = self._last._replace(torque=0.0, h_i=0.0, h_m=0.0, deficit=0.0, branch=Branch.HELD.value)
         return self._last
 
@@ -296,10 +342,12 @@ class OpenLoop:
         displacement = position - self.positions[-1] if self.positions else 0.0
         self.positions.append(position)
         self.applied.append(torque_applied)
-        if abs(position - self.positions[0]) > self._travel:
-            self.tripped = self.tripped or f"moved further than {self._travel:g}"
-        elif abs(displacement) > self._largest_step:
-            self.tripped = self.tripped or f"moved faster than {self._largest_step:g} in one sample time"
+        guard = self._guard
+        recent = self.positions[-guard.samples - 1 :]
+        if abs(position - self.positions[0]) > guard.travel:
+            self.tripped = self.tripped or f"moved further than {guard.far}"
+        elif max(recent) - min(recent) > guard.step:
+            self.tripped = self.tripped or f"moved faster than {guard.fast}"
         torque = 0.0 if self.tripped else self.next_torque()
         self.sent.append(torque)
         h_i = -torque_applied * displacement
@@ -370,6 +418,7 @@ class Session:
         axes: Axes of the scene.
         report: Findings so far.
         encoder_ratios: Displacement by the configured encoder over the measured one, per axis.
+        travels: How far the tests may move each axis from its place [m or rad].
         quanta: Torque of one count of 0x6071 in the master's scaling, per axis; 0 until a drive reports it [N or N*m].
         verified: Axes whose torque scale is verified.
     """
@@ -389,6 +438,7 @@ class Session:
         self.report = Report()
         self.sample_time = scene.bus.sample_time
         self.encoder_ratios = [1.0] * len(scene.axes)
+        self.travels = [limits.travel or TRAVELS[axis.parameters.unit] for axis in scene.axes]
         self.quanta: Sequence[float] = [axis.loop.torque_quantum or 0.0 for axis in scene.axes]
         self.verified: set[int] = set()
         self._experiment: Experiment | None = None
@@ -443,7 +493,7 @@ class Session:
         """
         law, watched = OpenLoop(), self.cycles(0.1)
         # What is left of a motion then takes no test beyond it
-        still = max(2.0 / self.axes[axis].parameters.counts_per_unit, 0.005 * self.limits.travel)
+        still = max(2.0 * self.count(axis), 0.005 * self.travels[axis])
 
         def at_rest() -> bool:
             last = law.positions[-watched:]
@@ -474,7 +524,7 @@ class Session:
             law = self.play(axis, torques, len(torques) + 2)  # the last one ends as well, or the axis moves on
             if not law.tripped or self.stop_requested() or not left:
                 break
-            is_lost = law.tripped == _LOST  # and not too fast or too far before
+            is_lost = law.tripped == LOST  # and not too fast or too far before
             torque *= 1.0 if is_lost else 0.5
             cause = law.tripped if is_lost else f"handle {law.tripped}"
             self.dialogue.tell(f"  {name}: {item}: stopped, {cause}; repeating with {torque:.3g} {unit}")
@@ -490,25 +540,49 @@ class Session:
             torques: One torque per cycle [N or N*m].
             cycles: Largest number of cycles.
             ready: Function that ends the run early by returning true; None: the run has its full length.
-            travels: Multiple of the session's limit of travel.
+            travels: Multiple of the travel of the axis.
 
         Raises:
             RigError: Drive or link failed; torque is zero.
         """
-        travel, step, sent = travels * self.limits.travel, self.limits.speed * self.sample_time, list[float]()
-        law = OpenLoop(torques, travel, step) if torques else OpenLoop()
+        sent, law = list[float](), OpenLoop(torques, self.guard(axis, travels) if torques else UNGUARDED)
 
         def note() -> bool:
             if self.rig.records:
                 if self.rig.periods > 1:
                     law.skipped.append(len(sent))
                 sent.append(self.drives[axis].scaling.torque(self.rig.records[-1].torques_per_mille[axis]))
-            return ready()
+            return ready() or law.tripped not in ("", LOST)
 
         self.run_alone(axis, law, cycles, note)
         note()
         law.sent = sent
         return law
+
+    def count(self, axis: int) -> float:
+        """Distance of one count of the encoder as configured [m or rad]."""
+        return 1.0 / self.axes[axis].parameters.counts_per_unit
+
+    def speed(self, axis: int) -> float:
+        """Speed that the tests may give an axis [m/s or rad/s]."""
+        parameters = self.axes[axis].parameters
+        return min(self.limits.speed or _SPEEDS[parameters.unit], 0.5 * (parameters.speed_limit or math.inf))
+
+    def guard(self, axis: int, travels: float = 1.0) -> Guard:
+        """Return the limits of a test: of each the physical value, or a number of counts if that is larger.
+
+        Args:
+            axis: Index of the axis.
+            travels: Multiple of the travel of the axis.
+        """
+        count, unit, period = self.count(axis), self.axes[axis].parameters.unit, self.sample_time
+        travel, speed = travels * self.travels[axis], self.speed(axis)
+        samples = max(1, min(self.cycles(_LONGEST_LOOK), math.ceil(_FAST_COUNTS * count / (speed * period))))
+        far, step = max(travel, FAR_COUNTS * count), max(speed * samples * period, _FAST_COUNTS * count)
+        counts = f" ({FAR_COUNTS} counts)" if far > travel else ""
+        over = f", over {1e3 * samples * period:.3g} ms" if samples > 1 else ""
+        fast = f"{step / (samples * period):.3g} {unit}/s{over}"
+        return Guard(far, step, samples, f"{far:.3g} {unit}{counts}", fast)
 
     def run_alone(self, axis: int, law: OpenLoop, cycles: int, ready: Callable[[], bool]) -> None:
         """Run the rig with a control law on one axis and no torque on the others; raises the errors of `run`."""
@@ -600,6 +674,13 @@ class Session:
     def propose(self, axis: int, key: str, value: float | int | str | None, unit: str = "", comment: str = "") -> None:
         """Propose a value for a key of the scene; None: the key keeps its present value."""
         self.report.values.append(Value(self.axes[axis].parameters.name, key, value, unit, comment))
+
+
+def largest_torque(session: Session, axis: int) -> float:
+    """Largest torque of commissioning [N or N*m]: a fraction of the rated torque or, without one, of the limit."""
+    parameters = session.axes[axis].parameters
+    rated = parameters.rated_torque or parameters.torque_limit
+    return min(session.limits.torque * rated, parameters.torque_limit)
 
 
 def _with_hands(scene: Scene, hand: Callable[[AxisScene], Any]) -> Scene:

@@ -11,8 +11,7 @@ which the drive lifts, or a spring balance, against which it pushes.
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,21 +20,30 @@ from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.commission import mass_and_friction
 from canhaptic.commission.mass_and_friction import SURE, Dynamics, FrictionCurve, estimate, friction_curve, is_dear
 from canhaptic.commission.session import (
+    TRAVELS,
     CommissioningLimits,
+    Guard,
     OpenLoop,
     Session,
     StepVerdict,
     Unattended,
     doublet,
+    largest_torque,
     reversals,
     sweep,
 )
+from canhaptic.commission.torque_sign import Pulse, pulse
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import StartError
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
+from canhaptic.sim.plant.user import UserParameters
 
-_PULSE: Final = 0.04  # [s]
-_SWEEP: Final = (2.0, 8.0, 4.0)  # [Hz] first and last, [s]
+_LOWEST: Final = 2.0  # frequency of a sweep [Hz]
+_SPAN: Final = 4.0  # highest over lowest frequency
+_DURATION: Final = 4.0  # [s]
+_LEVELS: Final = 8.0  # counts of 0x6071 that a sweep should have
+_FEWEST_COUNTS: Final = 100.0  # of the encoder within the travel of the tests
+_FARTHEST: Final = 5.0  # times the travel where nothing asks for more
 _DERATING: Final = 0.5
 """Fraction of the measured braking force that is declared as certain: heat, grease and wear reduce it."""
 MASS_UNITS: Final = {"m": "kg", "rad": "kg*m^2"}
@@ -51,86 +59,22 @@ _COMMENTS: Final = {
 """Comment of each declared value of the device: its margin to the measured value."""
 
 
-def largest_torque(session: Session, axis: int) -> float:
-    """Largest torque of commissioning [N or N*m]: a fraction of the rated torque or, without one, of the limit."""
-    parameters = session.axes[axis].parameters
-    rated = parameters.rated_torque or parameters.torque_limit
-    return min(session.limits.torque * rated, parameters.torque_limit)
-
-
-class Pulse(NamedTuple):
-    """The first pulse that moved an axis."""
-
-    mass: float  # first estimate, as the encoder has it [kg or kg*m^2]
-    torque: float  # [N or N*m]
-
-
-def pulse(session: Session, axis: int) -> Pulse | None:
-    """Send pulses from one count of 0x6071 upwards, each twice the last, until the axis moves; None: none moved it.
-
-    A motor that turns against its encoder would make every wall pull in: it ends the commissioning of the axis.
-
-    Raises:
-        RigError: Drive or link failed.
-    """
-    parameters = session.axes[axis].parameters
-    torque, most = session.quanta[axis], max(session.quanta[axis], largest_torque(session, axis))
-    pulses = f"Pulses of {4 * _PULSE:g} s, from {session.shown(axis, torque)} up to {session.shown(axis, most)}"
-    asked = f"{parameters.name}: let go of the handle. {pulses} until it moves. Start now?"
-    if not session.agreed(asked, "torque sign", [axis]):
-        return None
-    cycles = session.cycles(_PULSE)
-    while True:
-        session.coast(axis)
-        law = session.play(axis, doublet(torque, cycles), 4 * cycles + session.cycles(0.2))
-        moved = _first_motion(law, cycles)
-        seen = abs(moved) * parameters.counts_per_unit >= 20.0  # enough to know its sign
-        if seen or law.tripped or torque >= most or session.stop_requested():
-            break
-        torque = min(most, 2.0 * torque)
-    if session.stop_requested() and not seen:
-        session.not_tried("torque sign", [axis])
-        return None
-    is_unclear = not seen or (law.has_gap and moved > 0.0)
-    if law.tripped and is_unclear:  # a pulse that was cut short asks for no larger torque, and gives no mass
-        text = f"{law.tripped}; remove the cause, then commission again"
-        session.found(axis, "torque sign", "+", "stopped", StepVerdict.UNKNOWN, text)
-        return None
-    if not seen:
-        text = "more friction than torque, a brake, or no current; raise --torque with care"
-        found = f"no motion at {session.shown(axis, torque)}"
-        session.found(axis, "torque sign", "+", found, StepVerdict.UNKNOWN, text)
-        return None
-    right = moved > 0.0
-    text = "torque and encoder disagree: every wall would pull in. Swap two motor phases, or change 0x607E"
-    found = f"{moved:+.3g} {parameters.unit} at {session.shown(axis, torque)}"
-    session.judged(axis, "torque sign", "+", found, good=right, text=text, fatal=True)
-    return Pulse(torque * (cycles * session.sample_time) ** 2 / (2.0 * moved), torque) if right else None
-
-
-def _first_motion(law: OpenLoop, cycles: int) -> float:
-    """Displacement over the first part of a doublet, from where the torque began to act."""
-    begin = next((k for k, torque in enumerate(law.applied) if torque), len(law.applied)) - 1
-    end = min(begin + cycles, len(law.positions) - 1)
-    return law.positions[end] - law.positions[begin] if 0 <= begin < end else 0.0
-
-
 def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
     """Sweep a torque through frequencies and report mass and friction.
 
     Raises:
         RigError: Drive or link failed.
     """
-    parameters = session.axes[axis].parameters
-    lowest, highest, duration = _SWEEP
-    swing = rough_mass * (2.0 * math.pi * lowest) ** 2 * session.limits.travel / 4.0
-    amplitude, limit = min((largest_torque(session, axis), "--torque"), (swing, "--travel"))
+    parameters, most = session.axes[axis].parameters, largest_torque(session, axis)
+    lowest = _lowest_frequency(session, axis, rough_mass)
+    swing = rough_mass * (2.0 * math.pi * lowest) ** 2 * session.travels[axis] / 4.0
+    amplitude, limit = min((most, "--torque"), (swing, "--travel"))
     sent = session.shown(axis, amplitude)
-    asked = f"{parameters.name}: hands off. A sweep of {sent}, {lowest:g} to {highest:g} Hz. Start now?"
+    asked = f"{parameters.name}: hands off. A sweep of {sent}, {lowest:.3g} to {_SPAN * lowest:.3g} Hz. Start now?"
     if not session.agreed(asked, "moving mass", [axis]):
         return
     for times in (1, 2, 4):  # longer where the wall asks for a better estimate
-        record = _swept(session, axis, amplitude, times * duration)
+        record = _swept(session, axis, amplitude, lowest, times * _DURATION, rough_mass)
         if record is None:
             return
         found, curve = estimate(*record), friction_curve(*record)
@@ -160,11 +104,38 @@ def _declare(session: Session, axis: int, rough_mass: float, values: dict[str, f
         mass_and_friction.propose_allowance(session, axis, values)
 
 
+def _lowest_frequency(session: Session, axis: int, mass: float) -> float:
+    """Lowest frequency of a sweep [Hz]: that at which a light axis swings within its travel, by enough torque."""
+    torque = min(largest_torque(session, axis), _LEVELS * session.quanta[axis])
+    fastest = 0.1 / (_SPAN * session.sample_time)
+    return max(_LOWEST, min(fastest, math.sqrt(4.0 * torque / (mass * session.travels[axis])) / (2.0 * math.pi)))
+
+
+def ask_for_room(session: Session, axis: int, first: Pulse) -> None:
+    """Ask how far the further tests may move an axis, if they need more than its travel and none was given.
+
+    The encoder is to show 100 counts, and a sweep to have eight counts of torque.
+    """
+    parameters = session.axes[axis].parameters
+    torque = min(largest_torque(session, axis), _LEVELS * session.quanta[axis])
+    swing = 4.0 * torque / (first.mass * (2.0 * math.pi * _LOWEST) ** 2)
+    needed = min(_FARTHEST * TRAVELS[parameters.unit], max(_FEWEST_COUNTS * session.count(axis), swing))
+    if session.limits.travel is not None or needed <= session.travels[axis]:
+        return
+    asked = f"{parameters.name}: how far may the tests move the handle to each side?"
+    given = session.dialogue.number(f"{asked} {needed:.2g} {parameters.unit} is enough", parameters.unit, needed)
+    if given is not None and given > 0.0:
+        session.travels[axis] = given
+
+
 def _swept(
-    session: Session, axis: int, amplitude: float, duration: float
+    session: Session, axis: int, amplitude: float, lowest: float, duration: float, mass: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float, int] | None:
     """Sweep for a duration [s] and return the record for `estimate`; None where it was aborted, which is reported."""
-    lowest, highest, _ = _SWEEP
+    highest = _SPAN * lowest
+    # Windows of a sixth of the shortest period, or of a third for a coarse encoder: 4 counts by the acceleration
+    seen = math.sqrt(4.0 * session.count(axis) * mass / amplitude)
+    half_base = max(2, session.cycles(min(0.32, max(0.16, seen * highest)) / highest))
 
     def torques_of(torque: float) -> list[float]:
         return sweep(torque, lowest, highest, duration, session.sample_time)
@@ -175,7 +146,7 @@ def _swept(
         session.found(axis, "moving mass", "", found, StepVerdict.UNKNOWN, law.tripped)
         return None
     positions = law.regular_positions() / session.encoder_ratios[axis]  # a wrong encoder is not a wrong mass
-    return positions, np.array(law.applied), session.sample_time, max(2, session.cycles(0.02))
+    return positions, np.array(law.applied), session.sample_time, half_base
 
 
 def declared_of(found: Dynamics, curve: FrictionCurve | None) -> dict[str, float]:
@@ -195,7 +166,7 @@ def _is_dear(session: Session, axis: int, found: Dynamics, curve: FrictionCurve 
     """Whether the uncertainty of a sweep costs too much of the wall, without any lag."""
     exact = found._replace(mass_error=0.0, damping_error=0.0, friction_error=0.0)
     ends = {**declared_of(found, curve), "current_lag": 0.0}
-    return is_dear(session.axes[axis], session.limits.speed, {**ends, **declared_of(exact, None)}, ends)
+    return is_dear(session.axes[axis], session.speed(axis), {**ends, **declared_of(exact, None)}, ends)
 
 
 def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
@@ -287,7 +258,8 @@ def _report_least_friction(session: Session, axis: int, found: Dynamics, curve: 
 
 SCALE: Final = "torque scale"
 """Name of the step in the report."""
-_SHORTEST, _LONGEST = 4, 60  # cycles of their first part
+_SHORTEST: Final = 4  # cycles of their first part
+_LONGEST: Final = 0.25  # [s]
 _PART: Final = 0.4  # of travel and speed that they may use
 
 
@@ -299,11 +271,9 @@ class RisingTorque(OpenLoop):
         down: Torque at which the axis returned, 0 before [N or N*m].
     """
 
-    def __init__(
-        self, quantum: float, most: float, holds: int, travel: float, largest_step: float, seen: float, *, lifts: bool
-    ) -> None:
+    def __init__(self, quantum: float, most: float, holds: int, guard: Guard, seen: float, *, lifts: bool) -> None:
         self._quantum, self._most, self._holds, self._seen, self._lifts = quantum, most, holds, seen, lifts
-        super().__init__((), travel, largest_step)
+        super().__init__((), guard)
 
     def reset(self) -> None:
         """Clear the record, and begin with one count."""
@@ -345,6 +315,7 @@ def verified_axes(session: Session) -> dict[int, Pulse]:
             simulation = scene.simulation  # its mass is known where nothing else moves with it
             truth = "mass" if simulation is None or not simulation.effects else "balance"
             firsts[axis] = first
+            ask_for_room(session, axis, first)
             means[axis] = session.dialogue.choose(question, ("weight", "balance", "mass", "no"), truth)
             if means[axis] == "mass":
                 _judge_scale(session, axis, "mass", _by_mass(session, axis, first))
@@ -353,22 +324,24 @@ def verified_axes(session: Session) -> dict[int, Pulse]:
             text = "no further torque: a wrong scale also makes torque_limit wrong"
             session.found(axis, SCALE, "1", "not compared", StepVerdict.UNKNOWN, text)
         elif word != "mass" and not session.stop_requested():
-            hand = partial(_balance, session) if word == "balance" else None
+            hand = _balance if word == "balance" else None
             with session.rig_of(with_hand=True, hand=hand):
                 _judge_scale(session, axis, word, _by_force(session, axis, word))
     return {axis: first for axis, first in firsts.items() if axis in session.verified}
 
 
-def _balance(session: Session, axis: AxisScene) -> object:
+def _balance(axis: AxisScene) -> object:
     """Return a simulated hand that holds the handle like a spring balance; None with a real drive."""
-    simulation = axis.simulation
-    if simulation is None or simulation.user is None:
-        return None
-    most = axis.parameters.rated_torque or axis.parameters.torque_limit
-    stiffness = 100.0 * session.limits.torque * most / session.limits.travel
-    damping = math.sqrt(stiffness * simulation.plant.mass)
-    rest = {"rest": simulation.plant.initial_position, "motion": None, "push": 0.0}
-    return simulation.user.model_copy(update={"stiffness": stiffness, "damping": damping, **rest})
+    return None if axis.simulation is None else stiff_grip(axis, axis.simulation)
+
+
+def stiff_grip(axis: AxisScene, simulation: AxisSimulation) -> UserParameters:
+    """Return a simulated hand that holds the handle at rest, within a hundredth of the travel of the tests."""
+    parameters, plant = axis.parameters, simulation.plant
+    most = parameters.rated_torque or parameters.torque_limit
+    stiffness = 10.0 * most / TRAVELS[parameters.unit]
+    grip = {"stiffness": stiffness, "damping": math.sqrt(stiffness * plant.mass), "push": 0.0, "motion": None}
+    return (simulation.user or UserParameters()).model_copy(update={**grip, "rest": plant.initial_position})
 
 
 def _by_mass(session: Session, axis: int, first: Pulse) -> float | None:
@@ -389,8 +362,8 @@ def _by_mass(session: Session, axis: int, first: Pulse) -> float | None:
     while True:
         session.coast(axis)
         acceleration = torque / first.mass  # an estimate, so that a part of the limits is used
-        wanted = math.sqrt(_PART * session.limits.travel / acceleration), _PART * session.limits.speed / acceleration
-        longest = max(_SHORTEST, min(_LONGEST, session.cycles(min(wanted))))
+        wanted = math.sqrt(_PART * session.travels[axis] / acceleration), _PART * session.speed(axis) / acceleration
+        longest = max(_SHORTEST, session.cycles(min(_LONGEST, *wanted)))
         torques = reversals(torque, longest, 32)
         law = session.play(axis, torques, len(torques) + 2)
         if law.tripped or session.stop_requested():
@@ -418,9 +391,9 @@ def _by_force(session: Session, axis: int, means: str) -> float | None:
     asked = f"{name}: {held}. A torque that rises {range_of}. Start now?"
     if (lifts and not known) or not session.agreed(asked, SCALE, [axis]):
         return None
-    holds, limits = session.cycles(0.1), session.limits  # for each value of a rising torque
+    holds = session.cycles(0.1)  # for each value of a rising torque
     seen = 20 / parameters.counts_per_unit  # a weight was lifted
-    law = RisingTorque(quantum, most, holds, limits.travel, limits.speed * session.sample_time, seen, lifts=lifts)
+    law = RisingTorque(quantum, most, holds, session.guard(axis), seen, lifts=lifts)
     # A simulated balance is read after ten steps
     asked, steps = f"{name}: press Enter when you can read the balance", 10 * holds
     pressed = None if lifts else session.dialogue.until_ready(asked, steps)

@@ -174,6 +174,8 @@ class RunParameters(Parameters):
     """How long a run lasts; None: until it is stopped."""
     confirmed: dict[CheckItem, PrintableText] = Field(default_factory=dict)
     """Items of the check list of a real rig that a person confirmed, and when (`canhaptic commission`)."""
+    unfinished: PrintableText | None = None
+    """What `canhaptic commission` left open, by which a scene is not run until it is commissioned again."""
     guard: Literal["certificates", "none"] | None = None
     """Set for a program (`canhaptic.open_rig`), which requests the torques in place of environment and algorithm.
     `certificates`: each torque is reduced to what is certified as passive. `none`: torques are sent as requested; a
@@ -611,11 +613,14 @@ def status_text(scene: Scene) -> str:
 
 
 def require_no_guesses(scene: Scene) -> None:
-    """Refuse a scene for real drives in which a required value is missing, or marked as a guess.
+    """Refuse a scene whose commissioning is unfinished, or for real drives one in which a value is missing or a guess.
 
     Raises:
-        InputError: Values are missing or marked; names them.
+        InputError: Names what is open, or the values that are missing or marked.
     """
+    if scene.run.unfinished is not None:
+        text = f"{scene.source}: not run, its commissioning is not finished: {scene.run.unfinished}"
+        raise InputError(f"{text}; mend this, then `canhaptic commission` again, or delete the line `unfinished`")
     if not (guesses := refused_values(scene)):
         return
     marked = ", ".join(f"{guess.line} ({guess.key})" for guess in guesses if guess.line)

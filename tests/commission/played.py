@@ -125,9 +125,8 @@ class PlayedSession(Session):
     ) -> OpenLoop:
         """As that of `Session`, without a rig."""
         self.played.append((axis, list(torques), cycles, travels))
-        travel, step = travels * self.limits.travel, self.limits.speed * self.sample_time
-        law = OpenLoop(torques, travel, step) if torques else OpenLoop()
-        self.run_alone(axis, law, cycles, ready)
+        law = OpenLoop(torques, self.guard(axis, travels)) if torques else OpenLoop()
+        self.run_alone(axis, law, cycles, lambda: ready() or bool(law.tripped))
         return law
 
     def truth(self, axis: int) -> float | None:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canhaptic.commission.mass_and_friction import _Array, estimate, friction_curve
-from canhaptic.commission.session import OpenLoop, doublet, sweep
+from canhaptic.commission.session import Guard, OpenLoop, doublet, sweep
 from canhaptic.errors import ControlError
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
@@ -60,6 +60,17 @@ def test_an_encoder_of_finite_counts_widens_the_stated_error_and_stays_within_it
     assert found.mass_error < 0.01
 
 
+@pytest.mark.parametrize("count", [3e-4, 1e-3, 3e-3])
+def test_counts_coarser_than_a_window_widen_the_error_and_make_no_mass_smaller(count: float) -> None:
+    """2 N shake 0.25 kg by 3 mm in 40 ms: of one to ten counts, as many as the errors of the acceleration."""
+    torques = np.array(sweep(2.0, 2.0, 8.0, 8.0, TIME))
+    positions = np.round(moved(0.25, 0.1, torques) / count) * count
+    found = estimate(positions, np.concatenate([[0.0], torques]), TIME, 20)
+    assert found is not None
+    assert found.mass == pytest.approx(0.25, rel=0.02)
+    assert abs(found.damping - 0.1) < 4.0 * found.damping_error
+
+
 def test_an_axis_that_did_not_move_gives_no_estimate() -> None:
     assert estimate(np.zeros(1000), np.ones(1000), TIME, 20) is None
 
@@ -75,13 +86,13 @@ def test_a_doublet_brings_a_free_mass_back() -> None:
 
 
 def test_torque_goes_when_the_axis_goes_too_far_and_stays_away() -> None:
-    law = OpenLoop([1.0] * 5, travel=0.1)
+    law = OpenLoop([1.0] * 5, Guard(travel=0.1))
     assert [law.step(q, 0.0).torque for q in (0.0, 0.05, 0.11, 0.0)] == [1.0, 1.0, 0.0, 0.0]
     assert law.tripped
 
 
 def test_torque_goes_when_the_axis_goes_too_fast() -> None:
-    law = OpenLoop([1.0] * 5, largest_step=0.1)
+    law = OpenLoop([1.0] * 5, Guard(step=0.1))
     assert [law.step(q, 0.0).torque for q in (0.0, 0.2, 0.2)] == [1.0, 0.0, 0.0]
 
 

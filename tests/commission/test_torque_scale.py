@@ -7,7 +7,7 @@ import can
 import pytest
 
 from canhaptic.commission.sequence import commission
-from canhaptic.commission.session import CommissioningLimits, Report, Session, StepVerdict, Unattended
+from canhaptic.commission.session import CommissioningLimits, Guard, Report, Session, StepVerdict, Unattended
 from canhaptic.commission.torque_tests import RisingTorque
 from canhaptic.scene.load import load_scene
 
@@ -110,7 +110,7 @@ def test_the_first_pulse_is_one_count_of_the_drive_and_each_is_said_in_per_mille
 
 def test_a_rising_torque_ends_at_zero_where_the_axis_goes_too_far_or_nothing_is_lifted() -> None:
     for positions, end in (([0.0] * 99, ""), ([0.0, 0.5, 0.5], "moved further")):
-        law = RisingTorque(0.1, 0.3, 2, 0.2, 10.0, 0.1, lifts=True)
+        law = RisingTorque(0.1, 0.3, 2, Guard(0.2, 10.0), 0.1, lifts=True)
         torques = [law.step(position, 0.0).torque for position in positions]
         assert max(torques) <= 0.3
         assert torques[-1] == 0.0
