@@ -7,7 +7,7 @@ One thread runs it. On any error zero torque is sent first and the exception is 
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Final
 
 from canhaptic.control.axis_meter import AxisMeter
@@ -18,7 +18,15 @@ from canhaptic.control.verdict import BY_CONSTRUCTION, NOT_CHECKED, UNDECIDED
 from canhaptic.drive.clock import DurationHistogram, VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.safety.link_policy import StopReason, reason_of
-from canhaptic.errors import CycleFailedError, EmergencyError, InputError, LogStoppedError, RigError, cause_of
+from canhaptic.errors import (
+    CycleFailedError,
+    EmergencyError,
+    InputError,
+    LogStoppedError,
+    RigError,
+    StartStoppedError,
+    cause_of,
+)
 from canhaptic.meters import RunMeters
 from canhaptic.signals import CycleTiming, Sample, Truth
 
@@ -315,6 +323,8 @@ def run(
         stop_requested: Called before each cycle; True ends the run by the operator's stop.
         progress: Called with the number of completed cycles, once per cycle; must be cheap.
 
+    A signal that a `StopSignal` notes during the start ends it: no cycle is run.
+
     Raises:
         RigError: Drive, link or controller failed; every drive has zero torque and is disabled, and the error carries
             the last records.
@@ -322,7 +332,7 @@ def run(
     """
     if cycle.turn is None and any(hasattr(controller, "ask") for controller in cycle.controllers):
         raise InputError("guard: the scene is for a program that requests its torques; run it with canhaptic.open_rig")
-    with running(cycle):
+    with suppress(StartStoppedError), running(cycle):
         while (cycles is None or cycle.cycles < cycles) and not stop_requested():
             cycle.step()
             if progress is not None:

@@ -16,6 +16,7 @@
     |- WorkersLostError (RuntimeError)       1   the processes of a sweep died again and again
     `- RigError (RuntimeError)               3   drive or link; the drive is left without torque
        |- StartError                         3   a step of the fail-closed start was not confirmed
+       |- StartStoppedError                  3   a signal ended the start
        |- SdoError                           3   an SDO was aborted by the drive or not answered
        |- DriveFaultError                    3   EMCY, fault or unexpected state in the cycle
        |  |- EmergencyError                  3   the drive sent an EMCY
@@ -202,6 +203,10 @@ class RigError(CanHapticError, RuntimeError):
         self.records = tuple(records)
         self.axis = axis
         super().__init__(message)
+
+
+class StartStoppedError(RigError):
+    """A signal ended the start before the drives were enabled; they are left disabled."""
 
 
 class StartError(RigError):

@@ -16,6 +16,7 @@ import signal
 import threading
 import weakref
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from math import isfinite
 from numbers import Real
 from os import PathLike
@@ -28,7 +29,8 @@ from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.cycle import Cycle, running
 from canhaptic.drive.clock import WallClock
 from canhaptic.drive.safety.link_policy import StopReason
-from canhaptic.errors import CanHapticError, InputError, RigError, cause_of
+from canhaptic.errors import CanHapticError, InputError, RigError, StartStoppedError, cause_of
+from canhaptic.host.stop_signal import SHELL_OFFSET, StopSignal, note
 from canhaptic.registry import nearest
 from canhaptic.replay import OpenReplay, ReplayOverError, ReplayResult
 from canhaptic.scene.build import Experiment, build, experiment_account, logs_elsewhere
@@ -38,8 +40,6 @@ from canhaptic.signals import Sample
 from canhaptic.simulation import Account, load_any, with_checked_holds
 from canhaptic.units import shown
 
-_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
-_SHELL_OFFSET: Final = 128  # exit status of a process ended by signal n is 128 + n
 _PATIENCE: Final = 1.0  # [s] for a turn of another thread to end at the exit of the interpreter
 _ROUNDING: Final = 1e-9
 _HELD: Final = Branch.HELD.value
@@ -230,8 +230,10 @@ class OpenRig:
         self._account: Account | None = None
         self._turns: weakref.ref[Any] | None = None  # so that `break` drops the last reference, which closes it
         self._axes: dict[str, ProgramAxis] = {}
-        self._signal, self._before = 0, dict[int, Any]()
+        self._signals, self._deferred = StopSignal(take=self._take_signal), list[int]()
+        self._numbers = self._signals.numbers
         self._left: CanHapticError | None = None
+        self._stack = ExitStack()
         self._is_over = self._is_ending = self._must_end = False
         self._begin, self._process = 0, 0
 
@@ -260,7 +262,16 @@ class OpenRig:
     def __enter__(self) -> Self:
         if self._source is not None:
             raise InputError("open_rig: this rig was opened before; call open_rig again")
-        scene = self.scene
+        if threading.current_thread() is threading.main_thread():
+            self._stack.enter_context(self._signals)
+        try:
+            self._open(self.scene)
+        except BaseException:
+            self._stack.close()
+            raise
+        return self
+
+    def _open(self, scene: Scene) -> None:
         if self._replay is not None:
             self._source = OpenReplay(self._replay, scene, realtime=self._pace == "real", dry_run=self._no_torque)
         else:
@@ -271,10 +282,8 @@ class OpenRig:
         for axis, controller in zip(scene.axes, controllers, strict=True):
             self._axes[axis.parameters.name] = ProgramAxis(self, axis, controller)
         self._begin, self._process = WallClock().now(), os.getpid()
-        if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._take_signal) for number in _SIGNALS}
         atexit.register(self._at_exit)
-        return self
+        self._stack.callback(atexit.unregister, self._at_exit)
 
     def __iter__(self) -> Iterator[Mapping[str, AxisSample]]:
         if self._source is None or self._is_over:
@@ -314,6 +323,9 @@ class OpenRig:
                     self._end_if_asked()
         except ReplayOverError:
             return
+        except StartStoppedError:
+            self._end_if_asked()
+            raise
 
     def _stop(self, reason: StopReason) -> None:
         """Stop the rig at once, if it was built; an error is kept for `__exit__` to raise."""
@@ -329,11 +341,27 @@ class OpenRig:
         return InputError(f"{what}; torque is zero and the rig has stopped; set finite numbers, and only in the loop")
 
     def _take_signal(self, number: int, frame: FrameType | None) -> None:
-        """End the program: at once, or if the rig is working, after its work; at a second signal always at once."""
-        if (self._is_ending or self._is_at_work) and not self._signal:
-            self._signal = number
-            return
-        raise _ending(number)
+        """Note a signal while the rig works; while the user's code does, end it, or call the user's own handler."""
+        if not self._has_own_handler(number):
+            note(number)
+        if self._is_ending or self._is_at_work or _is_ours(frame):
+            self._deferred.append(number)
+        else:
+            self._act_on(number, frame)
+
+    def _deliver(self) -> None:
+        """Act on the signals that came while the rig worked."""
+        while self._deferred:
+            self._act_on(self._deferred.pop(0))
+
+    def _has_own_handler(self, number: int) -> bool:
+        return self._signals.before[number] not in (signal.SIG_DFL, signal.default_int_handler)
+
+    def _act_on(self, number: int, frame: FrameType | None = None) -> None:
+        handler = self._signals.before[number]
+        if not (self._has_own_handler(number) and callable(handler)):
+            raise _ending(number)
+        handler(number, frame)
 
     @property
     def _is_at_work(self) -> bool:
@@ -342,8 +370,10 @@ class OpenRig:
         return turns is not None and turns.gi_running
 
     def _end_if_asked(self) -> None:
-        if self._signal:
-            raise _ending(self._signal)
+        if self._deferred or self._numbers:
+            self._deliver()
+            if self._numbers:  # the user's code has caught its exception, and went on
+                raise _ending(self._numbers[0])
         if self._must_end:
             raise SystemExit
 
@@ -379,6 +409,9 @@ class OpenRig:
     ) -> None:
         cycle = self._source.cycle if self._source is not None else None
         status, self._is_ending = "stopped", True
+        turns = None if self._turns is None else self._turns()
+        if turns is not None and not turns.gi_running and not isinstance(error, Exception):
+            turns.close()  # as `break` does: the stop of an operator
         if isinstance(error, Exception):
             self._stop(StopReason.EXCEPTION)
             status = f"failed: {cause_of(error)}"
@@ -389,14 +422,19 @@ class OpenRig:
         try:
             self._end(status)
         finally:
-            for number, handler in self._before.items():
-                signal.signal(number, handler)
-            atexit.unregister(self._at_exit)
-        if self._left is not None and error is None:
-            raise self._left
-        if self._signal and error is None:
-            raise _ending(self._signal)
+            self._stack.close()
+        if error is None:
+            if self._left is not None:
+                raise self._left
+            self._deliver()
 
 
 def _ending(number: int) -> BaseException:
-    return KeyboardInterrupt() if number == signal.SIGINT else SystemExit(_SHELL_OFFSET + number)
+    return KeyboardInterrupt() if number == signal.SIGINT else SystemExit(SHELL_OFFSET + number)
+
+
+def _is_ours(frame: FrameType | None) -> bool:
+    """Whether this module is at work: in no other way can a signal come between two of its instructions."""
+    while frame is not None and frame.f_code.co_filename != __file__:
+        frame = frame.f_back
+    return frame is not None

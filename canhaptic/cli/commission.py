@@ -10,20 +10,22 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from canhaptic.cli.long_command import StopSignal, check_list
+from canhaptic.cli.long_command import check_list
 from canhaptic.cli.options import check_place, scene_of
 from canhaptic.commission.admittance_tests import REQUIRED as OF_DISPLAYS
 from canhaptic.commission.admittance_tests import commission_displays
 from canhaptic.commission.sequence import REQUIRED as OF_TORQUES
 from canhaptic.commission.sequence import commission
 from canhaptic.commission.session import CommissioningLimits, Dialogue, Report, Session, Unattended
-from canhaptic.errors import CanHapticError, InputError
+from canhaptic.errors import CanHapticError, InputError, StartStoppedError
+from canhaptic.host.stop_signal import StopSignal, requested
 from canhaptic.scene.models import CHECK_LIST, CheckItem, Scene
 from canhaptic.scene.scene_text import Change, edited_scene
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.terminal import failure, note_file, visible, write_failure, write_file, write_json, write_note
 
 _TO_CORRECT: Final = 1  # exit status: the configuration differs from the rig, or the rig must not be used
+_LOOK: Final = 0.05  # [s] between two looks for a signal
 _LONGEST_LINE: Final = 4096  # bytes; a terminal hands over one line at a time
 _YES: Final = ("y", "yes")
 
@@ -31,7 +33,7 @@ _YES: Final = ("y", "yes")
 def execute(arguments: argparse.Namespace) -> int:
     """Take the rig through all steps.
 
-    Returns 0 if every value agrees or was written, 1 if work remains, 130 or 143 after a signal.
+    Returns 0 if every value agrees or was written, 1 if work remains, 128 + n after signal n.
     """
     scene = scene_of(arguments)
     limits = CommissioningLimits(torque=arguments.torque, travel=arguments.travel, speed=arguments.speed)
@@ -95,6 +97,8 @@ def walk(session: Session, duration: float) -> tuple[list[str], CanHapticError |
             commission_displays(session)
         else:
             commission(session, duration)
+    except StartStoppedError:
+        pass  # of a signal, which the caller sees too
     except CanHapticError as raised:
         error = raised
     names = [axis.parameters.name for axis in scene.axes]
@@ -231,7 +235,10 @@ class _Terminal:
         termios.tcflush(self._input, termios.TCIFLUSH)
 
     def _line(self) -> str:
-        """Read one line, unbuffered: `select` cannot see lines in Python's buffer."""
+        """Read one line, unbuffered: `select` cannot see lines in Python's buffer; a signal is no answer."""
+        while not select.select([self._input], [], [], _LOOK)[0]:
+            if requested():
+                return ""  # as at the end of the input
         return os.read(self._input, _LONGEST_LINE).decode(errors="replace")
 
 

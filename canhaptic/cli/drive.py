@@ -8,11 +8,11 @@ from contextlib import ExitStack
 
 import can
 
-from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.options import scene_of
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError, LinkError
 from canhaptic.host.realtime import Realtime
+from canhaptic.host.stop_signal import StopSignal
 from canhaptic.scene.build import open_bus
 from canhaptic.scene.far_side import build_drive_group, with_effects
 from canhaptic.scene.models import NamedBus, Scene
@@ -24,14 +24,14 @@ _POLL_PERIOD = 50_000  # [ns] between two looks at several buses that cannot be 
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Run the simulated drives; return 0 after the duration, 130 or 143 after a signal."""
+    """Run the simulated drives; return 0 after the duration, 128 + n after signal n."""
     scene = scene_of(arguments)
     if any(bus.parameters.interface == "virtual" and bus.parameters.channel is None for bus in scene.buses):
         text = f"{scene.source}: bus.interface 'virtual' exists in this process only, so no master can reach the drive"
         example = "--set bus.interface=udp_multicast --set bus.channel=239.74.163.21"
         raise InputError(f"{text}; use a bus that both processes can open, for example {example}")
     with ExitStack() as stack:
-        stop = stack.enter_context(StopSignal())
+        stop = stack.enter_context(StopSignal(insists=True))
         realtime = Realtime(scene.bus.realtime)
         stack.callback(realtime.end)
         realtime.begin()

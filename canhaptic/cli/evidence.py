@@ -14,16 +14,17 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.cli.commission import dialogue_of, walk
-from canhaptic.cli.long_command import StopSignal, check_list
+from canhaptic.cli.long_command import check_list
 from canhaptic.cli.options import scene_of
 from canhaptic.commission.session import CommissioningLimits, Dialogue, Session
 from canhaptic.errors import InputError
+from canhaptic.host.stop_signal import StopSignal
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene, require_no_guesses
 from canhaptic.scene.overrides import split_override
 from canhaptic.scene.scene_text import Change, edited_text
-from canhaptic.view.terminal import note_file, write_file
+from canhaptic.view.terminal import note_file, write_file, write_note
 
 _TENTH: Final = 0.1
 _PACKAGES: Final = ("canhaptic", "python-can", "canopen", "numpy", "pydantic", "h5py")
@@ -32,7 +33,7 @@ _SERIAL: Final = re.compile(r"(?ims)^(\[1018sub4\].*?^(?:ParameterValue|DefaultV
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Fill the folder; return 0, or 130 or 143 after a signal.
+    """Fill the folder; return 0, or 128 + n after signal n: nothing more is run, and there is no page to sign.
 
     Raises:
         InputError: The folder exists, values are still to be set, or a person declined a run.
@@ -53,13 +54,19 @@ def execute(arguments: argparse.Namespace) -> int:
         _write_json(out / "commissioning.json", {**session.report.as_json(), "unfinished": missing})
         if error is not None:
             raise error
+        if stop.requested():
+            return _stopped(out, stop)
         if session.report.failed:
             text = f"{out}: the commissioning failed, so nothing was run: {'; '.join(missing)}"
             raise InputError(f"{text}; mend this with canhaptic commission, then choose a new folder")
         if all(axis.parameters.admittance is None for axis in own.axes):
             _run(own, "dry_run", arguments, dialogue, stop)
+        if stop.requested():
+            return _stopped(out, stop)
         tenth = [f"axes.{n}.torque_limit={_TENTH * axis.parameters.torque_limit}" for n, axis in enumerate(own.axes)]
         _run(load_scene(path, tenth), "tenth", arguments, dialogue, stop)
+        if stop.requested():
+            return _stopped(out, stop)
     _write_json(out / "versions.json", _versions())
     rows = "\n".join(
         f"| {file.name} | {hashlib.sha256(file.read_bytes()).hexdigest()} |" for file in sorted(out.iterdir())
@@ -69,7 +76,12 @@ def execute(arguments: argparse.Namespace) -> int:
     page = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")
     write_file(out / "sign.md", page.format(rows=rows, check_list=listed, status=status))
     note_file("evidence", out)
-    return stop.exit_status or 0
+    return 0
+
+
+def _stopped(out: Path, stop: StopSignal) -> int:
+    write_note(f"  stopped: the folder {out} is incomplete and has no page to sign; remove it and begin again")
+    return stop.exit_status
 
 
 def _copied(scene: Scene, out: Path, *, anonymous: bool) -> Path:
@@ -95,6 +107,8 @@ def _run(scene: Scene, name: str, arguments: argparse.Namespace, dialogue: Dialo
     out, duration, no_torque = arguments.out, arguments.duration, name == "dry_run"
     torque = "without torque" if no_torque else "at a tenth of torque_limit"
     if not dialogue.confirm(f"next: a run of {duration:g} s {torque}, with your hand on the handle. Start it?"):
+        if stop.requested():
+            return
         raise InputError(f"{name}: declined, so the folder {out} is incomplete; remove it and begin again")
     with build(scene, None, out / f"{name}.h5", out / f"{name}.log", no_torque=no_torque) as experiment:
         account, error = experiment.run_through(round(duration / scene.bus.sample_time), stop.requested)

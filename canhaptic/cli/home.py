@@ -6,10 +6,10 @@ from dataclasses import replace
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen import objects as od
 from canhaptic.cli.commission import dialogue_of
-from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.options import scene_of
 from canhaptic.drive import homing
 from canhaptic.errors import InputError
+from canhaptic.host.stop_signal import StopSignal
 from canhaptic.scene.build import build
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.view.terminal import write_line, write_note
@@ -18,7 +18,7 @@ _NOT_DONE = 1
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Home the drive; return 0, or 1 if the person declined, 130 or 143 after a signal."""
+    """Home the drive; return 0, or 1 if the person declined, 128 + n after signal n."""
     scene = scene_of(arguments)
     axis = _axis(scene, arguments.axis)
     _require_torque(axis, arguments.torque)

@@ -1,13 +1,10 @@
-"""Common parts of commands that move a rig: the operator's stop, and notes shown before any torque.
+"""Notes of commands that move a rig, shown before any torque.
 
-A first SIGINT or SIGTERM requests a stop with a torque ramp; a second one ends the process at once. The notes are
-reduced torque limits, the check list, and the positions of the walls.
+They are reduced torque limits, the check list, and the positions of the walls.
 """
 
-import signal
 from collections.abc import Callable, Iterator, Mapping
-from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.scene.models import CHECK_LIST, AxisScene, CheckItem, Scene
@@ -15,45 +12,6 @@ from canhaptic.view.terminal import write_note
 
 if TYPE_CHECKING:
     from canhaptic.scene.build import Experiment
-
-_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
-SHELL_OFFSET: Final = 128  # exit status of a process ended by signal n is 128 + n
-
-
-class StopSignal:
-    """Within the block, a first signal only makes `requested` true; a second signal ends the process at once.
-
-    Attributes:
-        number: The first signal received; 0 while there was none.
-    """
-
-    def __init__(self) -> None:
-        self.number = 0
-        self._before: dict[int, Any] = {}
-
-    def requested(self) -> bool:
-        """Return whether to stop."""
-        return self.number != 0
-
-    @property
-    def exit_status(self) -> int:
-        """130 after SIGINT, 143 after SIGTERM, 0 without a signal."""
-        return SHELL_OFFSET + self.number if self.number else 0
-
-    def __enter__(self) -> Self:
-        self._before = {number: signal.signal(number, self._take) for number in _SIGNALS}
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _take(self, number: int, frame: FrameType | None) -> None:
-        if self.number:
-            raise SystemExit(self.exit_status)
-        self.number = number
 
 
 def notes(scene: Scene) -> Iterator[str]:

@@ -1,6 +1,6 @@
 """Entry point of the `canhaptic` command: imports the subcommand's module and turns errors into exit statuses.
 
-0 success   1 a check or comparison failed   2 bad input   3 drive or link fault   130 SIGINT   143 SIGTERM
+0 success   1 a check or comparison failed   2 bad input   3 drive or link fault   128 + n ended by signal n
 
 Ctrl-C ends a command that moves no drive at once, also within a library call that delays signals.
 """

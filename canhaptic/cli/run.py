@@ -10,13 +10,23 @@ from pathlib import Path
 from typing import Final
 
 from canhaptic.axis_units import effort_unit
-from canhaptic.cli.long_command import StopSignal, notes, walls_first
+from canhaptic.cli.long_command import notes, walls_first
 from canhaptic.cli.options import check_picture, require_new, scene_of
 from canhaptic.errors import CanHapticError, ParameterError
+from canhaptic.host.stop_signal import StopSignal
 from canhaptic.result import RunResult
 from canhaptic.scene.build import Experiment, build, logs_elsewhere
 from canhaptic.scene.models import Scene, require_no_guesses
-from canhaptic.view.terminal import failure, note_file, run_progress, write_failure, write_json, write_line, write_note
+from canhaptic.view.terminal import (
+    failure,
+    leave_closed_terminal,
+    note_file,
+    run_progress,
+    write_failure,
+    write_json,
+    write_line,
+    write_note,
+)
 
 _NOT_PASSIVE: Final = 1  # exit status of --strict
 _LARGE: Final = 0.01  # energy allowance that needs --large-allowance [J]
@@ -24,7 +34,7 @@ _KEPT: Final = ("yes", "no contact", "dry run")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Run the scene; return 0, 1 if --strict fails, or 130 or 143 after a signal."""
+    """Run the scene; return 0, 1 if --strict fails, or 128 + n after signal n."""
     scene = scene_of(arguments)
     with ExitStack() as stack:
         energy_log, bus_log = arguments.log or scene.log.energy, arguments.bus_log or scene.log.bus
@@ -123,6 +133,7 @@ def _run(experiment: Experiment, duration: float | None, stop: StopSignal) -> tu
 
 def _report(result: RunResult, error: CanHapticError | None, arguments: argparse.Namespace) -> None:
     """Print the account, then the error that ended the run if there was one."""
+    leave_closed_terminal()
     if arguments.json:
         write_json(result if error is None else {**failure(error), "result": result})
     elif result["cycles"]:

@@ -18,10 +18,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from canhaptic.cli.long_command import SHELL_OFFSET
 from canhaptic.cli.main import say_interrupted
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
+from canhaptic.host.stop_signal import SHELL_OFFSET
 from canhaptic.scene.load import load_scene
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.series import LiveLog

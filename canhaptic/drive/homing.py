@@ -17,7 +17,7 @@ from canhaptic.drive.can.servo_drive import CanBringUp, ServoDrive
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.drive.safety.power_states import ENABLED_MASK, ENABLED_VALUE
-from canhaptic.errors import InputError, RigError
+from canhaptic.errors import InputError, RigError, StartStoppedError
 
 METHODS: Final = {
     1: "it moves towards smaller counts to the negative limit switch, then back to the next index",
@@ -139,7 +139,10 @@ def home(drive: HomingDrive, stopped: Callable[[], bool]) -> tuple[int, int] | N
         RigError: The drive showed an error, took too long or moved too fast, or the rig failed on the way.
     """
     rig = Rig(drive.link, [drive], drive.bus)
-    rig.start()
+    try:
+        rig.start()
+    except StartStoppedError:
+        return None
     try:
         before = drive.position_counts
         problem = _await_home(rig, drive, stopped)

@@ -109,12 +109,14 @@ class Rig:
         Raises:
             StartError: A step was not confirmed; all drives are left disabled. Where one of them does not answer, or is
                 not the one of the configuration, nothing was sent but reads, and all are left as they were.
+            StartStoppedError: A signal asked for the end; all drives are left disabled.
             SecondMasterError: Another master sends on a bus; all drives are left disabled.
         """
         self._reset()
         for link in self.links:
             link.reserve(own_frames(link, self.drives, self.bus))
         self.realtime.begin()
+        self._mark_start(is_starting=True)
         try:
             start(self._exchange, [drive.bring_up() for drive in self.drives])
         except BaseException as error:
@@ -123,6 +125,7 @@ class Rig:
             if isinstance(error, RigError):
                 self._require_no_other_master()  # another master explains a failed step
             raise
+        self._mark_start(is_starting=False)
         self._require_no_other_master()
         self._exchange.skipped = 0
         self._first_deadline = self._exchange.deadline
@@ -133,6 +136,11 @@ class Rig:
             drive.watch_statusword()
         for line in self._sdo_lines:
             line.open()
+
+    def _mark_start(self, *, is_starting: bool) -> None:
+        """Let a signal end every wait on a bus, or none."""
+        for link in self.links:
+            link.is_starting = is_starting
 
     # --- the cycle ----------------------------------------------------------------------------------------------------
 
@@ -312,6 +320,7 @@ class Rig:
 
     def _disable(self, trust: Trust) -> list[str]:
         """Send zero and disable every drive, then release the operating system's privileges."""
+        self._mark_start(is_starting=False)
         try:
             for line in self._sdo_lines:
                 line.close()

@@ -13,6 +13,7 @@ from canhaptic.canopen.objects import Controlword, StatusBit
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.drive.safety.power_states import FAULTED, PowerState, next_controlword
+from canhaptic.host.stop_signal import require_none
 
 _WRAP: Final = 1 << 32
 _AFTER: Final[dict[int, PowerState]] = {  # state after a controlword
@@ -61,6 +62,7 @@ def start(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
 
     Raises:
         StartError: A step was not confirmed.
+        StartStoppedError: A signal asked for the end.
     """
     for drive in exchange.drives:
         drive.reset()
@@ -88,7 +90,8 @@ def start(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
 
 
 def _cycle(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
-    """Run one cycle with zero torque and the controlwords as they are."""
+    """Run one cycle with zero torque and the controlwords as they are; raise StartStoppedError once a signal came."""
+    require_none()
     with bring_ups[0].step("bus"):
         exchange.sync()
         exchange.write_zero()
@@ -196,6 +199,7 @@ def _enable(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
             opening = _open_brakes(exchange, bring_ups) if opening < 0 else opening
             if exchange.now() >= opening:
                 return
+        require_none()
         with bring_ups[0].step("bus"):
             exchange.write_zero()
             exchange.sync()

@@ -9,6 +9,7 @@ import json
 import math
 import os
 import select
+import stat
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -50,8 +51,25 @@ def write_line(text: str = "") -> None:
 
 def write_note(text: str) -> None:
     """Write one line to standard error, with control characters escaped."""
+    leave_closed_terminal()
     sys.stderr.write(visible(text) + "\n")
     sys.stderr.flush()
+
+
+def leave_closed_terminal() -> None:
+    """Write to nothing where the terminal was closed, or nobody reads standard error: neither ends a run."""
+    for number, stream in enumerate((sys.stdout, sys.stderr), 1):
+        with suppress(OSError, ValueError):  # a text in memory, or no file at all
+            if stream.fileno() == number and _is_gone(number):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), number)
+
+
+def _is_gone(descriptor: int) -> bool:
+    if not hasattr(select, "poll") or (descriptor == 1 and stat.S_ISFIFO(os.fstat(1).st_mode)):
+        return False  # whoever reads the results of a command and leaves is told by its exit status
+    look = select.poll()
+    look.register(descriptor, 0)
+    return any(event & (select.POLLHUP | select.POLLERR) for _, event in look.poll(0))
 
 
 def note_file(what: str, path: Path) -> None:
@@ -186,7 +204,7 @@ class RunProgress:
 
 def _write_if_free(text: str) -> None:
     """Write to standard error unless that would block, as on a terminal stopped with Ctrl-S."""
-    with suppress(UnsupportedOperation):  # standard error is a text in memory
+    with suppress(UnsupportedOperation, OSError):  # standard error is a text in memory, or its terminal was closed
         descriptor = sys.stderr.fileno()
         if select.select([], [descriptor], [], 0.0)[1]:
             os.write(descriptor, text.encode())

@@ -261,7 +261,7 @@ def test_a_drive_on_its_own_is_run_by_a_master_elsewhere() -> None:
                 assert experiment.pace == "real"
                 assert experiment.cycle.cycles == 30
         finally:
-            stop.number = 2
+            stop.numbers.append(2)
             thread.join(5.0)
     assert not thread.is_alive()
 
@@ -282,7 +282,7 @@ def test_drives_on_two_buses_are_run_by_a_master_elsewhere() -> None:
                 assert experiment.cycle.cycles == 20
                 assert experiment.rig.link_statistics()["success_rate"] > 0.0
         finally:
-            stop.number = 2
+            stop.numbers.append(2)
             thread.join(5.0)
     assert not thread.is_alive()
 

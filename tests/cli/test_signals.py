@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from canhaptic.cli.long_command import StopSignal
+from canhaptic.host.stop_signal import StopSignal
 from tests.forked import command
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
@@ -51,13 +51,23 @@ def _wait_for_torque(process: "subprocess.Popen[str]", bus_log: Path) -> None:
     raise AssertionError("no torque in the bus log")
 
 
-def test_the_second_signal_does_not_wait() -> None:
-    with StopSignal() as stop:
-        assert not stop.requested()
-        assert stop.exit_status == 0
+def test_a_second_signal_ends_only_what_moves_no_drive_and_one_that_was_ignored_stays_so() -> None:
+    ignored = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with StopSignal() as stop:
+            assert not stop.requested()
+            assert stop.exit_status == 0
+            signal.raise_signal(signal.SIGHUP)
+            assert not stop.requested()
+            signal.raise_signal(signal.SIGQUIT)
+            signal.raise_signal(signal.SIGINT)
+            assert stop.requested()
+            assert stop.exit_status == 131
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, ignored)
+    with StopSignal(insists=True) as stop:
         signal.raise_signal(signal.SIGTERM)
-        assert stop.requested()
-        assert stop.exit_status == 143
         with pytest.raises(SystemExit) as caught:
             signal.raise_signal(signal.SIGINT)
         assert caught.value.code == 143

@@ -292,7 +292,7 @@ def test_a_drive_on_its_own_hears_and_answers_through_its_faulty_bus() -> None:
                     run(experiment.cycle, cycles=10)
                 link = experiment.rig.link_statistics()
         finally:
-            stop.number = 2
+            stop.numbers.append(2)
             thread.join(5.0)
             faulty.shutdown()
     assert link["duplicate"] + link["late"] > 0

@@ -11,6 +11,7 @@ from canhaptic.drive.axis_parameters import BusParameters
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive, SyncWindow
 from canhaptic.errors import LinkError
+from canhaptic.host.stop_signal import is_urgent
 
 _MARGIN = 10  # part of a sample time by which an answer after a missing one may be slower than those before
 _HEARTBEAT = bytes([NmtState.OPERATIONAL])
@@ -56,6 +57,11 @@ class Exchange:
                 drive.window = window
             self._buses.append((link, window, group, len(group)))
         self.begin()
+
+    @property
+    def is_urgent(self) -> bool:
+        """Whether a second signal came: no confirmation is awaited any longer."""
+        return is_urgent()
 
     def begin(self) -> None:
         """Restart the schedule: the next SYNC is due now, and later deadlines count from it."""

@@ -10,13 +10,16 @@ from typing import Final
 import can
 
 from canhaptic.canopen.data_frame import DataFrame
-from canhaptic.drive.clock import Clock
+from canhaptic.drive.clock import Clock, WallClock
 from canhaptic.errors import LinkError
+from canhaptic.host.stop_signal import is_urgent, require_none
 
 _Handler = Callable[[bytearray], None]
 Recorder = Callable[[int, int, bytes | bytearray, bool], None]
 """Called as recorder(timestamp [ns], COB-ID, data, is_rx) for every frame."""
 
+_LOOK: Final = 20_000_000  # [ns] between two looks for a signal
+_URGENT: Final = 20_000_000  # [ns]: the longest wait for a confirmation once a second signal came
 _MOST_FRAMES_AT_ONCE: Final = 10_000  # a bus that delivers this many frames at one instant is broken
 
 
@@ -45,6 +48,7 @@ class Link:
         echoes: Whether the interface also delivers the frames that it sends (`udp_multicast` does).
 
     Attributes:
+        is_starting: Whether a rig on this bus is being started.
         intruder: Name of the first frame from another sender that only this master may send; empty without one.
     """
 
@@ -59,7 +63,8 @@ class Link:
         self._channel = getattr(bus, "channel_id", None)
         self._not_returned: dict[int, int] = {}  # by COB-ID: frames sent that the interface has not given back
         self._own: Mapping[int, str] = {}
-        self.intruder = ""
+        self.intruder, self.is_starting = "", False
+        self._is_slow = isinstance(clock, WallClock)  # a wait takes its time, and a signal may come meanwhile
 
     def reserve(self, names: Mapping[int, str]) -> None:
         """Set the COB-IDs that only this master may send, and clear the intruder."""
@@ -160,11 +165,18 @@ class Link:
     def wait_for(self, condition: Callable[[], bool], timeout: int) -> bool:
         """Handle frames until `condition()` holds; return False when `timeout` [ns] passed first.
 
-        Frames received before the call count: the condition looks at state, not at the next frame.
+        Frames received before the call count: the condition looks at state, not at the next frame. A second signal
+        shortens the wait, and during a start the first one ends it with StartStoppedError.
         """
         deadline = self.clock.now() + timeout
         while not condition():
-            if not self.poll(deadline):
+            if self.is_starting:
+                require_none()
+            now = self.clock.now()
+            if is_urgent():
+                deadline = min(deadline, now + _URGENT)
+            look = min(deadline, now + _LOOK) if self._is_slow else deadline
+            if not self.poll(look) and look == deadline:
                 return condition()
         return True
 

@@ -17,6 +17,7 @@ from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.drive.safety.power_states import FAULTED, TORQUE_FREE, PowerState, drive_state
 from canhaptic.errors import DictionaryError, LinkError, SdoError, StartError
+from canhaptic.host.stop_signal import require_none
 
 _REMEDIES: Final = tomllib.loads(Path(__file__).parents[1].joinpath("remedies.toml").read_text(encoding="utf-8"))
 
@@ -142,7 +143,11 @@ class BringUp(ABC):
 
     @contextmanager
     def step(self, name: str, expected: str = "the drive to accept it") -> Iterator[None]:
-        """Context of one step of the start, in which an error becomes a StartError with the name of the step."""
+        """Context of one step of the start, in which an error becomes a StartError with the name of the step.
+
+        It is not entered once a signal asks for the end: StartStoppedError.
+        """
+        require_none()
         try:
             yield
         except (SdoError, DictionaryError, LinkError) as error:
@@ -172,6 +177,7 @@ class BringUp(ABC):
         """Poll until `read()` holds; return False when the drive takes too long."""
         deadline = self._drive.now() + round(self._drive.axis.step_timeout * 1e9)
         while not read():
+            require_none()
             if self._drive.now() >= deadline:
                 return False
             self._drive.pump(self._drive.now() + 2_000_000)  # [ns]

@@ -80,6 +80,10 @@ class StoppedExchange(Protocol):
     def drives(self) -> Sequence[StoppedAxis]:
         """All drives of the rig."""
 
+    @property
+    def is_urgent(self) -> bool:
+        """Whether nothing is to be awaited any longer."""
+
     def now(self) -> int:
         """Return the time [ns]."""
 
@@ -205,6 +209,8 @@ def _cycle_until_disabled(exchange: StoppedExchange, drives: Sequence[StoppedAxi
         if not left:
             return
         cycles += 1
+        if exchange.is_urgent and cycles >= _FEWEST_CYCLES:
+            return
         if insists and cycles % _FEWEST_CYCLES == 0 and now() >= patience:
             doubtful = [drive for drive in left if not _demands_no_torque(drive)]
             if rounds == 2 and len(doubtful) == len(left):  # of SDO and NMT before the loop of PDOs is given up

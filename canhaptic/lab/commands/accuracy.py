@@ -2,8 +2,8 @@
 
 import argparse
 
-from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.options import scene_of
+from canhaptic.host.stop_signal import StopSignal
 from canhaptic.lab.commands.results import check_files, show, write_files
 from canhaptic.lab.studies.accuracy.accuracy_table import accuracy_report, markdown
 from canhaptic.lab.studies.accuracy.study import UNITS, study_accuracy
@@ -12,7 +12,7 @@ from canhaptic.view.terminal import run_progress, write_file, write_note
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Measure and print; return 0, or 130 or 143 after a signal, with the results obtained so far.
+    """Measure and print; return 0, or 128 + n after signal n, with the results obtained so far.
 
     Raises:
         InputError: A scene, an axis or a file cannot be used.
@@ -21,7 +21,7 @@ def execute(arguments: argparse.Namespace) -> int:
     check_files(arguments)
     for text in dear_holds(scene):
         write_note(f"  {text}")
-    with StopSignal() as stop, run_progress(UNITS, scene.bus.sample_time, "free", every=1) as progress:
+    with StopSignal(insists=True) as stop, run_progress(UNITS, scene.bus.sample_time, "free", every=1) as progress:
         result = study_accuracy(
             scene, arguments.axis, tolerance=arguments.tolerance, duration=arguments.duration,
             budget=arguments.budget, engine=arguments.engine, progress=progress, stop=stop.requested,

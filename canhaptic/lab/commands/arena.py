@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 from typing import Final
 
-from canhaptic.cli.long_command import StopSignal
 from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.host.stop_signal import StopSignal
 from canhaptic.lab.commands.results import scene_progress, show
 from canhaptic.lab.render.arena_picture import pictures_of, write_arena_page
 from canhaptic.lab.studies import Row
@@ -31,7 +31,7 @@ def execute(arguments: argparse.Namespace) -> int:
     plan.check()
     store = ArenaStore(out / STORE, force=arguments.force)
     workers = arguments.workers or os.cpu_count() or 1
-    with store, StopSignal() as stop, pool_of(workers) as pool, scene_progress("cases") as progress:
+    with store, StopSignal(insists=True) as stop, pool_of(workers) as pool, scene_progress("cases") as progress:
         found = run_arena(plan, store, pool, progress, stop.requested)
     if found is None or stop.requested():
         write_note(f"  stopped     finished work is kept in {out / STORE}; the same command continues")

@@ -15,10 +15,10 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from canhaptic.axis_units import si
-from canhaptic.cli.long_command import StopSignal
 from canhaptic.cli.options import scene_of
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
+from canhaptic.host.stop_signal import StopSignal
 from canhaptic.lab.commands.results import scene_progress, show
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.studies import Row
@@ -49,7 +49,7 @@ def execute(arguments: argparse.Namespace) -> int:
     with ExitStack() as stack:
         if out is None:
             out = Path(stack.enter_context(TemporaryDirectory(prefix="canhaptic-sweep-"))) / "sweep"
-        stop = stack.enter_context(StopSignal())
+        stop = stack.enter_context(StopSignal(insists=True))
         executor, in_flight = _executor(arguments, stack)
         progress = stack.enter_context(scene_progress())
         given = {name: getattr(arguments, name) for name in _OPTIONS}
