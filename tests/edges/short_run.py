@@ -13,6 +13,7 @@ from unittest.mock import patch
 
 import can
 
+from canhaptic.canopen.objects import NmtState
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import CanHapticError
 from canhaptic.scene.build import Experiment, build, open_bus
@@ -78,11 +79,17 @@ class Edge:
     is_done: bool = False
     wants_stop: bool = False  # of the operator
     last: bytes = bytes(4)  # RPDO that went out before the deed
+    has_pressed: bool = False
 
     @property
     def was_pressing(self) -> bool:
         """Whether a torque was commanded when it was done."""
         return not _is_zero(self.last)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the drives were stopped after a contact."""
+        return self.has_pressed and self.drive.nmt_state is NmtState.PRE_OPERATIONAL
 
     @property
     def drive(self) -> SimulatedDrive:
@@ -223,6 +230,7 @@ def _watch(edge: Edge) -> None:
         finally:
             if not edge.is_done and can_id == edge.rpdo:
                 edge.last = data
+                edge.has_pressed |= not _is_zero(data)
             if edge.is_done:
                 edge.frames.append(Frame(edge.syncs, is_sent, can_id, data))
                 edge.syncs += is_sent and can_id == SYNC
