@@ -111,6 +111,7 @@ class Rig:
                 not the one of the configuration, nothing was sent but reads, and all are left as they were.
             StartStoppedError: A signal asked for the end; all drives are left disabled.
             SecondMasterError: Another master sends on a bus; all drives are left disabled.
+            RigError: It failed, and a drive did not confirm that it is disabled.
         """
         self._reset()
         for link in self.links:
