@@ -319,7 +319,7 @@ def _complete(source: _Source, holder: ODRecord) -> None:
     if holder.subindices and 0 not in holder.subindices:
         first = holder.subindices[min(holder.subindices)]
         _add_count(holder, "rw" if first.writable else "ro")
-    if 0x1600 <= holder.index < 0x1C00 and (gap := set(range(1, max(holder, default=0))) - set(holder)):
+    if holder.index & ~0x1FF in (0x1600, 0x1A00) and (gap := set(range(1, max(holder, default=0))) - set(holder)):
         text = f"subindex {min(gap)} is missing between others; this PDO may not be usable: correct the file"
         source.unread.append(str(source.fault(f"{holder.index:04X}", text)))
 

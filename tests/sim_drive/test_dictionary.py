@@ -231,7 +231,8 @@ def test_limits_of_a_cob_id_are_those_of_its_identifier(tmp_path: Path, limit: s
 
 SERVO = Path(__file__).parents[2] / "eds" / "cia402_servo.eds"
 SECTIONS = re.findall(r"(?m)^\[([0-9A-F]{4}(?:sub[0-9A-F]+)?)\]", SERVO.read_text())
-GOOD = survey(read_dictionary(SERVO, 1), unconfigured_axis(SERVO)).axis_map
+UNDAMAGED = read_dictionary(SERVO, 1)
+GOOD = survey(UNDAMAGED, unconfigured_axis(SERVO)).axis_map
 KEYS = ["DataType", "ObjectType", "AccessType", "DefaultValue", "PDOMapping", "LowLimit", "ParameterName", "SubNumber"]
 BAD = st.sampled_from(["", "?", "0xZZ", "99999999999999999999", "-1.5e", "[", "$NODEID$", "REAL128", "\0"])
 
@@ -261,6 +262,10 @@ def test_a_bad_section_is_a_warning_or_a_refusal_that_names_it(
         elif found.axis_map == GOOD:
             return
     assert index in told
+
+
+def test_of_our_own_dictionary_nothing_is_left_unread() -> None:
+    assert (UNDAMAGED.left_out, UNDAMAGED.unread) == ({}, [])
 
 
 def test_missing_file_and_impossible_node_id_are_refused(tmp_path: Path) -> None:
