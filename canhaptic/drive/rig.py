@@ -43,6 +43,12 @@ class _CycleRecord(NamedTuple):
     torques_per_mille: list[int]  # commanded in answer, per axis
 
 
+_SHARED_PORT: Final = (
+    "; on udp_multicast all scenes with one port hear each other, whatever their channel: "
+    "give each its own bus.options: {port: ...}"
+)
+
+
 class Rig:
     """The drives of one or several buses, run by one SYNC.
 
@@ -204,6 +210,7 @@ class Rig:
             if link.intruder:
                 rule = STOP_TABLE[StopReason.SECOND_MASTER]
                 text = f"{link.intruder} came from elsewhere: {rule.meaning}; torque is zero; {rule.remedy}"
+                text += _SHARED_PORT if self.bus.interface == "udp_multicast" else ""
                 raise self._stopped(StopReason.SECOND_MASTER, text)
 
     def write_torques(self, torques: Sequence[float]) -> None:

@@ -33,6 +33,7 @@ from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.survey import Suitability, Survey, stated_value
 from canhaptic.errors import DictionaryError, InputError
+from canhaptic.host.adapters import ADAPTERS, WINDOW, Adapter
 from canhaptic.scene.document import compose
 from canhaptic.scene.hints import advised_allowance, allowance_words
 from canhaptic.scene.load import scene_from_text
@@ -143,7 +144,9 @@ def _text(name: str, **values: object) -> str:
     return Template(_texts()[name]).substitute(to_set=TO_SET, **shown)
 
 
-def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, out: Path | None = None) -> str:
+def starter_scene(
+    found: Survey, *, simulate: bool, drive: str | None = None, out: Path | None = None, interface: str = "socketcan"
+) -> str:
     """Return the text of a scene file for one drive, which `load_scene` accepts.
 
     Args:
@@ -151,6 +154,7 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
         simulate: Whether drive, motor and hand are simulated on a virtual bus, so that the scene runs at once.
         drive: Name of the drive profile to use; None for none.
         out: Path of the scene file, from which the path of the dictionary starts; None: that path is absolute.
+        interface: python-can interface of the rig, whose adapter may be slower than the bus.
 
     Raises:
         DictionaryError: The drive is unfit; lists every reason.
@@ -159,7 +163,9 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
         reasons = "; ".join(f"{row.item}: {row.text}" for row in found.reasons)
         kind = "cyclic torque" if found.axis.admittance is None else "an admittance display"
         raise DictionaryError(f"{found.axis.eds} is not fit for {kind}: {reasons}")
-    dictionary, rate = found.dictionary, _rate(found)
+    adapter = ADAPTERS.get(interface)
+    dictionary, rate = found.dictionary, _rate(found, adapter)
+    jitter = max(_LATE["sync_jitter"], adapter.jitter * rate if adapter else 0.0)
     quirks = () if drive is None else tuple(profile_values(drive).get("quirks", ()))
     stated, resolution = stated_value(dictionary, od.RATED_TORQUE), quirks_of(quirks).rated_torque_resolution
     rated = (stated or 0) * resolution or _GUESSED_RATED_TORQUE
@@ -171,19 +177,20 @@ def starter_scene(found: Survey, *, simulate: bool, drive: str | None = None, ou
         eds_quoted=_EDS_TOKEN,
         scene=_plain(str(out or "rig.yaml")),
         hint="      needs no hardware: drive, motor and hand are simulated" if simulate else "",
-        bus=_text("virtual" if simulate else "socketcan"),
+        bus=_text("virtual") if simulate else _text("interface", interface=interface, channel=_channel(interface)),
+        window="" if adapter is None else _text("window", window=WINDOW, round_trip=1e3 * adapter.round_trip),
         bitrate=found.bitrate,
         bitrate_note="" if found.bitrates else _text("bitrate_unlisted"),
         rate=f"{rate:g}",
-        rate_note="" if rate >= _FASTEST else _text("rate_of_bus"),
+        rate_note="" if rate >= _FASTEST else _text("rate_of_bus" if adapter is None else "rate_of_adapter"),
         identity=_identity(found, drive),
         rated=_rated_lines(dictionary, rated if stated else None),
         limit=f"{limit:g}",
         limit_note=_text("limit_written" if is_writable(dictionary, od.MAX_TORQUE, 0) else "limit_not_written"),
         read_back=_read_back(found) if found.axis.admittance is None else _display(found, found.axis.admittance, limit),
         watchdog="" if is_writable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1) else _text("no_watchdog"),
-        rendered=_rendered(found, limit, simulate=simulate),
-        simulation=_simulation(found, rated, limit, resolution) if simulate else "",
+        rendered=_rendered(found, limit, 1.0 / rate, None if simulate else jitter),
+        simulation=_simulation(found, rated, limit, resolution, 1.0 / rate) if simulate else "",
         **_count_values(dictionary),
     )
     aligned = _TRAILING_COMMENT.sub(lambda line: f"{line.group(1):<{_COMMENT_COLUMN - 2}}  # ", text)
@@ -202,27 +209,26 @@ def _path_for_scene(dictionary: Path, scene: Path | None) -> str:
     return os.path.relpath(dictionary.parent.resolve() / dictionary.name, scene.parent.resolve())
 
 
-def _rendered(found: Survey, limit: float, *, simulate: bool) -> str:
-    """Return environment and passivity for a torque limit [N*m]."""
-    time = 1.0 / _rate(found)
+def _rendered(found: Survey, limit: float, time: float, jitter: float | None) -> str:
+    """Return environment and passivity for a torque limit [N*m], a sample time [s] and its jitter (None: simulated)."""
     if found.axis.admittance is not None:
-        return _display_rendered(found.axis.admittance, limit, time, simulate=simulate)
+        return _display_rendered(found.axis.admittance, limit, time, jitter)
     values = {key: _round(part * limit) for key, part in _SCALED.items()}
     loop = LoopProperties(
         sample_time=time, delay=1, moving_mass=values["inertia"], device_damping_bound=values["most_damping"],
-        device_friction_bound=values["most_friction"], **({} if simulate else _LATE),
+        device_friction_bound=values["most_friction"], **({} if jitter is None else {**_LATE, "sync_jitter": jitter}),
     )  # fmt: skip
-    energy, timing = advised_allowance(loop, 0.0), "" if simulate else _text("timing")
+    energy, timing = advised_allowance(loop, 0.0), "" if jitter is None else _text("timing", jitter=100.0 * jitter)
     allowed = allowance_words(energy, loop, "rad")
     return _text("wall", **values, timing=timing, allowance=1e6 * energy, allowed=allowed)
 
 
-def _display_rendered(display: AdmittanceParameters, limit: float, sample_time: float, *, simulate: bool) -> str:
+def _display_rendered(display: AdmittanceParameters, limit: float, sample_time: float, jitter: float | None) -> str:
     mass, gain = _INERTIA * limit, _gain(limit)
     is_position = display.mode == "position"
     return _text(
         "display_rendered",
-        certified=_text("uncertified" if is_position and not simulate else "certified"),
+        certified=_text("uncertified" if is_position and jitter is not None else "certified"),
         mass=_HELD * (mass + 1.5 * sample_time * gain),
         damping=mass,
         drive_mass=_OVER * mass,
@@ -230,7 +236,7 @@ def _display_rendered(display: AdmittanceParameters, limit: float, sample_time: 
         friction=0.02 * limit,
         bearings=2.0 * mass,
         integral=_text("integral_gain", gain=_OVER * 10.0 * gain) if is_position else "",
-        timing="" if simulate else _text("jitter"),
+        timing="" if jitter is None else _text("jitter", jitter=100.0 * jitter),
         allowance=0.5 * _OVER * gain * sample_time * _START_SPEED**2,
     )
 
@@ -265,10 +271,15 @@ def _round(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def _rate(found: Survey) -> float:
-    """Return the highest round rate [Hz] up to 1 kHz at which one axis fits the bus."""
+def _rate(found: Survey, adapter: Adapter | None = None) -> float:
+    """Return the highest round rate [Hz] up to 1 kHz at which one axis fits the bus, and the adapter keeps up."""
     worst = max((load.worst_cycle for load in found.loads), default=0.0)
-    return round_rate(min(_FASTEST, 1.0 / worst)) if worst else _FASTEST
+    limits = [_FASTEST, *([1.0 / worst] if worst else []), *([adapter.fastest] if adapter else [])]
+    return round_rate(min(limits))
+
+
+def _channel(interface: str) -> str:
+    return ADAPTERS[interface].channel if interface in ADAPTERS else "can0"
 
 
 def _identity(found: Survey, drive: str | None) -> str:
@@ -322,9 +333,9 @@ def _read_back(found: Survey) -> str:
     return _text("speed_limit") + _text(f"read_back_{read_back}") + reported
 
 
-def _simulation(found: Survey, rated: float, limit: float, resolution: float) -> str:
+def _simulation(found: Survey, rated: float, limit: float, resolution: float, time: float) -> str:
     """Return the section `simulation`; `rated` [N*m] is the motor's rated torque, in 0x6076 if the drive has it."""
-    objects, drive = missing_values(found, 1.0 / _rate(found)), _text("rated_torque", torque=f"{rated:g}")
+    objects, drive = missing_values(found, time), _text("rated_torque", torque=f"{rated:g}")
     if od.RATED_TORQUE in found.dictionary:
         drive = ""
         if not stated_value(found.dictionary, od.RATED_TORQUE):

@@ -189,6 +189,24 @@ def test_every_guess_is_marked(tmp_path: Path, capsys: Captured) -> None:
     assert {"moving_mass", "demand_reported"} <= set(marked)
 
 
+@pytest.mark.parametrize(
+    ("interface", "expected"), [("gs_usb", (200.0, 0.7)), ("slcan", (25.0, 0.7)), ("socketcan", (1000.0, 0.5))]
+)
+def test_rate_and_window_are_those_that_an_adapter_keeps(
+    interface: str, expected: tuple[float, float], tmp_path: Path, capsys: Captured
+) -> None:
+    bus = load_scene(started(OURS, tmp_path, capsys, "--interface", interface)).bus
+    assert (bus.rate, bus.tpdo_timeout) == expected
+    twin = tmp_path / "twin"
+    twin.mkdir()
+    usb = f"simulation.bus={{jitter: {0.3 * bus.tpdo_timeout * 1e3 / bus.rate:g} ms}}"
+    scene = started(OURS, twin, capsys, "--simulate", "--interface", interface)
+    assert main(["run", str(scene), "--duration", f"{40 / bus.rate:g}", "--json", "--set", usb]) == 0
+    assert json.loads(capsys.readouterr().out)["link"]["late"] == 0
+    assert main(["new", str(OURS), "--interface", interface[:-1]]) == 2
+    assert f"did you mean {interface!r}?" in capsys.readouterr().err
+
+
 def test_real_drives_do_not_run_on_guesses(tmp_path: Path, capsys: Captured) -> None:
     scene = started(OURS, tmp_path, capsys)
     assert main(["run", str(scene)]) == 2

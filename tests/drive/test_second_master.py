@@ -120,3 +120,15 @@ def test_one_frame_more_than_was_sent_is_no_echo(bench: MakeBench) -> None:
     with pytest.raises(SecondMasterError, match="SYNC"):
         b.run(2, torque=1.0)
     assert is_without_torque(b)
+
+
+@pytest.mark.parametrize(("interface", "is_told"), [("udp_multicast", True), ("socketcan", False)])
+def test_two_scenes_on_one_port_are_told_why_they_hear_each_other(
+    bench: MakeBench, interface: str, is_told: bool
+) -> None:
+    b = bench()
+    b.rig.bus = b.rig.bus.model_copy(update={"interface": interface})
+    let_in(b, *FRAMES["SYNC"])
+    with pytest.raises(SecondMasterError) as raised:
+        b.rig.start()
+    assert ("give each its own bus.options: {port: ...}" in str(raised.value)) is is_told

@@ -307,3 +307,17 @@ def test_the_ip_of_this_machine_is_asked_for_real() -> None:
     found = preflight(scene("bus.channel=can99").loaded_buses)
     assert {finding.interface for finding in found} == {"can99"}
     assert all(finding.seen and (finding.text or finding.severity == "well") for finding in found)
+
+
+@pytest.mark.parametrize(("rate", "fits"), [(200, True), (1000, False)])
+def test_the_round_trip_to_each_drive_is_measured_and_judged(
+    rate: int, fits: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    usb = "simulation.bus={jitter: 1 ms, bring_up: true}"  # each way up to one frame of full-speed USB
+    assert main(["preflight", str(DEMO), "--bus", "--json", "--set", usb, "--set", f"bus.rate={rate}"]) == 0
+    (trip,) = json.loads(capsys.readouterr().out)["round_trips"]
+    assert trip["fits"] is fits
+    assert 0.2e-3 > trip["least"] < trip["median"] < 1.2e-3 < trip["largest"] <= 2.1e-3
+    assert 200 <= trip["rate"] < 400
+    main(["preflight", str(DEMO), "--bus", "--set", usb, "--set", f"bus.rate={rate}"])
+    assert ("lower bus.rate" in " ".join(capsys.readouterr().out.split())) is not fits
