@@ -57,6 +57,19 @@ class AdmittanceScaling(Parameters):
     """Acceleration limit of the drive that no object shows, in addition to 0x6083 and 0x60C5; None: none."""
 
 
+class TorqueFault(Parameters):
+    """A fault of the power stage: from a time on, another torque acts than the one demanded."""
+
+    at: Annotated[float, quantity("s", ge=0.0, le=1e6)]
+    """Time from the first SYNC with the drive enabled."""
+    kind: Literal["twice", "minus", "more", "stuck"]
+    """Torque that acts: twice the demand, its negative, `torque` more, or that of the time `at` for good."""
+    torque: Annotated[float, quantity("N", "N*m", ge=-1e6, le=1e6)] = 0.0
+    """Torque that is added by `more`."""
+    shown: Literal["actual", "both"] = "actual"
+    """Objects that show it: 0x6077 alone, or 0x6074 too."""
+
+
 class SimulatedDriveParameters(Parameters):
     """Parameters of a simulated drive.
 
@@ -84,6 +97,7 @@ class SimulatedDriveParameters(Parameters):
         follow_delay: Time in OPERATION ENABLED until the torque follows; bit 12 of the statusword is 0 until then.
         sdo_size_indicated: False for a drive that leaves out the length of expedited answers.
         sync_losses_to_fault: Communication cycle periods (0x1006) without SYNC until the drive faults.
+        fault: Faults of the torque; from its time on each takes the place of the one before.
         brake: A brake that holds the motor; by default the axis's.
         display: Scales of an admittance display; by default the axis's.
     """
@@ -110,6 +124,7 @@ class SimulatedDriveParameters(Parameters):
     follow_delay: Annotated[float, quantity("s", ge=0.0, le=60.0)] = 0.0
     sdo_size_indicated: bool = True
     sync_losses_to_fault: Annotated[int, quantity("1", ge=1, le=1000)] = 3
+    fault: tuple[TorqueFault, ...] = ()
     display: AdmittanceScaling | None = None
     brake: Annotated[Brake, OnDemand("canhaptic.canopen.attached_devices:Brake")] | None = None
 

@@ -21,6 +21,7 @@ from canhaptic.sim.drive.profile.state_machine import DriveState, PowerCommand, 
 if TYPE_CHECKING:
     from canhaptic.canopen.attached_devices import Brake
     from canhaptic.sim.drive.profile.homing import Homing
+    from canhaptic.sim.drive.profile.torque_fault import FaultyTorque
 
 
 class TorqueStage:
@@ -241,6 +242,16 @@ def _homing_of(store: ObjectStore, motor: Motor) -> "Homing | None":
     return Homing(store, motor)
 
 
+def _fault_of(parameters: SimulatedDriveParameters) -> "FaultyTorque | None":
+    if not parameters.fault:
+        return None
+    if parameters.display is not None:
+        raise ParameterError("fault: an admittance display has no torque that is commanded; leave it out")
+    from canhaptic.sim.drive.profile.torque_fault import FaultyTorque
+
+    return FaultyTorque(parameters.fault)
+
+
 class Servo:
     """Power stage of a simulated drive with its motor: state machine, torque and measurement.
 
@@ -290,6 +301,8 @@ class Servo:
         self.measures_velocity = False
         self._stage = TorqueStage(store, parameters, self._reload_limits)
         self._meter = TorqueMeter(motor, parameters)
+        self._fault = _fault_of(parameters)
+        self._applied = 0  # per mille: of the torque that acts
         self._torque_sign = parameters.direction * (-1 if parameters.reversed == "torque" else 1)  # of 0x6071
         self._enable_delay = round(parameters.enable_delay * 1e9)
         self._follow_delay = round(parameters.follow_delay * 1e9)
@@ -314,7 +327,7 @@ class Servo:
         self._move()
         self._turn()
         self.machine.reset()
-        self.demand, self.torque = 0, 0.0
+        self.demand, self._applied, self.torque = 0, 0, 0.0
         self.was_reset = False
         self.fault_code = 0
         for commanded in (self._controlword, self._mode, self._target, self._torque_offset):
@@ -392,9 +405,13 @@ class Servo:
                 word = _FOLLOWING_WORD if demand == target else _LIMITING_WORD
             elif self._homing is not None and self._mode_display.value == HOMING:
                 demand, word = self._home(self._homing)
-        if demand != self.demand:
+        applied = demand
+        if self._fault is not None and state is _ENABLED:
+            demand, applied = self._fault.act(self.now, demand, self._stage.quantum)
+        if demand != self.demand or applied != self._applied:
             self._move()
-            self.demand, self.torque = demand, self._torque_sign * demand * self._stage.quantum
+            self.demand, self._applied = demand, applied
+            self.torque = self._torque_sign * applied * self._stage.quantum
         if word != self._statusword.value or (before is not None and before is not state):
             self._statusword.value = word
             self.has_event = True
@@ -448,6 +465,8 @@ class Servo:
         elif self.machine.state is _ENABLED:
             self._mover.begin(now)
             self.is_running = True
+            if self._fault is not None:
+                self._fault.begin(now)
         self._moved_to = now
         self._count(self._position, motor.position if encoder is None else encoder(motor), self._zero)
         if self.measures_velocity:
@@ -455,6 +474,8 @@ class Servo:
         if self._homing is not None and self._mode_display.value == HOMING:
             self.update()
         self.show_torque()
+        if self._fault is not None:
+            self.update()
 
     def _work_brake(self) -> None:
         """Open or set the brake as its output, or the state of the drive, demands now."""
@@ -469,7 +490,7 @@ class Servo:
     def show_torque(self) -> None:
         """Update 0x6074 from the present demand, 0x6077 and 0x6078 from the measurement; current equals torque."""
         self._torque_demand.value = measured = self.demand
-        if not self._meter.is_ideal:
+        if self._fault is not None or not self._meter.is_ideal:
             measured = self._meter.counts(self.now, self.torque, self._torque_sign * self._stage.quantum)
         self._torque_actual.value = self._current_actual.value = measured
 
@@ -512,5 +533,5 @@ class Servo:
     def _reload_limits(self) -> None:
         self._stage.reload()
         self._move()
-        self.torque = self._torque_sign * self.demand * self._stage.quantum
+        self.torque = self._torque_sign * self._applied * self._stage.quantum
         self.update()
