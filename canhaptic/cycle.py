@@ -8,6 +8,7 @@ One thread runs it. On any error zero torque is sent first and the exception is 
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from math import inf
 from typing import TYPE_CHECKING, Final
 
 from canhaptic.control.axis_meter import AxisMeter
@@ -17,9 +18,8 @@ from canhaptic.control.passivity import Controller
 from canhaptic.control.verdict import BY_CONSTRUCTION, NOT_CHECKED, UNDECIDED
 from canhaptic.drive.clock import DurationHistogram, VirtualClock
 from canhaptic.drive.rig import Rig
-from canhaptic.drive.safety.link_policy import StopReason, reason_of
+from canhaptic.drive.safety.link_policy import LossBudget, StopReason, reason_of
 from canhaptic.errors import (
-    CanHapticError,
     CycleFailedError,
     EmergencyError,
     InputError,
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from canhaptic.logs.writer_process import EnergyLogWriter
 
 _HELD, _NO_CERTIFICATE = Branch.HELD.value, Certificate.NONE.value
+_LOOK: Final = 0.05
+"""Time between two looks at the uncertainties [s]."""
 _FEWEST_UNCHANGED: Final = 20  # SYNCs; or those of a second
 _UNEVEN: Final = (
     "a hold was {:.3g} s longer or shorter than the sample time, more than sync_jitter declares: its certificate is "
@@ -108,6 +110,8 @@ class Cycle:
         self._log: EnergyLogWriter | _FailedLog | None = log
         self._truths = truths
         self._loss_meters = tuple(loss_meters)
+        self._doubts = _doubts(self._loss_meters, rig.bus.sample_time)
+        self._look_at = self._look_every = max(1, round(_LOOK / rig.bus.sample_time))
         self._period = rig.bus.sample_time_ns
         self._jitters = None if jitters is None else [round(part * self._period) + 1 for part in jitters]
         self._least_jitter = min(self._jitters or [0])
@@ -152,6 +156,10 @@ class Cycle:
                 error = rig.end(StopReason.ENERGY_LOST, lost)  # zero torque first, the account second
                 self._account(samples, balances, truths)
                 raise error
+        if self.cycles >= self._look_at and (unsure := self._unsure()):
+            error = rig.end(*unsure)
+            self._account(samples, balances, truths)
+            raise error
         rig.write_torques(torques)  # RPDOs out, held until the next SYNC [N*m or N]
         self._account(samples, balances, truths)
         return balances
@@ -178,6 +186,31 @@ class Cycle:
             return ""
         limit = f"limit {meter.limit:.3g} J beyond the {meter.allowance:.3g} J declared"
         return f"{meter.name}: sum of interaction {meter.energy + supplied:.3g} J, {limit}"
+
+    def _unsure(self) -> tuple[StopReason, str] | None:
+        """Return why the uncertainty of a port grows too fast, and how large it is; None without such a port."""
+        self._look_at = self.cycles + self._look_every
+        for meter, budget in self._doubts:
+            known = sum(self._left_by_losses(axis) for axis in meter.axes)
+            known += sum(_resolution(group.controller) for group in self.groups if group.name == meter.name)
+            grown, meter.uncertainty = known - meter.uncertainty, known
+            if budget.lose(self.rig.deadline_index, grown):
+                text = f"{budget.level:.3g} J beyond energy_uncertainty_limit ({meter.uncertainty_limit:.3g} J/s)"
+                what = f"uncertainty {known:.3g} J, {text}"
+                for drive in (self.rig.drives[axis] for axis in meter.axes):
+                    if drive.suspicion:
+                        found = self.rig.details(drive, drive.suspicion)
+                        return drive.suspicion, f"{drive.axis.name}: {found}; {what}"
+                return StopReason.ENERGY_UNCERTAIN, f"{meter.name}: {what}"
+        return None
+
+    def _left_by_losses(self, axis: int) -> float:
+        """Return the uncertainty of an axis's energy [J] that its algorithm bounds, and that of doubtful samples.
+
+        Bounds that rest on `speed_limit`, where neither hand nor lateness is declared, say nothing about the link.
+        """
+        controller = self.meters.of_axes[axis].controller
+        return _resolution(controller) + self.rig.drives[axis].contested
 
     def _lost_to_friction(self, axis: int, samples: Sequence[Sample]) -> float:
         """Return the energy that the declared dry friction of a device has dissipated at least [J]."""
@@ -233,6 +266,13 @@ class Cycle:
                 known[axis] = before if found == UNDECIDED and before not in (NOT_CHECKED, BY_CONSTRUCTION) else found
         return known
 
+    def note_link(self) -> None:
+        """Log for each drive the share of SYNCs that it answered, unless it answered all."""
+        for drive in self.rig.drives:
+            if (share := drive.policy.success_rate()) < 1.0:
+                text = f"{100.0 * share:.6g} % of SYNCs answered"
+                self._event(self.rig.sync_index, "link", drive.axis.name, text)
+
     def note_unrestored(self) -> None:
         """Log objects of a drive that the start changed and the stop did not restore."""
         for drive in self.rig.drives:
@@ -283,6 +323,16 @@ def _judge(axes: int, groups: "Sequence[AxisGroup]") -> "EnergyAudit":
     from canhaptic.control.energy_audit import EnergyAudit
 
     return EnergyAudit(axes, groups)
+
+
+def _resolution(controller: object) -> float:
+    return float(getattr(controller, "energy_resolution", 0.0))
+
+
+def _doubts(meters: Sequence[EnergyLossMeter], sample_time: float) -> list[tuple[EnergyLossMeter, LossBudget]]:
+    """Return the meters of limited uncertainty, each with its budget [J]: what 1 s of the limit makes."""
+    limits = ((meter, meter.uncertainty_limit) for meter in meters if meter.uncertainty_limit < inf)
+    return [(meter, LossBudget(limit * sample_time, limit)) for meter, limit in limits]
 
 
 def _grouped(controllers: Sequence[Controller], groups: "Sequence[AxisGroup]", dry_run: bool) -> "GroupedControllers":
@@ -340,21 +390,12 @@ def run(
                 progress(cycle.cycles)
 
 
-def _start(rig: Rig) -> None:
-    try:
-        rig.start()
-    except CanHapticError:
-        raise
-    except Exception as error:  # such as no memory: a run that has an account all the same
-        raise CycleFailedError(f"the start failed: {cause_of(error)}", rig.records) from error
-
-
 @contextmanager
 def running(cycle: Cycle) -> Iterator[None]:
     """Start the rig, and stop it on every exit from the block: zero torque first. See `run`."""
     rig = cycle.rig
     try:
-        _start(rig)
+        rig.start()
         try:
             cycle.note_holds()
             yield
@@ -375,4 +416,5 @@ def running(cycle: Cycle) -> Iterator[None]:
         rig.stop()
     finally:
         cycle.note_found_holds()
+        cycle.note_link()
         cycle.note_unrestored()

@@ -27,16 +27,20 @@
        |  |- TorqueLimitedError              3   the drive limits its torque; no TPDO shows the remaining one
        |  |- ForceRangeError                 3   a force beyond the range of its sensor
        |  |- ForceFrozenError                3   a force sensor that shows the same count for too long
+       |  |- TorqueContradictedError         3   a torque read back that was never commanded
        |  `- PositionJumpError               3   a position that no hand can have moved to
        |- LinkError (TimeoutError)           3   lost frames, lost heartbeat, bus-off
        |  |- TpdoLostError                   3   too many SYNCs in a row without an answer
        |  |- HeartbeatLostError              3   a drive fell silent
        |  |- CommandLostError                3   a drive does not act on its RPDO
+       |  |- FramesLostError                 3   too many samples or commands were lost
+       |  |- TpdoContradictedError           3   different TPDOs with one COB-ID answered one SYNC
        |  |- SecondMasterError               3   another master sends on the bus
        |  `- BusFailedError                  3   a frame could not be sent, or none be read
-       |- SyncsSkippedError                  3   this computer was late for more SYNCs than it sent
+       |- SyncsSkippedError                  3   this computer was late for too many SYNCs
        `- ControlError                       3   the controller raised or produced a non-finite torque
           |- EnergyLostError                 3   a port generated more energy than declared
+          |- EnergyUncertainError            3   the account no longer knows the energy of a port
           |- OwnCodeLateError                3   user code in a process of its own did not answer
           |- ForceContradictedError          3   encoder and commands prove more energy than the force sensor shows
           |- TorqueNotFiniteError            3   the controller's torque is no number
@@ -284,6 +288,10 @@ class ForceFrozenError(DriveFaultError):
     """The force sensor of an admittance display has sent the same count for too long."""
 
 
+class TorqueContradictedError(DriveFaultError):
+    """A torque read back follows from no command, by its size or sign."""
+
+
 class PositionJumpError(DriveFaultError):
     """A position moved faster than the speed limit of its axis."""
 
@@ -300,6 +308,14 @@ class CommandLostError(LinkError):
     """A drive still applies an old torque although newer ones were sent."""
 
 
+class FramesLostError(LinkError):
+    """Too many samples or commands were lost, although never too many in a row."""
+
+
+class TpdoContradictedError(LinkError):
+    """SYNCs were answered by process data with one COB-ID and different content."""
+
+
 class SecondMasterError(LinkError):
     """Another node sent a frame that only this master may send."""
 
@@ -313,11 +329,15 @@ class OwnCodeLateError(ControlError):
 
 
 class SyncsSkippedError(RigError):
-    """This computer was late for more SYNCs than it sent."""
+    """This computer was late for too many SYNCs."""
 
 
 class EnergyLostError(ControlError):
     """A port generated more energy than declared."""
+
+
+class EnergyUncertainError(ControlError):
+    """The stated uncertainty of an account grew faster than `energy_uncertainty_limit` allows."""
 
 
 class ForceContradictedError(ControlError):

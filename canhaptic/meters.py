@@ -214,7 +214,7 @@ class AxisPort(PortFigures):
         controller: Controller of the axis; None for an axis in a group.
     """
 
-    __slots__ = ("_asks", "_controller", "_drive", "_floor", "_meter")
+    __slots__ = ("_asks", "_drive", "_floor", "_meter", "controller")
 
     def __init__(self, meter: AxisMeter, drive: HeldTorques, controller: object) -> None:
         limits = active_limits([meter.accuracy], promise_of(controller).energy_allowance)
@@ -222,7 +222,7 @@ class AxisPort(PortFigures):
             limits, is_damped=meter.is_damped, books_least=meter.books_least, damping_asked=meter.damping_asked
         )
         self._meter, self._drive, self.felt = meter, drive, meter.felt
-        self._controller: Any = controller if hasattr(controller, "energy_resolution") else None
+        self.controller: Any = controller if hasattr(controller, "energy_resolution") else None
         self._asks: Any = controller if hasattr(controller, "asked") else None
         self.is_requested = self._asks is not None
         self._floor = -inf if controller is None else limits.floor  # of a group only the sum counts
@@ -288,7 +288,7 @@ class AxisPort(PortFigures):
 
     def _resolution(self) -> float:
         left = self._meter.resolution + self._drive.read_back_bound
-        return left if self._controller is None else self._controller.energy_resolution + left
+        return left if self.controller is None else self.controller.energy_resolution + left
 
     def _measured(self, resolution: float) -> Measured:
         meter, drive = self._meter, self._drive

@@ -21,6 +21,18 @@ _INTRODUCTION: Final = """\
 Counted per axis. One TPDO that comes in time sets the count back to zero. Axes of a group render together: each of
 them counts the SYNCs at which the TPDO of any of them is missing.
 """
+_BUDGET: Final = """
+Losses that never come so many in a row are counted by a budget, which rises by one with each SYNC whose sample or
+torque is lost and falls by `bus.loss_limit` (10 %) with each SYNC. Lost are a TPDO that is missing, late, short or
+answered twice with different content, and a torque that 0x6074 does not show. `bus.stop_cycles` of them beyond the
+limit, or a quarter of the SYNCs of 1 s if that is less, but at least 10, end the run: FRAMES_LOST, or TPDO_CONTRADICTED
+where different TPDOs answered. With 1 % of all frames lost by chance that happens less than once in a million hours;
+with half of the SYNCs lost after 50 of them on average, at 40 Hz after 25. A run with 10 % of all frames lost ends:
+that is a fifth of its samples and a tenth of its torques, and the uncertainty of a moving handle's energy then grows by
+0.1 to 1 J a second, where 1 % makes 14 mJ a second at most. In a simulation, and where it is declared,
+`energy_uncertainty_limit` (0.1 J/s) ends such a run too (ENERGY_UNCERTAIN). The SYNCs that this computer skips have a
+budget of their own: those of 1 s beyond the same limit.
+"""
 _READ_BACK: Final = """
 ## What the read-back of the torque lets the rig judge
 
@@ -74,11 +86,13 @@ def page() -> str:
     lines = [
         _INTRODUCTION,
         *_table(["TPDOs missed in a row", "action", "torque"], _MISSED),
+        _BUDGET,
         _READ_BACK,
         *_table(
             [
                 "`read_back`",
                 "an old torque is held (COMMAND_LOST)",
+                "a torque was never commanded (TORQUE_CONTRADICTED)",
                 "bit 12 goes out (NOT_FOLLOWING)",
                 "bit 11 is on",
             ],

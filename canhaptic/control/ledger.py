@@ -1,6 +1,7 @@
 """Sums of the energy account of a port (an axis or a group) over a run, and an independent limit on its energy loss."""
 
 from collections.abc import Sequence
+from math import inf
 from typing import Final, NamedTuple
 
 from canhaptic.control.balance import AT_REST, OUT_OF_CONTACT, Branch, Certificate, EnergyBalance, RunningSum, add
@@ -21,16 +22,19 @@ class EnergyLossMeter:
         allowance: Declared energy that may be returned beyond what was received [J].
         damping: Certain damping of the device, one value per axis [N*s/m or N*m*s/rad].
         sample_time: Sample time [s].
+        uncertainty_limit: Growth of the uncertainty of its account that is tolerated [W].
 
     Attributes:
         energy: Energy received so far; negative if more was returned [J].
+        uncertainty: Uncertainty that the algorithm and doubtful samples left when it was last looked at [J].
     """
 
     def __init__(
         self, name: str, axes: Sequence[int], limit: float, allowance: float, damping: Sequence[float],
-        sample_time: float,
+        sample_time: float, uncertainty_limit: float = inf,
     ) -> None:  # fmt: skip
         self.name, self.axes = name, tuple(axes)
+        self.uncertainty_limit, self.uncertainty = uncertainty_limit, 0.0
         self.limit, self.allowance, self.energy = limit, allowance, 0.0
         self.floor = -(limit + allowance)
         self._by_speed = [(axis, value / sample_time) for axis, value in zip(self.axes, damping, strict=True)]

@@ -51,6 +51,9 @@ class BusParameters(Parameters):
     """Missed cycles for which the last torque is held."""
     stop_cycles: Annotated[int, quantity("count", ge=1, le=10_000)] = 20
     """Missed cycles after which the rig stops; between hold and stop the torque ramps to zero."""
+    loss_limit: Annotated[float, quantity("1", ge=0.0, le=1.0)] = 0.1
+    """Share of the SYNCs that may lose their sample or torque for ever, or that the computer may skip. Losses beyond it
+    add up; `stop_cycles` end the run, or a quarter of the SYNCs of 1 s if that is less, at least 10. 1: unlimited."""
     tpdo_timeout: Annotated[float, quantity("1", gt=0.0, le=0.95)] = 0.5
     """Fraction of the sample time within which the TPDOs must arrive after SYNC; later ones count as late."""
     compute_latency: Annotated[float, quantity("s", ge=0.0, le=0.1)] = 20e-6

@@ -79,9 +79,13 @@ class HomingDrive(ServoDrive):
         self._watched, self._expected = ENABLED_MASK | remote, ENABLED_VALUE | remote
 
     def fault(self, now: int) -> StopReason:
-        """Return the reason to stop; neither a jump to the new zero nor the drive's own torque is a reason."""
-        self._step, self._stale_holds = 0.0, 0
+        """Return the reason to stop; a jump to the new zero is none."""
+        self._step = 0.0
         return super().fault(now)
+
+    def _applied_per_mille(self, reported: int) -> int:
+        """Torque of the hold that ended: the drive's own, which follows from no command."""
+        return reported
 
 
 class _HomingBringUp(CanBringUp):

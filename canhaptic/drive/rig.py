@@ -22,10 +22,10 @@ from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.profile.restore import restore
 from canhaptic.drive.safety import stop
-from canhaptic.drive.safety.link_policy import STOP_TABLE, StopReason
+from canhaptic.drive.safety.link_policy import STOP_TABLE, LossBudget, StopReason
 from canhaptic.drive.safety.stop import Trust
 from canhaptic.drive.start import start
-from canhaptic.errors import ControlError, InputError, LinkError, RigError, cause_of
+from canhaptic.errors import ControlError, InputError, LinkError, RigError
 from canhaptic.host.realtime import Realtime, RealtimeParameters
 from canhaptic.signals import CycleTiming, Sample
 
@@ -91,6 +91,7 @@ class Rig:
         self.budgets = [budget_of([d for d in self.drives if d.link is link], bus) for link in self.links]
         self._period = bus.sample_time_ns
         self._exchange = Exchange(self.links, self.drives, bus)
+        self._skips = LossBudget(bus.loss_limit, max(bus.stop_cycles, 1.0 / bus.sample_time))  # those of a second
         self._sdo_lines: tuple[SdoLine, ...] = ()  # one for each bus, from the first `sdo` on
         self._making_lines = threading.Lock()  # between those who ask first; the cycle never waits for it
         # At free pace the thread never sleeps: with real-time priority it would starve all others of its processor.
@@ -104,7 +105,7 @@ class Rig:
         self.records: deque[_CycleRecord] = deque(maxlen=1000)
         self.is_running = False
         self.periods, self.uneven = 1, 0
-        self._behind = 0  # SYNCs skipped, less those sent since; not below 0
+        self._skips.reset()
         self._first_samples: list[Sample] | None = None
         self._samples: list[Sample] = []
         self.timing = CycleTiming(0, 0, 0, 0)
@@ -117,7 +118,6 @@ class Rig:
                 not the one of the configuration, nothing was sent but reads, and all are left as they were.
             StartStoppedError: A signal asked for the end; all drives are left disabled.
             SecondMasterError: Another master sends on a bus; all drives are left disabled.
-            RigError: It failed, and a drive did not confirm that it is disabled.
         """
         self._reset()
         for link in self.links:
@@ -128,12 +128,9 @@ class Rig:
             start(self._exchange, [drive.bring_up() for drive in self.drives])
         except BaseException as error:
             self.stop_reason = StopReason.EXCEPTION
-            unconfirmed = self._disable(Trust.FULL)  # it was never given a torque
+            self._disable(Trust.FULL)  # it was never given a torque
             if isinstance(error, RigError):
                 self._require_no_other_master()  # another master explains a failed step
-            if unconfirmed and isinstance(error, Exception):
-                text = f"{cause_of(error)}; NOT confirmed to be disabled: {'; '.join(unconfirmed)}"
-                raise RigError(text, self.records) from error
             raise
         self._mark_start(is_starting=False)
         self._require_no_other_master()
@@ -191,19 +188,17 @@ class Rig:
             reason = drive.fault(exchange.heard)
             if reason:
                 raise self._stopped(reason, self._describe(drive, reason), drive.axis.name)
-        if periods > 1 or self._behind:  # last: the drive's own report of its watchdog is more specific
-            self._count_skips(periods)
+        if periods > 1:  # last: the drive's own report of its watchdog is more specific
+            self._count_skips(periods - 1)
         return samples
 
-    def _count_skips(self, periods: int) -> None:
-        """Stop when more SYNCs were skipped than sent for too long: meanwhile a drive holds its last torque."""
-        self._behind = max(0, self._behind + periods - 2)
-        limit = max(self.bus.stop_cycles, round(1.0 / self.bus.sample_time))  # of one second
-        if self._behind > limit:
-            rule = STOP_TABLE[StopReason.SYNCS_SKIPPED]
+    def _count_skips(self, skipped: int) -> None:
+        """Stop when too many SYNCs were skipped: meanwhile a drive holds its last torque."""
+        if self._skips.lose(self.deadline_index, skipped):
+            rule, limit = STOP_TABLE[StopReason.SYNCS_SKIPPED], 100.0 * self.bus.loss_limit
             what = f"{rule.meaning} at SYNC {self.sync_index}: {self.skipped_syncs} skipped in all"
-            text = f"{what}, recently {limit} more than were sent; torque is zero; {rule.remedy}"
-            raise self._stopped(StopReason.SYNCS_SKIPPED, text)
+            beyond = f"recently {self._skips.level:.0f} beyond bus.loss_limit ({limit:g} %)"
+            raise self._stopped(StopReason.SYNCS_SKIPPED, f"{what}, {beyond}; torque is zero; {rule.remedy}")
 
     def _require_no_other_master(self) -> None:
         for link in self.links:
@@ -299,7 +294,7 @@ class Rig:
             if ramp:
                 stop.ramp_down(self._exchange, self.bus.stop_ramp)
                 trust = Trust.FULL
-        except Exception:
+        except RigError:
             trust = Trust.NONE
             self.stop_reason = StopReason.EXCEPTION  # zero torque and disable follow below all the same
         finally:
@@ -335,7 +330,7 @@ class Rig:
         try:
             for line in self._sdo_lines:
                 line.close()
-            problems = self._disabled(trust)
+            problems = stop.disable(self._exchange, trust)
             for drive, problem in zip(self.drives, problems, strict=True):
                 if drive.is_ours and drive.sdo.changes:
                     restore(drive, problem)
@@ -344,33 +339,44 @@ class Rig:
         finally:
             self.realtime.end()
 
-    def _disabled(self, trust: Trust) -> list[str]:
-        """Disable every drive, tried once more where the stop itself failed, such as without memory."""
-        try:
-            return stop.disable(self._exchange, trust)
-        except Exception:
-            try:
-                return stop.disable(self._exchange, Trust.NONE)
-            except Exception as error:
-                return [f"the stop failed: {cause_of(error)}"] * len(self.drives)
-
-    def _describe(self, drive: ServoDrive, reason: StopReason) -> str:
+    def details(self, drive: ServoDrive, reason: StopReason) -> str:
+        """Return what was seen of a drive that is a reason to stop."""
         details = {
             StopReason.TPDO_LOST: self._missed(drive),
             StopReason.COMMAND_LOST: f"{self.bus.stop_cycles} SYNCs in a row",
+            StopReason.FRAMES_LOST: self._lost(drive),
+            StopReason.TPDO_CONTRADICTED: f"{drive.culprit}, {self._lost(drive)}",
+            StopReason.TORQUE_CONTRADICTED: self._contradicted(drive),
             StopReason.HEARTBEAT_LOST: f"silent for more than {self.bus.drive_silence_ns / 1e6:g} ms",
             StopReason.EMERGENCY: str(drive.emergency),
             StopReason.POSITION_JUMP: f"limit {drive.axis.largest_speed:g} {drive.axis.unit}/s",
             StopReason.NMT_STATE_LEFT: f"NMT state {drive.nmt_state}",
         }
-        detail = details.get(reason, f"state {drive.state.value}, statusword {drive.statusword:#06x}")
+        return details.get(reason, f"state {drive.state.value}, statusword {drive.statusword:#06x}")
+
+    def _describe(self, drive: ServoDrive, reason: StopReason) -> str:
         rule = STOP_TABLE[reason]
-        what = f"{drive.axis.name}: {rule.meaning} at SYNC {self.sync_index}: {detail}"
+        what = f"{drive.axis.name}: {rule.meaning} at SYNC {self.sync_index}: {self.details(drive, reason)}"
         from canhaptic.canopen.code_texts import emcy_remedy
 
         code = 0 if drive.emergency is None else drive.emergency.code
         remedy = emcy_remedy(code, self.bus.master_silence_ns * 1e-9, self.skipped_syncs)
         return f"{what}; torque is zero; {remedy or rule.remedy}"
+
+    def _lost(self, drive: ServoDrive) -> str:
+        answered = f"{100.0 * drive.policy.success_rate():.4g} % of all SYNCs answered"
+        return f"{answered}, limit bus.loss_limit ({100.0 * self.bus.loss_limit:g} % of the last ones lost)"
+
+    def _contradicted(self, drive: ServoDrive) -> str:
+        found, unit = drive.check.last, "N" if drive.axis.unit == "m" else "N*m"
+        if found is None:
+            return ""
+        read, *hull = (drive.scaling.torque(value) for value in found)
+        wide = drive.check.tolerance * drive.quantum
+        commanded = (
+            f"{min(hull):.4g} .. {max(hull):.4g} {unit} commanded, 0 included (torque_tolerance {wide:.3g} {unit})"
+        )
+        return f"{drive.check.contradicted} SYNCs in a row, read {read:.4g} {unit}, {commanded}"
 
     def _missed(self, drive: ServoDrive) -> str:
         others = next((others for one, others in self._needed if one is drive), ())

@@ -334,17 +334,19 @@ _OF_DISPLAYS: Final = ("admittance", "simulation.admittance", "simulation.drive.
 _LATER: Final[Mapping[str, tuple[object, ...]]] = {
     "start_timeout": (5.0,),
     "drive_objects": ({},),
-    **dict.fromkeys(("restore_limits", "limit_by_master"), (False,)),
+    "restore_limits": (False,),
     **dict.fromkeys(
         ("energy_loss_limit", "brake", "hold_checked", "check_hold", "hold_dither", "settings_checked", *_REQUIRED),
         (None,),
     ),
     **{f"loop.{key}": (None, 0.0) for key in LATER_LOOP_KEYS},
     "settings_accepted": (None,),
+    "energy_uncertainty_limit": (None,),
     "admittance.limit_in_drive": (False,),
     **dict.fromkeys(("brake.released", "simulation.drive.brake.released"), (None,)),
     "simulation.drive.acts_at_once": (False,),
     "simulation.drive.syncs_late": (0,),
+    "simulation.drive.fault": ((), []),
     "simulation.drive.brake": (None,),
     "admittance.force.node.real": (False,),
     "admittance.force.node.device_type": (None,),
@@ -508,6 +510,8 @@ class Scene:
                 _drop(owner, "network.stiffness", (0.0,))
             for path, unchanged in _LATER.items():
                 _drop(owner, path, unchanged)
+        for bus in resolved["bus"] if isinstance(resolved["bus"], list) else [resolved["bus"]]:
+            _drop(bus, "loss_limit", (0.1,))
         if self.auto_accuracy is not None:
             del resolved["accuracy"]["chosen"]
         return resolved

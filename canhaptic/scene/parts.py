@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupController, NetworkEnvironment
 
 _OF_THE_DEVICE: Final = ("device_damping", "device_friction", "device_damping_bound", "device_friction_bound")
+_SETTLED: Final = 3.0
+"""Time constants after which a torque has settled, to 5 %."""
 _PROGRAMS: Final = {
     "certificates": "canhaptic.control.passivity.asked_torque:GuardedProgram",
     "none": "canhaptic.control.passivity.asked_torque:UnguardedProgram",
@@ -206,7 +208,8 @@ def build_servo_drive(axis: AxisScene, link: Link, bus: BusParameters, *, dry_ru
         require_torque_axis(axis)
     if axis.parameters.admittance is None:
         known = axis.parameters.model_copy(update={"torque_limit": axis.loop.torque_limit})  # less if not verified
-        return ServoDrive(link, known, dictionary, bus, dry_run=dry_run)
+        late = (axis.loop.torque_window or 0.0) + _SETTLED * (axis.loop.current_lag or 0.0)
+        return ServoDrive(link, known, dictionary, bus, dry_run=dry_run, lateness=late)
     from canhaptic.drive.can.admittance_drive import AdmittanceDrive
 
     return AdmittanceDrive(link, axis.parameters, dictionary, bus)

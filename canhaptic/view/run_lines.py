@@ -250,6 +250,8 @@ def heading(result: Result) -> Text:
     text.append(status, style="bold green" if status in {"ok", "complete", "completed"} else "bold yellow")
     if "cycles" in result:
         text.append(f"   {counted(result['cycles'], 'cycle')}")
+    if (share := result.get("link", {}).get("success_rate")) is not None:
+        text.append(f"   {100.0 * share:.6g} % of SYNCs answered", style="" if share == 1.0 else "yellow")
     if "energy_log" in result:
         text.append(f"   energy log {result['energy_log']}", style="bold red")
     if result.get("config_hash"):

@@ -17,7 +17,8 @@ from canhaptic.scene.load import load_scene
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 STALLS = "simulation.bus={stall: [{begin: 1.15, duration: 0.06, every: 0.0713}]}"
-GOES_ON = ("axes.0.energy_loss_limit=none", "bus.stop_cycles=5000")  # where a rig would end the run
+ENDURES = ("axes.0.energy_uncertainty_limit=none", "bus.loss_limit=1")
+GOES_ON = ("axes.0.energy_loss_limit=none", "bus.stop_cycles=5000", *ENDURES)  # where a rig would end the run
 THROWN = (  # by a hand that has let go, at a wall
     "simulation.user=null",
     "simulation.plant={mass: 0.2 kg, damping: 0 N*s/m, initial_position: 0.02 m, initial_velocity: -0.3 m/s}",
@@ -113,7 +114,8 @@ def test_the_table_names_the_longest_hold(capsys: pytest.CaptureFixture[str]) ->
 def test_of_a_group_the_axis_held_longest_counts(rpdo: str, capsys: pytest.CaptureFixture[str]) -> None:
     scene = DEMO.with_name("two_handles.yaml")
     lost = f"simulation.bus={{drop: 0.45, ids: [{rpdo}]}}"
-    main(["run", str(scene), "--duration", "0.3", "--json", "--set", lost])
+    endures = ("bus.loss_limit=1", "axes.0.energy_uncertainty_limit=none", "axes.1.energy_uncertainty_limit=none")
+    main(["run", str(scene), "--duration", "0.3", "--json", *(w for each in (lost, *endures) for w in ("--set", each))])
     ports = json.loads(capsys.readouterr().out)["ports"]
     [group] = [port for port in ports.values() if "axes" in port]
     assert group["longest_hold"] > 1 + group["max_consecutive_losses"]

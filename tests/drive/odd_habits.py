@@ -253,7 +253,7 @@ HABITS = [
         "",
         in_motion(both(sends(0x185, "", is_remote_frame=True), sends(0x185, "00", is_extended_id=True))),
     ),
-    Habit("sends every second TPDO from then on", "runs", "", in_motion(sets(tpdo_every=2))),
+    Habit("sends every second TPDO from then on", "ended", "FRAMES_LOST", in_motion(sets(tpdo_every=2))),
     Habit("sends a TPDO 0.7 cycles late, once", "runs", "", late_once),
     Habit("answers no SDO expedited", "runs", "", sets(segments=True)),
     Habit("sends SDO answers without a request", "runs", "", in_motion(OddSlave.answers_stale)),

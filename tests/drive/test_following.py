@@ -7,7 +7,14 @@ import pytest
 
 from canhaptic.canopen.objects import StatusBit
 from canhaptic.drive.safety.link_policy import StopReason
-from canhaptic.errors import CommandLostError, EmergencyError, NotFollowingError, StateLeftError, TorqueLimitedError
+from canhaptic.errors import (
+    CommandLostError,
+    EmergencyError,
+    NotFollowingError,
+    StateLeftError,
+    TorqueContradictedError,
+    TorqueLimitedError,
+)
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.drive_bench import Bench, MakeBench, axis
 
@@ -190,15 +197,21 @@ def test_noise_within_the_tolerance_is_no_lost_command(bench: MakeBench) -> None
     assert b.rig.is_running
 
 
-def test_a_measured_torque_that_lags_or_wanders_is_no_lost_command(bench: MakeBench) -> None:
+def test_a_measured_torque_that_wanders_is_no_lost_command_but_contradicts_them(bench: MakeBench) -> None:
     """It is never near the old command for long: it is somewhere else."""
     b = bench([axis(read_back="actual")])
     tampered = Tampered(b)
     b.rig.start()
-    for cycle in range(200):
-        tampered.torque = 400 + cycle
-        b.run(1, torque=-3.0 if cycle > 20 else 3.0)
-    assert b.rig.is_running
+    tampered.torque = 400
+
+    def wander() -> None:
+        for cycle in range(2 * STOP):
+            tampered.torque = 400 + cycle
+            b.run(1, torque=-3.0 if cycle > 10 else 3.0)
+
+    with pytest.raises(TorqueContradictedError, match=rf"{STOP} SYNCs in a row, read 4.2 N, -3 .. 3 N commanded"):
+        wander()
+    assert is_without_torque(b)
 
 
 def test_commands_near_the_old_one_tell_nothing_and_forget_nothing(bench: MakeBench) -> None:

@@ -110,7 +110,7 @@ def test_a_torque_that_is_not_finite_is_no_torque(wrong: float) -> None:
 
 
 def test_the_policy_holds_ramps_and_stops_as_its_table_says() -> None:
-    policy = LinkPolicy(hold_cycles=2, stop_cycles=6)
+    policy = LinkPolicy(hold_cycles=2, stop_cycles=6, loss_limit=0.1, rate=1000.0)
     seen = []
     for _ in range(7):
         policy.on_missed()

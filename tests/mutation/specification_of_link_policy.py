@@ -9,9 +9,11 @@ from canhaptic.errors import (
     DriveStateFaultError,
     EmergencyError,
     EnergyLostError,
+    EnergyUncertainError,
     ForceContradictedError,
     ForceFrozenError,
     ForceRangeError,
+    FramesLostError,
     HeartbeatLostError,
     NmtStateLeftError,
     NotFollowingError,
@@ -20,8 +22,10 @@ from canhaptic.errors import (
     SecondMasterError,
     StateLeftError,
     SyncsSkippedError,
+    TorqueContradictedError,
     TorqueLimitedError,
     TorqueNotFiniteError,
+    TpdoContradictedError,
     TpdoLostError,
 )
 
@@ -34,6 +38,8 @@ REASONS = {  # the numbers are in logs that exist
     "COMMAND_LOST": 13,
     "SECOND_MASTER": 14,
     "SYNCS_SKIPPED": 15,
+    "FRAMES_LOST": 16,
+    "TPDO_CONTRADICTED": 17,
     "EMERGENCY": 20,
     "DRIVE_FAULT": 21,
     "STATE_LEFT": 22,
@@ -43,11 +49,13 @@ REASONS = {  # the numbers are in logs that exist
     "TORQUE_LIMITED": 26,
     "FORCE_RANGE": 27,
     "FORCE_FROZEN": 28,
+    "TORQUE_CONTRADICTED": 29,
     "CONTROLLER": 30,
     "EXCEPTION": 31,
     "ENERGY_LOST": 32,
     "FORCE_CONTRADICTED": 33,
     "OWN_CODE_LATE": 34,
+    "ENERGY_UNCERTAIN": 35,
 }
 RAISED = {
     "TPDO_LOST": TpdoLostError,
@@ -70,6 +78,10 @@ RAISED = {
     "ENERGY_LOST": EnergyLostError,
     "FORCE_CONTRADICTED": ForceContradictedError,
     "OWN_CODE_LATE": OwnCodeLateError,
+    "FRAMES_LOST": FramesLostError,
+    "TPDO_CONTRADICTED": TpdoContradictedError,
+    "TORQUE_CONTRADICTED": TorqueContradictedError,
+    "ENERGY_UNCERTAIN": EnergyUncertainError,
 }
 CASES = (
     # hold, stop, and what is left of the torque at 0, 1, 2, ... missed
@@ -89,7 +101,7 @@ def judge(module: ModuleType) -> None:
         assert module.reason_of(error("")).name == name
     assert module.reason_of(ValueError("")).name == "EXCEPTION"
     for hold, stop, shares in CASES:
-        policy = module.LinkPolicy(hold, stop)
+        policy = module.LinkPolicy(hold, stop, 0.1, 1000.0)
         for missed, share in enumerate(shares):
             assert (policy.missed, policy.missed_total, policy.cycles) == (missed, missed, missed)
             assert policy.torque_fraction() == share
@@ -98,7 +110,7 @@ def judge(module: ModuleType) -> None:
 
 
 def _counts(module: ModuleType) -> None:
-    policy = module.LinkPolicy(2, 6)
+    policy = module.LinkPolicy(2, 6, 0.1, 1000.0)
     assert policy.success_rate() == 1.0
     seen = []
     for heard in (True, False, False, True, False, True, True, True):
@@ -117,3 +129,29 @@ def _counts(module: ModuleType) -> None:
     policy.on_missed()
     policy.reset()
     assert (policy.cycles, policy.missed, policy.missed_total, policy.success_rate()) == (0, 0, 0, 1.0)
+    _budget(module)
+
+
+def _budget(module: ModuleType) -> None:
+    budget = module.LossBudget(0.25, 2.0)
+    seen = [(budget.lose(at), budget.level) for at in (4, 5, 6, 16)]
+    assert seen == [(False, 1.0), (False, 1.75), (True, 2.5), (False, 1.0)]
+    assert (budget.lose(17, 1.5), budget.level) == (True, 2.25)
+    budget.reset()
+    assert budget.level == 0.0
+    assert (budget.lose(0, 2.0), budget.level) == (False, 2.0)
+    for rate, stop, most in ((1000.0, 20, 20), (40.0, 20, 10), (60.0, 20, 15), (1000.0, 400, 250), (1000.0, 6, 10)):
+        policy = module.LinkPolicy(2, stop, 0.0, rate)
+        for _ in range(2):
+            spent = []
+            for _ in range(most + 1):  # every second SYNC: never two in a row
+                policy.on_tpdo()
+                policy.on_missed()
+                spent.append(policy.lose())
+            assert spent == [False] * most + [True]
+            policy.reset()
+    policy, spent = module.LinkPolicy(2, 40, 0.0, 40.0), []
+    for _ in range(41):  # in a row, of which `stop_cycles` has the say
+        policy.on_missed()
+        spent.append(policy.lose())
+    assert spent == [False] * 40 + [True]

@@ -98,6 +98,8 @@ SUBJECTS = {
         equivalent={
             "LinkPolicy.torque_fraction: if self.missed <= self._hold_cycles: => "
             "if self.missed < self._hold_cycles:": "the ramp begins at 1",
+            "LossBudget.reset: self._at, self.level = (0, 0.0) => "
+            "self._at, self.level = (-1, 0.0)": "a level of 0 falls no further",
         },
     ),
     "state_machine": Subject(

@@ -84,7 +84,7 @@ def test_a_number_with_all_its_digits_before_the_point_has_no_point() -> None:
 def test_every_part_of_the_result_is_in_the_report() -> None:
     text = printed(result(["still", "handle"]))
     for words in (
-        "ok   8000 cycles   scene checksum ab12cd34ef56",
+        "ok   8000 cycles   99.987 % of SYNCs answered   scene checksum ab12cd34ef56",
         "12.35 mJ",
         "-2.200 mJ",
         "0.123 s",

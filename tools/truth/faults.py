@@ -4,6 +4,7 @@ Left out is what no frame shows (docs/safety.md): a bit that a gateway turns in 
 node sends, a stuck encoder, and commands of another master where no torque is read back.
 """
 
+import copy
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -203,3 +204,39 @@ class JumpingBus:
         if message is not None and message.arbitration_id == _TPDO:
             message.data[5] ^= 0x40
         return message
+
+
+class TwinBus:
+    """A bus on which a second sender answers each SYNC too, with the same TPDO and another position.
+
+    Args:
+        bus: The bus.
+        cob_id: Of the TPDO.
+        moved: How far its position is off, in counts.
+        is_first: Whether it answers before the drive.
+
+    Attributes:
+        sent: Number of its frames.
+    """
+
+    def __init__(self, bus: can.BusABC, cob_id: int, moved: int, *, is_first: bool) -> None:
+        self.send, self._recv = bus.send, bus.recv
+        self._cob_id, self._moved, self._is_first = cob_id, moved, is_first
+        self._waiting: list[can.Message] = []
+        self.sent = 0
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Returns the next frame."""
+        if self._waiting:
+            return self._waiting.pop()
+        message = self._recv(timeout)
+        if message is None or message.arbitration_id != self._cob_id:
+            return message
+        self.sent += 1
+        twin = copy.copy(message)
+        twin.data = bytearray(message.data)
+        position = int.from_bytes(twin.data[2:6], "little", signed=True) + self._moved
+        twin.data[2:6] = position.to_bytes(4, "little", signed=True)
+        first, second = (twin, message) if self._is_first else (message, twin)
+        self._waiting.append(second)
+        return first

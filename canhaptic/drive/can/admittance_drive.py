@@ -76,6 +76,11 @@ class AdmittanceDrive(ServoDrive):
         """Return the steps that start an admittance display."""
         return AdmittanceBringUp(self)
 
+    @property
+    def quantum(self) -> float:
+        """Step of the force in its process data [N or N*m]."""
+        return abs(self.display.force.per_count)
+
     def _force_handler(self, node: "ForceNode") -> Callable[[bytearray], None]:
         """Return the handler of a sensor with its own node, whose frame is one more part of the sample."""
         bit = self._all_tpdos + 1
@@ -87,7 +92,7 @@ class AdmittanceDrive(ServoDrive):
                 self._statistics.short += 1
                 return
             if not self._pending & bit:
-                self._count_surplus(bit, is_same=False)
+                self._take_surplus(bit, (2,), (value_in(data),))
                 return
             self._stage[2] = value_in(data)
             self._take_part(bit)
@@ -143,6 +148,8 @@ class AdmittanceDrive(ServoDrive):
         if last.sync_index >= 0:
             self._step = (position - last.position) / periods
             self.longest_hold = max(self.longest_hold, periods)
+            if self._contest is not None:
+                self._settle_contest(self._contest, abs(position - last.position), abs(self.force.of(shown)))
         force = self.force.take(shown, periods)
         self._last = sample = _tuple(Sample, (sync_index, position, -force, statusword, True))
         return sample

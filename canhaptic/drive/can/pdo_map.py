@@ -13,6 +13,7 @@ mapping is declared ARRAY, and yet switches the PDO on.
 
 import struct
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Final, Literal
@@ -477,6 +478,7 @@ def check_dictionary(
         _watchdog(dictionary, axis, bus),
         *_sync_period(dictionary),
         _map(dictionary, axis, bus),
+        *_unseen(dictionary, axis),
     ]
 
 
@@ -517,6 +519,15 @@ def _sync_period(dictionary: ObjectDictionary) -> list[Finding]:
     use = ObjectUse(od.COMMUNICATION_CYCLE_PERIOD, 0, DataType.UNSIGNED32, reads=True)
     found = judged(dictionary, "0x1006 SYNC period", use, "correct the dictionary")
     return [found] if found.verdict is Verdict.REFUSED else []
+
+
+def _unseen(dictionary: ObjectDictionary, axis: AxisParameters) -> list[Finding]:
+    """Return what no frame shows where no torque is read back."""
+    with suppress(DictionaryError):
+        if axis.admittance is None and choose_map(dictionary, axis).read_back == "none":
+            text = "none: a lost or old torque, and one of another size or sign, is neither stopped nor in the account"
+            return [Finding("torque read back", Verdict.UNKNOWN, text)]
+    return []
 
 
 def _map(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None) -> Finding:

@@ -22,6 +22,7 @@ from canhaptic.errors import SdoError, StartError
 
 _SLOTS: Final = {od.STATUSWORD: 0, od.POSITION_ACTUAL: 1, od.TORQUE_DEMAND: 2, od.TORQUE_ACTUAL: 2}
 _DOUBT: Final = 1 << 30  # of the frames awaited: order after SYNC is not sure
+_WATCH: Final = 1 << 29  # the same: others may come, so that the window stays open to its end
 _OPERATIONAL: Final = int(od.NmtState.OPERATIONAL)
 
 
@@ -50,6 +51,7 @@ class ServoDrive(TorqueAxis):
         dictionary: Object dictionary of the drive.
         bus: Parameters of the bus.
         dry_run: Whether every RPDO carries a target torque of 0.
+        lateness: Longest time from a hold's begin until its torque has settled [s].
 
     Attributes:
         map: PDOs of the drive.
@@ -66,14 +68,15 @@ class ServoDrive(TorqueAxis):
 
     def __init__(
         self, link: Link, axis: AxisParameters, dictionary: ObjectDictionary, bus: BusParameters, *,
-        dry_run: bool = False,
+        dry_run: bool = False, lateness: float = 0.0,
     ) -> None:  # fmt: skip
         require_fit(dictionary, axis, bus)
         self.link, self.bus = link, bus
         self.map: AxisMap = pdo_map.choose_map(dictionary, axis)
         sdo = SdoChannel(link, axis.node_id, dictionary, axis.name, round(axis.sdo_timeout * 1e9))
         is_synchronous, times = bus.rpdo == "synchronous", (bus.sample_time_ns, bus.sample_time)
-        rules = CycleRules(*times, bus.hold_cycles, bus.stop_cycles, is_synchronous, bus.drive_silence_ns)
+        cycles, losses = (bus.hold_cycles, bus.stop_cycles), (bus.loss_limit, lateness)
+        rules = CycleRules(*times, *cycles, is_synchronous, bus.drive_silence_ns, *losses)
         super().__init__(axis, dictionary, sdo, rules, self.map.read_back, dry_run)
         self.window = SyncWindow()
         self._statistics = link.statistics
@@ -115,7 +118,8 @@ class ServoDrive(TorqueAxis):
         self.nmt_state = None
         self._stage: list[Any] = [0, 0, 0]  # statusword, position counts, torque per mille: of the SYNC that is open
         self._pending = 0  # one bit for each TPDO that may come now
-        self._doubt = 0  # `_DOUBT` where the SYNC before was not answered
+        self._doubt = 0  # `_DOUBT` where the SYNC before was not answered, `_WATCH` where one was answered differently
+        self._watches = 0  # SYNCs for which the window stays open to its end
 
     @property
     def nmt_state(self) -> int | None:
@@ -136,10 +140,16 @@ class ServoDrive(TorqueAxis):
 
     def refuse_tpdos(self) -> None:
         """Close the window: a later TPDO must not count for the next SYNC."""
-        if self._pending:
+        awaited = self._pending & ~_WATCH
+        if awaited:
             late = f"{self.part(self._all_tpdos)} as soon after SYNC as before: what comes may answer an older SYNC"
-            self.culprit = late if self._pending == _DOUBT else self.part(self._pending)
-            self._doubt = _DOUBT  # what comes after the next SYNC may answer this one
+            self.culprit = late if awaited == _DOUBT else self.part(awaited)
+            self._doubt |= _DOUBT  # what comes after the next SYNC may answer this one
+        if self._pending & _WATCH:
+            self.is_contested = self.is_contested and not awaited and not self.is_complete
+            self._watches -= 1
+            if self._watches <= 0:
+                self._doubt &= ~_WATCH
         self._pending = 0
 
     def part(self, bits: int) -> str:
@@ -234,7 +244,7 @@ class ServoDrive(TorqueAxis):
                 self._statistics.short += 1
                 return
             if not self._pending & bit:
-                self._count_surplus(bit, alone == bit and unpack(data) == self._values)
+                self._take_surplus(bit, slots, unpack(data))
                 return
             if self._pending == alone:  # `_take_part` in short: this runs for every drive in every cycle
                 self._values = values = unpack(data)
@@ -251,20 +261,36 @@ class ServoDrive(TorqueAxis):
     def _take_part(self, bit: int) -> None:
         """Record one frame of a sample, whose values are staged; the last one completes it."""
         self._pending ^= bit
-        if self._pending & ~_DOUBT:
+        if self._pending & ~(_DOUBT | _WATCH):
             return
-        if self._pending and self.now() - self.window.synced > self.window.latest:
+        if self._pending & _DOUBT and self.now() - self.window.synced > self.window.latest:
             self._statistics.late += 1
             return
-        self._doubt = self._pending = 0
+        self._pending &= _WATCH
+        self._doubt &= _WATCH
         self._values = tuple(self._stage)
         self.is_complete, self.statusword = True, self._values[0]
-        self.window.pending -= 1
+        if not self._pending:
+            self.window.pending -= 1
 
-    def _count_surplus(self, bit: int, is_same: bool) -> None:
-        """Count a second frame for one SYNC; if the SYNC before was missed, either frame may be the right answer."""
-        if self.is_complete and self.unheard and not is_same:
-            self.uncommanded += 1
+    def _take_surplus(self, bit: int, slots: tuple[int, ...], values: tuple[float, ...]) -> None:
+        """Count a second frame for one SYNC. Where its content is another one, the sample is lost.
+
+        If it was given out already, the account doubts it, and the windows of the next SYNCs stay open to their ends.
+        """
+        taken = self._values if self.is_complete else self._stage
+        if any(taken[slot] != value for slot, value in zip(slots, values, strict=True)):
+            self.culprit = f"{self.part(bit)} with different content for one SYNC"
+            if self._is_synchronous:  # else a torque that waits acts late
+                self._doubt, self._watches = self._doubt | _WATCH, self.bus.stop_cycles
+            if self.window.is_open:
+                self.is_complete, self.is_contested = False, True
+            elif self.is_complete and self.policy.cycles:
+                other = dict(zip(slots, values, strict=True))
+                self.contest(*(other.get(slot, taken[slot]) for slot in (1, 2)))
+        self._count_surplus(bit)
+
+    def _count_surplus(self, bit: int) -> None:
         if self.window.is_open:
             self._statistics.duplicate += 1
         else:

@@ -4,6 +4,7 @@ A fieldbus derives from `TorqueAxis`: it fills in the received values, and sends
 reads and writes single objects by `ObjectAccess`.
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections import deque
 from typing import Final, NamedTuple, Protocol
@@ -16,6 +17,7 @@ from canhaptic.drive.profile.torque_axis_parameters import ReadBack, TorqueAxisP
 from canhaptic.drive.safety.limiter import DryRunLimiter, TorqueLimiter
 from canhaptic.drive.safety.link_policy import LinkPolicy, StopReason
 from canhaptic.drive.safety.power_states import ENABLED_MASK, ENABLED_VALUE, FAULTED, PowerState, drive_state
+from canhaptic.drive.safety.torque_check import TorqueCheck
 from canhaptic.signals import Sample
 
 
@@ -62,6 +64,9 @@ _NO_REASON: Final = StopReason.NONE  # bound once: to look a member up in its en
 _LIMITED: Final = int(od.StatusBit.INTERNAL_LIMIT)
 _FOLLOWS: Final = int(od.StatusBit.FOLLOWS_COMMAND)
 _REMOTE: Final = int(od.StatusBit.REMOTE)
+_HALF: Final = 1 << 31  # 0x6064 wraps
+_FILTER: Final = 0.01
+"""Time in which a drive's filter of 0x6077, which no object describes, has settled [s]."""
 
 
 class ReceivedEmergency(NamedTuple):
@@ -87,6 +92,8 @@ class CycleRules(NamedTuple):
     stop_cycles: int  # missed cycles after which the rig stops
     is_synchronous: bool  # a torque acts at the SYNC after it was sent, and not at once
     silence: int  # of the drive that is tolerated [ns]
+    loss_limit: float  # share of the SYNCs whose sample or command may be lost for ever
+    lateness: float  # longest time from a hold's begin until its torque has settled [s]
 
 
 class TorqueAxis(ABC):
@@ -104,6 +111,7 @@ class TorqueAxis(ABC):
         dry_run: Whether the torque sent is always 0.
         statusword: Statusword of the last complete process data.
         is_complete: Whether all process data of the last SYNC arrived in their window.
+        is_contested: Whether different process data answered the last SYNC, of which any may be true.
         is_operational: Whether the drive exchanges process data, by its last report.
         alive_at: Time of the drive's last sign of life [ns].
         is_ours: Whether this start found every drive to be the one of the configuration, and so may write to this one.
@@ -124,7 +132,9 @@ class TorqueAxis(ABC):
             command, and half a per mille of rounding, times the displacement; the true torque lies between them unless
             the current loop overshoots. Without read-back: the command's largest difference from 0 and from every
             earlier command, because any of them may continue if lost RPDOs go unnoticed, times the displacement; where
-            only the sum of several displacements is known, times the farthest that `speed_limit` allows.
+            only the sum of several displacements is known, times the farthest that `speed_limit` allows. Where two
+            different process data answered one SYNC, also the difference that it makes which one is true.
+        contested: What of it is due to samples of which none knows whether they are true [J].
         unchanged: Consecutive SYNCs whose process data, with a torque, were identical to the bit: a handle held still,
             a stuck encoder, or process data that are no longer updated.
         uncommanded: Holds in which the torque read back exceeded its command, or had the other sign, and was no older
@@ -154,7 +164,7 @@ class TorqueAxis(ABC):
         self.scaling = axis_scaling(axis, axis.rated_torque or 1.0)
         limiter = DryRunLimiter if dry_run else TorqueLimiter
         self.limiter = limiter(axis.torque_limit, rules.sample_time, axis.torque_rate_limit, axis.power_limit)
-        self.policy = LinkPolicy(rules.hold_cycles, rules.stop_cycles)
+        self.policy = LinkPolicy(rules.hold_cycles, rules.stop_cycles, rules.loss_limit, 1.0 / rules.sample_time)
         self.is_ours = False
         self.left_out: frozenset[int] = frozenset()
         self.restores = self.identifies = True
@@ -169,12 +179,14 @@ class TorqueAxis(ABC):
         self._measures = read_back == "actual"
         self._shows_next = axis.demand_reported == "after"
         self._tolerance = axis.torque_tolerance / self.quirks.torque_resolution  # counts of 0x6077
+        settled = math.ceil((rules.lateness + _FILTER * self._measures) / rules.sample_time)
+        self.check = TorqueCheck(1 + rules.is_synchronous + settled, self._tolerance)
         # A handle just below the limit may pass one line of the encoder more than its speed makes.
         self._largest_step = axis.largest_speed * rules.sample_time + 1.0 / axis.counts_per_unit
 
     def reset(self) -> None:
         """Clear everything received and commanded; a derived class calls it once constructed."""
-        self.statusword, self.is_operational, self.is_complete = 0, False, False
+        self.statusword, self.is_operational, self.is_complete, self.is_contested = 0, False, False, False
         self.alive_at = self.now()
         self.emergency: ReceivedEmergency | None = None
         self.outputs: int | None = None
@@ -182,12 +194,14 @@ class TorqueAxis(ABC):
         self.controlword = int(od.Controlword.DISABLE_VOLTAGE)
         self._values: tuple[int, ...] | list[int] = (0, 0, 0)  # statusword, position counts, torque per mille
         self.unheard = self.unasked = 0
-        self.culprit, self.read_back_bound = "", 0.0
+        self.culprit, self.read_back_bound, self.contested = "", 0.0, 0.0
         self._spread = 0.0  # per mille: how far the torque is from what may have acted instead, see `read_back_bound`
         self._lowest = self._highest = 0  # per mille: of all commands that acted, or should have
         self.scaling.reset()
         self.limiter.reset()
         self.policy.reset()
+        self.check.reset()
+        self._distrust = _NO_REASON  # why the link or the torque is no longer trusted
         self._commanded = 0  # per mille: sent last
         self._acting = 0  # per mille: assumed to act now, with a synchronous RPDO
         self._later = deque([0] * self.quirks.syncs_late)  # per mille: sent, and not acting yet where that takes longer
@@ -205,6 +219,7 @@ class TorqueAxis(ABC):
         self.uncommanded = self.unchanged = self.open_time = 0
         self.open_torque = 0.0
         self._passed: list[int] = []  # per mille: commands that acted, or should have, since the last process data
+        self._contest: tuple[float, float] | None = None  # distance of other data of the last sample: position, torque
         self._is_late = False  # a SYNC was skipped before the last one
         self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
 
@@ -255,6 +270,11 @@ class TorqueAxis(ABC):
         return self.limiter.withheld if isinstance(self.limiter, DryRunLimiter) else 0.0
 
     @property
+    def quantum(self) -> float:
+        """Step of the torque in its process data [N*m or N]."""
+        return self.scaling.torque_quantum
+
+    @property
     def position_counts(self) -> int:
         """0x6064 of the last complete process data."""
         return self._values[1]
@@ -300,6 +320,8 @@ class TorqueAxis(ABC):
                 if self._reads_nothing and self.open_time:
                     farthest += periods * self._largest_step
                 self.read_back_bound += self._spread * scaling.torque_quantum * farthest
+            if self._contest is not None:
+                self._settle_contest(self._contest, abs(position - last_position), abs(torque) + self.open_torque)
         if position == last_position and torque == last_torque != 0.0 and statusword == last_word:
             self.unchanged += 1
         elif self.unchanged:
@@ -313,19 +335,54 @@ class TorqueAxis(ABC):
             self._held = self.limiter.last
         self.policy.on_missed()
         self.longest_hold = max(self.longest_hold, self._periods)
-        self._passed.append(self._acting if self._is_synchronous else self._commanded)
+        accounted = self._acting if self._is_synchronous else self._commanded
+        self._passed.append(accounted)
+        self.check.commands.append(accounted)
         self._acting = self._next_acting() if self._later else self._commanded
+        if self.policy.missed >= self._stop_cycles:
+            self._distrust = StopReason.TPDO_CONTRADICTED if self.is_contested else StopReason.TPDO_LOST
         if not self.is_complete:
             self.unheard += 1
+            self.count_loss()
             self._reported = self._acting  # its value where `_shows_next`
         elif self._shows_next:
             self._reported = self._values[2]
         self._last = self._last._replace(sync_index=sync_index, fresh=False)
         return self._last
 
+    def contest(self, counts: float, per_mille: float) -> None:
+        """Take other process data of the SYNC whose sample was given out: one of the two is true, and none knows which.
+
+        Args:
+            counts: Their position.
+            per_mille: Their torque or force, in steps of it.
+        """
+        self.uncommanded += 1
+        self.is_contested = True
+        self.count_loss()
+        moved = abs((counts - self._values[1] + _HALF) % (2 * _HALF) - _HALF) / self.axis.counts_per_unit
+        size = 0 if self._reads_nothing else abs(per_mille - self._values[2]) * self.quantum
+        before = abs(self._step) * self.longest_hold  # motion that this sample ends, at most
+        self._settle_contest((moved, size), before, abs(self._last.torque_applied))
+        self._contest = moved, size
+
+    def _settle_contest(self, contest: tuple[float, float], displacement: float, torque: float) -> None:
+        """Add what a doubtful sample adds to the error of a hold that it begins or ends."""
+        moved, size = contest
+        doubt = size * (displacement + moved) + torque * moved
+        self.read_back_bound += doubt
+        self.contested += doubt
+        self._contest = None
+
+    def count_loss(self) -> None:
+        """Take the last sample, or command, out of the budget of the link, unless the rig stops already."""
+        if self.policy.lose() and not self._distrust:
+            self._distrust = StopReason.TPDO_CONTRADICTED if self.is_contested else StopReason.FRAMES_LOST
+
     def _applied_per_mille(self, reported: int) -> int:
         """Torque of the hold that ended: read back, or assumed as commanded where nothing is read back."""
         accounted = self._acting if self._is_synchronous else self._commanded
+        self.check.commands.append(accounted)
         self._acting = self._next_acting() if self._later else self._commanded
         if self._shows_next:
             reported, self._reported = self._reported, reported
@@ -339,19 +396,43 @@ class TorqueAxis(ABC):
             self._spread = max(abs(reported - accounted), abs(reported - self._held_before))
             if self._spread or reported:
                 self._spread += 0.5  # 0x6077 is rounded
-        elif reported == accounted or reported != self._held_before:
+        elif reported == accounted:
+            self._stale_holds, self._stale_samples, self.check.contradicted = 0, self._periods, 0
+            self._followed = accounted
+        else:
+            self._judge_demand(reported, accounted)
+        self.open_time = self._leave_open(reported, accounted) if self._passed else 0
+        self._held_before = reported
+        return reported
+
+    def _judge_demand(self, reported: int, accounted: int) -> None:
+        """Count holds in which a demand read back is an old one, or none that was commanded."""
+        if reported != self._held_before:
             self._stale_holds, self._stale_samples = 0, self._periods
-            if reported != accounted:
-                self._judge_other(reported, accounted, 0.0)
+            self._judge_other(reported, accounted, 0.0)
         elif self._is_reduced(reported, accounted, 0.0):
             self._stale_samples = self._periods
         else:
             self._stale_holds += 1
             self._stale_samples += self._periods
             self.longest_hold = max(self.longest_hold, self._stale_samples)
-        self.open_time = self._leave_open(reported, accounted) if self._passed else 0
-        self._held_before = reported
-        return reported
+            if reported == self._followed:
+                self.count_loss()
+                self._distrust_command()
+                return
+        self._check(reported)
+
+    def _check(self, applied: int) -> None:
+        """Count a torque that is none of the commands that may act."""
+        self.check.judge(applied, (self._commanded, *self._passed))
+        if self.check.contradicted >= self._stop_cycles:
+            self._distrust = StopReason.TORQUE_CONTRADICTED
+        else:
+            self._distrust_command()
+
+    def _distrust_command(self) -> None:
+        if self._stale_holds >= self._stop_cycles:
+            self._distrust = StopReason.COMMAND_LOST
 
     def _next_acting(self) -> int:
         """Torque of the hold that begins [per mille], of a drive that acts later than at the next SYNC."""
@@ -387,11 +468,13 @@ class TorqueAxis(ABC):
         if not low - tolerance <= measured <= high + tolerance:  # between the last torque and the command it settles
             self._judge_other(measured, accounted, tolerance)
         if abs(measured - accounted) <= tolerance:
-            self._followed, self._stale_holds = accounted, 0
+            self._followed, self._stale_holds, self.check.contradicted = accounted, 0, 0
         elif abs(measured - self._followed) > tolerance:
             self._stale_holds = 0
+            self._check(measured)
         elif abs(accounted - self._followed) > 2.0 * tolerance and not self._is_reduced(measured, accounted, tolerance):
             self._stale_holds += 1
+            self._distrust_command()
 
     def _is_reduced(self, applied: int, commanded: int, tolerance: float) -> bool:
         """Whether a limit that the drive shows (bit 11) explains a torque: it is smaller and of the same sign.
@@ -426,9 +509,14 @@ class TorqueAxis(ABC):
             return StopReason.HEARTBEAT_LOST
         if not abs(self._step) <= self._largest_step:  # NaN too
             return StopReason.POSITION_JUMP
-        if self.policy.missed >= self._stop_cycles:
-            return StopReason.TPDO_LOST
-        return StopReason.COMMAND_LOST if self._stale_holds >= self._stop_cycles else _NO_REASON
+        return self._distrust
+
+    @property
+    def suspicion(self) -> StopReason:
+        """What makes the account of this axis uncertain at present, before it alone ends the run; NONE if unknown."""
+        if self.is_contested:
+            return StopReason.TPDO_CONTRADICTED
+        return StopReason.TORQUE_CONTRADICTED if self.check.contradicted > self._hold_cycles else _NO_REASON
 
     def _state_fault(self) -> StopReason:
         if self.emergency is not None:

@@ -63,9 +63,6 @@ class TorqueAxisParameters(Parameters):
     """Torque or force of the axis per torque of the motor (gear ratio, 1/pulley radius); scales 0x6076."""
     torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0)]
     """Largest torque that is sent, however much is requested; also written to 0x6072 where the drive has it."""
-    limit_by_master: bool = False
-    """Whether the master alone keeps a `torque_limit` below the least value of 0x6072 that the dictionary states, which
-    the drive is then given; false: refused. `canhaptic evidence` sets it for its run at a tenth."""
     torque_verified: Literal["weight", "balance", "mass", "no"] | None = None
     """How the scale of the torque was verified: by a weight on an arm, a spring balance, or the known mass
     (`canhaptic commission`). Needed on real drives; with `no` they are sent a hundredth of `torque_limit` at most."""
@@ -83,6 +80,10 @@ class TorqueAxisParameters(Parameters):
     energy_loss_limit: Annotated[float, quantity("J", gt=0.0, le=10.0)] | Literal["none"] | None = None
     """Energy that the port may generate beyond the declared amount before the rig stops; a group takes the least of its
     axes. By default 10 mJ; in simulation only for algorithms that promise passivity. `none` in simulation only."""
+    energy_uncertainty_limit: Annotated[float, quantity("W", gt=0.0, le=1e3)] | Literal["none"] | None = None
+    """Growth [J/s] of what the algorithm leaves uncertain of the port's energy, and doubtful samples, that is tolerated
+    for ever; beyond it, and what 1 s of it makes, the rig stops. By default 0.1 W for algorithms that promise passivity
+    in simulation; with real drives no limit, since it needs a timing that was commissioned."""
     read_back: Literal["auto", "demand", "actual", "none"] = "auto"
     """Torque in the TPDO: 0x6074, 0x6077, nothing; auto takes the first that the dictionary allows."""
     torque_tolerance: Annotated[float, quantity("1", gt=0.0, le=1.0)] = 0.05
