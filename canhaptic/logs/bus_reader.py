@@ -217,9 +217,10 @@ def _read_text(path: Path, remarks: Remarks) -> Iterator[Frame]:
 
 
 def _are_spans(times: Sequence[int]) -> bool:
-    """Return whether times [ns] are those since the last frame: such times fall often, and those of a clock rarely."""
-    falls = sum(after < before or after == before > 0 for before, after in pairwise(times))
-    return 10 * falls > len(times)
+    """Return whether times [ns] are those since the last frame: such times fall again and again, or stay the same."""
+    falls = [before - after for before, after in pairwise(times) if after < before]
+    is_constant = len(times) > 2 and times[1] > 0 and len(set(times[1:])) == 1
+    return is_constant or 10 * len(falls) > len(times) or sum(falls) > 3 * max(times)
 
 
 def _rows(path: Path, remarks: Remarks) -> Iterator[tuple[int, LineFrame]]:

@@ -1,6 +1,7 @@
 """Logs as people have them: pasted from the screen, from SavvyCAN, compressed, with clocks that were set."""
 
 import gzip
+from itertools import accumulate
 from pathlib import Path
 
 import can
@@ -73,14 +74,27 @@ def test_what_is_no_frame_of_canopen_is_counted(tmp_path: Path, line: str, kind:
     assert (len(frames), said) == (1, [f"frames left out: 1 {kind}"])
 
 
-def test_times_since_the_last_frame_are_added_up_and_those_from_zero_are_not(tmp_path: Path) -> None:
-    spans = [0, 1000, 1000, 250, 0, 3_000_000]
-    lines = [f" ({us // 1_000_000:03d}.{us % 1_000_000:06d})  can0  080   [0]\n" for us in spans]
+SPANS = "times are those since the last frame (candump -td): they were added up"
+
+
+@pytest.mark.parametrize(
+    ("microseconds", "are_spans"),
+    [
+        ([0, 1000, 1000, 250, 0, 3_000_000], True),
+        ([0, 1000, 1000, 1000], True),  # a SYNC alone
+        ([0, *([1000] + [0] * 19) * 4], True),  # many frames at each SYNC
+        ([0, 0, 0, 1000, 1000, 1000, 2000, 2000], False),  # as a simulation stamps
+        ([*range(0, 90_000, 1000), *range(0, 90_000, 1000)], False),  # two recordings in one file
+    ],
+)
+def test_times_since_the_last_frame_are_added_up_and_those_from_zero_are_not(
+    tmp_path: Path, microseconds: list[int], are_spans: bool
+) -> None:
+    lines = [f" ({us // 1_000_000:03d}.{us % 1_000_000:06d})  can0  080   [0]\n" for us in microseconds]
     frames, said = read(tmp_path / "a.log", "".join(lines))
-    assert [frame.timestamp_ns // 1000 for frame in frames] == [0, 1000, 2000, 2250, 2250, 3_002_250]
-    assert said == ["times are those since the last frame (candump -td): they were added up"]
-    frames, said = read(tmp_path / "a.log", "".join(sorted(set(lines))))
-    assert ([frame.timestamp_ns // 1000 for frame in frames], said) == (sorted(set(spans)), [])
+    expected = list(accumulate(microseconds)) if are_spans else microseconds
+    assert [frame.timestamp_ns // 1000 for frame in frames] == expected
+    assert (SPANS in said) is are_spans
 
 
 def test_a_clock_that_was_set_is_told(tmp_path: Path) -> None:
