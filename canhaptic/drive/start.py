@@ -71,9 +71,9 @@ def start(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
     for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
         if drive.identifies:
             bring_up.identify()
-    for drive in exchange.drives:
-        drive.is_ours = True  # not before all are: this might be another machine
-    for bring_up in bring_ups:
+    for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
+        require_none()
+        drive.is_ours = True  # not before all are known: this might be another machine
         bring_up.call()  # all of them first: their heartbeats come while the first is awaited
     for bring_up in bring_ups:
         bring_up.configure()

@@ -195,6 +195,21 @@ def test_without_an_answer_of_the_outputs_none_of_them_is_written_also_at_the_st
     assert frames == ["40fe600100000000"]
 
 
+def test_a_drive_that_the_start_has_not_reached_is_left_to_hold_its_weight(bench: MakeBench, tmp_path: Path) -> None:
+    brake = Brake(by="host", output=16, **TIMES)
+    b = bench([axis(n, brake=brake, eds=with_outputs(tmp_path), watchdog=False) for n in (5, 6)])
+    b.rig.start()
+    b.run(100, WEIGHT)
+    begin = len(b.frames)
+    b.tampered.on_receive = lambda frame: None if bytes(frame.data[1:4]) == b"\xfe\x60\x01" else frame
+    with pytest.raises(StartError, match="axis5: brake"):
+        b.rig.start()
+    sent = [(can_id, data) for _, can_id, data, is_rx in b.frames[begin:] if not is_rx]
+    assert {data[0] for can_id, data in sent if can_id in (0x606, 0x206)} == {0x40}
+    assert [data for can_id, data in sent if can_id == 0 and data[1] in (0, 6)] == []
+    assert (b.drives[0].state, b.drives[1].state) == (DriveState.SWITCH_ON_DISABLED, DriveState.OPERATION_ENABLED)
+
+
 @pytest.mark.parametrize("foreign", [5, 6])
 @pytest.mark.parametrize("how", ["vendor", "device type"])
 def test_a_foreign_drive_is_sent_nothing_but_reads(bench: MakeBench, tmp_path: Path, foreign: int, how: str) -> None:

@@ -114,7 +114,7 @@ class TorqueAxis(ABC):
         is_contested: Whether different process data answered the last SYNC, of which any may be true.
         is_operational: Whether the drive exchanges process data, by its last report.
         alive_at: Time of the drive's last sign of life [ns].
-        is_ours: Whether this start found every drive to be the one of the configuration, and so may write to this one.
+        is_ours: Whether this start knows every drive as that of the configuration, and has begun to write to this one.
         left_out: Objects that the start skips, as the older master of a replayed run did.
         restores: Whether the stop restores values that the start wrote; False for the older master of a replayed run.
         identifies: Whether nothing is written before the identity was read; False for such a master.

@@ -196,12 +196,13 @@ def _cycle_until_disabled(exchange: StoppedExchange, drives: Sequence[StoppedAxi
     of SDO and NMT, no remaining drive shows zero torque; the caller then disables by SDO.
     """
     period, now = exchange.sample_time_ns, exchange.now
+    ours = [drive for drive in exchange.drives if drive.is_ours]
     stopping = max([drive.stop_time for drive in drives])  # until then a drive that brakes is left to brake
     patience = now() + stopping
     end = now() + max(100_000_000, _FEWEST_CYCLES * period, exchange.silence) + stopping
     cycles = rounds = 0
     while now() < end:
-        parts = [_try(partial(_write_zero, exchange.drives)), _try(exchange.beat), _try(exchange.sync)]
+        parts = [_try(partial(_write_zero, ours)), _try(exchange.beat), _try(exchange.sync)]
         if not all(parts):
             exchange.wait_until(now() + period)
             continue
