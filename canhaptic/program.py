@@ -345,7 +345,8 @@ class OpenRig:
         if not self._has_own_handler(number):
             note(number)
         if self._is_ending or self._is_at_work or _is_ours(frame):
-            self._deferred.append(number)
+            if self._has_own_handler(number) or len(self._numbers) == 1:  # one exception is enough
+                self._deferred.append(number)
         else:
             self._act_on(number, frame)
 

@@ -6,6 +6,7 @@ Ctrl-C ends a command that moves no drive at once, also within a library call th
 """
 
 import argparse
+import errno
 import gc
 import importlib
 import os
@@ -20,7 +21,7 @@ from typing import Any, Final, Self
 from canhaptic.cli.options import add_arguments, table
 from canhaptic.errors import CanHapticError, InputError, OverrideWarning
 from canhaptic.registry import nearest
-from canhaptic.view.terminal import failure, write_failure, write_json, write_note
+from canhaptic.view.terminal import failure, leave_closed_terminal, write_failure, write_json, write_note
 
 COMMANDS: Final = {name: of["about"] for name, of in table().items()}
 """Subcommand -> its description."""
@@ -156,10 +157,18 @@ def _execute(arguments: argparse.Namespace) -> int:
         return _BROKEN_PIPE
     except CanHapticError as raised:
         error = raised
+    except MemoryError:
+        error = CanHapticError("out of memory; end other programs, or raise the limit (ulimit -v)")
     except OSError as raised:
-        if raised.filename is None:
+        if raised.errno == errno.EIO and raised.filename is None:  # the terminal was closed
+            leave_closed_terminal()
+            return _BROKEN_PIPE
+        if raised.errno in (errno.EMFILE, errno.ENFILE):
+            error = CanHapticError("no more files can be opened; end other programs, or raise the limit (ulimit -n)")
+        elif raised.filename is None:
             raise
-        error = InputError(f"{raised.filename}: {raised.strerror}; name another file")
+        else:
+            error = InputError(f"{raised.filename}: {raised.strerror}; name another file")
     if getattr(arguments, "json", False):
         write_json(failure(error))
     write_failure(error)

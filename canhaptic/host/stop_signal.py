@@ -40,7 +40,9 @@ def note(number: int, frame: FrameType | None = None) -> None:
 
 
 class StopSignal:
-    """Within the block, signals that end a process are noted; one that is ignored, as by `nohup`, stays ignored.
+    """Within the block, signals that would end the process are noted.
+
+    One that is ignored, as by `nohup`, stays ignored; one with a handler stays its own, unless `take` is given.
 
     Args:
         insists: Whether a second signal ends the process at once: for commands that move no drive.
@@ -55,6 +57,7 @@ class StopSignal:
         self.numbers: list[int] = []
         self.before: dict[int, _Handler] = {}
         self._take = self._insist if insists else take
+        self._takes_all = take is not note
 
     def requested(self) -> bool:
         """Return whether to stop."""
@@ -69,7 +72,7 @@ class StopSignal:
         _noted.append(self.numbers)
         for number in _ENDING:
             handler = signal.getsignal(number)
-            if handler is not signal.SIG_IGN and handler is not None:  # None: a library in C has its own
+            if handler in (signal.SIG_DFL, signal.default_int_handler) or (self._takes_all and callable(handler)):
                 self.before[number] = handler
                 signal.signal(number, self._take)
         return self

@@ -187,6 +187,7 @@ class Experiment:
 
     Attributes:
         scene: The scene it was built from.
+        config_hash: Its hash.
         pace: "free" (lock-step with simulated drives, as fast as the machine allows) or "real".
         far_side: Simulated drives inside this process; None with real drives.
         faulty_buses: The master's connections to the buses with simulated faults, by name of the bus.
@@ -200,6 +201,7 @@ class Experiment:
         self, scene: Scene, pace: _Pace, energy_log: Path | None, bus_log: Path | None, *, no_torque: bool = False
     ) -> None:
         self.scene, self.pace, self._log_failure = scene, pace, ""
+        self.config_hash = scene.config_hash()  # now: it reads the dictionaries, and a run may use up every descriptor
         controllers, meters = build_axis_controllers(scene), build_axis_meters(scene)
         _require_push(scene.source, [axis for axis in scene.axes if not axis.group], controllers)
         with ExitStack() as stack:
@@ -429,7 +431,7 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
         elapsed: Duration of the run [s].
     """
     scene, cycle = experiment.scene, experiment.cycle
-    account = run_result(cycle, status=status, config_hash=scene.config_hash(), method=_method(experiment))
+    account = run_result(cycle, status=status, config_hash=experiment.config_hash, method=_method(experiment))
     names = [axis.parameters.name for axis in scene.axes if axis.simulation is not None]  # with a plant of its own
     _add_of_axes(experiment, account["ports"])
     account["plants"] = {

@@ -16,10 +16,12 @@ import pytest
 
 import canhaptic
 from canhaptic.cli.main import main
+from canhaptic.drive.can.exchange import Exchange
+from canhaptic.drive.rig import Rig
 from canhaptic.errors import CycleFailedError, InputError, RigError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.program import OpenRig
-from tests.acceptance.bus_frames import DEMO, commands, read_log, reports
+from tests.acceptance.bus_frames import DEMO, assert_never_enabled, commands, read_log, reports
 from tests.acceptance.test_ways_out import syncs_from_torque_to_zero
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -220,6 +222,68 @@ def test_every_way_out_sends_zero_torque_first_and_disables_second(what: str, tm
                 law(rig)
         assert_taken_away(tmp_path / "b.log", rig)  # before the block ends
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_program_that_catches_the_interrupt_in_its_loop_ends_at_the_next_turn(tmp_path: Path) -> None:
+    turns: list[int] = []
+
+    def law(rig: OpenRig) -> None:
+        for sample in rig:
+            wall(rig, sample)
+            turns.append(sample["handle"].sync_index)
+            if len(turns) == 500:
+                with pytest.raises(KeyboardInterrupt):
+                    signal.raise_signal(signal.SIGINT)
+
+    with canhaptic.open_rig(DEMO, bus_log=tmp_path / "b.log") as rig, pytest.raises(KeyboardInterrupt):
+        law(rig)
+    assert len(turns) == 500
+    frames = read_log(tmp_path / "b.log")
+    torques = [command.target_torque for command in commands(frames)]
+    assert any(torques)
+    assert (torques[-1], reports(frames)[-1].is_enabled) == (0, False)
+
+
+def test_a_handler_of_the_program_is_called_between_two_pieces_of_the_rigs_work_and_decides(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    called: list[str] = []
+    sync = Rig.sync
+
+    def interrupted(rig: Rig) -> Any:
+        if rig.sync_index == 3:
+            signal.raise_signal(signal.SIGTERM)
+            assert not called
+        return sync(rig)
+
+    monkeypatch.setattr(Rig, "sync", interrupted)
+    before = signal.signal(signal.SIGTERM, lambda number, frame: called.append(f"signal {number}"))
+    try:
+        with canhaptic.open_rig(DEMO) as rig:
+            for sample in rig:
+                if sample["handle"].sync_index == 5:
+                    assert called == [f"signal {signal.SIGTERM}"]
+                    break
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.parametrize("signals", [1, 3])
+def test_signals_in_the_start_end_it_before_anything_is_enabled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, signals: int
+) -> None:
+    begin = Exchange.begin
+
+    def interrupted(exchange: Exchange) -> None:
+        for _ in range(signals):
+            signal.raise_signal(signal.SIGQUIT)
+        begin(exchange)
+
+    with canhaptic.open_rig(DEMO, bus_log=tmp_path / "b.log") as rig:
+        monkeypatch.setattr(Exchange, "begin", interrupted)
+        with pytest.raises(SystemExit, match="131"):
+            next(iter(rig))
+    assert_never_enabled(read_log(tmp_path / "b.log"))
 
 
 def assert_taken_away(bus_log: Path, rig: OpenRig) -> None:

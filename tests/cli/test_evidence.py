@@ -3,7 +3,9 @@
 import hashlib
 import json
 import re
+import signal
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -110,3 +112,21 @@ def test_what_was_confirmed_and_when_is_kept_and_changes_no_configuration() -> N
     scene = load_scene(DEMO, ['confirmed={brake: "2026-11-23 10:00 UTC"}'])
     assert scene.resolved()["run"]["confirmed"] == given  # as the log holds it
     assert scene.config_hash() == load_scene(DEMO).config_hash()
+
+
+def test_evidence_ends_at_the_first_signal_without_another_run_and_without_a_page_to_sign(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*words: Any, **more: Any) -> Any:
+        signal.raise_signal(signal.SIGHUP)  # between the question and the start of the dry run
+        return build(*words, **more)
+
+    monkeypatch.setattr("canhaptic.cli.evidence.walk", lambda session, duration: ([], None))
+    monkeypatch.setattr("canhaptic.cli.evidence.build", interrupted)
+    out = tmp_path / "bundle"
+    assert main(["evidence", str(DEMO), "--yes", "--out", str(out), "--duration", "1"]) == 129
+    assert {file.name for file in out.iterdir()} >= {"dry_run.log", "dry_run.json"}
+    assert not list(out.glob("tenth*"))
+    assert not (out / "sign.md").exists()
+    assert not re.search(r"201#0[67F]00", (out / "dry_run.log").read_text())  # nothing was enabled
+    assert "is incomplete and has no page to sign" in capsys.readouterr().err

@@ -87,18 +87,18 @@ def syncs_with_torque(bench: Bench, first_sync: int) -> int:
     return max(0, last - first_sync)
 
 
-@pytest.mark.slow_but("37-2", "37-10")
+@pytest.mark.slow_but("37-1-2", "37-1-10")
 @pytest.mark.parametrize("signals", [1, 2, 3, 10])
-@pytest.mark.parametrize("step", [37, 1])
+@pytest.mark.parametrize(("step", "begin"), [(37, 1), *((5, n) for n in range(1, 6))])
 def test_signals_at_every_instant_of_a_run_leave_no_torque_and_no_enabled_drive(
-    looks: Looks, signals: int, step: int
+    looks: Looks, signals: int, step: int, begin: int
 ) -> None:
     whole = all_places(looks)
     assert whole > 300
     longest = 0
-    for first in range(1, whole, step):
+    for first in range(begin, whole, step):
         longest = max(longest, assert_stopped(looks, range(first, first + signals), CYCLES))
-    print(f"{signals} signals at {whole} instants: at most {longest} SYNCs with torque")
+    print(f"{signals} signals at every {step}. of {whole} instants: at most {longest} SYNCs with torque")
     assert longest <= 2
 
 
