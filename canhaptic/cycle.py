@@ -20,6 +20,7 @@ from canhaptic.drive.clock import DurationHistogram, VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.safety.link_policy import LossBudget, StopReason, reason_of
 from canhaptic.errors import (
+    CanHapticError,
     CycleFailedError,
     EmergencyError,
     InputError,
@@ -390,12 +391,21 @@ def run(
                 progress(cycle.cycles)
 
 
+def _start(rig: Rig) -> None:
+    try:
+        rig.start()
+    except CanHapticError:
+        raise
+    except Exception as error:  # such as no memory: a run that has an account all the same
+        raise CycleFailedError(f"the start failed: {cause_of(error)}", rig.records) from error
+
+
 @contextmanager
 def running(cycle: Cycle) -> Iterator[None]:
     """Start the rig, and stop it on every exit from the block: zero torque first. See `run`."""
     rig = cycle.rig
     try:
-        rig.start()
+        _start(rig)
         try:
             cycle.note_holds()
             yield

@@ -656,6 +656,8 @@ class Session:
             changed, _ = changed_settings(drive, settings_of(before))
             found = "; ".join(changed) or "the same"
             self.judged(axis, "scale, sign, limits", "the last ones", found, good=not changed, text="kept anew")
+        if self.axes[axis].parameters.settings_accepted is not None:
+            self.propose(axis, "settings_accepted", "null", comment="part of settings_checked now")
         kept = settings_text(recorded_settings(drive))
         self.propose(axis, "settings_checked", kept or None, comment="scale, sign, limits: compared at each start")
 

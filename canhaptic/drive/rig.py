@@ -25,7 +25,7 @@ from canhaptic.drive.safety import stop
 from canhaptic.drive.safety.link_policy import STOP_TABLE, LossBudget, StopReason
 from canhaptic.drive.safety.stop import Trust
 from canhaptic.drive.start import start
-from canhaptic.errors import ControlError, InputError, LinkError, RigError
+from canhaptic.errors import ControlError, InputError, LinkError, RigError, cause_of
 from canhaptic.host.realtime import Realtime, RealtimeParameters
 from canhaptic.signals import CycleTiming, Sample
 
@@ -118,6 +118,7 @@ class Rig:
                 not the one of the configuration, nothing was sent but reads, and all are left as they were.
             StartStoppedError: A signal asked for the end; all drives are left disabled.
             SecondMasterError: Another master sends on a bus; all drives are left disabled.
+            RigError: It failed, and a drive did not confirm that it is disabled.
         """
         self._reset()
         for link in self.links:
@@ -128,9 +129,12 @@ class Rig:
             start(self._exchange, [drive.bring_up() for drive in self.drives])
         except BaseException as error:
             self.stop_reason = StopReason.EXCEPTION
-            self._disable(Trust.FULL)  # it was never given a torque
+            unconfirmed = self._disable(Trust.FULL)  # it was never given a torque
             if isinstance(error, RigError):
                 self._require_no_other_master()  # another master explains a failed step
+            if unconfirmed and isinstance(error, Exception):
+                text = f"{cause_of(error)}; NOT confirmed to be disabled: {'; '.join(unconfirmed)}"
+                raise RigError(text, self.records) from error
             raise
         self._mark_start(is_starting=False)
         self._require_no_other_master()
@@ -294,7 +298,7 @@ class Rig:
             if ramp:
                 stop.ramp_down(self._exchange, self.bus.stop_ramp)
                 trust = Trust.FULL
-        except RigError:
+        except Exception:
             trust = Trust.NONE
             self.stop_reason = StopReason.EXCEPTION  # zero torque and disable follow below all the same
         finally:
@@ -330,7 +334,7 @@ class Rig:
         try:
             for line in self._sdo_lines:
                 line.close()
-            problems = stop.disable(self._exchange, trust)
+            problems = self._disabled(trust)
             for drive, problem in zip(self.drives, problems, strict=True):
                 if drive.is_ours and drive.sdo.changes:
                     restore(drive, problem)
@@ -338,6 +342,16 @@ class Rig:
             return [f"{drive.axis.name}: {what}" for drive, what in zip(self.drives, problems, strict=True) if what]
         finally:
             self.realtime.end()
+
+    def _disabled(self, trust: Trust) -> list[str]:
+        """Disable every drive, tried once more where the stop itself failed, such as without memory."""
+        try:
+            return stop.disable(self._exchange, trust)
+        except Exception:
+            try:
+                return stop.disable(self._exchange, Trust.NONE)
+            except Exception as error:
+                return [f"the stop failed: {cause_of(error)}"] * len(self.drives)
 
     def details(self, drive: ServoDrive, reason: StopReason) -> str:
         """Return what was seen of a drive that is a reason to stop."""

@@ -334,7 +334,7 @@ _OF_DISPLAYS: Final = ("admittance", "simulation.admittance", "simulation.drive.
 _LATER: Final[Mapping[str, tuple[object, ...]]] = {
     "start_timeout": (5.0,),
     "drive_objects": ({},),
-    "restore_limits": (False,),
+    **dict.fromkeys(("restore_limits", "limit_by_master"), (False,)),
     **dict.fromkeys(
         ("energy_loss_limit", "brake", "hold_checked", "check_hold", "hold_dither", "settings_checked", *_REQUIRED),
         (None,),

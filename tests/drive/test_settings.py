@@ -7,7 +7,7 @@ import pytest
 
 from canhaptic.drive.profile.drive_objects import settings_of, settings_text
 from canhaptic.drive.profile.drive_settings import recorded_settings
-from canhaptic.errors import StartError
+from canhaptic.errors import DictionaryError, StartError
 from tests.drive.drive_bench import OUR_EDS, Bench, MakeBench, axis
 
 KEPT = "0x6072=1000 0x6075=5000 0x6076=10000 0x607E=0 0x6091.1=1 0x6091.2=1 0x60E0=1000 0x60E1=1000"
@@ -103,6 +103,21 @@ def test_what_no_commissioning_has_seen_is_said(bench: MakeBench, eds: Path) -> 
     assert limit == "0x60e0:00 Setting = 799, below torque_limit (800): the drive cuts what is sent"
     b.rig.start()
     assert len(b.rig.drives[0].remarks) == 2
+
+
+def test_below_the_least_limit_of_a_drive_the_master_limits_alone_where_the_scene_says_so(
+    bench: MakeBench, tmp_path: Path
+) -> None:
+    text, path = OUR_EDS.read_text(encoding="utf-8"), tmp_path / "least.eds"
+    begin = text.index("[6072]")
+    path.write_text(text[:begin] + "[6072]\nLowLimit=100" + text[begin + 6 :], encoding="utf-8")
+    with pytest.raises(DictionaryError, match=r"limited to 100\.\..*, but the scene needs 50"):
+        bench([axis(eds=path, torque_limit=0.5)])
+    b = bench([axis(eds=path, torque_limit=0.5, limit_by_master=True)])
+    b.rig.start()
+    assert b.rig.drives[0].sdo.read(0x6072) == 100
+    b.run(3, torque=8.0)
+    assert b.torques_sent()[-1] == 50
 
 
 def test_a_turned_polarity_turns_the_position_of_the_simulated_drive(bench: MakeBench, eds: Path) -> None:

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import Controlword, is_writable
-from canhaptic.drive.profile.fitness import MODES, agreed_rated_torque, decimal_period
+from canhaptic.drive.profile.fitness import MODES, agreed_rated_torque, decimal_period, written_max_torque
 from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.drive.safety.power_states import FAULTED, TORQUE_FREE, PowerState, drive_state
@@ -372,7 +372,8 @@ class BringUp(ABC):
             raise self.refusal("torque limit", f"torque_limit {limit:g}", expected)
         if drive.quirks.writes_max_torque and is_writable(drive.dictionary, od.MAX_TORQUE, 0):
             per_mille = torque_limit_per_mille(limit, drive.scaling.rated_torque)
-            self._write_confirmed("torque limit", od.MAX_TORQUE, 0, per_mille)
+            in_drive = written_max_torque(drive.dictionary, drive.axis, per_mille)
+            self._write_confirmed("torque limit", od.MAX_TORQUE, 0, in_drive)
 
     def _drive_objects(self) -> None:
         for place, value in self._drive.axis.written_objects.items():

@@ -3,7 +3,7 @@
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import is_writable
 from canhaptic.drive.profile.drive_objects import DRIVE_SETTINGS, Settings
-from canhaptic.drive.profile.fitness import agreed_rated_torque
+from canhaptic.drive.profile.fitness import agreed_rated_torque, written_max_torque
 from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.errors import DictionaryError, SdoError
@@ -66,7 +66,8 @@ def _limit_of_start(drive: TorqueAxis, settings: Settings) -> int | None:
         rated_torque = agreed_rated_torque(drive.axis, counts, drive.quirks.rated_torque_resolution)
     except DictionaryError:  # the start refuses it
         return None
-    return torque_limit_per_mille(drive.axis.torque_limit, axis_scaling(drive.axis, rated_torque).rated_torque)
+    limit = torque_limit_per_mille(drive.axis.torque_limit, axis_scaling(drive.axis, rated_torque).rated_torque)
+    return written_max_torque(drive.dictionary, drive.axis, limit)
 
 
 def _is_of_a_start(drive: TorqueAxis, place: tuple[int, int], wanted: Settings, now: Settings) -> bool:

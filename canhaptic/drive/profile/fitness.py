@@ -283,11 +283,18 @@ def _max_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
         kept = f"{state}; {keeper} keeps {axis.torque_limit:g}"
         return Finding(item, Verdict.UNKNOWN, limit_objection(dictionary, axis) or kept)
     limit, asked = _max_torque_value(axis), f"torque_limit {axis.torque_limit:g}"
+    limit = limit if limit is None else written_max_torque(dictionary, axis, limit)
     use = ObjectUse(od.MAX_TORQUE, reads=True, writes=True, values=() if limit is None else (limit,))
     if (text := objection(dictionary, use)) is not None:
         hint = f"{_CORRECT}, choose another torque_limit, or quirks: [max_torque_absent]"
         return Finding(item, Verdict.REFUSED, f"{text} for {asked}; {hint}")
     return Finding(item, Verdict.FIT, f"written from {asked}")
+
+
+def written_max_torque(dictionary: Dictionary, axis: TorqueAxisParameters, limit: int) -> int:
+    """Return the value of 0x6072 for a limit: the drive's least where the master may keep a smaller one alone."""
+    least = getattr(dictionary.get_variable(od.MAX_TORQUE), "min", None)
+    return max(limit, least) if axis.limit_by_master and isinstance(least, int) else limit
 
 
 def largest_value(dictionary: Dictionary, index: int) -> int:

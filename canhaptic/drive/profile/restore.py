@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from canhaptic.canopen import objects as od
 from canhaptic.drive.profile.torque_axis import TorqueAxis, Written
 from canhaptic.drive.safety.power_states import PowerState
-from canhaptic.errors import SdoError
+from canhaptic.errors import SdoError, cause_of
 
 
 def restore(drive: TorqueAxis, problem: str = "") -> None:
@@ -30,8 +30,8 @@ def restore(drive: TorqueAxis, problem: str = "") -> None:
             if change.before not in (None, change.after) and not _is_kept(drive, change):
                 _put_back(drive, change)
         drive.unrestored = [text for first in firsts.values() if (text := "; ".join(_differences(drive, first)))]
-    except SdoError as error:
-        why = str(error).removeprefix(f"{drive.axis.name}: ")
+    except Exception as error:  # a driver library, or a process without memory, raises anything
+        why = cause_of(error).removeprefix(f"{drive.axis.name}: ")
         drive.unrestored = [f"{drive.sdo.describe(*place)}: {why}" for place in firsts]
 
 

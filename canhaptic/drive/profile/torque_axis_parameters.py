@@ -63,6 +63,9 @@ class TorqueAxisParameters(Parameters):
     """Torque or force of the axis per torque of the motor (gear ratio, 1/pulley radius); scales 0x6076."""
     torque_limit: Annotated[float, quantity("N", "N*m", gt=0.0)]
     """Largest torque that is sent, however much is requested; also written to 0x6072 where the drive has it."""
+    limit_by_master: bool = False
+    """Whether the master alone keeps a `torque_limit` below the least value of 0x6072 that the dictionary states, which
+    the drive is then given; false: refused. `canhaptic evidence` sets it for its run at a tenth."""
     torque_verified: Literal["weight", "balance", "mass", "no"] | None = None
     """How the scale of the torque was verified: by a weight on an arm, a spring balance, or the known mass
     (`canhaptic commission`). Needed on real drives; with `no` they are sent a hundredth of `torque_limit` at most."""

@@ -13,7 +13,7 @@ from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import Controlword
 from canhaptic.drive.safety.limiter import TorqueLimiter
 from canhaptic.drive.safety.power_states import TORQUE_FREE, PowerState
-from canhaptic.errors import LinkError, RigError
+from canhaptic.errors import cause_of
 
 
 class StoppedAxis(Protocol):
@@ -179,11 +179,11 @@ def disable(exchange: StoppedExchange, trust: Trust) -> list[str]:
 
 def _write_zero(drives: Sequence[StoppedAxis]) -> None:
     """Send zero to every drive, even where the frame of another is refused."""
-    failure: LinkError | None = None
+    failure: Exception | None = None
     for drive in drives:
         try:
             drive.write(0)
-        except LinkError as error:
+        except Exception as error:
             failure = error
     if failure is not None:
         raise failure
@@ -236,8 +236,8 @@ def _confirm_disabled(drive: StoppedAxis) -> str:
     try:
         drive.sdo.write(od.CONTROLWORD, 0, Controlword.DISABLE_VOLTAGE)
         state = drive.read_state()
-    except RigError as error:
-        return str(error)
+    except Exception as error:
+        return cause_of(error)
     return "" if state in TORQUE_FREE else f"state {state.value}"
 
 
@@ -250,10 +250,13 @@ def _leave_operational(drives: Sequence[StoppedAxis]) -> None:
 
 
 def _try(action: Callable[[], object]) -> bool:
-    """Run one part of the stop; return False when bus or drive failed, so that the other parts still happen."""
+    """Run one part of the stop; return False when it failed, so that the other parts still happen.
+
+    Bus and drive fail by a `RigError`; a driver library, or a process without memory, by anything.
+    """
     try:
         action()
-    except RigError:
+    except Exception:
         return False
     return True
 
