@@ -33,6 +33,7 @@ from canhaptic.meters import RunMeters
 from canhaptic.signals import CycleTiming, Sample, Truth
 
 if TYPE_CHECKING:
+    from canhaptic.control.booked_stop import BookedStop
     from canhaptic.control.energy_audit import EnergyAudit
     from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupedControllers
     from canhaptic.logs.writer_process import EnergyLogWriter
@@ -45,6 +46,7 @@ _UNEVEN: Final = (
     "a hold was {:.3g} s longer or shorter than the sample time, more than sync_jitter declares: its certificate is "
     "void; measure again (canhaptic commission)"
 )
+_STOPPING: Final = "the stop begins: its holds are a part of the account"
 _UNCHANGED: Final = (
     "position, torque and statusword were identical for 1 s, with a torque: a handle held still, a stuck "
     "encoder, or TPDOs that the drive does not update"
@@ -72,7 +74,8 @@ class Cycle:
         meters: Figures of axes and groups in addition to their ledgers.
         judge: Comparison with the simulated plant; None with real drives.
         timing: Durations of each part of the cycle; empty in a run that is not paced in real time.
-        cycles: Cycles completed.
+        cycles: Cycles completed, those of the stop included.
+        holds_of_stop: Cycles of the stop among them.
         uneven: Number of holds that were longer or shorter than the declared `sync_jitter` allows.
         turn: Function that requests torques from user code in a separate process, by the samples; None without one.
     """
@@ -93,7 +96,8 @@ class Cycle:
         self.groups = tuple(groups)
         render = (*self.controllers, *(group.controller for group in self.groups))
         self._lasted = [controller.lasted for controller in render if hasattr(controller, "lasted")]
-        self._grouped = _grouped(self.controllers, self.groups, rig.dry_run) if groups or rig.dry_run else None
+        is_plain = not (groups or rig.dry_run)
+        self._grouped = None if is_plain else _grouped(self.controllers, self.groups, rig.dry_run)
         axes = self._grouped.axes if self._grouped else len(self.controllers)
         if axes != len(rig.drives):
             text = f"cycle: got controllers for {axes} axes and a rig of {len(rig.drives)}"
@@ -105,8 +109,9 @@ class Cycle:
         self._axes = tuple(range(axes))  # walked by number: for one axis, `zip` or `enumerate` costs more than its body
         self.timing = {name: DurationHistogram() for name in CycleTiming._fields}
         self.judge = None if truths is None else _judge(axes, self.groups)
-        self.cycles = self.uneven = 0
+        self.cycles = self.uneven = self.holds_of_stop = 0
         self.turn: Callable[[Sequence[Sample]], None] | None = None
+        self._stop: BookedStop | None = None
         self._is_timed = not isinstance(rig.clock, VirtualClock)  # virtual time does not advance within a cycle
         self._log: EnergyLogWriter | _FailedLog | None = log
         self._truths = truths
@@ -164,6 +169,40 @@ class Cycle:
         rig.write_torques(torques)  # RPDOs out, held until the next SYNC [N*m or N]
         self._account(samples, balances, truths)
         return balances
+
+    def planned_stop(self) -> "BookedStop | None":
+        """Return the holds of an operator's stop now; None where no torque acts and no brake is to be set."""
+        rig = self.rig
+        if rig.is_still and not rig.has_brake:
+            return None
+        from canhaptic.control.booked_stop import BookedStop
+
+        axes = [drive.axis for drive in rig.drives]
+        return BookedStop(self.controllers, self.groups, rig.dry_run, axes, rig.bus, rig.holds_to_act)
+
+    def wind_down(self, samples: Sequence[Sample] | None = None) -> None:
+        """Run the holds of an operator's stop, sampled, booked, checked and logged as every other; disable follows.
+
+        Args:
+            samples: Samples of the last SYNC if it was not answered yet.
+
+        Raises:
+            RigError: As `step`; the torque is zero.
+            LogStoppedError: The log failed; call it again for the holds that are left.
+        """
+        rig = self.rig
+        if self._stop is None:
+            stop = self.planned_stop() if rig.is_running else None
+            if stop is None:
+                return
+            self._stop = self._grouped = stop
+            self._event(rig.sync_index + (samples is None), "stopping", "", _STOPPING)
+        while rig.is_running and self._stop.left:
+            self.holds_of_stop += 1
+            self.answer(rig.sync() if samples is None else samples)
+            samples = None
+            if self._stop.has_come_down:
+                rig.begin_stop()
 
     def _withdraw(self, balances: list[EnergyBalance], jitters: Sequence[int]) -> None:
         """Withdraw the certificates of a hold that was longer or shorter than they permit."""
@@ -233,6 +272,10 @@ class Cycle:
     def fail_log(self, reason: str) -> None:
         """End the run after the present cycle because a log can no longer be written; callable from any thread."""
         self._log = _FailedLog(reason)
+
+    def drop_log(self) -> None:
+        """Write nothing more to a log that failed."""
+        self._log = None
 
     def _event(self, index: int, kind: str, name: str, text: str) -> None:
         if self._log is not None:
@@ -409,8 +452,11 @@ def running(cycle: Cycle) -> Iterator[None]:
         try:
             cycle.note_holds()
             yield
+            cycle.wind_down()
         except LogStoppedError:
-            rig.stop()
+            cycle.drop_log()
+            cycle.wind_down()
+            rig.stop(ramp=False, reason=StopReason.OPERATOR)
             raise
         except Exception as error:
             rig.stop(ramp=False, reason=reason_of(error))
@@ -423,7 +469,7 @@ def running(cycle: Cycle) -> Iterator[None]:
         except BaseException:
             rig.stop(ramp=False)
             raise
-        rig.stop()
+        rig.stop(ramp=False, reason=StopReason.OPERATOR)
     finally:
         cycle.note_found_holds()
         cycle.note_link()

@@ -234,7 +234,7 @@ class OpenRig:
         self._numbers = self._signals.numbers
         self._left: CanHapticError | None = None
         self._stack = ExitStack()
-        self._is_over = self._is_ending = self._must_end = False
+        self._is_over = self._is_ending = self._must_end = self._is_complete = False
         self._begin, self._process = 0, 0
 
     @property
@@ -311,7 +311,7 @@ class OpenRig:
                     try:
                         yield turn
                     except GeneratorExit:
-                        self._stop(StopReason.OPERATOR)
+                        self._wind_down(samples)
                         raise
                     finally:
                         self.is_open = False
@@ -321,6 +321,7 @@ class OpenRig:
                     for place in places:
                         axes[place].take_answer(balances[place], rig.sync_index)
                     self._end_if_asked()
+                self._is_complete = True
         except ReplayOverError:
             return
         except StartStoppedError:
@@ -334,6 +335,15 @@ class OpenRig:
                 self._source.cycle.rig.stop(ramp=False, reason=reason)
         except RigError as error:
             self._left = error
+
+    def _wind_down(self, samples: list[Sample]) -> None:
+        """Run the holds of the stop from a SYNC that was not answered; an error is kept for `__exit__` to raise."""
+        try:
+            if self._source is not None:
+                self._source.cycle.wind_down(samples)
+        except CanHapticError as error:
+            self._left = error
+        self._stop(StopReason.OPERATOR)
 
     def refusal(self, what: str) -> InputError:
         """Send zero torque, stop the rig, and return the error for an invalid request."""
@@ -418,7 +428,7 @@ class OpenRig:
             status = f"failed: {cause_of(error)}"
             if cycle is not None and not isinstance(error, RigError):
                 cycle.note_fault(error)
-        elif error is None and cycle is not None and cycle.cycles == self._cycles:
+        elif error is None and self._is_complete:
             status = "completed"
         try:
             self._end(status)

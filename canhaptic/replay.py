@@ -166,25 +166,36 @@ class Recording:
         after = range(last, len(self.frames))
         return next((n for n in after if self.is_master[n] and self.frames[n].data[:4] == asks), len(self.frames))
 
-    def operator_cycles(self, ramp_cycles: int) -> int | None:
-        """Return the number of cycles before the operator stopped the run; None without such a stop.
+    def operator_cycles(self) -> int | None:
+        """Return the number of cycles of a run that the operator stopped, with those of the stop; None without one.
 
         After an operator's stop the last SYNC before the drives are disabled was answered by an RPDO and followed by
         one more; after a fault it was answered by zero torque alone.
-
-        Args:
-            ramp_cycles: Cycles in which the master ramps the torque to zero.
         """
-        syncs = commands = 0
+        syncs, commands = self._run()
+        return None if commands is None or len(syncs) != len(commands) else max(0, len(syncs) - 1)
+
+    def end_before_ramp(self, ramp_cycles: int) -> int | None:
+        """Return the index of the frame with which the ramp of an older master begins; None without one.
+
+        Until the holds of a stop were booked, every stop had this ramp: its last commands all differ.
+        """
+        syncs, commands = self._run()
+        ramp = commands[-ramp_cycles - 1 : -1] if commands is not None and len(syncs) == len(commands) else []
+        return syncs[-ramp_cycles - 1] if ramp_cycles > 2 and len(set(ramp)) == ramp_cycles else None
+
+    def _run(self) -> tuple[list[int], list[bytes] | None]:
+        """Return the index of each SYNC of the run, and the first axis's commands before it is asked to leave."""
+        syncs, commands = list[int](), list[bytes]()
         first = len(self.frames) if self.first_sync < 0 else self.first_sync
-        for address, frame in zip(self.addresses[first:], self.frames[first:], strict=True):
-            if address == _SYNC:
-                syncs += 1
-            elif address == self._roles.rpdo:
-                if self._roles.asks_to_leave(frame.data):
-                    return max(0, syncs - ramp_cycles - 1) if syncs == commands else None
-                commands += 1
-        return None
+        for index in range(first, len(self.frames)):
+            if self.addresses[index] == _SYNC:
+                syncs.append(index)
+            elif self.addresses[index] == self._roles.rpdo:
+                if self._roles.asks_to_leave(self.frames[index].data):
+                    return syncs, commands
+                commands.append(self.frames[index].data)
+        return syncs, None
 
 
 def _first_sync(addresses: Sequence[Address], frames: Sequence[Frame], roles: Roles) -> int:
@@ -224,6 +235,7 @@ class RecordedSide:
         first: Index of the first frame to play.
 
     Attributes:
+        end: Index of the frame with which the comparison ends.
         compared: Number of frames of the master found equal so far.
         played: Number of frames of the drives sent so far.
         reached: Recorded time of the master's last frame [ns], which includes its computation.
@@ -238,7 +250,7 @@ class RecordedSide:
         self._frames = recording.frames
         self._is_master = recording.is_master
         self._left_out = recording.heartbeat
-        self._end = recording.restoring if first else len(recording.frames)  # a joined rig restores nothing
+        self.end = recording.restoring if first else len(recording.frames)  # a joined rig restores nothing
         self._next = first
         self._is_over = False
         self.compared = self.played = self.reached = 0
@@ -263,14 +275,14 @@ class RecordedSide:
 
     def next_due(self, *, of_master: bool = False) -> int:
         """Return when the next frame of the drives or the master is due [ns]; `NEVER` if the other side sends next."""
-        if self._next == self._end or self._is_master[self._next] != of_master:
+        if self._next == self.end or self._is_master[self._next] != of_master:
             return NEVER
         return self._frames[self._next].timestamp_ns
 
     @property
     def unsent(self) -> int:
         """Index of the first recorded frame that the master has not sent; -1 if it has sent all."""
-        return next((index for index in range(self._next, self._end) if self._is_master[index]), -1)
+        return next((index for index in range(self._next, self.end) if self._is_master[index]), -1)
 
     def _play(self) -> None:
         frame, bus = self._frames[self._next], self._buses[self._addresses[self._next][0]]
@@ -280,9 +292,9 @@ class RecordedSide:
 
     def _compare(self) -> None:
         """Compare one frame of the master with its recording, if possible on the bus of the next recorded frame."""
-        while self._next < self._end and not self._is_master[self._next]:
+        while self._next < self.end and not self._is_master[self._next]:
             self._play()
-        if self._next == self._end:
+        if self._next == self.end:
             raise self._over()
         frame, (place, can_id) = self._frames[self._next], self._addresses[self._next]
         bus = place if self._sent[place] else next(n for n, sent in enumerate(self._sent) if sent)
@@ -507,7 +519,16 @@ def replay_bus_log(
         InputError: The recording cannot be read, does not fit the scene, has no SYNC to begin with, or no whole cycle.
     """
     with closing(OpenReplay(bus_log, scene, realtime=realtime, from_sync=from_sync, dry_run=dry_run)) as replay:
-        return replay.run()
+        found = replay.run()
+    if found["status"] == "identical" or not replay.has_ramped:
+        return found
+    # Frames do not show where a stop began: without a ramp it was later
+    with closing(OpenReplay(bus_log, scene, realtime=realtime, from_sync=from_sync, dry_run=dry_run)) as replay:
+        again = replay.run(ramps=False)
+    return again if again["status"] == "identical" else found
+
+
+_LONGEST_STOP: Final = 2.0  # [s]: a brake sets within 1 s
 
 
 class OpenReplay:
@@ -515,7 +536,10 @@ class OpenReplay:
 
     Attributes:
         cycle: Rig, controllers and accounts, ready to run.
+        has_ramped: Whether the run ended with a ramp.
     """
+
+    has_ramped = False
 
     def __init__(
         self, bus_log: str | Path, scene: Scene, *, realtime: bool = False, from_sync: bool = False,
@@ -581,13 +605,27 @@ class OpenReplay:
             drive.restores = next(requests, _UPLOAD) == _UPLOAD  # a master that restores it reads it first
             self._left_out += [] if drive.restores else [f"{drive.axis.name}: values before the start"]
 
-    def run(self) -> ReplayResult:
-        """Run to the end of the recording or to the first difference."""
-        bus = self._scene.bus
-        ramp_cycles = max(1, round(bus.stop_ramp * 1e9) // bus.sample_time_ns)
+    def run(self, *, ramps: bool = True) -> ReplayResult:
+        """Run to the end of the recording or to the first difference.
+
+        Args:
+            ramps: Whether a stop by the operator may have had a ramp.
+        """
         begin, ended = self._wall.now(), "at the end of the recording"
+        cycles, bus = self._recording.operator_cycles(), self._scene.bus
+        if older := self._recording.end_before_ramp(max(1, round(bus.stop_ramp * 1e9) // bus.sample_time_ns)):
+            self._side.end, cycles = older, None
+
+        def is_stopped() -> bool:
+            if cycles is None or self.cycle.cycles + _LONGEST_STOP * bus.rate < cycles:
+                return False
+            stop = self.cycle.planned_stop()
+            left = 0 if stop is None or (stop.is_ramp and not ramps) else stop.left
+            self.has_ramped = stop is not None and stop.is_ramp
+            return self.cycle.cycles + left >= cycles
+
         try:
-            run(self.cycle, self._recording.operator_cycles(ramp_cycles))
+            run(self.cycle, None, is_stopped)
             ended = "at the stop that was recorded"
         except ReplayOverError:
             pass

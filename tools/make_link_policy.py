@@ -12,7 +12,7 @@ RESULT: Final = PAGE.with_name("results") / "faults.json"
 _MISSED: Final = [
     ["0", "RUN", "the controller's torque"],
     ["1 to `bus.hold_cycles`", "HOLD", "the last torque held"],
-    ["up to `bus.stop_cycles`", "RAMP", "ramp to zero"],
+    ["up to `bus.stop_cycles`", "ZERO", "zero in one hold; the declared weight on an axis that hangs from its brake"],
     ["`bus.stop_cycles`", "STOP", "zero and disable"],
 ]
 _INTRODUCTION: Final = """\

@@ -9,8 +9,9 @@ names and keys of that release. `tools/convert_scene.py` converts a scene of an 
 """
 
 import struct
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from math import inf
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, NotRequired, TypedDict, cast, get_args
@@ -21,8 +22,10 @@ from canhaptic.audit.listened_axis import OF_A_NODE, DeclaredDrive, DeclaredForc
 from canhaptic.audit.user_checks import Outcome
 from canhaptic.canopen import objects as od
 from canhaptic.control.balance import Certificate, EnergyBalance
+from canhaptic.control.booked_stop import BookedStop
 from canhaptic.control.ledger import Ledger
-from canhaptic.control.multi_axis.group_controller import GroupedControllers
+from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupedControllers
+from canhaptic.control.passivity import Controller
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, PortResult, claim_nothing
 from canhaptic.errors import InputError, LogFormatError
 from canhaptic.logs.bus_reader import Frame, Remarks, read_bus_log
@@ -70,7 +73,9 @@ class Recomputed(TypedDict):
     missing_rows: int  # that the log lost
 
 
-def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControllers) -> list[Mismatch]:
+def recompute(
+    log: EnergyLog, axes: Sequence[str], controllers: GroupedControllers, stop: Callable[[], BookedStop] | None = None
+) -> list[Mismatch]:
     """Return the first logged output of each axis and group that differs from the recomputed one.
 
     The computation ends at the first missing row, because the inputs there are unknown.
@@ -79,6 +84,7 @@ def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControlle
         log: An open energy log that holds the run from its first cycle.
         axes: Names of the axes, in the order of the rig.
         controllers: Controllers built from the scene of the run, in their initial state.
+        stop: Constructor of the holds of the stop, called at their first row; None: the run has none.
     """
     found: dict[str, Mismatch] = {}
     names = (*axes, *(group.name for group in controllers.groups))
@@ -86,7 +92,9 @@ def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControlle
     outputs = [logged_rows(log, name, _OUTPUTS) for name in names]
     rows = zip(periods_of(log), zip(*inputs, strict=True), zip(*outputs, strict=True), strict=False)
     programs = [(program, efforts_asked(log, axes[axis])) for axis, program in controllers.programs]
+    stopping = row_of_stop(log)
     for row, (periods, seen, expected) in enumerate(rows):
+        controllers = stop() if row == stopping and stop is not None else controllers
         controllers.lasted(periods)
         for program, asked in programs:
             program.ask(-next(asked))
@@ -101,6 +109,20 @@ def recompute(log: EnergyLog, axes: Sequence[str], controllers: GroupedControlle
                 cycle = int(log.timing["sync_index"][row])
                 found[name] = Mismatch(name, cycle, _OUTPUTS[number], logged[number], balance[number])
     return list(found.values())
+
+
+def row_of_stop(log: EnergyLog) -> int:
+    """Return the row with which the stop began; -1 where no torque was left to take away."""
+    found = [event.sync_index for event in log.events if event.kind == "stopping"]
+    return int(np.searchsorted(log.timing.read("sync_index", 0, log.rows), found[0])) if found else -1
+
+
+def stop_of(
+    scene: Scene, controllers: Sequence[Controller], groups: Sequence[AxisGroup], *, dry_run: bool
+) -> BookedStop:
+    """Return the holds of a stop as the run made them, by the state of the controllers."""
+    axes, to_act = [axis.parameters for axis in scene.axes], 2 + max(axis.loop.delay for axis in scene.axes)
+    return BookedStop(controllers, groups, dry_run, axes, scene.bus, to_act)
 
 
 def activity_mismatch(log: EnergyLog, name: str) -> Mismatch | None:
@@ -166,9 +188,12 @@ def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: boo
         InputError: The scene cannot be read, differs from the scene of the run, or names user code that has changed.
     """
     scene = scene_of(log, config, allow_code=allow_code)
-    controllers = GroupedControllers(build_axis_controllers(scene), build_axis_groups(scene), dry_run=log.dry_run)
+    alone, groups, dry_run = build_axis_controllers(scene), build_axis_groups(scene), log.dry_run
+    controllers, stop = GroupedControllers(alone, groups, dry_run), partial(stop_of, scene, alone, groups)
     axes = [axis.parameters.name for axis in scene.axes]
-    found: dict[str, Mismatch | None] = {of.port: of for of in recompute(log, axes, controllers)}
+    found: dict[str, Mismatch | None] = {
+        of.port: of for of in recompute(log, axes, controllers, partial(stop, dry_run=dry_run))
+    }
     for name in log.ports:
         found.setdefault(name, activity_mismatch(log, name))
     whole, skips = rows_before_a_gap(log), np.flatnonzero(np.diff(log.deadlines()) > 1) + 1
@@ -327,7 +352,9 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     Raises:
         InputError: The log holds no SYNC that every axis answered in OPERATION ENABLED.
     """
-    derived = _Derivation(scene, dry_run=log is not None and log.dry_run)
+    derived = _Derivation(
+        scene, dry_run=log is not None and log.dry_run, stopping=-1 if log is None else row_of_stop(log)
+    )
     logged = {} if log is None else {name: _logged(log, name) for name in derived.units}
     differences: dict[str, dict[str, str | int | float]] = {}
     asked = _asked(derived.programs, scene, log, bus_log)
@@ -396,10 +423,11 @@ class _Derivation:
         programs: Axes whose torques a program requests, and their controllers.
     """
 
-    def __init__(self, scene: Scene, *, dry_run: bool) -> None:
-        self._scene, self._dry_run = scene, dry_run
-        self._groups, alone = build_axis_groups(scene), build_axis_controllers(scene)
-        self._controllers = GroupedControllers(alone, self._groups, dry_run)
+    def __init__(self, scene: Scene, *, dry_run: bool, stopping: int) -> None:
+        self._scene, self._dry_run, self._stopping = scene, dry_run, stopping
+        self._groups, self._alone = build_axis_groups(scene), build_axis_controllers(scene)
+        alone = self._alone
+        self._controllers: GroupedControllers = GroupedControllers(alone, self._groups, dry_run)
         self._torques = [_Heard() for _ in scene.axes]
         self._meters = RunMeters(build_axis_meters(scene), self._torques, alone, self._groups)
         self.units: dict[str, str] = {axis.parameters.name: axis.parameters.unit for axis in scene.axes}
@@ -416,6 +444,8 @@ class _Derivation:
             samples: Sample of each axis.
             shown: Whether the reported torque of each axis is the drive's demand (0x6074).
         """
+        if self.cycles == self._stopping:
+            self._controllers = stop_of(self._scene, self._alone, self._groups, dry_run=self._dry_run)
         self._controllers.lasted(periods)
         for axis, sample, is_demand in zip(self._torques, samples, shown, strict=True):
             axis.take(sample, periods, is_demand)

@@ -28,7 +28,10 @@ class Brake(Parameters):
     release_time: Annotated[float, quantity("s", ge=0.0, le=5.0)]
     """Longest time until the brake is released; the controller sends no torque before."""
     set_time: Annotated[float, quantity("s", ge=0.0, le=1.0)]
-    """Longest time until the brake holds; an operator's stop keeps the last torque for this long."""
+    """Longest time until the brake holds; a stop holds `holds_weight` for this long."""
+    holds_weight: Annotated[float, quantity("N", "N*m")] = 0.0
+    """Torque that keeps the axis where it hangs, with its sign; what a stop holds until the brake does. 0: a stop holds
+    nothing, and an axis that hangs sinks for `set_time`."""
 
     @model_validator(mode="after")
     def _has_an_output(self) -> "Brake":
@@ -47,6 +50,10 @@ class Brake(Parameters):
         """Return 0x60FE:01 with which the brake opens, or is set; every other bit stays as it was before."""
         bit = 1 << (self.output or 0)
         return before | bit if is_open == (self.released != 0) else before & ~bit
+
+    def holds_until_set(self, sample_time_ns: int) -> int:
+        """Return the holds from its command until the brake holds, with two for the command itself."""
+        return -(-round(self.set_time * 1e9) // sample_time_ns) + 2
 
 
 _LONGEST: Final = 8  # bytes of a frame

@@ -444,6 +444,7 @@ class Session:
         self._experiment: Experiment | None = None
         self.truths: Sequence[Truth] = ()
         self._efforts: Sequence[float] = ()
+        self._holds_of_stop = 0
 
     @contextmanager
     def rig_of(self, *, with_hand: bool, hand: Callable[[AxisScene], object] | None = None) -> Iterator[None]:
@@ -547,15 +548,16 @@ class Session:
         """
         sent, law = list[float](), OpenLoop(torques, self.guard(axis, travels) if torques else UNGUARDED)
 
-        def note() -> bool:
-            if self.rig.records:
+        def note(holds_of_stop: int = 0) -> bool:
+            if len(self.rig.records) > holds_of_stop:
                 if self.rig.periods > 1:
                     law.skipped.append(len(sent))
-                sent.append(self.drives[axis].scaling.torque(self.rig.records[-1].torques_per_mille[axis]))
+                last = self.rig.records[-1 - holds_of_stop].torques_per_mille[axis]
+                sent.append(self.drives[axis].scaling.torque(last))
             return ready() or law.tripped not in ("", LOST)
 
         self.run_alone(axis, law, cycles, note)
-        note()
+        note(self._holds_of_stop)
         law.sent = sent
         return law
 
@@ -585,8 +587,13 @@ class Session:
         return Guard(far, step, samples, f"{far:.3g} {unit}{counts}", fast)
 
     def run_alone(self, axis: int, law: OpenLoop, cycles: int, ready: Callable[[], bool]) -> None:
-        """Run the rig with a control law on one axis and no torque on the others; raises the errors of `run`."""
+        """Run the rig with a control law on one axis and no torque on the others; raises the errors of `run`.
+
+        Positions and torques of the stop are left out.
+        """
         self.run([law if n == axis else OpenLoop() for n in range(len(self.axes))], cycles, ready)
+        for seen in (law.positions, law.applied):
+            del seen[len(seen) - self._holds_of_stop :]
 
     def run(self, laws: Sequence[OpenLoop], cycles: int, ready: Callable[[], bool] = lambda: False) -> Cycle:
         """Run the rig with one control law per axis and stop it; return the cycle with its timing.
@@ -598,11 +605,13 @@ class Session:
 
         def read() -> Sequence[Truth]:
             drives = () if far_side is None else far_side.drives
-            self.truths, self._efforts = [drive.truth() for drive in drives], [drive.torque for drive in drives]
+            self.truths = [drive.truth() for drive in drives]
+            self._efforts = self._efforts if cycle.holds_of_stop else [drive.torque for drive in drives]
             return self.truths
 
         cycle = Cycle(self.rig, laws, None, read if far_side is not None else None)
         run(cycle, cycles, lambda: self.stop_requested() or ready())
+        self._holds_of_stop = cycle.holds_of_stop
         self.quanta = [drive.scaling.torque_quantum for drive in self.drives]
         return cycle
 

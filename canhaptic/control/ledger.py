@@ -8,6 +8,9 @@ from canhaptic.control.balance import AT_REST, OUT_OF_CONTACT, Branch, Certifica
 from canhaptic.control.verdict import PASSIVE_TOLERANCE, PortResult
 from canhaptic.signals import Sample
 
+DEFAULT_LIMIT: Final = 0.01
+"""`energy_loss_limit` of a port that declares none [J]."""
+
 
 class EnergyLossMeter:
     """Energy received through one port, from the applied torques and measured positions alone.

@@ -50,7 +50,7 @@ class BusParameters(Parameters):
     hold_cycles: Annotated[int, quantity("count", ge=0, le=1000)] = 2
     """Missed cycles for which the last torque is held."""
     stop_cycles: Annotated[int, quantity("count", ge=1, le=10_000)] = 20
-    """Missed cycles after which the rig stops; between hold and stop the torque ramps to zero."""
+    """Missed cycles after which the rig stops; between hold and stop the torque is zero."""
     loss_limit: Annotated[float, quantity("1", ge=0.0, le=1.0)] = 0.1
     """Share of the SYNCs that may lose their sample or torque for ever, or that the computer may skip. Losses beyond it
     add up; `stop_cycles` end the run, or a quarter of the SYNCs of 1 s if that is less, at least 10. 1: unlimited."""
@@ -61,7 +61,8 @@ class BusParameters(Parameters):
     emcy_reserve: Annotated[int, quantity("count", ge=0, le=128)] = 1
     """EMCY frames in one cycle that the bus budget reserves."""
     stop_ramp: Annotated[float, quantity("s", ge=0.0, le=0.05)] = 0.02
-    """Time in which an operator's stop takes the torque to zero."""
+    """Longest ramp of an operator's stop. It is tried where a certificate bounds the energy that may still come out by
+    `energy_loss_limit`; otherwise the torque falls to zero in one hold."""
     spin_margin: Annotated[float, quantity("s", ge=0.0, le=0.01)] = 200e-6
     """Time before a deadline from which the clock spins instead of sleeping."""
 

@@ -34,7 +34,8 @@ _COUNTS_PER_SECOND: Final = 0x00B50300  # value of 0x60A9: increments (0xB5) per
 _START: Final = int(od.Controlword.ENABLE_OPERATION) | 1 << 4
 _HALT: Final = int(od.Controlword.ENABLE_OPERATION) | 1 << 8
 _ATTAINED: Final = 1 << 12 | int(StatusBit.TARGET_REACHED)  # in homing mode
-_SETTLED: Final = 100_000_000  # [ns] after which a drive has taken an older result out of its statusword, or halted
+_SETTLED: Final = 100_000_000  # [ns] after which a drive has taken an older result out of its statusword
+_HALTED: Final = 120_000_000  # [ns] after which it has halted
 
 
 class HomingOrder(NamedTuple):
@@ -151,7 +152,7 @@ def home(drive: HomingDrive, stopped: Callable[[], bool]) -> tuple[int, int] | N
         before = drive.position_counts
         problem = _await_home(rig, drive, stopped)
         drive.controlword = _HALT
-        end = rig.clock.now() + _SETTLED
+        end = rig.clock.now() + _HALTED
         while rig.clock.now() < end:
             _cycle(rig)
         after = drive.position_counts

@@ -280,32 +280,71 @@ class Rig:
     # --- stop ---------------------------------------------------------------------------------------------------------
 
     def stop(self, *, ramp: bool = True, reason: StopReason = StopReason.EXCEPTION) -> None:
-        """End the run: torque to zero (along a ramp, or at once), drives disabled and pre-operational, confirmed.
+        """End the run: torque to zero in one hold, drives disabled and pre-operational, confirmed.
+
+        The holds of an operator's stop of a `Cycle` are booked before, see `Cycle.wind_down`.
 
         Args:
-            ramp: True for an operator's stop; False when something is wrong.
+            ramp: True for an operator's stop without an account: a weight is held until its brake does. False after the
+                holds of a `Cycle`, or when something is wrong.
             reason: Cause of the stop.
 
         Raises:
-            RigError: A drive did not confirm that it is disabled.
+            RigError: A drive did not confirm that it is disabled, or a fault was met while a weight was held.
         """
         if not self.is_running:
             return
-        self.is_running = False
-        self.stop_reason = StopReason.OPERATOR if ramp else reason
-        trust = Trust.SOME
         try:
             if ramp:
-                stop.ramp_down(self._exchange, self.bus.stop_ramp)
-                trust = Trust.FULL
+                self._hold_weights()
         except Exception:
-            trust = Trust.NONE
-            self.stop_reason = StopReason.EXCEPTION  # zero torque and disable follow below all the same
-        finally:
-            unconfirmed = self._disable(trust)
+            if not self.is_running:  # the fault that was met has stopped it
+                raise
+            ramp = False  # zero torque and disable follow below all the same
+        self.is_running = False
+        self.stop_reason = StopReason.OPERATOR if ramp else reason
+        unconfirmed = self._disable(Trust.FULL if self.stop_reason is StopReason.OPERATOR else Trust.SOME)
         if unconfirmed:
             text = f"not confirmed to be disabled: {'; '.join(unconfirmed)}; cut the power of the drive"
             raise RigError(text, self.records)
+
+    def begin_stop(self) -> int:
+        """Command every brake to set, once nothing but the weights acts; return the SYNCs for which they are held on.
+
+        Raises:
+            LinkError: It could not be sent; the rig has stopped.
+        """
+        try:
+            return stop.set_brakes(self._exchange)
+        except LinkError as error:
+            raise self._stopped(StopReason.SEND_FAILED, str(error)) from error
+
+    def _hold_weights(self) -> None:
+        """Hold the weights until the brakes do, with every check of a run; nothing without a brake."""
+        if self.has_brake:
+            self._hold_weights_for(self.holds_to_act)
+            self._hold_weights_for(self.begin_stop())
+
+    def _hold_weights_for(self, holds: int) -> None:
+        for _ in range(holds):
+            self.sync()
+            self.write_torques([drive.weight for drive in self.drives])
+
+    @property
+    def has_brake(self) -> bool:
+        """Whether an axis has a brake."""
+        return any(drive.axis.brake is not None for drive in self.drives)
+
+    @property
+    def holds_to_act(self) -> int:
+        """Holds until every torque that was sent has acted and its last sample has come."""
+        return 2 + max(drive.delay for drive in self.drives)
+
+    @property
+    def is_still(self) -> bool:
+        """Whether nothing but zero was sent for so long that no torque acts any more."""
+        last = list(self.records)[-self.holds_to_act :]
+        return not any(torque for record in last for torque in record.torques_per_mille)
 
     def end(self, reason: StopReason, what: str) -> RigError:
         """Send zero torque and stop at once for a reason found by the caller; return the exception.
@@ -323,6 +362,8 @@ class Rig:
         self.stop_reason = reason
         self.is_running = False
         error = STOP_TABLE[reason].error
+        if reason in (StopReason.TPDO_LOST, StopReason.TPDO_CONTRADICTED):
+            stop.hold_unseen(self._exchange)
         unconfirmed = self._disable(Trust.NONE if issubclass(error, LinkError) else Trust.SOME)
         if unconfirmed:
             text += f"; NOT confirmed to be disabled: {'; '.join(unconfirmed)}"

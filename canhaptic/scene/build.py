@@ -19,7 +19,7 @@ import can
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.control.axis_meter import AxisMeter
-from canhaptic.control.ledger import EnergyLossMeter
+from canhaptic.control.ledger import DEFAULT_LIMIT, EnergyLossMeter
 from canhaptic.control.verdict import GUARANTEEING, PortResult
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.axis_parameters import BusParameters
@@ -85,7 +85,6 @@ def open_bus(bus: BusParameters, channel: str | int | None) -> can.BusABC:
         raise opening_error(bus, channel, error) from error
 
 
-DEFAULT_LIMIT: Final = 0.01  # [J]
 _DEFAULT_UNCERTAINTY: Final = 0.1  # [W]; of the demo, 1 % of frames lost make up to 14 mW, 10 % up to 0.9 W
 
 

@@ -16,6 +16,7 @@ from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, loop_settings
 from canhaptic.control.certificates import scalar_bounds as bounds
 from canhaptic.control.damping import largest_stable_damping, least_oscillating_damping
+from canhaptic.control.ledger import DEFAULT_LIMIT
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.verdict import NO_PULL
 from canhaptic.meters import promise_of
@@ -83,7 +84,29 @@ class Hint(NamedTuple):
 def hints_of(scene: Scene) -> list[Hint]:
     """Return the limits of all axes, groups and admittance displays of a scene."""
     alone = [hint for axis in scene.axes for hint in stability_hints(axis)]
-    return alone + group_hints(scene) + later_hints(scene) + display_hints(scene)
+    return alone + group_hints(scene) + later_hints(scene) + display_hints(scene) + stop_hints(scene)
+
+
+def stop_hints(scene: Scene) -> list[Hint]:
+    """Return the most that a stop can give out on each axis with a torque, and brakes that hold nothing meanwhile."""
+    hints = []
+    for axis in scene.axes:
+        name, loop, brake = axis.parameters.name, axis.loop, axis.parameters.brake
+        if axis.parameters.admittance is None:
+            time = (1 + loop.delay) * loop.sample_time * (1.0 + (loop.sync_jitter or 0.0)) + (loop.torque_window or 0.0)
+            most = axis.parameters.torque_limit * time
+            at_rest = None if loop.moving_mass is None else 0.5 * most * most / loop.moving_mass
+            speed = f"{axis.parameters.unit}/s"
+            text = (
+                f"torque_limit acts for {time * 1e3:.3g} ms on a handle let go at rest; {most:.3g} J more per {speed}"
+            )
+            text += "" if loop.moving_mass is not None else "; moving_mass is not declared"
+            is_large = at_rest is not None and at_rest > DEFAULT_LIMIT
+            hints.append(Hint(name, "energy out at a stop", at_rest, None, "J", text, concerns=is_large))
+        if brake is not None and not brake.holds_weight:
+            text = f"declare brake.holds_weight: a stop holds nothing for set_time ({brake.set_time:g} s)"
+            hints.append(Hint(name, "weight at a stop", None, None, effort_unit(axis.parameters.unit), text))
+    return hints
 
 
 def stability_hints(axis: AxisScene) -> list[Hint]:

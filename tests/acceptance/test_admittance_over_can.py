@@ -233,7 +233,7 @@ _OFFSET = (
 def test_a_transducer_is_tared_by_sdo_at_the_start(how: str) -> None:
     node = f"axes.0.admittance.force.node={{node_id: 9, {how}}}"
     with build(load_scene(_NODE, [*_OFFSET, node])) as experiment:
-        run(experiment.cycle, 1000)
+        run(experiment.cycle, 900)
         account = experiment_account(experiment, "completed", 1.0)
         first = -next(iter(experiment.rig.records)).samples[0].torque_applied
     assert account["truth"]["handle"]["least_interaction"] >= -1e-3
@@ -392,7 +392,7 @@ def test_the_stop_is_a_quick_stop_until_standstill() -> None:
     _, experiment = _run(cycles=200)
     drive = experiment.far_side.drives[0] if experiment.far_side else None
     assert drive is not None
-    assert abs(drive.servo.motor.velocity) <= 2e-3
+    assert abs(drive.servo.motor.velocity) <= 5e-3
     assert drive.state is DriveState.SWITCH_ON_DISABLED
 
 

@@ -49,7 +49,7 @@ def test_logs_of_a_program_recompute_rederive_and_check(tmp_path: Path, capsys: 
     words = ["inspect", str(tmp_path / "e.h5"), "--recompute", "--bus-log", str(tmp_path / "b.log"), "--json"]
     assert main([*words, "--check", "passive"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert (found["cycles"], found["recomputed"][0]["mismatch"], found["rederived"]["differences"]) == (600, None, [])
+    assert (found["cycles"], found["recomputed"][0]["mismatch"], found["rederived"]["differences"]) == (603, None, [])
     with EnergyLog.open(tmp_path / "e.h5") as log:
         assert abs(log.ports["handle"]["effort_asked"]).max() > 1.0
         assert log.attributes["handle.environment"] == "program"

@@ -3,7 +3,6 @@
 The command runs in lock-step; what ends it happens inside the controller, in the middle of the contact.
 """
 
-import itertools
 import json
 import math
 import signal
@@ -20,7 +19,6 @@ from canhaptic.scene import build, parts
 from tests.acceptance.bus_frames import DEMO, IN_CONTACT, Frame, commands, read_log, reports
 
 CYCLE = 50  # in which it happens
-RAMP = 20  # cycles of the operator's stop: stop_ramp of 20 ms at 1 kHz
 
 Outcome = Callable[[EnergyBalance], EnergyBalance]
 
@@ -64,17 +62,15 @@ class Ending(NamedTuple):
     outcome: Outcome
     status: int
     message: str
-    zero_after: int  # RPDOs after the last one with the torque of the controller
 
 
-AT_ONCE = 1
 ENDINGS = {
-    "an exception in the controller": Ending(raise_error, 3, "ZeroDivisionError: the law of this wall", AT_ONCE),
-    "a balance that is none": Ending(return_nonsense, 3, "torque is zero", AT_ONCE),
-    "a torque of NaN": Ending(with_torque(math.nan), 3, "expected a finite number", AT_ONCE),
-    "an infinite torque": Ending(with_torque(-math.inf), 3, "expected a finite number", AT_ONCE),
-    "SIGINT": Ending(raise_signal(signal.SIGINT), 130, "", RAMP),
-    "SIGTERM": Ending(raise_signal(signal.SIGTERM), 143, "", RAMP),
+    "an exception in the controller": Ending(raise_error, 3, "ZeroDivisionError: the law of this wall"),
+    "a balance that is none": Ending(return_nonsense, 3, "torque is zero"),
+    "a torque of NaN": Ending(with_torque(math.nan), 3, "expected a finite number"),
+    "an infinite torque": Ending(with_torque(-math.inf), 3, "expected a finite number"),
+    "SIGINT": Ending(raise_signal(signal.SIGINT), 130, ""),
+    "SIGTERM": Ending(raise_signal(signal.SIGTERM), 143, ""),
 }
 
 
@@ -97,7 +93,7 @@ def test_the_torque_goes_to_zero_and_the_drive_is_disabled(
     answer = json.loads(captured.out)
     assert (answer["status"], answer.get("exit_status", status)) == ("error" if status == 3 else "stopped", status)
     frames = read_log(tmp_path / "a.log")
-    assert_torque_taken_away([command.target_torque for command in commands(frames)], ending.zero_after)
+    assert_torque_taken_away([command.target_torque for command in commands(frames)])
     assert syncs_from_torque_to_zero(frames) == 1
     assert commands(frames)[-1].controlword & 0x0F != 0x0F
     told = reports(frames)
@@ -109,12 +105,10 @@ def test_the_torque_goes_to_zero_and_the_drive_is_disabled(
     assert not any(report.is_enabled for report in told[first_off:])
 
 
-def assert_torque_taken_away(torques: Sequence[int], zero_after: int) -> None:
-    """From the last torque of the controller straight down to zero, and zero from there on."""
+def assert_torque_taken_away(torques: Sequence[int]) -> None:
+    """From the torque of the controller to zero in one RPDO, and zero from there on."""
     last = max(k for k, torque in enumerate(torques) if torque)
-    end = [abs(torque) for torque in torques[last - zero_after + 1 : last + 2]]
-    assert len(end) == zero_after + 1
-    assert all(after < before for before, after in itertools.pairwise(end))
+    assert abs(torques[last]) > 100
     assert set(torques[last + 1 :]) == {0}
 
 

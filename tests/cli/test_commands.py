@@ -69,13 +69,13 @@ def test_run_json_is_one_object_with_the_names_of_the_design(capsys: Captured, t
     assert main(["run", DEMO, "--duration", "0.5", "--json", "--log", str(log), "--set", "environment.side=above"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert {"status", "config_hash", "cycles", "ports", "truth", "timing", "link", "method"} <= result.keys()
-    assert (result["status"], result["cycles"]) == ("completed", 500)
+    assert (result["status"], result["cycles"]) == ("completed", 503)
     port = result["ports"]["handle"]
     names = "in out stored dissipated surplus recovered leaked deficit margin least_interaction certificate branches"
     assert set(names.split()) | {"damping_rendered"} <= port.keys()
     assert port["in"] > 1e-3
     with EnergyLog.open(log) as opened:
-        assert opened.rows == 500
+        assert opened.rows == 503
         assert sum(h for h in opened.ports["handle"]["h_i"] if h > 0) == pytest.approx(port["in"], rel=1e-12)
 
 

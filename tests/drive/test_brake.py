@@ -12,7 +12,7 @@ from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.drive_bench import OUR_EDS, Bench, FreeMass, MakeBench, axis
 
 WEIGHT = 5.0  # [N] of 1 kg in a field of 5 N/kg, so that 8 N hold it
-TIMES = {"release_time": 0.03, "set_time": 0.05}
+TIMES = {"release_time": 0.03, "set_time": 0.05, "holds_weight": WEIGHT}
 
 
 class HungMass(FreeMass):
@@ -88,16 +88,20 @@ def test_no_torque_of_the_controller_counts_before_the_brake_is_open(bench: Make
     assert set(b.torques_sent()) == {0}
 
 
-def test_the_torque_is_kept_until_the_brake_holds(bench: MakeBench, tmp_path: Path) -> None:
+def test_the_declared_weight_and_not_the_last_torque_is_kept_until_the_brake_holds(
+    bench: MakeBench, tmp_path: Path
+) -> None:
     b = hung(bench, Brake(by="host", output=16, **TIMES), eds=with_outputs(tmp_path))
     b.rig.start()
     b.run(100, WEIGHT)
+    b.run(1, 8.0)
     begin = len(b.frames)
     b.rig.stop()
     sent = [(time, can_id, data) for time, can_id, data, is_rx in b.frames[begin:] if not is_rx]
     set_at = next(time for time, can_id, data in sent if can_id == 0x605 and data.hex().startswith("23fe6001"))
     kept = [time for time, can_id, data in sent if can_id == 0x205 and data[2:4] == b"\xf4\x01"]  # 500 per mille
     assert kept[-1] - set_at >= 50_000_000
+    assert {data[2:4] for _, can_id, data in sent if can_id == 0x205} == {b"\xf4\x01", b"\0\0"}
 
 
 def test_a_fault_takes_the_torque_at_once_and_sets_the_brake(bench: MakeBench, tmp_path: Path) -> None:

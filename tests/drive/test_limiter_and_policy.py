@@ -109,15 +109,15 @@ def test_a_torque_that_is_not_finite_is_no_torque(wrong: float) -> None:
     assert limiter.last == 0.0
 
 
-def test_the_policy_holds_ramps_and_stops_as_its_table_says() -> None:
+def test_the_policy_holds_and_lets_go_as_its_table_says() -> None:
     policy = LinkPolicy(hold_cycles=2, stop_cycles=6, loss_limit=0.1, rate=1000.0)
     seen = []
     for _ in range(7):
         policy.on_missed()
-        seen.append(policy.torque_fraction())
-    assert seen == pytest.approx([1.0, 1.0, 0.75, 0.5, 0.25, 0.0, 0.0])
+        seen.append(policy.is_held)
+    assert seen == [True, True, False, False, False, False, False]
     policy.on_tpdo()
-    assert (policy.torque_fraction(), policy.missed, policy.missed_total) == (1.0, 0, 7)
+    assert (policy.is_held, policy.missed, policy.missed_total) == (True, 0, 7)
     assert policy.success_rate() == pytest.approx(1 / 8)
 
 

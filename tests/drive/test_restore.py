@@ -163,7 +163,7 @@ def test_a_display_leaves_no_steepest_ramp_behind(capsys: pytest.CaptureFixture[
         "unless restore_limits is true"
     ]
     with EnergyLog.open(log) as opened:
-        assert [(event.kind, event.port) for event in opened.events] == [("unrestored", "handle")]
+        assert [(event.kind, event.port) for event in opened.events] == [("stopping", ""), ("unrestored", "handle")]
     ends: dict[str, str] = {}
     for line in bus_log.read_text().splitlines():
         head, _, data = line.split()[2].partition("#")

@@ -349,13 +349,13 @@ CASES: dict[str, Case] = {
     "SDO watchdog off": Case("foreign SDO", R.SECOND_MASTER, 1, sdo(0x1016, 0, 4, 1)),
     "heartbeat of another master": Case("second master", R.SECOND_MASTER, 2, each=own_heartbeat),
     # the cable
-    "cut both ways": Case("cable", R.TPDO_LOST, 20, lost(to_drive=True, to_master=True)),
-    "cut to the drive": Case("cable", R.TPDO_LOST, 20, lost(to_drive=True)),
-    "cut to the master": Case("cable", R.TPDO_LOST, 20, lost(to_master=True)),
-    "SYNC lost": Case("cable", R.TPDO_LOST, 20, lost(to_drive=True, only=lambda edge: 0x80)),
-    "TPDO gone": Case("TPDO", R.TPDO_LOST, 20, lost(to_master=True, only=lambda edge: edge.tpdo)),
-    "TPDO of another node": Case("TPDO", R.TPDO_LOST, 20, other_node),
-    "TPDO short": Case("TPDO", R.TPDO_LOST, 20, shortened(lambda n: False)),
+    "cut both ways": Case("cable", R.TPDO_LOST, 3, lost(to_drive=True, to_master=True)),
+    "cut to the drive": Case("cable", R.TPDO_LOST, 3, lost(to_drive=True)),
+    "cut to the master": Case("cable", R.TPDO_LOST, 3, lost(to_master=True)),
+    "SYNC lost": Case("cable", R.TPDO_LOST, 3, lost(to_drive=True, only=lambda edge: 0x80)),
+    "TPDO gone": Case("TPDO", R.TPDO_LOST, 3, lost(to_master=True, only=lambda edge: edge.tpdo)),
+    "TPDO of another node": Case("TPDO", R.TPDO_LOST, 3, other_node),
+    "TPDO short": Case("TPDO", R.TPDO_LOST, 3, shortened(lambda n: False)),
     "TPDO short every other time": Case("TPDO", None, None, shortened(lambda n: n % 2 == 0), cycles=300),
     "TPDO whole once in 20": Case("TPDO", None, None, shortened(lambda n: n % 20 == 0), cycles=300),
     "RPDO lost, demand read back": Case(
@@ -410,7 +410,7 @@ CASES: dict[str, Case] = {
     "1e300": Case("controller", R.ENERGY_LOST, 14, controller(lambda: 1e300)),
     "own code that ends": Case("controller", R.OWN_CODE_LATE, 1, ends, own=True),
     # the computer and its operator
-    "stop of the operator": Case("operator", R.OPERATOR, 20, stops),
+    "stop of the operator": Case("operator", R.OPERATOR, 1, stops),
     "more SYNCs skipped than sent": Case(
         "host",
         R.SYNCS_SKIPPED,

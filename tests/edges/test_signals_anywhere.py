@@ -97,7 +97,7 @@ def test_signals_at_every_instant_of_a_run_leave_no_torque_and_no_enabled_drive(
     assert whole > 300
     longest = 0
     for first in range(begin, whole, step):
-        longest = max(longest, assert_stopped(looks, range(first, first + signals), CYCLES))
+        longest = max(longest, assert_stopped(looks, range(first, first + signals), CYCLES + 3))  # of the stop
     print(f"{signals} signals at every {step}. of {whole} instants: at most {longest} SYNCs with torque")
     assert longest <= 2
 

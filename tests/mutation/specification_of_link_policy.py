@@ -84,12 +84,11 @@ RAISED = {
     "ENERGY_UNCERTAIN": EnergyUncertainError,
 }
 CASES = (
-    # hold, stop, and what is left of the torque at 0, 1, 2, ... missed
-    (2, 6, (1.0, 1.0, 1.0, 0.75, 0.5, 0.25, 0.0, 0.0)),
-    (0, 1, (1.0, 0.0, 0.0)),
-    (0, 4, (1.0, 0.75, 0.5, 0.25, 0.0)),
-    (1, 2, (1.0, 1.0, 0.0)),
-    (3, 5, (1.0, 1.0, 1.0, 1.0, 0.5, 0.0)),
+    # hold, and whether the torque is held at 0, 1, 2, ... missed
+    (2, (True, True, True, False, False)),
+    (0, (True, False, False)),
+    (1, (True, True, False)),
+    (3, (True, True, True, True, False, False)),
 )
 
 
@@ -100,11 +99,11 @@ def judge(module: ModuleType) -> None:
     for name, error in RAISED.items():
         assert module.reason_of(error("")).name == name
     assert module.reason_of(ValueError("")).name == "EXCEPTION"
-    for hold, stop, shares in CASES:
-        policy = module.LinkPolicy(hold, stop, 0.1, 1000.0)
-        for missed, share in enumerate(shares):
+    for hold, held in CASES:
+        policy = module.LinkPolicy(hold, 6, 0.1, 1000.0)
+        for missed, is_held in enumerate(held):
             assert (policy.missed, policy.missed_total, policy.cycles) == (missed, missed, missed)
-            assert policy.torque_fraction() == share
+            assert policy.is_held is is_held
             policy.on_missed()
     _counts(module)
 

@@ -82,7 +82,7 @@ SUBJECTS = {
     "link_policy": Subject(
         link_policy,
         specification_of_link_policy.judge,
-        115,
+        107,
         members={"StopReason": link_policy.StopReason},
         names={
             "max": ("min",),
@@ -96,8 +96,6 @@ SUBJECTS = {
             "TorqueNotFiniteError": ("CycleFailedError",),
         },
         equivalent={
-            "LinkPolicy.torque_fraction: if self.missed <= self._hold_cycles: => "
-            "if self.missed < self._hold_cycles:": "the ramp begins at 1",
             "LossBudget.reset: self._at, self.level = (0, 0.0) => "
             "self._at, self.level = (-1, 0.0)": "a level of 0 falls no further",
         },

@@ -103,7 +103,7 @@ def test_a_recording_without_the_start_is_replayed_from_the_first_sync(name: str
 def test_the_end_of_a_run_is_found_in_the_frames() -> None:
     demo = replay_bus_log(FOLDER / "demo.log", scene_of("demo"))
     last = float(lines_of("demo")[-1][1:].partition(")")[0])
-    assert (demo["cycles"], demo["duration"]) == (1600, pytest.approx(last, abs=1e-6))
+    assert (demo["cycles"], demo["duration"]) == (1603, pytest.approx(last, abs=1e-6))
     emergency = replay_bus_log(FOLDER / "emergency.log", scene_of("emergency"))
     assert "handle: the drive sent an EMCY at SYNC 150: EMCY 0x5000" in emergency["ended"]
     assert "no TPDO for too many SYNCs" in replay_bus_log(FOLDER / "lost_frames.log", scene_of("lost_frames"))["ended"]

@@ -141,7 +141,7 @@ def test_the_frames_alone_give_the_same_accounts(recorded: tuple[Path, Path]) ->
     with EnergyLog.open(recorded[0]) as log:
         found = rederive(recorded[1], scene, log)
     assert found["differences"] == []
-    assert found["cycles"] == 120
+    assert found["cycles"] == 142
 
 
 @pytest.mark.parametrize("from_sync", [False, True])

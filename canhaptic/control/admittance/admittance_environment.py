@@ -115,12 +115,15 @@ class AdmittanceAxis:
         properties: Declared properties of the axis.
         kept: Number of past commands to store.
         lag: Overshoot per speed: moving mass of the drive divided by the gain of its velocity loop [s].
+
+    Attributes:
+        most: Largest speed that may be commanded; a stop lowers it [m/s or rad/s].
     """
 
     def __init__(
         self, environment: AdmittanceEnvironment, properties: AdmittanceProperties, kept: int, lag: float = 0.0
     ) -> None:
-        self.properties, self._lag = plain(properties), lag
+        self.properties, self._lag, self.most = plain(properties), lag, properties.speed_limit
         self._low = max(environment.lower_wall, properties.position_low)
         self._high = min(environment.upper_wall, properties.position_high)
         self._step = properties.acceleration_limit * properties.sample_time
@@ -138,7 +141,7 @@ class AdmittanceAxis:
         a pushing hand.
         """
         properties, commands, lag, step = self.properties, self.commands, self._lag, self._step
-        last, time, most = commands.speed, properties.sample_time, properties.speed_limit
+        last, time, most = commands.speed, properties.sample_time, self.most
         high = last + step if last > 0.0 else step
         low = last - step if last < 0.0 else -step
         ahead = position + lag * velocity
@@ -242,6 +245,10 @@ class AdmittanceController(SteppedController):
         `torque_applied` is minus the force of the sensor.
         """
         raise NotImplementedError
+
+    def fade(self, share: float) -> None:
+        """Limit the speed to a share of the largest one, from the next step on: a stop ends so."""
+        self._display.most = share * self._display.properties.speed_limit
 
     @property
     def energy_resolution(self) -> float:

@@ -75,6 +75,11 @@ class AdmittanceGroup(ABC, Generic[_Axis]):
         self._inner = [list_of_zeros(self._environment.states) for _ in self._each]
         self._h_s, self._started, self._last = 0.0, False, group_at_rest(self.axes)
 
+    def fade(self, share: float) -> None:
+        """Limit the speed of every axis to a share of its largest one, from the next step on: a stop ends so."""
+        for axis in self._each:
+            axis.most = share * axis.properties.speed_limit
+
     @property
     def energy_resolution(self) -> float:
         """Width of the range that contains the energy received on all axes [J]; the account books its lower end."""

@@ -543,6 +543,11 @@ class GuardedAdmittance(AdmittanceController):
         self._watch_limit()
         return commands.speed
 
+    @property
+    def releasable(self) -> float:
+        """Most energy that may still come out [J]."""
+        return self._h_s - self._surplus + self._allowance
+
     def sample_lost(self) -> EnergyBalance:
         """Return the balance of a SYNC without a sample; see `Controller.sample_lost`."""
         balance = super().sample_lost()

@@ -846,6 +846,13 @@ class Guarded(stepped.SteppedController):
         resolution: float = self._state.bound.resolution
         return resolution
 
+    @property
+    def releasable(self) -> float:
+        """Most energy that may still come out [J]: that of the account, and the device's dissipation kept for it."""
+        state = self._state
+        budget: float = state.h_s - state.axis.h_dis + self.energy_allowance + max(0.0, state.bound.dissipated)
+        return budget
+
     def sample_lost(self) -> EnergyBalance:
         """Repeat the last command at a SYNC without a position; see `Controller.sample_lost`.
 

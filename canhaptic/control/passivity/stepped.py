@@ -178,6 +178,14 @@ class SteppedController:
         if commands is not None:  # own code may keep none
             send(commands, self._axis.oldest - 1, 0.0, 0.0, 0.0)
 
+    def replace(self, torque: float) -> None:
+        """Replace the command of the last `step` by another in the queue, because a stop sends that one [N or N*m]."""
+        commands = getattr(getattr(self._memory, "axis", None), "commands", None)
+        if commands is not None:
+            damper, modulated = efforts_inside(commands, self._axis.oldest - 1, torque)
+            send(commands, self._axis.oldest - 1, torque, damper, modulated)
+        self._last = self._last._replace(torque=torque)
+
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
         """Book the hold that ended, and compute the next torque; see `Controller.step`."""
         if not isfinite(position - self._axis.position + torque_applied):

@@ -170,7 +170,7 @@ class AdmittanceDrive(ServoDrive):
         """
         policy, limiter, position = self.policy, self.limiter, self._last.position
         if (policy.missed or self._is_late) and torque - torque == 0.0:
-            held = self._held * policy.torque_fraction() if policy.missed else limiter.last
+            held = limiter.last if not policy.missed else self._held if policy.is_held else 0.0
             torque = max(min(held, 0.0), min(max(held, 0.0), torque))
         if (position >= self._high and torque > 0.0) or (position <= self._low and torque < 0.0):
             torque = 0.0

@@ -124,6 +124,7 @@ class TorqueAxis(ABC):
         outputs: Digital outputs of the drive (0x60FE:01) as the start read them, for a brake; None before.
         elsewhere: Writes to other nodes, whose objects are not restored.
         controlword: Controlword sent with the next torque.
+        weight: Torque that a stop holds until the brake does [N*m or N]; 0: none.
         unasked: Number of process data since the last `reset` that arrived in no SYNC window.
         culprit: Process data that arrived outside a window, or are missing in the last one, in words.
         unheard: Number of SYNCs since the last `reset` whose process data did not arrive in their window.
@@ -164,6 +165,7 @@ class TorqueAxis(ABC):
         self.scaling = axis_scaling(axis, axis.rated_torque or 1.0)
         limiter = DryRunLimiter if dry_run else TorqueLimiter
         self.limiter = limiter(axis.torque_limit, rules.sample_time, axis.torque_rate_limit, axis.power_limit)
+        self.weight = 0.0 if axis.brake is None else axis.brake.holds_weight
         self.policy = LinkPolicy(rules.hold_cycles, rules.stop_cycles, rules.loss_limit, 1.0 / rules.sample_time)
         self.is_ours = False
         self.left_out: frozenset[int] = frozenset()
@@ -220,6 +222,7 @@ class TorqueAxis(ABC):
         self.open_torque = 0.0
         self._passed: list[int] = []  # per mille: commands that acted, or should have, since the last process data
         self._contest: tuple[float, float] | None = None  # distance of other data of the last sample: position, torque
+        self._is_let_go = False  # the drive may disable itself
         self._is_late = False  # a SYNC was skipped before the last one
         self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
 
@@ -258,6 +261,11 @@ class TorqueAxis(ABC):
         """Open or set a brake operated by the host, and await no answer; raise LinkError."""
 
     # --- in ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def delay(self) -> int:
+        """Whole holds from the computation of a torque to the hold in which it acts."""
+        return int(self._is_synchronous) + self.quirks.syncs_late
 
     @property
     def mode_code(self) -> int:
@@ -341,6 +349,8 @@ class TorqueAxis(ABC):
         self._acting = self._next_acting() if self._later else self._commanded
         if self.policy.missed >= self._stop_cycles:
             self._distrust = StopReason.TPDO_CONTRADICTED if self.is_contested else StopReason.TPDO_LOST
+        if self.weight and not self.policy.is_held:  # it acts, and nobody sees along which way
+            self.read_back_bound += abs(self.weight) * self._largest_step
         if not self.is_complete:
             self.unheard += 1
             self.count_loss()
@@ -431,7 +441,7 @@ class TorqueAxis(ABC):
             self._distrust_command()
 
     def _distrust_command(self) -> None:
-        if self._stale_holds >= self._stop_cycles:
+        if self._stale_holds >= self._stop_cycles and not self._is_let_go:
             self._distrust = StopReason.COMMAND_LOST
 
     def _next_acting(self) -> int:
@@ -499,6 +509,11 @@ class TorqueAxis(ABC):
         limits = 0 if not self._reads_nothing or self.statusword & _LIMITED else _LIMITED
         self._watched, self._expected = ENABLED_MASK | follows | limits, ENABLED_VALUE | follows
 
+    def let_go(self) -> None:
+        """Expect that the drive disables itself, because its brake was told to hold: only a fault counts now."""
+        self._is_let_go = True
+        self._watched, self._expected = int(od.StatusBit.FAULT), 0
+
     def fault(self, now: int) -> StopReason:
         """Return why the rig must stop because of this drive; NONE without a reason."""
         if (
@@ -523,7 +538,7 @@ class TorqueAxis(ABC):
             return StopReason.EMERGENCY
         if self.state in FAULTED:
             return StopReason.DRIVE_FAULT
-        if self.statusword & ENABLED_MASK != ENABLED_VALUE:
+        if self.statusword & ENABLED_MASK != ENABLED_VALUE and not self._is_let_go:
             return StopReason.STATE_LEFT
         if not self.is_operational:
             return StopReason.NMT_STATE_LEFT
@@ -551,16 +566,18 @@ class TorqueAxis(ABC):
     def command_per_mille(self, torque: float) -> int:
         """Target torque (0x6071) for a requested torque [N*m or N], after policy and limiter.
 
-        While TPDOs are missing, the torque held when the first went missing, reduced by its ramp, is an upper bound;
-        the operator's stop may ask for less. After a skipped SYNC the last torque is the bound: a controller takes the
-        motion of several sample times for the motion of one and would brake several times too hard.
+        While TPDOs are missing, the torque held when the first went missing is an upper bound for `hold_cycles`; then
+        it is zero, or the weight that a stop holds. After a skipped SYNC the last torque is the bound: a controller
+        takes the motion of several sample times for the motion of one and would brake several times too hard.
 
         Raises:
             ControlError: The torque is not finite.
         """
         policy, limiter = self.policy, self.limiter
         if (policy.missed or self._is_late) and torque - torque == 0.0:  # one that is not finite must reach the limiter
-            held = self._held * policy.torque_fraction() if policy.missed else limiter.last
+            held = limiter.last if not policy.missed else self._held if policy.is_held else 0.0
             torque = max(min(held, 0.0), min(max(held, 0.0), torque))
+            if self.weight and not policy.is_held:
+                torque = self.weight
         torque = limiter.limit(torque, self._step / self._sample_time)
         return self.scaling.torque_per_mille(torque, limiter.low, limiter.high)

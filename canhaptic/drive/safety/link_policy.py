@@ -4,7 +4,7 @@ Axes of a group each count the SYNCs at which the TPDO of any of them is missing
 
 missed TPDOs in a row   0            normal: the controller's torque
                         1 .. hold    the last torque is held
-                        .. stop      it ramps to zero, linearly
+                        .. stop      zero; the declared weight on an axis that hangs from its brake
                         stop         the rig stops, reason TPDO_LOST
 every other StopReason   at once      zero torque, the rig stops
 
@@ -117,7 +117,7 @@ class LossBudget:
 
 
 class LinkPolicy:
-    """Counts the missed cycles of one axis, and fades the torque that is held meanwhile.
+    """Counts the missed cycles of one axis, and says for how long its torque is held meanwhile.
 
     Args:
         hold_cycles: Missed cycles for which the last torque is held.
@@ -164,12 +164,10 @@ class LinkPolicy:
         self.missed += 1
         self.missed_total += 1
 
-    def torque_fraction(self) -> float:
-        """Return the fraction of the last torque that may still be held, 1 to 0."""
-        if self.missed <= self._hold_cycles:
-            return 1.0
-        ramp_cycles = self._stop_cycles - self._hold_cycles
-        return max(0.0, 1.0 - (self.missed - self._hold_cycles) / ramp_cycles)
+    @property
+    def is_held(self) -> bool:
+        """Whether the last torque may still be held; a torque that nobody watches falls in one hold, without a ramp."""
+        return self.missed <= self._hold_cycles
 
     def success_rate(self) -> float:
         """Return the fraction of all SYNCs that were answered; 1 before the first."""

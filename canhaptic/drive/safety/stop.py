@@ -11,7 +11,6 @@ from typing import Any, Final, Protocol
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import Controlword
-from canhaptic.drive.safety.limiter import TorqueLimiter
 from canhaptic.drive.safety.power_states import TORQUE_FREE, PowerState
 from canhaptic.errors import cause_of
 
@@ -20,11 +19,11 @@ class StoppedAxis(Protocol):
     """What the stop needs of an axis: see `drive.profile.torque_axis.TorqueAxis`, which is one."""
 
     axis: Any  # its parameters
-    limiter: TorqueLimiter
     sdo: Any  # access to its objects
     stop_word: Controlword
     stop_time: int
     controlword: int
+    weight: float
     is_ours: bool
     is_operational: bool
     is_complete: bool
@@ -53,6 +52,9 @@ class StoppedAxis(Protocol):
     def command_brake(self, *, is_open: bool) -> None:
         """Open or set a brake operated by the host; raise LinkError."""
 
+    def let_go(self) -> None:
+        """Expect that the drive disables itself, because its brake was told to hold."""
+
     def disable_unconfirmed(self) -> None:
         """Disable outside the process data and await no answer; raise LinkError."""
 
@@ -74,7 +76,6 @@ class StoppedExchange(Protocol):
 
     sample_time_ns: int
     silence: int
-    periods: int
 
     @property
     def drives(self) -> Sequence[StoppedAxis]:
@@ -108,38 +109,55 @@ class Trust(Enum):
     NONE = "the link failed: frames may be lost on any way"
 
 
-def ramp_down(exchange: StoppedExchange, duration: float) -> None:
-    """Ramp the torque of every axis linearly to zero, through the limiter; a brake that the host operates is set first.
-
-    Args:
-        exchange: Cyclic exchange of the rig.
-        duration: Duration of the ramp [s], at most 0.05 s.
+def set_brakes(exchange: StoppedExchange) -> int:
+    """Command every brake to set; return the SYNCs until the slowest holds, 0 without one.
 
     Raises:
-        LinkError: The bus failed on the way.
-        ControlError: Never in practice: the torques are our own.
+        LinkError: It could not be sent.
     """
-    cycles = max(1, min(round(duration * 1e9), 50_000_000) // exchange.sample_time_ns)
-    begin = [(drive, drive.limiter.last, _set_brake(drive, exchange.sample_time_ns)) for drive in exchange.drives]
-    for cycle in range(1, cycles + max(wait for _, _, wait in begin) + 1):
-        exchange.sync()
-        for drive, torque, wait in begin:
-            drive.sample(0, exchange.periods)
-            share = 1.0 - (cycle - wait) / cycles
-            drive.write(drive.command_per_mille(torque * min(1.0, max(0.0, share))))
-        exchange.beat()
+    return max([_set_brake(drive, exchange.sample_time_ns) for drive in exchange.drives])
 
 
 def _set_brake(drive: StoppedAxis, sample_time_ns: int) -> int:
-    """Command the brake of an axis to set; return the cycles until it holds, with the torque kept meanwhile."""
+    """Command the brake of an axis to set; return the SYNCs until it holds."""
     brake = drive.axis.brake
     if brake is None:
         return 0
     drive.command_brake(is_open=False)
     if brake.by == "drive":
         drive.controlword = int(Controlword.SWITCH_ON)  # disable operation: the drive holds until its brake does
-    set_time: int = round(brake.set_time * 1e9)
-    return -(-set_time // sample_time_ns) + 2  # an RPDO acts a SYNC later
+        drive.let_go()
+    holds: int = brake.holds_until_set(sample_time_ns)
+    return holds
+
+
+def hold_unseen(exchange: StoppedExchange) -> None:
+    """Hold the declared weight of every axis that hangs until its brake does, though no TPDO comes; else send zero.
+
+    The other axes are disabled at once. Nothing is raised: `disable` follows in any case.
+    """
+    hung = [drive for drive in exchange.drives if drive.weight and drive.is_ours]
+    if not hung:
+        return
+    others = [drive for drive in exchange.drives if drive not in hung and drive.is_ours]
+    _try(partial(_write_zero, others))
+    _try_each(drive.disable_unconfirmed for drive in others)
+    holds = 0
+    for drive in hung:
+        _try(partial(_hold_weight, drive))
+        holds = max(holds, drive.axis.brake.holds_until_set(exchange.sample_time_ns))
+    for hold in range(holds + _FEWEST_CYCLES):
+        if hold == _FEWEST_CYCLES:  # by now nothing but the weight acts
+            _try(partial(set_brakes, exchange))
+        parts = [_try(exchange.sync), _try(partial(_write_zero, others)), _try(exchange.beat)]
+        _try_each(partial(_hold_weight, drive) for drive in hung)
+        if not all(parts):
+            exchange.wait_until(exchange.now() + exchange.sample_time_ns)
+
+
+def _hold_weight(drive: StoppedAxis) -> None:
+    drive.sample(0)
+    drive.write(drive.command_per_mille(drive.weight))
 
 
 def disable(exchange: StoppedExchange, trust: Trust) -> list[str]:
