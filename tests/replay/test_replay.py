@@ -70,7 +70,7 @@ def test_the_master_sends_today_what_it_sent_when_recorded(name: str) -> None:
         ("bound_device_friction", "certificates.certified_torque.for_any_hand"),
         ("bound_sum", "certificates.certified_torque.by_reach"),
         ("bound_drag", "certificates.certified_torque.hand_force_bound"),
-        ("bound_group", "multi_axis.group_certificates.hand_force_bound"),
+        ("bound_group", "multi_axis.group_account.by_hand_force"),
         ("bound_late_group", "multi_axis.group_account.by_hand_force"),
         ("bound_lossy_group", "multi_axis.group_certificates.largest_share"),
         ("bound_display", "admittance.velocity_loop.VelocityLoop.fastest"),
