@@ -167,7 +167,13 @@ def _suffix(path: Path) -> str:
 
 
 def _open(path: Path) -> BinaryIO:
-    return cast("BinaryIO", gzip.open(path)) if path.suffix.lower() == ".gz" else path.open("rb")
+    file = path.open("rb")
+    is_packed = file.read(2) == b"\x1f\x8b"
+    file.seek(0)
+    if not is_packed:
+        return file
+    file.close()
+    return cast("BinaryIO", gzip.open(path))
 
 
 def _starts_with(path: Path, content: bytes) -> bool:
@@ -258,7 +264,7 @@ def _why_no_frame(path: Path, number: int, line: str) -> str:
 
 
 def _read_with_python_can(path: Path, remarks: Remarks) -> Iterator[Frame]:
-    kind = _suffix(path)
+    kind, number = _suffix(path), 0
     try:
         for number, message in enumerate(_messages(path, kind, remarks), 1):
             can_id, data = message.arbitration_id, bytes(message.data)
@@ -275,6 +281,8 @@ def _read_with_python_can(path: Path, remarks: Remarks) -> Iterator[Frame]:
         raise
     except Exception as error:  # its readers may raise anything on a damaged file
         raise LogFormatError(f"{path}: cannot be read as {kind[1:].upper()} ({error})") from error
+    if not number and not remarks.skipped:
+        raise LogFormatError(f"{path}: has no frame in the format {kind[1:].upper()}; is that what it is?")
 
 
 def _channel(kind: str, number: object) -> str:

@@ -16,8 +16,8 @@ from canhaptic.scene.load import load_scene
 from tools.record import RECORDINGS
 
 ROOT = Path(__file__).parents[2]
-RECORDING = ROOT / "tests" / "recordings" / "lost_frames.log"
-PLAN = RECORDINGS["lost_frames"]
+RECORDING = ROOT / "tests" / "recordings" / "paper_fig8_100hz.log"
+PLAN = RECORDINGS["paper_fig8_100hz"]
 TEXT = "(0000000000.000000) can0 181#1716\n"
 
 
@@ -116,7 +116,7 @@ def test_a_compressed_log_holds_the_same_frames(tmp_path: Path, suffix: str) -> 
         path.write_bytes(RECORDING.read_bytes())
     else:
         convert(RECORDING, path)
-    packed = tmp_path / f"a.{suffix}.gz"
+    packed = tmp_path / (f"b.{suffix}" if suffix == "trc" else f"a.{suffix}.gz")  # its content tells, not its name
     frames, said = read(packed, gzip.compress(path.read_bytes()))
     assert ([frame[1:3] for frame in frames], said) == ([frame[1:3] for frame in read_bus_log(RECORDING)], [])
     packed.write_bytes(packed.read_bytes()[:-2000])
@@ -133,6 +133,12 @@ def test_the_first_frame_after_the_short_header_of_busmaster_is_not_lost(tmp_pat
     assert (len(frames), said) == (2, [])
     frames, said = read(tmp_path / "a.asc", text + line.format("0,3"))  # python-can drops it without a word
     assert (len(frames), said) == (2, ["frames left out: 1 unreadable"])
+
+
+def test_a_file_of_another_format_than_its_name_says_is_one_error(tmp_path: Path) -> None:
+    for suffix in ("asc", "trc", "blf"):
+        with pytest.raises(LogFormatError, match=suffix.upper()):
+            read(tmp_path / f"a.{suffix}", "  can0  080   [0]\n")
 
 
 def as_pasted(*, timed: bool) -> str:
