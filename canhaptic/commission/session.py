@@ -486,8 +486,8 @@ class Session:
         """Drives, one per axis."""
         return self.rig.drives
 
-    def coast(self, axis: int) -> None:
-        """Wait without torque until an axis is at rest, for at most 20 s.
+    def coast(self, axis: int, longest: float = 20.0) -> None:
+        """Wait without torque until an axis is at rest, for at most `longest` seconds.
 
         Raises:
             RigError: Drive or link failed; torque is zero.
@@ -500,7 +500,7 @@ class Session:
             last = law.positions[-watched:]
             return len(last) == watched and max(last) - min(last) <= still
 
-        self.run_alone(axis, law, self.cycles(20.0), at_rest)
+        self.run_alone(axis, law, self.cycles(longest), at_rest)
 
     def play_within(
         self, axis: int, item: str, torques_of: Callable[[float], Sequence[float]], torque: float

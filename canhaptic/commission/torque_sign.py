@@ -19,8 +19,10 @@ SIGN: Final = "torque sign"
 _PART: Final = 0.25  # of the travel of an axis that its first torques may use
 _PULSE: Final = 0.04  # length of the first part of the first pulse [s]
 _LONGEST: Final = 0.32
+_COAST: Final = 2.0  # [s]
 _SEEN: Final = 3.0  # counts by which a pulse moves the axis before it is repeated
 _NUMBER: Final = 32  # pulses of a series
+_SERIES: Final = 3  # with one torque and length
 _TRIES: Final = 32  # single pulses and series
 _WRONG: Final = 1e-6  # probability of a wrong sign
 _AGREES: Final = 0.9  # share of the pulses that should agree
@@ -116,16 +118,18 @@ def _search(
 
     A pulse that does not move the axis is doubled, then lengthened; one that moves it too far is shortened.
     """
-    random, cycles, longest, number = np.random.default_rng(1), session.cycles(_PULSE), session.cycles(_LONGEST), 1
+    random, cycles, longest = np.random.default_rng(1), session.cycles(_PULSE), session.cycles(_LONGEST)
+    number, series = 1, 0  # of series with this torque and length
     for _ in range(_TRIES):
         signs = random.choice([-1.0, 1.0], number)
-        session.coast(axis)
+        session.coast(axis, _COAST)  # an axis that goes on swinging does not know the next sign either
         rest = [0.0] * (2 * cycles)
         torques = [part for sign in signs for part in [*doublet(float(sign) * torque, cycles), *rest]]
-        law = session.play(axis, torques, len(torques) + 2 + session.scene.bus.delay)
+        law = session.play(axis, torques, len(torques) + 2 + session.scene.bus.delay, travels=_PART)
         moves = _moves(law, signs.tolist(), cycles)
         evidence.add(moves)
-        seen, is_series = max(map(abs, moves), default=0.0) >= (_SEEN - 0.5) * session.count(axis), number > 1
+        seen = max(map(abs, moves), default=0.0) >= (_SEEN - 0.5) * session.count(axis)
+        is_series = number > 1
         if evidence.is_sure or session.stop_requested():
             break
         if law.tripped:
@@ -134,13 +138,13 @@ def _search(
             if cycles == 1:
                 break
             cycles = longest = cycles // 2
-            number = 1
-        elif seen and not is_series:
-            number = _NUMBER
+            number, series = 1, 0
+        elif seen and series < _SERIES:
+            number, series = _NUMBER, series + 1
         elif torque < most:
-            torque, number = min(most, 2.0 * torque), 1
+            torque, number, series = min(most, 2.0 * torque), 1, 0
         elif cycles < longest:
-            cycles, number = min(longest, 2 * cycles), 1
+            cycles, number, series = min(longest, 2 * cycles), 1, 0
         elif is_series:
             break
         else:

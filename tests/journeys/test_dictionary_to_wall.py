@@ -16,7 +16,22 @@ FELT = 0.1  # part of the mass by which the one that is felt may differ
 @pytest.mark.parametrize("name", [*OURS, *FIT])
 def test_a_dictionary_leads_to_a_wall_that_is_felt(name: str, person: Person, request: pytest.FixtureRequest) -> None:
     person.types("new", dictionary(name, request), "--simulate", "--out", "rig.yaml")
-    person.types("commission", "rig.yaml", "--yes", "--travel", "0.1", "--out", "mine.yaml")
+    person.types("commission", "rig.yaml", "--yes", "--out", "mine.yaml")
+    port = person.runs_one("mine.yaml", "--duration", "3", "--strict")
+    assert port["verdict"] == "yes"
+    assert port["rendered"]["stiffness"] >= 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turn", [2_000, 4_096, 16_384])
+@pytest.mark.parametrize("name", [*OURS, *FIT])
+def test_a_coarse_encoder_leads_to_a_wall_that_is_felt(
+    name: str, turn: int, person: Person, request: pytest.FixtureRequest
+) -> None:
+    """Counts a turn of encoders with 500 lines and more, as people have them; nothing else is given."""
+    person.types("new", dictionary(name, request), "--simulate", "--out", "rig.yaml")
+    counts = f"axes.0.counts_per_unit={turn / (2.0 * np.pi)} count/rad"
+    person.types("commission", "rig.yaml", "--yes", "--duration", "1", "--set", counts, "--out", "mine.yaml")
     port = person.runs_one("mine.yaml", "--duration", "3", "--strict")
     assert port["verdict"] == "yes"
     assert port["rendered"]["stiffness"] >= 0.9
