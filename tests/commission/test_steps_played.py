@@ -280,7 +280,7 @@ def test_a_known_mass_gives_the_scale_of_the_torque() -> None:
 
 def test_the_parts_of_a_doublet_are_four_cycles_at_least() -> None:
     """A light axis at a slow rate would leave its travel within one or two, which no encoder resolves."""
-    session = verified(FreeMass(0.00083, 0.01), "mass", "bus.rate=100", number=0.00083)
+    session = verified(FreeMass(0.00083, 0.01), "mass", "bus.rate=100", number=0.00083, travel=0.08)
     parts = [torques for _, torques, _, travels in session.played if torques and travels == 1.0]
     assert parts
     for torques in parts:
