@@ -24,6 +24,10 @@ def notes(scene: Scene) -> Iterator[str]:
             yield f"{text} {limit:.3g} {effort_unit(given.unit)}, 1 % of torque_limit; canhaptic commission verifies it"
     if scene.simulation is None:
         yield from check_list(scene.run.confirmed)
+        asked = scene.bus.realtime.model_dump()
+        if missing := [key for key in ("priority", "lock_memory", "freeze_garbage") if not asked[key]]:
+            text = f"bus.realtime: without {', '.join(missing)}: other programs, swapping or the garbage collector may"
+            yield f"{text} delay SYNCs; add them where `canhaptic check` says that the system grants them"
     if scene.simulated:  # real drives load nothing of it
         from canhaptic.scene.method import dear_holds
 

@@ -7,6 +7,7 @@ page itself or absent, and its path is a static script or contains the secret.
 """
 
 import argparse
+import logging
 import re
 import secrets
 import signal
@@ -16,10 +17,11 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from traceback import walk_tb
 from typing import Any, Final
 
 from canhaptic.cli.main import say_interrupted
-from canhaptic.errors import InputError
+from canhaptic.errors import InputError, cause_of
 from canhaptic.extras import install_hint
 from canhaptic.host.stop_signal import SHELL_OFFSET
 from canhaptic.scene.load import load_scene
@@ -64,6 +66,7 @@ _OURS: Final = re.compile(rf"({'|'.join(map(re.escape, _NAMES))})(:[0-9]{{1,5}})
 _SCRIPT: Final = re.compile(r"/static/js/[\w-][\w.-]*")
 _SECRET: Final = 16  # [B]
 _WAITING: Final = 2  # visitors whose browser has not come yet; those before them are ended
+_ACCEPTING: Final = "_accept_connection"  # of tornado's websockets
 _CHECK: Final = 1000  # [ms] between two looks for visitors to end
 
 
@@ -83,6 +86,14 @@ class _Door:
         is_same_origin = request.headers.get("Origin", f"http://{host}") == f"http://{host}"
         is_known = request.path in self._paths or _SCRIPT.fullmatch(request.path)
         return {} if is_ours and is_same_origin and is_known else None
+
+
+def _in_one_line(record: logging.LogRecord) -> bool:
+    """Cut the record of a websocket that was not accepted, as with a bad or old token, to one line."""
+    error = record.exc_info[1] if record.exc_info else None
+    if error is not None and _ACCEPTING in (frame.f_code.co_name for frame, _ in walk_tb(error.__traceback__)):
+        record.msg, record.args, record.exc_info = f"a browser was refused: {cause_of(error)}", (), None
+    return True
 
 
 def _usable_port(arguments: argparse.Namespace) -> int:
@@ -117,6 +128,13 @@ def serve_page(page: Callable[[Any], object], arguments: argparse.Namespace, tit
     from tornado.httpserver import HTTPServer
     from tornado.ioloop import IOLoop
     from tornado.routing import Rule, RuleRouter
+    from tornado.web import OutputTransform
+
+    class Unframed(OutputTransform):  # type: ignore[misc]
+        def transform_first_chunk(self, status_code: int, headers: Any, chunk: bytes, finishing: bool) -> Any:
+            headers["X-Frame-Options"] = "DENY"
+            headers["Content-Security-Policy"] = "frame-ancestors 'none'; base-uri 'none'; object-src 'none'"
+            return status_code, headers, chunk
 
     path = f"/{secrets.token_urlsafe(_SECRET)}"
 
@@ -128,6 +146,8 @@ def serve_page(page: Callable[[Any], object], arguments: argparse.Namespace, tit
 
     origins = [f"{name}:*" for name in _NAMES]
     pages = BokehTornado({path: visit}, extra_websocket_origins=origins, check_unused_sessions_milliseconds=_CHECK)
+    pages.add_transform(Unframed)
+    logging.getLogger("tornado.application").addFilter(_in_one_line)
     http = HTTPServer(RuleRouter([Rule(_Door(path), pages)]))
     http.listen(port, _HOST)
     server = BaseServer(IOLoop.current(), pages, http)

@@ -4,8 +4,10 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from http.client import HTTPConnection
 from pathlib import Path
 from subprocess import PIPE, Popen
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -112,6 +114,32 @@ def test_a_signal_ends_the_scope_with_its_own_status(number: signal.Signals, tmp
     pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     with scope(tmp_path / "run.h5", number) as address:
         assert address.startswith("http://127.0.0.1:")
+
+
+@pytest.mark.slow
+def test_a_bad_token_is_refused_in_one_line_and_no_page_may_frame_this_one(tmp_path: Path) -> None:
+    pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
+    words = ["scope", str(tmp_path / "run.h5"), "--port", "0", "--window", "3"]
+    with Popen([sys.executable, "-m", "canhaptic", *words], text=True, stdout=PIPE, stderr=PIPE) as process:
+        try:
+            assert process.stdout is not None
+            address = urlsplit(process.stdout.readline().split(" at ")[1].split()[0])
+            connection = HTTPConnection("127.0.0.1", address.port or 0, timeout=60)
+            connection.request("GET", address.path)
+            page = connection.getresponse()
+            assert (page.status, page.headers["X-Frame-Options"]) == (200, "DENY")
+            assert "frame-ancestors 'none'" in page.headers["Content-Security-Policy"]
+            page.read()
+            asked = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+            asked |= {"Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==", "Sec-WebSocket-Protocol": "bokeh, e30.bad"}
+            connection.request("GET", f"{address.path}/ws", headers=asked)
+            with connection.getresponse() as answer, contextlib.closing(connection):
+                assert answer.status == 101
+        finally:
+            process.send_signal(signal.SIGINT)
+            _, err = process.communicate(timeout=60)
+    assert "Traceback" not in err
+    assert "a browser was refused: " in err
 
 
 @pytest.mark.slow
