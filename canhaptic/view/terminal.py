@@ -57,7 +57,7 @@ def write_note(text: str) -> None:
 
 
 def leave_closed_terminal() -> None:
-    """Write to nothing where the terminal was closed, or nobody reads standard error: neither ends a run."""
+    """Write to nothing where the terminal was closed, or standard error has no reader: neither ends a run."""
     for number, stream in enumerate((sys.stdout, sys.stderr), 1):
         with suppress(OSError, ValueError):  # a text in memory, or no file at all
             if stream.fileno() == number and _is_gone(number):
@@ -66,7 +66,7 @@ def leave_closed_terminal() -> None:
 
 def _is_gone(descriptor: int) -> bool:
     if not hasattr(select, "poll") or (descriptor == 1 and stat.S_ISFIFO(os.fstat(1).st_mode)):
-        return False  # whoever reads the results of a command and leaves is told by its exit status
+        return False  # a command without a reader for its results ends with another exit status
     look = select.poll()
     look.register(descriptor, 0)
     return any(event & (select.POLLHUP | select.POLLERR) for _, event in look.poll(0))

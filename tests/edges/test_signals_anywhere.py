@@ -64,7 +64,7 @@ def all_places(looks: Looks) -> int:
 
 
 def assert_stopped(looks: Looks, places: range, cycles_of_a_run: int) -> int:
-    """Check what signals at these looks leave; return the SYNCs until the drive is told zero for good."""
+    """Check what signals at these looks leave; return the SYNCs until only zero is sent."""
     bench, cycle, stop = looks.attempt(places)
     try:
         assert stop.exit_status == 128 + signal.SIGHUP
