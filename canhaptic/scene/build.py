@@ -85,9 +85,6 @@ def open_bus(bus: BusParameters, channel: str | int | None) -> can.BusABC:
         raise opening_error(bus, channel, error) from error
 
 
-_DEFAULT_UNCERTAINTY: Final = 0.1  # [W]; of the demo, 1 % of frames lost make up to 14 mW, 10 % up to 0.9 W
-
-
 def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
     """Return a meter for each port that has a limit on the energy it may generate beyond the declared energy.
 
@@ -100,7 +97,7 @@ def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
         is_limited = passivity.name in GUARANTEEING or not scene.simulated
         limit = _least((axis.parameters.energy_loss_limit for axis in axes), DEFAULT_LIMIT if is_limited else inf)
         growths = (axis.parameters.energy_uncertainty_limit for axis in axes)
-        growth = _least(growths, _DEFAULT_UNCERTAINTY if is_limited and scene.simulated else inf)
+        growth = _least(growths, inf)
         if min(limit, growth) == inf or (axes[0].parameters.admittance is not None and not axes[0].group):
             continue
         damping = [0.0 if axis.loop.device_friction else axis.loop.device_damping or 0.0 for axis in axes]

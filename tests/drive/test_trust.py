@@ -171,7 +171,12 @@ def test_one_lost_frame_in_a_hundred_is_endured() -> None:
 
 
 def test_an_account_that_no_longer_knows_the_energy_ends_the_run() -> None:
-    moving = ("simulation.user.motion.frequency=2", "environment.stiffness=800", "bus.loss_limit=1")
+    moving = (
+        "simulation.user.motion.frequency=2",
+        "environment.stiffness=800",
+        "bus.loss_limit=1",
+        "axes.0.energy_uncertainty_limit=0.1 W",
+    )
     found = Ended(*moving, "simulation.bus={drop: 0.3, ids: [0x181]}", "axes.0.energy_loss_limit=none", seconds=1.5)
     assert (found.reason, found.is_safe) == (StopReason.ENERGY_UNCERTAIN, True), found.text
     assert "beyond energy_uncertainty_limit (0.1 J/s)" in found.text

@@ -295,6 +295,7 @@ R = StopReason
 DISPLAY = "admittance/virtual_mass.yaml"
 FRICTION = ("passivity.drive_friction=0.5 N", "passivity.drive_damping=2.2 N*s/m")
 STALLS = "{stall: [{begin: 2, duration: 60 ms, every: 75 ms}]}"
+LOSSY = ("axes.0.energy_uncertainty_limit=none", "axes.0.energy_loss_limit=none")
 ACTUAL, UNREAD = ("axes.0.read_back=actual",), ("axes.0.read_back=none",)
 CASES: dict[str, Case] = {
     # the drive
@@ -322,8 +323,10 @@ CASES: dict[str, Case] = {
     "boot-ups of a twin": Case("twin", R.NMT_STATE_LEFT, 3, each=frame(0x700, 0)),
     "heartbeat of a twin in pre-operational": Case("twin", R.NMT_STATE_LEFT, 1, frame(0x700, 0x7F)),
     "heartbeats of a twin in operational": Case("twin", None, None, each=frame(0x700, 5)),
-    "TPDO of a twin, out of the window": Case("twin", None, None, each=frame(0x180, 0x50, 2, 0, 0, 0, 0, 0, 0)),
-    "TPDO of a twin, in the window": Case("twin", None, None, twin),
+    "TPDO of a twin, out of the window": Case(
+        "twin", R.TPDO_CONTRADICTED, 21, each=frame(0x180, 0x50, 2, 0, 0, 0, 0, 0, 0)
+    ),
+    "TPDO of a twin, in the window": Case("twins", R.TPDO_CONTRADICTED, 21, twin),
     # a second master
     **{
         f"NMT {word}{' to all' if to_all else ''}": Case("NMT", R.SECOND_MASTER, 1, nmt(command, to_all=to_all))
@@ -356,8 +359,35 @@ CASES: dict[str, Case] = {
     "TPDO gone": Case("TPDO", R.TPDO_LOST, 3, lost(to_master=True, only=lambda edge: edge.tpdo)),
     "TPDO of another node": Case("TPDO", R.TPDO_LOST, 3, other_node),
     "TPDO short": Case("TPDO", R.TPDO_LOST, 3, shortened(lambda n: False)),
-    "TPDO short every other time": Case("TPDO", None, None, shortened(lambda n: n % 2 == 0), cycles=300),
-    "TPDO whole once in 20": Case("TPDO", None, None, shortened(lambda n: n % 20 == 0), cycles=300),
+    "TPDO short every other time": Case(
+        "losses", R.FRAMES_LOST, 49, shortened(lambda n: n % 2 == 0), changes=LOSSY, cycles=300
+    ),
+    "TPDO whole once in 20": Case("losses", R.FRAMES_LOST, 20, shortened(lambda n: n % 20 == 0), changes=LOSSY),
+    "TPDO whole once in 20, account not to be known": Case(
+        "losses",
+        R.ENERGY_UNCERTAIN,
+        19,
+        shortened(lambda n: n % 19 == 0),
+        changes=("bus.loss_limit=1", "axes.0.energy_uncertainty_limit=0.1 W"),
+        cycles=300,
+    ),
+    **{
+        f"torque read back {word}, {read_back}": Case(
+            "torque",
+            R.TORQUE_CONTRADICTED,
+            20,
+            tpdo(change),
+            changes=(f"axes.0.read_back={read_back}", *LOSSY),
+            cycles=300,
+        )
+        for word, change in {
+            "doubled": lambda w, p, t: (w, p, 2 * t),
+            "negated": lambda w, p, t: (w, p, -t),
+            "and 10 N": lambda w, p, t: (w, p, t + 1000),
+            "320 N": lambda w, p, t: (w, p, 32_000),
+        }.items()
+        for read_back in ("demand", "actual")
+    },
     "RPDO lost, demand read back": Case(
         "RPDO", R.COMMAND_LOST, 21, lost(to_drive=True, only=lambda edge: edge.rpdo), cycles=300
     ),
@@ -414,7 +444,7 @@ CASES: dict[str, Case] = {
     "more SYNCs skipped than sent": Case(
         "host",
         R.SYNCS_SKIPPED,
-        81,
+        64,
         controller(lambda: 1.0),
         changes=("bus.rate=40", f"simulation.bus={STALLS}", "axes.0.energy_loss_limit=none"),
         cycles=300,

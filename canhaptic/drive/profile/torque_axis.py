@@ -197,6 +197,7 @@ class TorqueAxis(ABC):
         self._values: tuple[int, ...] | list[int] = (0, 0, 0)  # statusword, position counts, torque per mille
         self.unheard = self.unasked = 0
         self.culprit, self.read_back_bound, self.contested = "", 0.0, 0.0
+        self._contested_until = 0  # count of SYNCs up to which a doubtful sample is the cause of an uncertain account
         self._spread = 0.0  # per mille: how far the torque is from what may have acted instead, see `read_back_bound`
         self._lowest = self._highest = 0  # per mille: of all commands that acted, or should have
         self.scaling.reset()
@@ -368,7 +369,7 @@ class TorqueAxis(ABC):
             per_mille: Their torque or force, in steps of it.
         """
         self.uncommanded += 1
-        self.is_contested = True
+        self.is_contested, self._contested_until = True, self.policy.cycles + self._stop_cycles
         self.count_loss()
         moved = abs((counts - self._values[1] + _HALF) % (2 * _HALF) - _HALF) / self.axis.counts_per_unit
         size = 0 if self._reads_nothing else abs(per_mille - self._values[2]) * self.quantum
@@ -529,7 +530,7 @@ class TorqueAxis(ABC):
     @property
     def suspicion(self) -> StopReason:
         """What makes the account of this axis uncertain at present, before it alone ends the run; NONE if unknown."""
-        if self.is_contested:
+        if self.is_contested or 0 < self.policy.cycles <= self._contested_until:
             return StopReason.TPDO_CONTRADICTED
         return StopReason.TORQUE_CONTRADICTED if self.check.contradicted > self._hold_cycles else _NO_REASON
 
