@@ -324,9 +324,9 @@ CASES: dict[str, Case] = {
     "heartbeat of a twin in pre-operational": Case("twin", R.NMT_STATE_LEFT, 1, frame(0x700, 0x7F)),
     "heartbeats of a twin in operational": Case("twin", None, None, each=frame(0x700, 5)),
     "TPDO of a twin, out of the window": Case(
-        "twin", R.TPDO_CONTRADICTED, 21, each=frame(0x180, 0x50, 2, 0, 0, 0, 0, 0, 0)
+        "twin", R.TPDO_CONTRADICTED, 24, each=frame(0x180, 0x50, 2, 0, 0, 0, 0, 0, 0)
     ),
-    "TPDO of a twin, in the window": Case("twins", R.TPDO_CONTRADICTED, 21, twin),
+    "TPDO of a twin, in the window": Case("twins", R.TPDO_CONTRADICTED, 4, twin),
     # a second master
     **{
         f"NMT {word}{' to all' if to_all else ''}": Case("NMT", R.SECOND_MASTER, 1, nmt(command, to_all=to_all))
@@ -362,11 +362,11 @@ CASES: dict[str, Case] = {
     "TPDO short every other time": Case(
         "losses", R.FRAMES_LOST, 49, shortened(lambda n: n % 2 == 0), changes=LOSSY, cycles=300
     ),
-    "TPDO whole once in 20": Case("losses", R.FRAMES_LOST, 20, shortened(lambda n: n % 20 == 0), changes=LOSSY),
+    "TPDO whole once in 20": Case("losses", R.FRAMES_LOST, 3, shortened(lambda n: n % 20 == 0), changes=LOSSY),
     "TPDO whole once in 20, account not to be known": Case(
         "losses",
         R.ENERGY_UNCERTAIN,
-        19,
+        3,
         shortened(lambda n: n % 19 == 0),
         changes=("bus.loss_limit=1", "axes.0.energy_uncertainty_limit=0.1 W"),
         cycles=300,
@@ -432,7 +432,7 @@ CASES: dict[str, Case] = {
         each=frame(0x20000004 & 0x7FF, 0, 0x30, 0, 0, 0, 0, 0, 0, of_drive=False, is_error_frame=True),
     ),
     "content late by one SYNC": Case("late", None, None, content_late(1)),
-    "content late by five SYNCs": Case("late", None, None, content_late(5), cycles=300),
+    "content late by five SYNCs": Case("late", R.TORQUE_CONTRADICTED, 66, content_late(5), cycles=300),
     "the same content for ever": Case("late", R.COMMAND_LOST, 21, content_late(0), cycles=300),
     # own code
     "NaN": Case("controller", R.CONTROLLER, 1, controller(lambda: float("nan"))),
