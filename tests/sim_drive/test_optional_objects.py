@@ -2,9 +2,12 @@
 
 from pathlib import Path
 
+import can
 import pytest
 
 from tests.sim_drive.drive_on_bus import Rig
+
+MS = 1_000_000
 
 OUR_EDS = Path(__file__).resolve().parents[2] / "eds" / "cia402_servo.eds"
 SECTION = """
@@ -63,6 +66,51 @@ def test_integers_of_unusual_sizes_have_their_size(tmp_path: Path, data_type: st
         assert rig.write(0x2100, 0, 5, min(size, 4)) == expected
 
 
-def test_node_guarding_is_not_served_and_so_not_listed(listing: Path) -> None:
+def request_state(rig: Rig, node_id: int = 5) -> list[tuple[int, str]]:
+    """A guard request, and the frames that answer it."""
+    rig.bus.send(can.Message(arbitration_id=0x700 + node_id, is_remote_frame=True, is_extended_id=False, dlc=1))
+    return rig.run()
+
+
+def test_guard_requests_are_answered_with_the_state_and_a_bit_that_alternates(listing: Path) -> None:
     with Rig(listing) as rig:
-        assert [rig.read(index) for index in (0x100C, 0x100D)] == ["06020000", "06020000"]
+        assert [request_state(rig) for _ in range(3)] == [[(0x705, "7f")], [(0x705, "ff")], [(0x705, "7f")]]
+        assert request_state(rig, 6) == []
+        rig.send(0x000, "82 05")  # reset communication begins anew
+        assert request_state(rig) == [(0x705, "7f")]
+        rig.write(0x1017, 0, 60_000, 2)  # heartbeats take the place of guarding
+        assert request_state(rig) == []
+
+
+def test_a_drive_whose_dictionary_lists_no_guarding_answers_no_request() -> None:
+    with Rig() as rig:
+        assert request_state(rig) == []
+
+
+@pytest.mark.parametrize(("time", "factor", "life_time"), [(20, 5, 100), (0, 5, None), (20, 0, None)])
+def test_life_guarding_counts_from_the_first_request_and_takes_the_torque_away(
+    listing: Path, time: int, factor: int, life_time: int | None
+) -> None:
+    with Rig(listing) as rig:
+        assert rig.write(0x100C, 0, time, 2) == rig.write(0x100D, 0, factor, 1) == "ok"
+        rig.enable()
+        rig.send(0x205, "0f 00 64 00")
+        assert rig.run(rig.now + 500 * MS) == []  # no request yet
+        request_state(rig)
+        begin = rig.now
+        rig.run(begin + 99 * MS)
+        assert rig.drive.torque == 0.1
+        frames = rig.run(begin + 101 * MS)
+        assert frames == ([] if life_time is None else [(0x085, "30 81 11 00 00 00 00 00")])
+        assert rig.drive.torque == (0.1 if life_time is None else 0.0)
+
+
+def test_life_guarding_that_is_switched_off_or_comes_back_is_no_error(listing: Path) -> None:
+    with Rig(listing) as rig:
+        rig.write(0x100D, 0, 5, 1)
+        rig.write(0x100C, 0, 20, 2)
+        request_state(rig)
+        assert rig.run(rig.now + 200 * MS) == [(0x085, "30 81 11 00 00 00 00 00")]
+        assert (0x085, "00 00 00 00 00 00 00 00") in request_state(rig)
+        rig.write(0x100C, 0, 0, 2)
+        assert rig.run(rig.now + 500 * MS) == []

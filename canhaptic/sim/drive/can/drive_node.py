@@ -23,7 +23,14 @@ from canhaptic.canopen.objects import DataType, NmtCommand, NmtState
 from canhaptic.signals import Truth
 from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.drive.can import nmt_slave as emcy
-from canhaptic.sim.drive.can.nmt_slave import NEVER, HeartbeatConsumer, HeartbeatProducer, Timers, command_for
+from canhaptic.sim.drive.can.nmt_slave import (
+    NEVER,
+    HeartbeatConsumer,
+    HeartbeatProducer,
+    LifeGuard,
+    Timers,
+    command_for,
+)
 from canhaptic.sim.drive.can.process_data import Content, Handler, ProcessData
 from canhaptic.sim.drive.can.sdo_server import SdoServer
 from canhaptic.sim.drive.profile.object_store import ObjectStore
@@ -34,7 +41,6 @@ if TYPE_CHECKING:
     from canhaptic.sim.drive.can.sensor_node import SensorNode
 
 _COMMUNICATION_OBJECTS: Final = range(0x1000, 0x2000)
-_NOT_SERVED: Final = frozenset({(objects.GUARD_TIME, None), (objects.LIFE_TIME_FACTOR, None)})  # node guarding
 _FAULT: Final = 1  # value of 0x6007; used when a dictionary has no such object
 _PRE_OPERATIONAL, _STOPPED = 0, 2  # values of 0x1029: where a lost heartbeat leads
 _tuple: Final = tuple.__new__  # makes a truth at half the cost of calling its class
@@ -83,7 +89,7 @@ class SimulatedDrive:
         self.nmt_state = NmtState.BOOT_UP
         self._bus = bus
         self._sample_time = sample_time_ns
-        absent = parameters.absent_places() | _NOT_SERVED
+        absent = parameters.absent_places()
         self.store = store = ObjectStore(dictionary, parameters.object_values(), absent, parameters.refused_values())
         store.guard_storage()
         self.servo, self._sensor = self._servo_and_sensor(motor, parameters)
@@ -95,6 +101,7 @@ class SimulatedDrive:
         self._consumer = HeartbeatConsumer(
             store, timers, self._now, self._lose_heartbeat, self._regain_heartbeat, self._change_routes
         )
+        self.guard = LifeGuard(store, timers, self._now, self._send_state, self._lose_heartbeat, self._regain_heartbeat)
         self._process_data = ProcessData(
             store, self.servo, timers, self._emergency, parameters, self._send, self._lose, self._change_routes
         )
@@ -174,7 +181,10 @@ class SimulatedDrive:
             self._send(cob_id, content)
 
     def _send_heartbeat(self) -> None:
-        self._send(objects.HEARTBEAT_BASE + self.node_id, bytes((self.nmt_state,)))
+        self._send_state(0)
+
+    def _send_state(self, toggle: int) -> None:
+        self._send(objects.HEARTBEAT_BASE + self.node_id, bytes((self.nmt_state | toggle,)))
 
     # --- frames -----------------------------------------------------------------------------------------------------
 
@@ -241,6 +251,7 @@ class SimulatedDrive:
         self.timers.stop_all()
         self._sdo.reset()
         self._consumer.restart()
+        self.guard.restart()
         self.nmt_state = NmtState.BOOT_UP
         self._send_heartbeat()
         self.nmt_state = NmtState.PRE_OPERATIONAL
@@ -349,11 +360,20 @@ class DriveGroup:
                     handler(message.data)
                     if servo.has_event or servo.fault_code:
                         drive.follow_up()
+            elif message.is_remote_frame and not message.is_extended_id:
+                self._pass_request(now, message.arbitration_id)
             message = None
         for drive in self.drives:
             if now >= drive.timers.earliest:
                 drive.servo.now = now
                 drive.timers.fire(now)
+                drive.follow_up()
+
+    def _pass_request(self, now: int, cob_id: int) -> None:
+        for drive in self.drives:
+            if cob_id == objects.HEARTBEAT_BASE + drive.node_id:
+                drive.servo.now = now
+                drive.guard.answer()
                 drive.follow_up()
 
     def next_due(self) -> int:

@@ -174,7 +174,7 @@ class HeartbeatProducer:
     """
 
     def __init__(self, store: ObjectStore, timers: Timers, send: _Call, now: _Now) -> None:
-        self._time = store.entry(objects.PRODUCER_HEARTBEAT_TIME, DataType.UNSIGNED16)
+        self._time = store.optional(objects.PRODUCER_HEARTBEAT_TIME, DataType.UNSIGNED16)
         self._timers, self._send, self._now = timers, send, now
         self._timer, self._time.changed = timers.add(self._beat), self.restart
 
@@ -191,6 +191,60 @@ class HeartbeatProducer:
         if (late := self._now() - following) >= 0:  # after a stall: skipped, not caught up
             following += (late // period + 1) * period
         self._timers.start(self._timer, following)
+
+
+class LifeGuard:
+    """Answers guard requests with the NMT state and a bit that alternates, and notices that they end.
+
+    The life time, 0x100C [ms] times 0x100D, counts from the first request. A node that produces heartbeats (0x1017) or
+    whose dictionary lacks these objects is not guarded (CiA 301, 7.2.8.3).
+
+    Args:
+        store: Object store.
+        timers: Timers of the node.
+        now: Returns the time [ns].
+        send: Sends the state with the bit given, 0x00 or 0x80.
+        on_lost: Called when a request is overdue.
+        on_return: Called when requests are back.
+    """
+
+    def __init__(
+        self, store: ObjectStore, timers: Timers, now: _Now, send: Callable[[int], None], on_lost: _Call,
+        on_return: _Call,
+    ) -> None:  # fmt: skip
+        self._heartbeat = store.optional(objects.PRODUCER_HEARTBEAT_TIME, DataType.UNSIGNED16)
+        self._guard_time = store.find(objects.GUARD_TIME)
+        self._factor = store.optional(objects.LIFE_TIME_FACTOR, DataType.UNSIGNED8)
+        self._timers, self._now, self._send = timers, now, send
+        self._on_lost, self._on_return = on_lost, on_return
+        self._timer = timers.add(self._lose)
+        for entry in (self._guard_time, self._factor):
+            if entry is not None:
+                entry.changed = partial(timers.stop, self._timer)
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew after a boot-up: the next answer has no bit set, and nothing is watched before it."""
+        self._timers.stop(self._timer)
+        self._toggle, self._is_lost = 0, False
+
+    def answer(self) -> None:
+        """Answer a guard request."""
+        if self._guard_time is None or self._heartbeat.number:
+            return
+        self._send(self._toggle)
+        self._toggle ^= 0x80
+        life_time = self._guard_time.number * self._factor.number * _NS_PER_MS
+        if life_time:
+            self._timers.start(self._timer, self._now() + life_time)
+        if self._is_lost:
+            self._is_lost = False
+            self._on_return()
+
+    def _lose(self, _due: int) -> None:
+        if not self._heartbeat.number:
+            self._is_lost = True
+            self._on_lost()
 
 
 class HeartbeatConsumer:
