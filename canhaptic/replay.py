@@ -266,7 +266,7 @@ class RecordedSide:
             raise ReplayOverError
         for bus, sent in zip(self._buses, self._sent, strict=True):
             while (message := bus.recv(0.0)) is not None:
-                if message.arbitration_id != self._left_out:
+                if message.arbitration_id != self._left_out and not message.is_remote_frame:
                     sent.append(message)
         while any(self._sent):
             self._compare()

@@ -26,15 +26,18 @@ def emcy_text(code: int) -> str:
     return _of_code_or_group(_TEXTS["emergency"], code) or "unknown error code"
 
 
-def emcy_remedy(code: int, silence: float, skipped: int) -> str:
+def emcy_remedy(code: int, silence: float, skipped: int, watched: str, guarding: str) -> str:
     """Return the remedy for an EMCY error code; "" for a code that only the drive's manual explains.
 
     Args:
         code: Error code (0x603F).
         silence: Timeout of the drive for frames of this computer [s].
         skipped: Number of SYNCs that this computer skipped.
+        watched: Frames that the drive's watchdog awaits, in words.
+        guarding: Life guarding that the start found, in words.
     """
-    return _of_code_or_group(_TEXTS["remedy"], code).format(silence=silence * 1e3, skipped=skipped)
+    text = _of_code_or_group(_TEXTS["remedy"], code)
+    return text.format(silence=silence * 1e3, skipped=skipped, watched=watched, guarding=guarding)
 
 
 def _of_code_or_group(texts: Mapping[int, str], code: int) -> str:

@@ -112,6 +112,17 @@ class BusParameters(Parameters):
         return self.master_id << 16 | self.master_silence_ns // 1_000_000
 
     @property
+    def guard_time_ms(self) -> int:
+        """Value of 0x100C of a drive that times guard requests [ms], which the master sends with its heartbeats."""
+        silence = self.master_silence_ns // 1_000_000
+        return max(-(-self.heartbeat_cycles * self.sample_time_ns // 1_000_000), -(-silence // 0xFF))
+
+    @property
+    def life_time_factor(self) -> int:
+        """Value of 0x100D of such a drive: guard times without a request that it tolerates."""
+        return -(-(self.master_silence_ns // 1_000_000) // self.guard_time_ms)
+
+    @property
     def drive_silence_ns(self) -> int:
         """Longest silence of a drive that the master tolerates [ns]: three heartbeats at least."""
         return max(round(self.heartbeat_timeout * 1e9), 3 * round(self.heartbeat_period * 1e9))

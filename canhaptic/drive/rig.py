@@ -412,10 +412,7 @@ class Rig:
     def _describe(self, drive: ServoDrive, reason: StopReason) -> str:
         rule = STOP_TABLE[reason]
         what = f"{drive.axis.name}: {rule.meaning} at SYNC {self.sync_index}: {self.details(drive, reason)}"
-        from canhaptic.canopen.code_texts import emcy_remedy
-
-        code = 0 if drive.emergency is None else drive.emergency.code
-        remedy = emcy_remedy(code, self.bus.master_silence_ns * 1e-9, self.skipped_syncs)
+        remedy = drive.emergency_remedy(self.skipped_syncs)
         return f"{what}; torque is zero; {remedy or rule.remedy}"
 
     def _lost(self, drive: ServoDrive) -> str:

@@ -52,6 +52,9 @@ class Exchange(Protocol):
     def beat(self, *, at_once: bool = False) -> None:
         """Send the master's heartbeat when it is due, or at once; raise LinkError."""
 
+    def keep_alive_while_waiting(self, *, on: bool) -> None:
+        """Send what the drives' watchdogs await also while the answer of one of them is awaited."""
+
 
 def start(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
     """Take every drive to OPERATION ENABLED with zero torque; return after the first SYNC that found all enabled.
@@ -75,6 +78,14 @@ def start(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
         require_none()
         drive.is_ours = True  # not before all are known: this might be another machine
         bring_up.call()  # all of them first: their heartbeats come while the first is awaited
+    exchange.keep_alive_while_waiting(on=True)  # the first drive configured waits for heartbeats from then on
+    try:
+        _configure_and_enable(exchange, bring_ups)
+    finally:
+        exchange.keep_alive_while_waiting(on=False)
+
+
+def _configure_and_enable(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
     for bring_up in bring_ups:
         bring_up.configure()
     exchange.begin()
@@ -118,7 +129,7 @@ def _cycle_until(
             if (cycle + 1) % (3 * exchange.beat_cycles) == 0:
                 wanted.ask()
             if exchange.now() - begin > round(drive.axis.step_timeout * 1e9):
-                raise bring_up.refusal(wanted.step, wanted.seen(), wanted.expected)
+                raise bring_up.overdue(wanted.step, wanted.seen(), wanted.expected)
 
 
 def _exchange_zero_torque(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
@@ -159,9 +170,9 @@ def _require_order(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
 
 
 def _read(exchange: Exchange, drive: TorqueAxis, index: int, subindex: int = 0) -> int:
-    """Read an object between two heartbeats of the master, since none goes out while the answer is awaited."""
+    """Read an object between two heartbeats of the master; further ones go out while the answer is awaited."""
     exchange.beat(at_once=True)
-    value = drive.sdo.read_within(exchange.silence // 2, index, subindex)
+    value = drive.sdo.read(index, subindex)
     exchange.beat(at_once=True)
     return value
 
@@ -193,16 +204,32 @@ def _enable(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
             if not _is_enabled(drive) and now - begin[drive] > round(patience * 1e9):
                 seen = f"{state.value} (statusword {drive.statusword:#06x}) after controlword {drive.controlword:#04x}"
                 expected = _AFTER.get(drive.controlword, PowerState.SWITCH_ON_DISABLED)
-                raise bring_up.refusal("enable", seen, expected.value)
+                raise bring_up.overdue("enable", seen, expected.value, patience)
             drive.controlword = int(next_controlword(state) or Controlword.DISABLE_VOLTAGE)
         if all(_is_enabled(drive) and drive.is_complete for drive in exchange.drives):
-            opening = _open_brakes(exchange, bring_ups) if opening < 0 else opening
+            if opening < 0:
+                _confirm_modes(exchange, bring_ups)
+                opening = _open_brakes(exchange, bring_ups)
             if exchange.now() >= opening:
                 return
         require_none()
         with bring_ups[0].step("bus"):
             exchange.write_zero()
             exchange.sync()
+
+
+def _confirm_modes(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
+    """Cycle with zero torque until each drive whose 0x6061 follows only when enabled shows its mode there."""
+    for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
+        deadline = exchange.now() + round(drive.axis.step_timeout * 1e9)
+        while drive.quirks.shows_mode_when_enabled:
+            with bring_up.step("mode of operation"):
+                mode = _read(exchange, drive, od.MODES_OF_OPERATION_DISPLAY)
+            if mode == drive.mode_code:
+                break
+            if exchange.now() >= deadline:
+                raise bring_up.overdue("mode of operation", f"0x6061 = {mode}", f"{drive.mode_code}")
+            _cycle(exchange, bring_ups)
 
 
 def _open_brakes(exchange: Exchange, bring_ups: Sequence[BringUp]) -> int:
@@ -228,8 +255,5 @@ def _is_enabled(drive: TorqueAxis) -> bool:
 
 def _refuse_fault(exchange: Exchange, drive: TorqueAxis, bring_up: BringUp) -> None:
     if drive.state in FAULTED or drive.emergency is not None:
-        code = 0 if drive.emergency is None else drive.emergency.code
-        from canhaptic.canopen.code_texts import emcy_remedy
-
-        remedy = emcy_remedy(code, exchange.silence * 1e-9, exchange.skipped)
+        remedy = drive.emergency_remedy(exchange.skipped)
         raise bring_up.refusal("enable", bring_up.fault_text(), PowerState.OPERATION_ENABLED.value, remedy)

@@ -22,11 +22,19 @@ from canhaptic.canopen.attached_devices import ForceNode
 from canhaptic.canopen.objects import DataType, is_writable
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.bus_budget import bus_budget
-from canhaptic.drive.can.pdo_map import AxisMap, PdoCapability, check_dictionary, choose_map, pdo_capabilities
+from canhaptic.drive.can.pdo_map import (
+    WATCHDOGS,
+    AxisMap,
+    PdoCapability,
+    check_dictionary,
+    choose_map,
+    pdo_capabilities,
+    standard_watchdog,
+)
 from canhaptic.drive.profile import fitness
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceParameters, Mode
 from canhaptic.drive.profile.drive_objects import DRIVE_OBJECTS
-from canhaptic.drive.profile.fitness import Finding, ObjectUse, Verdict, limit_objection, listed, objection
+from canhaptic.drive.profile.fitness import Finding, Verdict, limit_objection, listed
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.errors import DictionaryError, SdoError
@@ -184,7 +192,7 @@ def survey(dictionary: ObjectDictionary, axis: AxisParameters) -> Survey:
         stated_value(dictionary, od.IDENTITY, 2) or device.product_number,
         bitrates,
         tuple(_rows(dictionary, axis, findings, axis_map)),
-        _manual_keys(dictionary, axis),
+        _manual_keys(dictionary, axis, axis_map),
         axis_map,
         bitrate,
         () if axis_map is None else tuple(_load(axis_map, bitrate, rate) for rate in RATES),
@@ -285,7 +293,8 @@ def _rows(
     text = "for orientation; the gear belongs in counts_per_unit and transmission"
     yield row("resolution", "gear, motor revolutions", od.GEAR_RATIO, Verdict.FIT, text, 1)
     yield judged("watchdog", findings["0x1017"])
-    yield row("watchdog", "consumer heartbeat time", od.CONSUMER_HEARTBEAT_TIME, *_watchdog(dictionary), 1)
+    watchdog = _watchdog(dictionary, axis_map)
+    yield row("watchdog", "consumer heartbeat time", od.CONSUMER_HEARTBEAT_TIME, *watchdog, 1)
     yield as_found("watchdog", findings["0x6007"])
     for place, finding in findings.items():
         if place[:6] in ("0x1006", "0x60b0", "0x60b1", "0x60b2", "0x60c2", "0x6074", "0x6077"):  # shown if refused
@@ -371,12 +380,11 @@ def _rated_torque(dictionary: ObjectDictionary, axis: AxisParameters, found: Fin
     return Verdict.FIT, "read from the drive; its live value counts"
 
 
-def _watchdog(dictionary: ObjectDictionary) -> tuple[Verdict, str]:
-    refused = objection(dictionary, ObjectUse(od.CONSUMER_HEARTBEAT_TIME, 1, reads=True, writes=True))
-    if refused is None:
-        return Verdict.FIT, "armed at the start: the drive notices a killed master"
-    state = "not listed" if refused == "missing" else refused
-    text = f"{state}: the drive cannot notice a killed master; only watchdog: false continues, at your own risk"
+def _watchdog(dictionary: ObjectDictionary, axis_map: AxisMap | None) -> tuple[Verdict, str]:
+    means, lacks = standard_watchdog(dictionary, axis_map)
+    if means != "none":
+        return Verdict.FIT, f"armed at the start: the drive notices a killed master {WATCHDOGS[means]}"
+    text = f"{lacks}: the drive cannot notice a killed master; only watchdog: false continues, at your own risk"
     return Verdict.UNKNOWN, text
 
 
@@ -393,10 +401,10 @@ def _counted(capabilities: list[PdoCapability]) -> str:
 # --- what follows ---------------------------------------------------------------------------------------------------
 
 
-def _manual_keys(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[ManualKey, ...]:
+def _manual_keys(dictionary: ObjectDictionary, axis: AxisParameters, axis_map: AxisMap | None) -> tuple[ManualKey, ...]:
     knows_rated_torque = axis.rated_torque is not None or stated_value(dictionary, od.RATED_TORQUE)
-    has_watchdog = is_writable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1)
-    text = "the drive has no 0x1016; accept it knowingly or choose another drive"
+    has_watchdog = standard_watchdog(dictionary, axis_map)[0] != "none"
+    text = "the drive has no 0x1016, no 0x100C, and no timer of its RPDO; accept it knowingly or choose another drive"
     needs = (
         (not knows_rated_torque, "rated_torque", "torque of the axis at 1000 per mille; 0x6076 does not state it"),
         (od.RATED_TORQUE in dictionary, "transmission", "gear ratio, where 0x6076 is the motor's torque"),
@@ -415,10 +423,15 @@ def _load(axis_map: AxisMap, bitrate: int, rate: float) -> LoadRow:
     return LoadRow(rate, one.periodic_load, one.worst_cycle, one.fits, axes)
 
 
+_ON_LOSS: Final = (
+    """NMT state after a lost master: 0 pre-operational, 1 as before, 2 stopped; 0x6007 decides on the torque"""
+)
+
+
 def read_objects(drive: TorqueAxis) -> Iterator[Finding]:
     """Yield a finding for each listed object that a drive has; raise SdoError where it does not answer."""
     asked = drive.axis.written_objects
-    for place, meaning in DRIVE_OBJECTS.items():
+    for place, meaning in {**DRIVE_OBJECTS, (od.ERROR_BEHAVIOUR, 1): _ON_LOSS}.items():
         try:
             value = drive.sdo.read(*place)
         except SdoError as error:

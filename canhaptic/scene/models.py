@@ -348,6 +348,7 @@ _LATER: Final[Mapping[str, tuple[object, ...]]] = {
     "simulation.drive.syncs_late": (0,),
     "simulation.drive.fault": ((), []),
     "simulation.drive.brake": (None,),
+    "simulation.drive.mode_when_enabled": (False,),
     "admittance.force.node.real": (False,),
     "admittance.force.node.device_type": (None,),
     "simulation.drive.display.force_node.real": (False,),

@@ -28,6 +28,7 @@ from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import is_writable
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.drive.can.bus_budget import round_rate
+from canhaptic.drive.can.pdo_map import standard_watchdog
 from canhaptic.drive.profile import fitness
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
 from canhaptic.drive.profile.quirks import quirks_of
@@ -188,7 +189,7 @@ def starter_scene(
         limit=f"{limit:g}",
         limit_note=_text("limit_written" if is_writable(dictionary, od.MAX_TORQUE, 0) else "limit_not_written"),
         read_back=_read_back(found) if found.axis.admittance is None else _display(found, found.axis.admittance, limit),
-        watchdog="" if is_writable(dictionary, od.CONSUMER_HEARTBEAT_TIME, 1) else _text("no_watchdog"),
+        watchdog="" if standard_watchdog(dictionary, found.axis_map)[0] != "none" else _text("no_watchdog"),
         rendered=_rendered(found, limit, 1.0 / rate, None if simulate else jitter),
         simulation=_simulation(found, rated, limit, resolution, 1.0 / rate) if simulate else "",
         **_count_values(dictionary),

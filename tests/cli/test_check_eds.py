@@ -124,7 +124,7 @@ def test_trait_dictionaries_are_judged_without_vendor_files(name: str, status: i
 def test_a_drive_without_watchdog_is_a_condition_with_its_key(tmp_path: Path, capsys: Captured) -> None:
     text = OURS.read_text()
     path = tmp_path / "no_watchdog.eds"
-    path.write_text(text.replace("[1016", "[2016"))
+    path.write_text(text.replace("[1016", "[2016").replace("[1400sub5", "[2400sub5"))
     status, answer = checked(path, capsys)
     assert status == 0
     assert any(line.startswith("0x1016:01") for line in answer["conditions"])

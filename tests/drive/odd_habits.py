@@ -75,6 +75,11 @@ def sensor(**values: object) -> Callable[[OddSlave], None]:
     return sets(sensor=OddSensor(**values))  # type: ignore[arg-type]
 
 
+def slow(milliseconds: int) -> Callable[[OddSlave], None]:
+    """Each SDO answer that much later than its request."""
+    return sets(answer_after=milliseconds * MILLISECOND)
+
+
 def left_enabled(slave: OddSlave) -> None:
     """As a master that died left it."""
     slave.state, slave.nmt, slave.held, slave.target = "enabled", 0x05, 300, 300
@@ -190,6 +195,22 @@ HABITS = [
         of_the_sensor(counts=200, ignores_tare=True),
         "sensor",
     ),
+    Habit("answers after 0.35 s", "refused", "0.35 s, expected within 0.3 s (sdo_timeout)", slow(350)),
+    Habit("answers after 0.8 s", "refused", "0.8 s, expected within 0.3 s (sdo_timeout)", slow(800)),
+    Habit(
+        "answers after 1.5 s",
+        "refused",
+        "answers to SDO requests after 1.5 s, expected within 0.3 s (sdo_timeout)",
+        slow(1500),
+    ),
+    Habit("answers with only the bytes needed", "refused", "no answer of 8 bytes, but one of 6", sets(answer_length=5)),
+    Habit(
+        "shows its mode when it is enabled only",
+        "refused",
+        "within 1 s (step_timeout); the drive refuses the mode; check its licence, firmware and settings (quirks: mode",
+        sets(shows_mode_when_enabled=True),
+    ),
+    Habit("sends an EMCY 0x8220 at each RPDO", "refused", "longer than the drive maps", sets(emcy_of_rpdo=0x8220)),
     Habit("refuses the TPDO map", "refused", "PDO map", aborts("x1a00_2")),
     Habit("keeps its transmission type", "refused", "Transmission type", keeps("x1400_2")),
     Habit("keeps another torque limit", "refused", "0x6072", keeps("x6072_0")),
@@ -240,6 +261,8 @@ HABITS = [
     ),
     Habit("shares its node ID with another node", "refused", "two nodes have the node ID 5", sets(answers=2)),
     # --- endures ---
+    Habit("left an inhibit time of 30 ms", "runs", "", objects(x1800_3="2c 01")),
+    Habit("left its life guarding armed", "runs", "", objects(x100c_0="64 00", x100d_0="03")),
     Habit("boots 3 s late", "runs", "", sets(boots_at=3000 * MILLISECOND)),
     Habit("was left enabled with a torque", "runs", "", left_enabled),
     Habit("loses each third SDO request", "runs", "", sets(lost_requests=3)),
@@ -296,6 +319,12 @@ HABITS = [
     Habit("is disabled by STO", "ended", "left OPERATION ENABLED", in_motion(sets(state="disabled"))),
     Habit("resets itself", "ended", "left NMT OPERATIONAL", in_motion(both(sends(0x705, "00"), sets(nmt=0x7F)))),
     Habit("goes to NMT stopped", "ended", "left NMT OPERATIONAL", in_motion(both(sets(nmt=0x04), sends(0x705, "04")))),
+    Habit(
+        "misses guard requests of another master",
+        "ended",
+        "guarding that another master left armed may have run out (its 0x100C and 0x100D show none)",
+        in_motion(lambda slave: slave.fault(0x8130)),
+    ),
     Habit("jumps by a metre", "ended", "moved faster than the speed limit", in_motion(sets(speed=100_000))),
     Habit("follows no more", "ended", "bit 12", in_motion(sets(statusword=0x0210))),
     Habit("is pushed by a hand while it starts", "runs", "", sets(speed=5000, is_pushed_until="enabled"), "display"),

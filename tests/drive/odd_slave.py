@@ -45,6 +45,7 @@ _PDOS = {f"14{n:02x}.1": f"0{n + 2:x} 00 00 80" for n in range(4)} | {f"18{n:02x
 _PDOS |= {f"{base}{n:02x}.{sub}": "00" for base in ("14", "18") for n in range(4) for sub in (2, 5)}
 _PDOS |= {f"{base}{n:02x}.{sub}": "00 00 00 00" for base in ("16", "1a") for n in range(4) for sub in range(1, 9)}
 _PDOS |= {f"{base}{n:02x}.0": "00" for base in ("16", "1a") for n in range(4)}
+_PDOS |= {f"18{n:02x}.3": "00 00" for n in range(4)}
 _PDOS |= {f"{base}{n:02x}.5": "00 00" for base in ("14", "18") for n in range(4)}
 
 STATES = {"disabled": 0x40, "ready": 0x21, "on": 0x23, "enabled": 0x27, "quick stop": 0x07, "fault": 0x08}
@@ -65,6 +66,12 @@ class OddSlave:
     # --- habits ---
     boots_at: int = -1  # [ns] before which it hears nothing; it then sends its boot-up
     answers: int = 1  # to each SDO request
+    answer_after: int = 300_000  # [ns]
+    answer_length: int = 8  # with less, only the bytes needed, but for the statusword
+    reset_gap: int = 0  # [ns] for which the controlword must be 0 before the edge of a fault reset
+    reset_edges: int = 1  # that a fault reset needs
+    emcy_of_rpdo: int = 0  # at each RPDO
+    shows_mode_when_enabled: bool = False
     lost_requests: int = 0  # each n-th is lost
     is_deaf_to_sdo: bool = False
     aborts: dict[tuple[int, int], bytes] = field(default_factory=dict)  # abort code of writes
@@ -102,6 +109,9 @@ class OddSlave:
     force: int = 0
     now: int = 0
     enabled_syncs: int = 0
+    last_word: int = 0
+    word_at: int = 0
+    sent_at: int = -_NEVER  # the last TPDO
 
     def __post_init__(self) -> None:
         self.objects = {key(name): bytes.fromhex(text) for name, text in (_PDOS | _OBJECTS).items()}
@@ -167,10 +177,14 @@ class OddSlave:
             self.requests += 1
             if not (self.lost_requests and self.requests % self.lost_requests == 0):
                 answer = self.sdo(data)
+                if self.answer_length < 8 and answer and answer[0] & 0xE3 == 0x43 and answer[1:3] != b"\x41\x60":
+                    answer = answer[: 8 - (answer[0] >> 2 & 3)]
                 for _ in range(self.answers if answer else 0):
-                    self.later(300_000, 0x580 + self.node, answer)
+                    self.later(self.answer_after, 0x580 + self.node, answer)
         elif can_id == 0x200 + self.node and self.nmt == 0x05:
             self.image = data[2:]
+            if self.emcy_of_rpdo:
+                self.emcy(self.emcy_of_rpdo)
             self.control(int.from_bytes(data[:2], "little"))
 
     def take_lss(self, message: can.Message) -> None:
@@ -186,6 +200,8 @@ class OddSlave:
             value: bytes | None = self.word().to_bytes(2, "little")
         elif place == (0x6064, 0):
             value = (self.position % (1 << 32)).to_bytes(4, "little")
+        elif place == (0x6061, 0) and self.shows_mode_when_enabled and self.state != "enabled":
+            value = b"\0"
         else:
             value = self.objects.get(place)
         if value is None:
@@ -222,8 +238,11 @@ class OddSlave:
 
     def control(self, word: int) -> None:
         if self.state == "fault":
-            if word & 0x80:
+            is_edge = word & 0x80 and not self.last_word & 0x80 and self.now - self.word_at >= self.reset_gap
+            self.reset_edges -= bool(is_edge)
+            if is_edge and self.reset_edges <= 0:
                 self.state = "disabled"
+            self.last_word, self.word_at = word, self.now
             return
         if not word & 0x02 or (word & 0x0F == 0x02 and self.state == "enabled"):
             self.state = "disabled"
@@ -277,7 +296,11 @@ class OddSlave:
         return self.held if self.state == "enabled" else 0
 
     def has_tpdo(self) -> bool:
-        return not self.objects[0x1800, 1][3] & 0x80
+        inhibit = 100_000 * int.from_bytes(self.objects[0x1800, 3], "little")
+        if self.objects[0x1800, 1][3] & 0x80 or self.now - self.sent_at < inhibit:
+            return False
+        self.sent_at = self.now
+        return True
 
 
 @dataclass

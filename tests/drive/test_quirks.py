@@ -30,6 +30,7 @@ ALONE: dict[str, str] = {
     "no_interpolation_period": r"interpolation period: got write 0x60c2:0. .*quirks: \[no_interpolation_period\]",
     "rated_torque_written": "",
     "sdo_size_not_indicated": "",
+    "mode_when_enabled": r"mode of operation: got 0x6061 = 0, expected 10 within 1 s \(step_timeout\).*mode_when_en",
     "acts_at_once": "",
     "acts_a_sync_late": "",
 }

@@ -86,6 +86,8 @@ def bus_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
         rows += [_BudgetRow(what, lengths.count(n), _worst_case_bits(n)) for n in sorted(set(lengths), reverse=True)]
     rows.append(_BudgetRow("frame already on the bus", 1, worst_frame()))
     rows.append(_BudgetRow("heartbeat", len(maps) + 1, _worst_case_bits(1)))
+    guarded = sum(axis.watchdog == "life_guarding" for axis in maps)
+    rows.append(_BudgetRow("guard request", guarded, _worst_case_bits(0)))
     rows.append(_BudgetRow("EMCY", bus.emcy_reserve, worst_frame()))
     return BusBudget(tuple(rows), bus.bitrate, bus.compute_latency, bus.sample_time)
 

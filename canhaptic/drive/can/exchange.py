@@ -49,6 +49,8 @@ class Exchange:
         self._window_ns = round(bus.tpdo_timeout * self._period)
         self._heartbeat_cob_id = HEARTBEAT_BASE + bus.master_id
         self.beat_cycles = bus.heartbeat_cycles
+        self._guarded = tuple(drive for drive in self.drives if drive.map.watchdog == "life_guarding")
+        self._beat_due = 0  # [ns], while no cycle runs
         self._buses = []
         for link in self.links:
             group = tuple(drive for drive in self.drives if drive.link is link)
@@ -165,7 +167,8 @@ class Exchange:
     def beat(self, *, at_once: bool = False) -> None:
         """Send the master's heartbeat when it is due, or at once.
 
-        Skipped SYNCs count: a master that runs late must not seem dead to drives that time its heartbeat.
+        Skipped SYNCs count: a master that runs late must not seem dead to drives that time its heartbeat. Drives that
+        time guard requests get one too.
 
         Raises:
             LinkError: It could not be sent.
@@ -179,8 +182,29 @@ class Exchange:
                     link.send(self._heartbeat_cob_id, _HEARTBEAT)
                 except LinkError as error:  # the drives of the other buses need theirs all the same
                     failure = error
+            for drive in self._guarded:
+                try:
+                    drive.guard()
+                except LinkError as error:
+                    failure = error
             if failure is not None:
                 raise failure
+
+    def keep_alive_while_waiting(self, *, on: bool) -> None:
+        """Send the drives what their watchdogs await also while the start waits for the answer of one of them."""
+        self._beat_due = self.now() + self.beat_cycles * self._period
+        for link in self.links:
+            link.keep_alive = self._keep_alive if on else None
+
+    def _keep_alive(self) -> int:
+        """Send what is due while no cycle runs; return when the next is due [ns]; raise LinkError."""
+        if self.now() >= self._beat_due:
+            self._beat_due = self.now() + self.beat_cycles * self._period
+            self.beat(at_once=True)
+            for drive in self.drives:
+                if drive.is_operational and drive.map.watchdog == "rpdo_timer":
+                    drive.write(0)
+        return self._beat_due
 
 
 def _refuse_tpdos(drives: Sequence[ServoDrive]) -> None:

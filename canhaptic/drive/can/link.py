@@ -50,6 +50,8 @@ class Link:
     Attributes:
         is_starting: Whether a rig on this bus is being started.
         intruder: Name of the first frame from another sender that only this master may send; empty without one.
+        keep_alive: Function that `wait_for` calls while it waits: it sends what is due and returns when the next is due
+            [ns]. None: nothing is sent while waiting.
     """
 
     def __init__(
@@ -65,6 +67,7 @@ class Link:
         self._own: Mapping[int, str] = {}
         self.intruder, self.is_starting = "", False
         self._is_slow = isinstance(clock, WallClock)  # a wait takes its time, and a signal may come meanwhile
+        self.keep_alive: Callable[[], int] | None = None
 
     def reserve(self, names: Mapping[int, str]) -> None:
         """Set the COB-IDs that only this master may send, and clear the intruder."""
@@ -105,6 +108,22 @@ class Link:
         if record is not None:
             record(now, can_id, data, False)
         return now
+
+    def request(self, can_id: int) -> None:
+        """Send one remote frame; the bus log holds its answer only.
+
+        Raises:
+            LinkError: The interface refused the frame twice.
+        """
+        message = can.Message(arbitration_id=can_id, is_extended_id=False, is_remote_frame=True, dlc=1)
+        message.timestamp = self._now() * 1e-9
+        try:
+            self._bus.send(message)
+        except (can.CanError, OSError):
+            self._send_again(message)
+        self.statistics.sent += 1
+        if self._echoes:
+            self._not_returned[can_id] = self._not_returned.get(can_id, 0) + 1
 
     def _send_again(self, message: can.Message) -> None:
         self.statistics.send_failures += 1
@@ -176,6 +195,8 @@ class Link:
             if is_urgent():
                 deadline = min(deadline, now + _URGENT)
             look = min(deadline, now + _LOOK) if self._is_slow else deadline
+            if self.keep_alive is not None:
+                look = min(look, self.keep_alive())
             if not self.poll(look) and look == deadline:
                 return condition()
         return True

@@ -34,6 +34,8 @@ from canhaptic.errors import DictionaryError, SdoError
 
 _UNSIGNED_FORMATS: Final = {8: "B", 16: "H", 32: "I", 64: "Q"}
 _Kind = Literal["RPDO", "TPDO"]
+Watchdog = Literal["heartbeat", "life_guarding", "rpdo_timer", "none"]
+"""Means by which a drive notices a dead master."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +151,7 @@ class AxisMap:
     tpdos: tuple[PdoPlan, ...]
     read_back: ReadBack
     awaited: tuple[int, ...] = ()  # lengths of frames of other nodes that belong to its sample [bytes]
+    watchdog: Watchdog = "heartbeat"
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +192,8 @@ def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
             shared = f"{first.name} and {second.name} would share COB-ID {first.cob_id:#x}"
             raise DictionaryError(f"{axis.name}: {shared}; set pdo_cob_ids: {{{place}: ...}}")
     node = axis.admittance.force.node if axis.admittance else None
-    return AxisMap(plans[0], tuple(plans[1:]), read_back, (node.frame_length,) if node else ())
+    watchdog = _choose_watchdog(dictionary, axis, plans[0])
+    return AxisMap(plans[0], tuple(plans[1:]), read_back, (node.frame_length,) if node else (), watchdog)
 
 
 def pdo_numbers(dictionary: ObjectDictionary, kind: _Kind) -> list[int]:
@@ -421,7 +425,7 @@ def _write_pdo(
         sdo.write(communication, _EVENT_TIMER, deadline)
         seen = sdo.read(communication, _EVENT_TIMER)
         expect(f"{plan.name} {sdo.describe(communication, _EVENT_TIMER)}", seen, deadline)
-    if clears and plan.kind == "TPDO" and plan.cob_id_is_written:
+    if clears and deadline is None and plan.cob_id_is_written:
         _clear_times(sdo, plan)
     if plan.is_written:
         sdo.write(mapping, 0, 0)
@@ -433,11 +437,11 @@ def _write_pdo(
 
 
 def _clear_times(sdo: SdoChannel, plan: PdoPlan) -> None:
-    """Set to 0 what delays a TPDO, makes it come without a SYNC, or begin at a later one.
+    """Set to 0 what delays a TPDO, makes it come without a SYNC, or begin at a later one; and a deadline of an RPDO.
 
     It must be switched off meanwhile (CiA 301).
     """
-    for subindex in (_INHIBIT_TIME, _EVENT_TIMER, _SYNC_START):
+    for subindex in (_INHIBIT_TIME, _EVENT_TIMER, _SYNC_START) if plan.kind == "TPDO" else (_EVENT_TIMER,):
         if not is_writable(sdo.dictionary, plan.communication_index, subindex):
             continue
         try:
@@ -474,7 +478,7 @@ def check_dictionary(
     """
     return [
         *fitness.profile_findings(dictionary, axis, None if bus is None else bus.sample_time_ns),
-        _heartbeat(dictionary, bus),
+        _heartbeat(dictionary, axis, bus),
         _watchdog(dictionary, axis, bus),
         *_sync_period(dictionary),
         _map(dictionary, axis, bus),
@@ -495,20 +499,93 @@ def require_fit(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusPara
         raise DictionaryError(f"{axis.name}: {axis.eds} is not fit for {kind}: {lines}")
 
 
-def _heartbeat(dictionary: ObjectDictionary, bus: BusParameters | None) -> Finding:
+def _heartbeat(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None) -> Finding:
+    item = "0x1017 producer heartbeat"
+    if watchdog_of(dictionary, axis) == "life_guarding":
+        return Finding(item, Verdict.FIT, "not used: the answers to guard requests show the NMT state")
     values = () if bus is None else (bus.heartbeat_ms,)
     use = ObjectUse(od.PRODUCER_HEARTBEAT_TIME, 0, DataType.UNSIGNED16, reads=True, writes=True, values=values)
-    return judged(dictionary, "0x1017 producer heartbeat", use, "without a heartbeat no NMT state can be confirmed")
+    return judged(dictionary, item, use, "without a heartbeat no NMT state can be confirmed")
+
+
+WATCHDOGS: Final[dict[Watchdog, str]] = {
+    "heartbeat": "by the master's heartbeat (0x1016)",
+    "life_guarding": "by guard requests (0x100C, 0x100D)",
+    "rpdo_timer": "by its RPDO (event timer)",
+}
+"""By what a drive notices a dead master, in words."""
+
+
+def lacking(dictionary: ObjectDictionary, rpdo: int, bus: BusParameters | None = None) -> dict[Watchdog, str]:
+    """Return why a drive cannot use each standard means of noticing a dead master; "" where it can.
+
+    Args:
+        dictionary: Dictionary of the drive.
+        rpdo: Index of the communication parameters of its RPDO.
+        bus: Bus of the drive; None: unknown, so that values are not judged.
+    """
+    values = () if bus is None else (bus.consumer_heartbeat,)
+    silence = () if bus is None else (bus.master_silence_ns // 1_000_000,)
+    guard_time, factor = ((), ()) if bus is None else ((bus.guard_time_ms,), (bus.life_time_factor,))
+    uses: dict[Watchdog, list[ObjectUse]] = {
+        "heartbeat": [ObjectUse(od.CONSUMER_HEARTBEAT_TIME, 1, reads=True, writes=True, values=values)],
+        "life_guarding": [
+            ObjectUse(od.GUARD_TIME, 0, DataType.UNSIGNED16, reads=True, writes=True, values=guard_time),
+            ObjectUse(od.LIFE_TIME_FACTOR, 0, DataType.UNSIGNED8, reads=True, writes=True, values=factor),
+        ],
+        "rpdo_timer": [ObjectUse(rpdo, _EVENT_TIMER, DataType.UNSIGNED16, reads=True, writes=True, values=silence)],
+    }
+    found: dict[Watchdog, str] = {}
+    for means, needed in uses.items():
+        texts = [(use, objection(dictionary, use)) for use in needed]
+        found[means] = ", ".join(f"{use.index:#06x}:{use.subindex:02x} is {text}" for use, text in texts if text)
+    return found
+
+
+def standard_watchdog(dictionary: ObjectDictionary, chosen: AxisMap | None) -> tuple[Watchdog, str]:
+    """Return the first means that a dictionary has, and why it lacks those before it ("none": all of them)."""
+    rpdo = od.RPDO_COMMUNICATION if chosen is None else chosen.rpdo.communication_index
+    texts = lacking(dictionary, rpdo)
+    means: Watchdog = next((one for one, text in texts.items() if not text), "none")
+    return means, "; ".join(text for text in texts.values() if text)
+
+
+def _choose_watchdog(dictionary: ObjectDictionary, axis: AxisParameters, rpdo: PdoPlan) -> Watchdog:
+    """Return the means that the scene names, else the first that the dictionary has."""
+    if axis.watchdog is False:
+        return "none"
+    if axis.watchdog is not True:
+        return axis.watchdog
+    texts = lacking(dictionary, rpdo.communication_index)
+    return next((means for means, text in texts.items() if not text), "none")
+
+
+def watchdog_of(dictionary: ObjectDictionary, axis: AxisParameters) -> Watchdog:
+    """Return by what a drive will notice a dead master; "none" also where the dictionary is not fit."""
+    try:
+        return choose_map(dictionary, axis).watchdog
+    except DictionaryError:
+        return "none"
 
 
 def _watchdog(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None) -> Finding:
     item = "0x1016 consumer heartbeat"
     if not axis.watchdog:
         return Finding(item, Verdict.UNKNOWN, "not armed (watchdog: false); a killed master leaves the torque on")
-    values = () if bus is None else (bus.consumer_heartbeat,)
-    use = ObjectUse(od.CONSUMER_HEARTBEAT_TIME, 1, reads=True, writes=True, values=values)
-    hint = "the drive cannot notice a killed master; set watchdog: false to accept that"
-    return judged(dictionary, item, use, hint, "armed at the start")
+    try:
+        chosen = choose_map(dictionary, axis)
+        rpdo, means = chosen.rpdo.communication_index, chosen.watchdog
+    except DictionaryError:  # a finding of its own
+        rpdo, means = od.RPDO_COMMUNICATION, "heartbeat"
+    texts = lacking(dictionary, rpdo, bus)
+    asked = [means] if means != "none" else list(texts)
+    if all(texts[one] for one in asked):
+        seen = "; ".join(texts[one] for one in asked)
+        hint = "the drive cannot notice a killed master; set watchdog: false to accept that"
+        if means != "none" and (others := [one for one, text in texts.items() if not text]):
+            hint = f"set watchdog: {others[0]}"
+        return Finding(item, Verdict.REFUSED, f"{seen}; {hint}")
+    return Finding(item, Verdict.FIT, f"armed at the start: the drive notices a dead master {WATCHDOGS[means]}")
 
 
 def _sync_period(dictionary: ObjectDictionary) -> list[Finding]:

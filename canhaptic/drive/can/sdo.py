@@ -104,10 +104,16 @@ def may_answer(answer: bytes | bytearray, request: bytes, of_object: bytes) -> b
 
     A first answer and an abort name their object; an answer to a segment does not.
     """
-    is_first = answer[0] & _SPECIFIER in (_UPLOAD_ANSWER, _DOWNLOAD_ANSWER)
-    if answer[0] == ABORT or (is_first and initiates(request)):
+    if answer[0] == ABORT:
         return bytes(answer[1:4]) == of_object
-    return not is_first and not initiates(request)
+    if initiates(request):
+        return _head(answer) == first_answer(request)
+    return answer[0] & _SPECIFIER not in (_UPLOAD_ANSWER, _DOWNLOAD_ANSWER)
+
+
+def _head(answer: bytes | bytearray) -> bytes:
+    """Return specifier and object of an answer."""
+    return bytes([answer[0] & _SPECIFIER, *answer[1:4]])
 
 
 def abort(index: int, subindex: int, code: int) -> bytes:
@@ -124,6 +130,11 @@ def _require(answer: bytes, specifier: int, toggle: int | None = None) -> None:
 
 ATTEMPTS: Final = 3
 """Number of times that an unanswered first request is sent."""
+_SILENT: Final = "check power, node ID, bit rate and cable, and sdo_timeout of a slow drive"
+_OTHER_LENGTH: Final = (
+    "an SDO has eight bytes (CiA 301): update the drive's firmware, or find what else sends this frame"
+)
+_LATE_ANSWERS: Final = 3  # one may be late after a long write; a drive that always is needs a longer timeout
 
 
 class _NoAnswerError(Exception):
@@ -148,13 +159,18 @@ class SdoChannel:
         self.dictionary = dictionary
         self._link, self._node_id, self._name = link, node_id, name
         self._timeout, self._attempts = timeout, ATTEMPTS
-        self._patience = f"{ATTEMPTS} requests, {timeout / 1e9:g} s each"
         self.changes: list[Written] | None = None
         self._object = b"\0\0\0"  # index and subindex of the transfer, as on the wire
         self._request = b""  # awaited for an answer; empty while none is
         self._answer: bytes | None = None
         self._owed: dict[bytes, int] = {}  # answers still to come, by their first four bytes
         self._asked = self._surplus = 0  # first requests sent, and answers to them beyond one for each
+        self._quickest = -1  # [ns] answer to a request that was sent once; -1: none yet
+        self._begun = self._took = 0  # [ns] first request of the transfer; until its answer, where it was repeated
+        self._late = 0  # answers that came after their request was repeated
+        self.lateness = 0  # [ns] after which the slowest of them came
+        self._is_short = False
+        self._stray = ""  # the last frame that answered nothing, in words
         self.listen()
 
     def listen(self) -> None:
@@ -180,7 +196,11 @@ class SdoChannel:
         except SdoAbortedError as error:
             raise self.aborted(verb, index, subindex, error.code) from error
         except (ProtocolError, _NoAnswerError, LinkError) as error:
-            text = f"node {self._node_id}: {error} ({self._patience}); check power, node ID, bit rate and cable"
+            patience = f"{self._attempts} requests, {self._timeout / 1e9:g} s each"
+            remedy = _OTHER_LENGTH if self._is_short else _SILENT
+            if self._late:
+                remedy = f"answers came after {self.lateness * 1e-9:.3g} s: raise sdo_timeout"
+            text = f"node {self._node_id}: {error} ({patience}); {remedy}"
             raise self.failure(verb, index, subindex, text) from error
 
     def _run(self, index: int, subindex: int, transfer: Transfer) -> bytes:
@@ -205,26 +225,58 @@ class SdoChannel:
             raise
 
     def _ask(self, request: bytes) -> bytes:
-        for _ in range(self._attempts if initiates(request) else 1):
+        now, is_first = self._link.clock.now, initiates(request)
+        if is_first:
+            self._await_owed(request)
+        self._stray, self._is_short, self._begun = "", False, now()
+        for attempt in range(self._attempts if is_first else 1):
             self._answer, self._request = None, request
-            if initiates(request):
+            if is_first:
                 head = first_answer(request)
                 self._owed[head] = max(0, self._owed.get(head, 0)) + 1
                 self._asked += 1
-            self._link.send(SDO_REQUEST_BASE + self._node_id, request)
+            sent = self._link.send(SDO_REQUEST_BASE + self._node_id, request)
             self._link.wait_for(lambda: self._answer is not None, self._timeout)
             self._request = b""
             if self._answer is not None:
+                if is_first:
+                    self._note_time(head, attempt, now() - sent)
                 if self._answer[0] == ABORT:
                     raise SdoAbortedError(int.from_bytes(self._answer[4:8], "little"))
                 return self._answer
-        raise _NoAnswerError("no answer")
+        self._took = 0
+        raise _NoAnswerError(f"no answer{self._stray}")
+
+    def _await_owed(self, request: bytes) -> None:
+        """Let late answers about the same object pass: none of them may be taken for the answer to this request."""
+        of_object = request[1:4]
+        heads = [head for head, count in self._owed.items() if count > 0 and head[1:] == of_object]
+        if heads:
+            is_over = lambda: all(self._owed[head] <= 0 for head in heads)  # noqa: E731
+            self._link.wait_for(is_over, self._attempts * self._timeout)
+            self._link.wait_for(is_over, self.lateness)
+            self._owed |= dict.fromkeys(heads, 0)
+
+    def _note_time(self, head: bytes, attempt: int, time: int) -> None:
+        """Judge from the time since the last request whether the answer was to an earlier one, and this one's follows.
+
+        An answer as quick as others shows that the earlier requests were lost.
+        """
+        if attempt == 0:
+            self._quickest = time if self._quickest < 0 else min(time, self._quickest)
+        elif 0 <= time <= 2 * self._quickest:
+            self._owed[head] = 0
+        self._took = self._link.clock.now() - self._begun if attempt else 0
 
     def _take(self, data: bytearray) -> None:
         if len(data) != FRAME_LENGTH:
             self._link.statistics.short += 1
+            self._stray, self._is_short = f" of {FRAME_LENGTH} bytes, but one of {len(data)}", True
             return
-        head = bytes([data[0] & _SPECIFIER, *data[1:4]])
+        head = _head(data)
+        if data[0] == ABORT:  # it answers a read or a write of its object
+            heads = [bytes([kind]) + head[1:] for kind in (_UPLOAD_ANSWER, _DOWNLOAD_ANSWER)]
+            head = next((one for one in heads if self._owed.get(one, 0) > 0), head)
         if head in self._owed:
             self._owed[head] -= 1
             if self._owed[head] < 0:
@@ -233,6 +285,11 @@ class SdoChannel:
                 return
         if not self._request or not may_answer(data, self._request, self._object):
             self._link.statistics.late += 1
+            self._stray = f", but {bytes(data).hex(' ')}, which answers another request"
+            if self._owed.get(head, -1) >= 0:
+                self._late += 1
+                self._took = self._took or self._link.clock.now() - self._begun
+                self.lateness = max(self.lateness, self._took)
             return
         self._answer = bytes(data)
 
@@ -240,6 +297,11 @@ class SdoChannel:
     def is_doubled(self) -> bool:
         """Whether most requests were answered more than once, as happens when two nodes have one ID."""
         return self._surplus >= 3 and 2 * self._surplus > self._asked  # a bus may double a frame now and then
+
+    @property
+    def is_late(self) -> bool:
+        """Whether answers came again and again after their request had been repeated."""
+        return self._late >= _LATE_ANSWERS
 
     # --- objects ----------------------------------------------------------------------------------------------------
 
@@ -260,15 +322,6 @@ class SdoChannel:
         with self._within(self._timeout, 1):
             return self.read(index, subindex)
 
-    def read_within(self, limit: int, index: int, subindex: int = 0) -> int:
-        """Return the value of an object like `read`; all attempts together take at most `limit` [ns].
-
-        Raises:
-            SdoError: Aborted by the drive or not answered.
-        """
-        with self._within(limit // self._attempts, self._attempts):
-            return self.read(index, subindex)
-
     def write(self, index: int, subindex: int, value: int, size: int | None = None) -> None:
         """Write an integer object.
 
@@ -285,6 +338,25 @@ class SdoChannel:
         if self.changes is not None and index not in COMMANDS:
             self._note(self.changes, Written((index, subindex), None, value, len(data)))
         self._value_of("write", index, subindex, download(index, subindex, data))
+
+    def clear(self, index: int, subindex: int = 0) -> int:
+        """Write 0 to an object that is not 0; return what it is then. One that the drive lacks is 0.
+
+        Raises:
+            SdoError: Not answered.
+        """
+        left = 0
+        try:
+            data = self._value_of("read", index, subindex, upload(index, subindex))
+            left = self.decode(index, subindex, data)
+            if left:
+                is_listed = self.dictionary.get_variable(index, subindex) is not None
+                self.write(index, subindex, 0, None if is_listed else len(data))
+                left = self.read(index, subindex)
+        except SdoError as error:
+            if error.code is None:
+                raise
+        return left
 
     def _note(self, changes: list[Written], change: Written) -> None:
         """Record a write and the value before it, known from an earlier write or read from the drive."""

@@ -11,6 +11,7 @@ from typing import Any, Final
 from canopen import ObjectDictionary
 
 from canhaptic.canopen import objects as od
+from canhaptic.canopen.objects import is_writable
 from canhaptic.drive.axis_parameters import LARGEST_U16, AxisParameters, BusParameters
 from canhaptic.drive.can import pdo_map
 from canhaptic.drive.can.link import Link
@@ -57,6 +58,7 @@ class ServoDrive(TorqueAxis):
         map: PDOs of the drive.
         nmt_state: NMT state in its last heartbeat; None before the first.
         window: Window of the present SYNC, shared by the drives of a bus; set by the exchange.
+        guarding: Life guarding that another master left armed, in words; "" where there was none.
 
     Raises:
         DictionaryError: The dictionary is not fit for cyclic torque.
@@ -78,7 +80,7 @@ class ServoDrive(TorqueAxis):
         cycles, losses = (bus.hold_cycles, bus.stop_cycles), (bus.loss_limit, lateness)
         rules = CycleRules(*times, *cycles, is_synchronous, bus.drive_silence_ns, *losses)
         super().__init__(axis, dictionary, sdo, rules, self.map.read_back, dry_run)
-        self.window = SyncWindow()
+        self.window, self.guarding = SyncWindow(), ""
         self._statistics = link.statistics
         self._rpdo_cob_id = self.map.rpdo.cob_id
         image = codec(self.map.rpdo.entries, [od.CONTROLWORD, axis.target])
@@ -116,6 +118,7 @@ class ServoDrive(TorqueAxis):
         """Clear everything received and commanded."""
         super().reset()
         self.nmt_state = None
+        self._toggle = -1  # bit 7 of the last answer to a guard request; -1: none yet
         self._stage: list[Any] = [0, 0, 0]  # statusword, position counts, torque per mille: of the SYNC that is open
         self._pending = 0  # one bit for each TPDO that may come now
         self._doubt = 0  # `_DOUBT` where the SYNC before was not answered, `_WATCH` where one was answered differently
@@ -202,12 +205,36 @@ class ServoDrive(TorqueAxis):
 
     def await_pre_operational(self) -> None:
         """Return when the heartbeat shows pre-operational, or has been silent for too long; raise LinkError."""
+        if self.map.watchdog == "life_guarding":
+            self.guard()
         self.link.wait_for(lambda: self.nmt_state == od.NmtState.PRE_OPERATIONAL, self.bus.drive_silence_ns)
 
+    def guard(self) -> None:
+        """Request the NMT state, for which the drive waits too where it is guarded; raise LinkError."""
+        self.link.request(od.HEARTBEAT_BASE + self.axis.node_id)
+
     def disarm(self) -> None:
-        """Switch the drive's watchdog (0x1016) off, so that the end of the heartbeat is no fault; raise SdoError."""
-        if self.axis.watchdog:
+        """Switch the drive's watchdog off, so that the end of the master's frames is no fault; raise SdoError."""
+        if self.map.watchdog == "heartbeat":
             self.sdo.write(od.CONSUMER_HEARTBEAT_TIME, 1, 0)
+        elif self.map.watchdog == "life_guarding":
+            self.sdo.write(od.GUARD_TIME, 0, 0)
+
+    def emergency_remedy(self, skipped: int) -> str:
+        """Return the remedy for the EMCY of the drive; "" where only the drive's manual explains it.
+
+        Args:
+            skipped: Number of SYNCs that this computer skipped.
+        """
+        from canhaptic.canopen.code_texts import emcy_remedy
+
+        code = 0 if self.emergency is None else self.emergency.code
+        watched = {
+            "heartbeat": "the heartbeat of this computer",
+            "life_guarding": "the guard requests of this computer",
+        }.get(self.map.watchdog, "a heartbeat or guard requests, which this computer does not send to it,")
+        guarding = self.guarding or "its 0x100C and 0x100D show none"
+        return emcy_remedy(code, self.bus.master_silence_ns * 1e-9, skipped, watched, guarding)
 
     # --- what the link hands in ---------------------------------------------------------------------------------
 
@@ -217,7 +244,7 @@ class ServoDrive(TorqueAxis):
 
     def pump(self, deadline: int) -> None:
         """Handle the frames of the bus until `deadline` [ns]; raise LinkError."""
-        self.link.pump(deadline)
+        self.link.wait_for(lambda: False, deadline - self.now())
 
     def _listen(self, places: Mapping[int, int]) -> None:
         self._all_tpdos = (1 << len(self.map.tpdos)) - 1
@@ -229,7 +256,8 @@ class ServoDrive(TorqueAxis):
             found.update(places[index] for index in wanted)
             slots = tuple(places[index] for index in wanted)
             self.link.subscribe(plan.cob_id, self._tpdo_handler(plan, 1 << number, wanted, slots))
-        self.link.subscribe(od.HEARTBEAT_BASE + self.axis.node_id, self._take_heartbeat)
+        take = self._take_guard_answer if self.map.watchdog == "life_guarding" else self._take_heartbeat
+        self.link.subscribe(od.HEARTBEAT_BASE + self.axis.node_id, take)
         self.link.subscribe(od.EMCY_BASE + self.axis.node_id, self._take_emergency)
 
     def _tpdo_handler(
@@ -307,6 +335,16 @@ class ServoDrive(TorqueAxis):
             self.nmt_state = state
         self.alive_at = self.link.clock.now()
 
+    def _take_guard_answer(self, data: bytearray) -> None:
+        """Take a heartbeat with a toggle bit: one whose bit has not changed is no new sign of life (CiA 301)."""
+        alive_at = self.alive_at
+        self._take_heartbeat(data)
+        toggle = data[0] & 0x80 if data and data[0] else -1  # a boot-up begins anew
+        if toggle == self._toggle >= 0:
+            self.alive_at = alive_at
+            self._statistics.duplicate += 1
+        self._toggle = toggle
+
     def _take_emergency(self, data: bytearray) -> None:
         padded = bytes(data).ljust(3, b"\0")  # some drives send fewer than eight bytes; canopen drops those
         emergency = ReceivedEmergency(int.from_bytes(padded[:2], "little"), padded[2], bytes(data[3:]))
@@ -325,6 +363,13 @@ class CanBringUp(BringUp):
         if drive.sdo.is_doubled:
             name, seen, expected = "node ID", "more than one answer to each SDO request", "one"
             remedy = f"two nodes have the node ID {drive.axis.node_id}; give one of them another"
+        elif drive.sdo.is_late:
+            limit, took = drive.axis.sdo_timeout, drive.sdo.lateness * 1e-9
+            name, seen = "presence", f"answers to SDO requests after {took:.3g} s"
+            expected, remedy = (
+                f"within {limit:g} s (sdo_timeout)",
+                f"raise sdo_timeout, for example to {2 * took:.1g} s",
+            )
         return super().refusal(name, seen, expected, remedy)
 
     def _command_pre_operational(self) -> None:
@@ -344,21 +389,52 @@ class CanBringUp(BringUp):
             raise self.refusal("presence", "a node without a node ID (LSS)", wanted, f"{remedy}tool), and store it")
 
     def _monitor(self) -> None:
-        """Switch on the drive's heartbeat."""
-        self._drive.nmt_state = None
+        """Switch on the drive's heartbeat; where it is guarded, off: its answers to guard requests take its place."""
+        drive, index = self._drive, od.PRODUCER_HEARTBEAT_TIME
+        drive.nmt_state = None
+        if drive.map.watchdog == "life_guarding":
+            if is_writable(drive.dictionary, index, 0):
+                self._write_confirmed("heartbeat", index, 0, 0)
+            return
+        self._clear_guarding()
         self._write_confirmed("heartbeat", od.PRODUCER_HEARTBEAT_TIME, 0, self._drive.bus.heartbeat_ms)
+
+    def _clear_guarding(self) -> None:
+        """Switch off guarding that another master left armed: without its requests the drive would fault."""
+        drive = self._drive
+        drive.guarding = ""
+        if not drive.identifies:  # nor did an older master
+            return
+        with self.step("watchdog"):
+            time = self._read_if_there(od.GUARD_TIME)
+            if not time:
+                return
+            factor = self._read_if_there(od.LIFE_TIME_FACTOR)
+            left = drive.sdo.clear(od.GUARD_TIME) and drive.sdo.clear(od.LIFE_TIME_FACTOR)
+        found = f"0x100C was {time} ms and 0x100D {factor} at the start"
+        drive.guarding = f"{found}, and {'the drive keeps them' if left else 'this start cleared them'}"
 
     def _await_pre_operational(self) -> None:
         drive = self._drive
+        if drive.sdo.is_late:
+            raise self.refusal("", "", "")
+        if drive.map.watchdog == "life_guarding":
+            with self.step("bus"):
+                drive.guard()
         timeout = round(drive.axis.step_timeout * 1e9) + drive.bus.heartbeat_ms * 1_000_000
         with self.step("heartbeat"):
             confirmed = drive.link.wait_for(lambda: drive.nmt_state == od.NmtState.PRE_OPERATIONAL, timeout)
         if not confirmed:
-            raise self.refusal("heartbeat", _nmt_name(drive.nmt_state), "a heartbeat with PRE_OPERATIONAL")
+            raise self.overdue("heartbeat", _nmt_name(drive.nmt_state), "a heartbeat with PRE_OPERATIONAL")
 
     def _arm(self) -> None:
-        """Write 0x1016; the consumer counts from the first heartbeat (CiA 301, 7.2.8.3.2.2), which the cycle sends."""
-        bus = self._drive.bus
+        """Write 0x1016, or 0x100C and 0x100D; the drive counts from the next heartbeat or request (CiA 301, 7.2.8)."""
+        bus, means = self._drive.bus, self._drive.map.watchdog
+        if means == "life_guarding":
+            self._write_confirmed("watchdog", od.LIFE_TIME_FACTOR, 0, bus.life_time_factor)
+            self._write_confirmed("watchdog", od.GUARD_TIME, 0, bus.guard_time_ms)
+        if means != "heartbeat":
+            return
         milliseconds = bus.master_silence_ns // 1_000_000
         if milliseconds > LARGEST_U16:
             raise self.refusal("watchdog", f"{milliseconds} ms", f"at most {LARGEST_U16} ms (0x1016 is 16 bits)")
@@ -381,7 +457,7 @@ class CanBringUp(BringUp):
         self._write_confirmed("SYNC period", index, 0, 0 if rest else wanted)
 
     def _map(self) -> None:
-        if self._drive.sdo.is_doubled:
+        if self._drive.sdo.is_doubled or self._drive.sdo.is_late:
             raise self.refusal("node ID", "", "")
         self._sync_period()
         drive = self._drive
@@ -395,9 +471,10 @@ class CanBringUp(BringUp):
             pdo_map.write_map(drive.sdo, drive.map, rpdo_type, expect, deadline, clears=drive.identifies)
 
     def _rpdo_deadline(self) -> int | None:
-        """Return how long the drive may tolerate lost RPDOs [ms], where no read-back shows them; None: not set."""
-        milliseconds = self._drive.bus.master_silence_ns // 1_000_000
-        is_needed = self._drive.read_back == "none" and self._drive.axis.watchdog
+        """Return how long the drive may miss RPDOs [ms]: its watchdog, or where no read-back shows them; else None."""
+        drive = self._drive
+        milliseconds = drive.bus.master_silence_ns // 1_000_000
+        is_needed = drive.map.watchdog == "rpdo_timer" or (drive.read_back == "none" and drive.axis.watchdog)
         return milliseconds if is_needed and milliseconds <= LARGEST_U16 else None
 
     def command_operational(self) -> None:

@@ -39,6 +39,8 @@ class Quirks(Parameters):
     """Time that one step of the enabling may take, where that is longer than step_timeout."""
     waits_for_following: bool = False
     """Whether the start waits for bit 12 of the statusword: the drive follows its target."""
+    shows_mode_when_enabled: bool = False
+    """Whether 0x6061 follows 0x6060 only in OPERATION ENABLED: the mode is confirmed there, at zero torque."""
     acts_at_once: bool = False
     """Whether a synchronous RPDO acts on arrival although its type is confirmed; declare `bus.rpdo: event` then."""
     syncs_late: int = 0

@@ -45,9 +45,6 @@ class ObjectAccess(Protocol):
     def probe(self, index: int, subindex: int = 0) -> int:
         """Return the value of an object; ask only once."""
 
-    def read_within(self, limit: int, index: int, subindex: int = 0) -> int:
-        """Return the value of an object; all attempts together take at most `limit` [ns]."""
-
     def write(self, index: int, subindex: int, value: int, size: int | None = None) -> None:
         """Write an object of `size` bytes; None: as many as the dictionary says."""
 
@@ -256,6 +253,10 @@ class TorqueAxis(ABC):
     @abstractmethod
     def disarm(self) -> None:
         """Switch off the drive's watchdog, so that the end of the master is not a fault; raise SdoError."""
+
+    def emergency_remedy(self, skipped: int) -> str:
+        """Return the remedy for the drive's EMCY, where this computer skipped some SYNCs; "" for its manual's."""
+        return ""
 
     @abstractmethod
     def command_brake(self, *, is_open: bool) -> None:

@@ -117,8 +117,10 @@ class TorqueAxisParameters(Parameters):
     """Expected 0x1018:01; any when absent."""
     product_code: Annotated[int, quantity("1", ge=0, le=0xFFFFFFFF)] | None = None
     """Expected 0x1018:02; any when absent."""
-    watchdog: bool = True
-    """Arms the drive's own watchdog of the master's heartbeat (0x1016, 0x6007)."""
+    watchdog: bool | Literal["heartbeat", "life_guarding", "rpdo_timer"] = True
+    """Means by which the drive itself notices a dead master: it waits for a heartbeat (0x1016), for guard requests
+    (0x100C, 0x100D), or for RPDOs (event timer, 0x1400:05); 0x6007 is its reaction. true: the first that the dictionary
+    has. false: none, and a killed master leaves the torque on."""
     reset_fault: bool = False
     """Whether the start may reset a fault of the drive; the cycle never does."""
     brake: Annotated[Brake, OnDemand("canhaptic.canopen.attached_devices:Brake")] | None = None

@@ -95,6 +95,7 @@ class SimulatedDriveParameters(Parameters):
         refused: Object -> value that the drive rejects although the dictionary allows it.
         enable_delay: Time from the command to enable until OPERATION ENABLED (brake, commutation).
         follow_delay: Time in OPERATION ENABLED until the torque follows; bit 12 of the statusword is 0 until then.
+        mode_when_enabled: Whether 0x6061 shows the mode in OPERATION ENABLED only, and 0 in other states.
         sdo_size_indicated: False for a drive that leaves out the length of expedited answers.
         sync_losses_to_fault: Communication cycle periods (0x1006) without SYNC until the drive faults.
         fault: Faults of the torque; from its time on each takes the place of the one before.
@@ -122,6 +123,7 @@ class SimulatedDriveParameters(Parameters):
     refused: dict[str | int, int] = Field(default_factory=dict)
     enable_delay: Annotated[float, quantity("s", ge=0.0, le=60.0)] = 0.0
     follow_delay: Annotated[float, quantity("s", ge=0.0, le=60.0)] = 0.0
+    mode_when_enabled: bool = False
     sdo_size_indicated: bool = True
     sync_losses_to_fault: Annotated[int, quantity("1", ge=1, le=1000)] = 3
     fault: tuple[TorqueFault, ...] = ()

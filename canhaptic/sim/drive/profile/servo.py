@@ -288,6 +288,7 @@ class Servo:
         self._controlword = store.entry(objects.CONTROLWORD, DataType.UNSIGNED16)
         self._statusword = store.entry(objects.STATUSWORD, DataType.UNSIGNED16)
         self._mode = store.entry(objects.MODES_OF_OPERATION, DataType.INTEGER8)
+        self._hides_mode = parameters.mode_when_enabled
         self._mode_display = store.entry(objects.MODES_OF_OPERATION_DISPLAY, DataType.INTEGER8)
         self._supported_modes = store.find(objects.SUPPORTED_DRIVE_MODES)
         self._quick_stop_option = store.optional(objects.QUICK_STOP_OPTION, DataType.INTEGER16)
@@ -332,7 +333,8 @@ class Servo:
         self.fault_code = 0
         for commanded in (self._controlword, self._mode, self._target, self._torque_offset):
             commanded.value = commanded.number
-        self._mode_display.value = self._mode.number if self._check_mode(self._mode.number) is None else 0
+        shows = not self._hides_mode and self._check_mode(self._mode.number) is None
+        self._mode_display.value = self._mode.number if shows else 0
         self._statusword.value = STATUSWORDS[self.machine.state]
         self._stage.reload()
         self._meter.reset()
@@ -360,8 +362,9 @@ class Servo:
             self._enabling_word = word if machine.state is _ENABLED else None
             if before is DriveState.FAULT and machine.state is not before:
                 self.was_reset = True
-        if mode != self._mode_display.value and self._check_mode(self._mode.number) is None:
-            self._mode_display.value = mode
+        shown = mode if not self._hides_mode or machine.state is _ENABLED else 0
+        if shown != self._mode_display.value and self._check_mode(self._mode.number) is None:
+            self._mode_display.value = shown
         self.update(before)
 
     def _delayed(self, controlword: int) -> int:
