@@ -294,3 +294,9 @@ def test_damping_of_the_device_alone_bounds_no_motion_inside_a_hold():
     outcome = outcome_of(41061106)
     assert outcome.peak > 0.0
     assert outcome.false_claims == ()
+
+
+@pytest.mark.parametrize("seed", [114, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(500, 530))])
+def test_stopped_at_any_instant_the_account_is_true_to_the_very_end(seed: int) -> None:
+    outcome = outcome_with_stop(seed)
+    assert not outcome.declared or outcome.false_claims == ()

@@ -44,6 +44,7 @@ from tools.truth.faults import with_fault
 from tools.truth.judge import ROUNDING, TOUCH, Outcome, judged
 from tools.truth.scenes import random_scene
 from tools.truth.shrink import shrunk, write_scene
+from tools.truth.stops import with_stop
 
 _PACKAGES: Final = ("canhaptic", "numpy")
 _KEPT: Final = {"truth": "truth_runs.jsonl", "truth_faults": "truth_fault_runs.jsonl"}
@@ -57,6 +58,11 @@ _RUNS: Final = 24_000
 def outcome_of(seed: int) -> Outcome:
     """Returns what the run of a seed came to."""
     return judged(random_scene(seed))[1]
+
+
+def outcome_with_stop(seed: int) -> Outcome:
+    """Returns what the run of a seed came to that the operator stopped at a random instant."""
+    return judged(with_stop(random_scene(seed)))[1]
 
 
 def outcome_with_fault(seed: int) -> Outcome:

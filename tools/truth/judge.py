@@ -29,6 +29,7 @@ from tools.truth.hand_watch import HandWatch
 from tools.truth.loss_watch import LossWatch
 from tools.truth.programs import Asking
 from tools.truth.scenes import SOURCE, TruthScene
+from tools.truth.stops import left_after
 
 ROUNDING: Final = 1e-9
 """Energy that counts as none [J]."""
@@ -175,13 +176,14 @@ def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
             status, text = "stopped", str(error)
         account = account_of(experiment.cycle, status)
         moments.judge(account)
+        left = left_after(experiment, account) if status == "completed" else []
         reaction, to_zero = "", 0
         if status == "stopped":
             reaction, to_zero = experiment.rig.stop_reason.name, faults.syncs_to_zero()
     outcome = _outcome(scene, account, watch, asked, status, text)
     if program:
         outcome = replace(outcome, asked=asking.asked)
-    outcome = replace(outcome, false_claims=(*outcome.false_claims, *moments.claims))
+    outcome = replace(outcome, false_claims=(*outcome.false_claims, *moments.claims, *left))
     declared = int(scene.passivity.get("max_consecutive_losses", 0))
     outcome = replace(outcome, losses=losses.longest, declared_losses=declared, skipped=losses.skipped)
     return replace(outcome, reaction=reaction, to_zero=to_zero), watch
