@@ -18,7 +18,7 @@ from canhaptic.drive.rig import Rig
 from canhaptic.errors import RigError, StartError
 from tests.drive.drive_bench import REPOSITORY, axis, private_channel
 from tests.drive.odd_habits import BEGIN, END, HABITS, Habit, table
-from tests.drive.odd_slave import NODE, OddSensor, OddSlave
+from tests.drive.odd_slave import MILLISECOND, NODE, OddSensor, OddSlave
 
 RATE = 100.0  # [Hz]
 CYCLES = 200
@@ -42,13 +42,13 @@ def display(kind: str) -> AxisParameters:
 class OddBench:
     """A master, and the slave on the other end of its bus."""
 
-    def __init__(self, kind: str, slave: OddSlave, bus: can.BusABC) -> None:
+    def __init__(self, kind: str, slave: OddSlave, bus: can.BusABC, **values: bool) -> None:
         self.slave = slave
         self.sent: list[tuple[int, bytes]] = []
         link = Link(bus, VirtualClock([slave]), self.record)
         parameters = BusParameters(rate=RATE)
         if kind == "torque":
-            one = axis(NODE, name="handle", vendor_id=0xF00D, product_code=1)
+            one = axis(NODE, name="handle", vendor_id=0xF00D, product_code=1, **values)
             drive = ServoDrive(link, one, read_dictionary(one.eds, NODE), parameters)
         else:
             one = display(kind)
@@ -84,14 +84,14 @@ class OddBench:
 
 
 @contextmanager
-def odd_bench(kind: str) -> Iterator[OddBench]:
+def odd_bench(kind: str, **values: bool) -> Iterator[OddBench]:
     channel = private_channel()
     near, far = (can.Bus(interface="virtual", channel=channel, preserve_timestamps=True) for _ in range(2))
     slave = OddSlave(far, is_position_drive=kind != "torque")
     if kind == "sensor":
         slave.sensor = OddSensor()
     try:
-        yield OddBench(kind, slave, near)
+        yield OddBench(kind, slave, near, **values)
     finally:
         near.shutdown()
         far.shutdown()
@@ -128,3 +128,10 @@ def test_an_odd_habit_is_refused_ended_or_endured_and_named(habit: Habit) -> Non
 def test_the_table_of_the_page_is_that_of_this_test() -> None:
     page = (REPOSITORY / "docs" / "drives.md").read_text(encoding="utf-8")
     assert page.partition(BEGIN)[2].partition(END)[0] == table()
+
+
+@pytest.mark.parametrize(("gap", "edges"), [(5 * MILLISECOND, 1), (0, 2)])
+def test_a_fault_reset_gives_a_slow_loop_its_level_and_a_second_edge(gap: int, edges: int) -> None:
+    with odd_bench("torque", reset_fault=True) as b:
+        b.slave.state, b.slave.reset_gap, b.slave.reset_edges = "fault", gap, edges
+        assert b.run() is None
