@@ -65,7 +65,7 @@ def tried(number: int, *, with_hand: bool) -> list[StepVerdict]:
 
 
 @pytest.mark.slow
-def test_of_random_twins_no_sign_is_wrong_and_few_stay_open() -> None:
+def test_of_random_twins_no_sign_is_wrong_and_at_least_four_of_five_are_found() -> None:
     verdicts = tried(200, with_hand=False)
-    assert verdicts.count(StepVerdict.UNKNOWN) <= 10
+    assert verdicts.count(StepVerdict.UNKNOWN) <= 40
     tried(40, with_hand=True)  # a hand on the handle may leave the sign open
