@@ -20,7 +20,16 @@ from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import LOOP_KEYS
 from canhaptic.sim.plant.effects import EFFECTS
-from tools.bench.truth import false_table, fault_table, is_false, outcome_of, outcome_with_fault, run_all, table_of
+from tools.bench.truth import (
+    false_table,
+    fault_table,
+    is_false,
+    outcome_of,
+    outcome_with_fault,
+    outcome_with_stop,
+    run_all,
+    table_of,
+)
 from tools.truth.faults import with_fault
 from tools.truth.judge import Outcome, _false_claims, judged
 from tools.truth.known_ways import WAYS, is_closed, row_of
