@@ -64,7 +64,7 @@ def execute(arguments: argparse.Namespace) -> int:
         if stop.requested():
             return _stopped(out, stop)
         tenth = [f"axes.{n}.torque_limit={_TENTH * axis.parameters.torque_limit}" for n, axis in enumerate(own.axes)]
-        tenth += [f"axes.{n}.limit_by_master=true" for n in range(len(own.axes))]  # whatever the drive's least
+        tenth += [f"axes.{n}.limit_by_master=true" for n in range(len(own.axes))]  # below the drive's least value too
         _run(load_scene(path, tenth), "tenth", arguments, dialogue, stop)
         if stop.requested():
             return _stopped(out, stop)

@@ -12,7 +12,7 @@ device can have dissipated. An R that is only an estimate refutes nothing.
 of hand and device are false; hold, torque window and current lag must be true. "By certificate": every torque was
 certified, nothing refutes the certificates, and R at the end is at most a tenth of the energy received, or A, or 10 uJ,
 because a certificate relies on the positions too. For a spring pressed to a depth, R over the energy received is 2
-counts over the depth. Both need a hold that a test has found: a torque booked in the hold beside its own makes any sum.
+counts over the depth. Both need a hold that a test has found: a torque booked in a neighbouring hold makes any sum.
 A simulated drive that is configured as its scene declares needs no test.
 
 **Otherwise "in doubt"**, with the reason. A dry run sends no torque and proves nothing about the controller.

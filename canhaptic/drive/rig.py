@@ -44,7 +44,7 @@ class _CycleRecord(NamedTuple):
 
 
 _SHARED_PORT: Final = (
-    "; on udp_multicast all scenes with one port hear each other, whatever their channel: "
+    "; on udp_multicast all scenes with one port hear each other on every channel: "
     "give each its own bus.options: {port: ...}"
 )
 

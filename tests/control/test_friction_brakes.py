@@ -71,7 +71,7 @@ def pushes_until_spent(v: _Array, left: _Array, force: _Array, most: _Array, sti
 
 
 def two_springs(slope: Callable[[_Array], _Array]) -> Callable[..., tuple[_Array, _Array]]:
-    """A bristle of 97 % of the slope and 3 % of the force beside one of 3 % and 97 %; `slope` of both from sigma."""
+    """A bristle of 97 % of the slope and 3 % of the force, and one of 3 % and 97 %; `slope` of both from sigma."""
 
     def moved(v: _Array, z: _Array, force: _Array, most: _Array, stiffness: _Array, step: float) -> Any:
         if z.ndim == 1:

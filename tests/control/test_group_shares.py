@@ -388,7 +388,7 @@ def even_group(masses: list[float], hand: float, delay: int, losses: int = 0) ->
 
 
 def test_axes_together_permit_more_than_one_by_one_and_nothing_where_a_frame_may_be_lost() -> None:
-    """Two axes that move against each other: a lost frame of one takes 4 mJ, whatever the sum says."""
+    """Two axes that move against each other: a lost frame of one takes 4 mJ that the sum does not show."""
     for losses, expected in ((0, 1.0), (1, 0.0)):
         at = even_group([0.2, 0.2], 0.0, 0, losses)
         at.memory.displacement[:] = [-1.0e-3, 0.8e-3]

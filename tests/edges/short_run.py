@@ -214,7 +214,7 @@ def _ended(edge: Edge, cycles: int, progress: Callable[[int], None]) -> tuple[di
 
 
 def _closed(experiment: Experiment) -> None:
-    with suppress(CanHapticError):  # told by the first call
+    with suppress(CanHapticError):  # the first call raised it
         experiment.close()
 
 

@@ -1,6 +1,6 @@
 """The n-th call fails, for every n of a short run that presses on a wall: sends, receives, answers, calls, files.
 
-Whatever fails: a torque that acts is ended by zero before anything else is sent, the drive is disabled or said not to
+In each case a torque that acts is ended by zero before anything else is sent, the drive is disabled or said not to
 be, and the account is kept.
 """
 

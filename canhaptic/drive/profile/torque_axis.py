@@ -351,7 +351,7 @@ class TorqueAxis(ABC):
         self._acting = self._next_acting() if self._later else self._commanded
         if self.policy.missed >= self._stop_cycles:
             self._distrust = StopReason.TPDO_CONTRADICTED if self.is_contested else StopReason.TPDO_LOST
-        if self.weight and not self.policy.is_held:  # it acts, and nobody sees along which way
+        if self.weight and not self.policy.is_held:  # it acts along a displacement that is not known
             self.read_back_bound += abs(self.weight) * self._largest_step
         if not self.is_complete:
             self.unheard += 1
@@ -512,7 +512,7 @@ class TorqueAxis(ABC):
         self._watched, self._expected = ENABLED_MASK | follows | limits, ENABLED_VALUE | follows
 
     def let_go(self) -> None:
-        """Expect that the drive disables itself, because its brake was told to hold: only a fault counts now."""
+        """Expect that the drive disables itself, because its brake was commanded to hold: only a fault counts now."""
         self._is_let_go = True
         self._watched, self._expected = int(od.StatusBit.FAULT), 0
 

@@ -166,7 +166,7 @@ class LinkPolicy:
 
     @property
     def is_held(self) -> bool:
-        """Whether the last torque may still be held; a torque that nobody watches falls in one hold, without a ramp."""
+        """Whether the last torque may still be held; a torque without a sample falls in one hold, without a ramp."""
         return self.missed <= self._hold_cycles
 
     def success_rate(self) -> float:

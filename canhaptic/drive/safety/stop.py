@@ -53,7 +53,7 @@ class StoppedAxis(Protocol):
         """Open or set a brake operated by the host; raise LinkError."""
 
     def let_go(self) -> None:
-        """Expect that the drive disables itself, because its brake was told to hold."""
+        """Expect that the drive disables itself, because its brake was commanded to hold."""
 
     def disable_unconfirmed(self) -> None:
         """Disable outside the process data and await no answer; raise LinkError."""
