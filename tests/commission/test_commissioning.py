@@ -360,7 +360,7 @@ def test_a_pulse_that_was_cut_short_says_nothing_of_friction_and_asks_for_no_lar
     reports: list[Report] = []
 
     def pulsed(at: str) -> None:
-        scene = load_scene(DEMO, ["simulation.bus={drop: 0.5, ids: [0x181]}", at])
+        scene = load_scene(DEMO, ["simulation.bus={drop: 0.5, ids: [0x181]}", "bus.loss_limit=0.9", at])
         session = Session(scene, Answers(), CommissioningLimits(), lambda: is_stopped)
         with session.rig_of(with_hand=False):
             assert pulse(session, 0) is None

@@ -91,7 +91,7 @@ def test_a_run_ends_where_the_plant_has_more_events_than_are_allowed(
             "accuracy={max_events: 3}",
         ]
     )
-    assert status == 1
+    assert status in {1, 3}  # in the start, or in the cycle
     assert "more than 3 changes of mode in one sample time" in capfd.readouterr().err
 
 

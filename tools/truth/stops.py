@@ -15,7 +15,7 @@ _NONE: Final = 1e-9
 
 
 def with_stop(scene: TruthScene) -> TruthScene:
-    """Returns a scene that the operator stops at a random instant, in the middle of whatever its hand does."""
+    """Returns a scene that the operator stops at a random instant, in the middle of a motion of its hand."""
     share = random.Random(f"stop {scene.seed}").uniform(_SHORTEST, 1.0)
     return replace(scene, duration=share * scene.duration, tags=scene.tags | {"stop:random"})
 

@@ -4,13 +4,12 @@
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.ledger import LedgerSummary
-from canhaptic.cycle import Cycle, run
+from canhaptic.cycle import Cycle, running
 from canhaptic.errors import CanHapticError, InputError, ParameterError, RigError
 from canhaptic.lab.loop.axis_loop import LoopRun, Recorder
 from canhaptic.registry import load
@@ -49,8 +48,11 @@ def walk_over_can(scene: Scene, cycles: int, take: _Take) -> list[LedgerSummary]
 
         log: Any = SimpleNamespace(append=pass_on, event=lambda *_fault: None)  # which ends the run
         cycle = Cycle(experiment.rig, build_axis_controllers(scene), log, lambda: [d.truth() for d in drives])
-        run(cycle, cycles)
-    return [ledger.summary() for ledger in cycle.ledgers]
+        with running(cycle):
+            for _ in range(cycles):
+                cycle.step()
+            cycle.drop_log()  # a study ends before the holds of the stop
+            return [ledger.summary() for ledger in cycle.ledgers]
 
 
 def render_over_can(scene: Scene, cycles: int, counter: Callable[[], None]) -> list[LoopRun]:
@@ -122,19 +124,17 @@ def accounts_over_can(
         except ParameterError as error:
             found[name] = {"status": "refused", "remark": str(error)}
             continue
-        status, remark = "completed", ""
-        report = None if progress is None else partial(_report, progress, number * cycles)
+        report = progress or (lambda _cycles: None)
         with experiment:
             try:
-                run(experiment.cycle, cycles, progress=report)
+                with running(experiment.cycle):
+                    for done in range(cycles):
+                        experiment.cycle.step()
+                        report(number * cycles + done + 1)
+                    found[name] = {**experiment_account(experiment, "completed", 0.0), "remark": ""}
             except CanHapticError as error:
-                status, remark = "stopped", str(error)
-            found[name] = {**experiment_account(experiment, status, 0.0), "remark": remark}
+                found[name] = {**experiment_account(experiment, "stopped", 0.0), "remark": str(error)}
     return found
-
-
-def _report(progress: Progress, before: int, cycles: int) -> None:
-    progress(before + cycles)
 
 
 def heading_of(scene: Scene, cycles: int, path: str = "can") -> dict[str, Any]:
