@@ -440,6 +440,7 @@ def _start(rig: Rig) -> None:
     except CanHapticError:
         raise
     except Exception as error:  # such as no memory: a run that has an account all the same
+        rig.stop(ramp=False)  # nothing, where the start itself has disabled the drives
         raise CycleFailedError(f"the start failed: {cause_of(error)}", rig.records) from error
 
 

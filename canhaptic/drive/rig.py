@@ -127,8 +127,9 @@ class Rig:
         self._mark_start(is_starting=True)
         try:
             start(self._exchange, [drive.bring_up() for drive in self.drives])
+            self._begin_cycle()
         except BaseException as error:
-            self.stop_reason = StopReason.EXCEPTION
+            self.stop_reason, self.is_running = StopReason.EXCEPTION, False
             unconfirmed = self._disable(Trust.FULL)  # it was never given a torque
             if isinstance(error, RigError):
                 self._require_no_other_master()  # another master explains a failed step
@@ -136,8 +137,11 @@ class Rig:
                 text = f"{cause_of(error)}; NOT confirmed to be disabled: {'; '.join(unconfirmed)}"
                 raise RigError(text, self.records) from error
             raise
-        self._mark_start(is_starting=False)
         self._require_no_other_master()
+
+    def _begin_cycle(self) -> None:
+        """Take over the drives, which are enabled from here on."""
+        self._mark_start(is_starting=False)
         self._exchange.skipped = 0
         self._first_deadline = self._exchange.deadline
         self.sync_index = 0

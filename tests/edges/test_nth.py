@@ -172,7 +172,24 @@ def places(fault: str, how: str) -> Sequence[int]:
     return range(BEFORE_THE_START if is_call else 1, total(FAULTS[fault]) + 1, step)
 
 
+@pytest.mark.parametrize("name", ["watch_statusword", "_require_no_other_master"])
+def test_a_start_that_fails_after_its_last_step_disables_the_drives(name: str) -> None:
+    def prepare(edge: Edge) -> None:
+        def profiled(frame: FrameType, event: str, _argument: Any) -> None:
+            if event == "call" and frame.f_code.co_name == name:
+                raise MemoryError
+
+        sys.setprofile(profiled)
+
+    seen = outcome(prepare)
+    assert isinstance(seen.error, CanHapticError)
+    assert not seen.edge.drive.servo.is_powered
+    assert seen.result["ports"]
+
+
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of generators that end without memory
+@pytest.mark.timeout(1200)  # half a minute of a processor, longer on a busy machine
 @pytest.mark.parametrize(("fault", "how"), CELLS)
 def test_wherever_it_fails_zero_comes_first_and_nothing_is_lost(fault: str, how: str) -> None:
     syncs: set[int | None] = set()
