@@ -433,7 +433,10 @@ class Session:
         known = [axis.parameters.model_copy(update=forget) for axis in scene.axes]
         parts = zip(scene.axes, loops, known, strict=True)
         self.axes = tuple(dataclasses.replace(axis, loop=loop, parameters=of) for axis, loop, of in parts)
-        self.scene = dataclasses.replace(scene, axes=self.axes)  # a torque that is not verified is bounded by each step
+        # A torque that is not verified is bounded by each step. A lost sample ends its torque (`OpenLoop`), and a drive
+        # that shows another torque than the commanded one is to be found, not to be taken for a bad link
+        bus = scene.bus.model_copy(update={"loss_limit": 1.0})
+        self.scene = dataclasses.replace(scene, axes=self.axes, bus=bus)
         self.dialogue, self.limits, self.stop_requested = dialogue, limits, stop_requested
         self.report = Report()
         self.sample_time = scene.bus.sample_time

@@ -73,9 +73,10 @@ def test_friction_is_measured_and_judged_where_it_is_declared(capsys: pytest.Cap
 def test_the_axes_of_a_group_are_compared_with_what_the_group_declares(capsys: pytest.CaptureFixture[str]) -> None:
     scene = str(Path(SCENE).with_name("guided_path.yaml"))
     assert main(["commission", scene, "--yes", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["values"] == []
+    assert {value["key"] for value in json.loads(capsys.readouterr().out)["values"]} == {"settings_checked"}
     assert main(["commission", scene, "--yes", "--json", "--set", "simulation.plant.mass=3"]) == 1
-    assert "in the group stage" in json.loads(capsys.readouterr().out)["values"][0]["comment"]
+    comments = [value["comment"] for value in json.loads(capsys.readouterr().out)["values"]]
+    assert any("in the group stage" in comment for comment in comments)
 
 
 def test_a_stop_while_the_drive_moves_leaves_the_loop_untried() -> None:
