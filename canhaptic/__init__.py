@@ -10,6 +10,7 @@ Names are imported when they are first used, so that `import canhaptic` costs no
 
 import importlib
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +23,23 @@ def listed(file: str) -> dict[str, str]:
     """
     stub = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
     return {name: module for module, name in re.findall(r"(?m)^from (\S+) import (\w+) as \2$", stub)}
+
+
+def door(file: str, name: str) -> tuple[list[str], Callable[[], list[str]], Callable[[str], Any]]:
+    """Return `__all__`, `__dir__` and `__getattr__` of a module whose stub lists its names (PEP 562).
+
+    Args:
+        file: File of the module.
+        name: Name of the module, for errors.
+    """
+    places = listed(file)
+
+    def look_up(wanted: str) -> Any:
+        if wanted not in places:
+            raise AttributeError(f"module {name!r} has no attribute {wanted!r}")
+        return getattr(importlib.import_module(places[wanted]), wanted)
+
+    return list(places), lambda: sorted(places), look_up
 
 
 _PUBLIC: Final = listed(__file__)

@@ -9,22 +9,6 @@ Such a part is a class with the methods of its protocol. Scenes can use it once 
 Examples are in docs/extending.md. `extending.pyi` lists the names; each is imported when it is first used.
 """
 
-import importlib
-from typing import Any, Final
+from canhaptic import door
 
-from canhaptic import listed
-
-_PLACES: Final = listed(__file__)
-__all__ = list(_PLACES)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return sorted(__all__)
-
-
-def __getattr__(name: str) -> Any:
-    """Import a public name on its first use (PEP 562)."""
-    if name not in _PLACES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(_PLACES[name]), name)
+__all__, __dir__, __getattr__ = door(__file__, __name__)
