@@ -24,6 +24,7 @@ from canhaptic.drive.can.pdo_map import check_dictionary, choose_map
 from canhaptic.drive.profile.fitness import Finding, Verdict
 from canhaptic.drive.survey import survey
 from canhaptic.host.realtime import GRANTED, Realtime
+from canhaptic.quantities import with_old_names
 from canhaptic.scene import hints as limits
 from canhaptic.scene.build import build, require_buildable
 from canhaptic.scene.first_contact import FELT, advice, halves_rendered, kept_through_losses, slowest_felt
@@ -230,7 +231,7 @@ def _as_json(found: _CheckFindings) -> dict[str, Any]:
         **({"buses": buses} if scene.bus_name else {"bus": buses[""]}),
         "drives": _findings_as_json(findings),
         **({"objects": _findings_as_json(objects)} if objects else {}),
-        "stability": [{**hint._asdict(), "exceeded": hint.exceeded} for hint in hints],
+        "stability": [with_old_names({**hint._asdict(), "exceeded": hint.exceeded}) for hint in hints],
         "host": [setting._asdict() for setting in host_settings()],
         "realtime": _realtime(scene),
     }
@@ -367,10 +368,12 @@ def _axes_of(said: Iterable[tuple[str, _Said]], axes: int) -> dict[_Said, str]:
 def _hint_table(hints: list[limits.Hint], axes: int, *, texts: bool) -> Table:
     rows: list[list[Cell]] = []
     for hint, names in _axes_of(((hint.axis, hint._replace(axis="")) for hint in hints), axes).items():
-        unknown = "device_friction not set" if "passivity.device_friction" in hint.text else "unknown"
-        limit = unknown if hint.limit is None else f"{hint.limit:.4g} {hint.unit}"
-        asked = "" if hint.asked is None else f"{hint.asked:.4g}{' EXCEEDED' * (hint.exceeded and hint.concerns)}"
+        unknown = "device_friction not set" if hint.is_of_encoder else "unknown"
+        unit = "" if hint.unit == "1" else f" {hint.unit}"
+        limit = unknown if hint.limit is None else f"{hint.limit:.4g}{unit}"
+        over = "" if not hint.exceeded else " EXCEEDED" if hint.concerns else " exceeded"
+        requested = "" if hint.requested is None else f"{hint.requested:.4g}{over}"
         style = "dim" if not hint.concerns else "yellow" if hint.exceeded else ""
-        rows.append([Styled(text, style) for text in (names, hint.what, limit, asked, hint.text)[: 4 + texts]])
+        rows.append([Styled(text, style) for text in (names, hint.what, limit, requested, hint.text)[: 4 + texts]])
     title = "stability limits, calculated for any hand within your declarations; `design` simulates this rig"
     return Table(title, ("axis", "limit", "value", "requested", "")[: 4 + texts], rows)

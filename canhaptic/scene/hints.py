@@ -8,9 +8,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from math import pi, sqrt
-from typing import Final, Literal, NamedTuple
+from typing import Final, NamedTuple
 
-from canhaptic.axis_units import damping_unit, effort_unit, mass_unit, stiffness_unit
+from canhaptic.axis_units import effort_unit, mass_unit, stiffness_unit
 from canhaptic.control.admittance.declared_hand import DeclaredHand, damping_border
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, loop_settings
@@ -20,6 +20,7 @@ from canhaptic.control.ledger import DEFAULT_LIMIT
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.verdict import NO_PULL
 from canhaptic.meters import promise_of
+from canhaptic.quantities import LIMITS
 from canhaptic.scene.displays import display_properties
 from canhaptic.scene.models import AxisScene, Scene
 
@@ -34,6 +35,7 @@ DRAG: Final = 0.1
 LARGEST_ADVISED: Final = 1e-3
 """Largest energy allowance that is proposed [J]: 0.25 kg at 9 cm/s."""
 _ANY_TORQUE: Final = 1e9  # [N or N*m]
+_STIFFNESS: Final = "environment.stiffness"
 
 
 def advised_allowance(loop: LoopProperties, hand_force: float, losses: int = 0) -> float:
@@ -66,10 +68,11 @@ class Hint(NamedTuple):
     """One limit of an axis."""
 
     axis: str
-    what: str  # the limit, in words
+    quantity: str  # its name in `LIMITS`
+    what: str  # the same for a reader
     limit: float | None  # None when it is not known
-    asked: float | None  # by the scene; None where there is nothing to compare
-    unit: str
+    requested: float | None  # by the scene; None where there is nothing to compare
+    unit: str  # of both
     text: str  # source of the limit, or the declaration that is missing
     concerns: bool = True  # False: a limit of a plain wall, on which the chosen algorithm does not depend
     certificate: str = ""  # that limits this stiffness: "device damping", "hand force", "hand speed" or "largest"
@@ -78,7 +81,31 @@ class Hint(NamedTuple):
     @property
     def exceeded(self) -> bool:
         """Whether the scene requests more than the limit."""
-        return self.limit is not None and self.asked is not None and self.asked > self.limit
+        return self.limit is not None and self.requested is not None and self.requested > self.limit
+
+
+def _limit(
+    axis: AxisScene, quantity: str, limit: float | None, text: str, *details: str, certificate: str = "",
+    concerns: bool = True,
+) -> Hint:  # fmt: skip
+    """Return a limit of an axis: its title, its unit and the value to compare with are those of `LIMITS`."""
+    of, given = LIMITS[quantity], axis.parameters
+    what, unit = of.title.format(*details), of.unit_on(given.unit)
+    return Hint(given.name, quantity, what, limit, _requested(axis, of.key), unit, text, concerns, certificate)
+
+
+def _plain(axis: AxisScene, quantity: str, limit: float | None, text: str, *details: str) -> Hint:
+    """Return a limit that holds for a spring and damper without any algorithm."""
+    concerns = axis.passivity.name == "unprotected"
+    text = text if concerns else f"plain wall, no algorithm: {text}"
+    return _limit(axis, quantity, limit, text, *details, concerns=concerns)
+
+
+def _requested(axis: AxisScene, key: str) -> float | None:
+    """Return the value of a key of the scene; None where the axis has no such number, or there is no key."""
+    section, _, name = key.partition(".")
+    value = getattr(axis.loop if section == "passivity" else axis.environment.parameters, name, None)
+    return float(value) if isinstance(value, int | float) else None
 
 
 def hints_of(scene: Scene) -> list[Hint]:
@@ -91,7 +118,7 @@ def stop_hints(scene: Scene) -> list[Hint]:
     """Return the most that a stop can give out on each axis with a torque, and brakes that hold nothing meanwhile."""
     hints = []
     for axis in scene.axes:
-        name, loop, brake = axis.parameters.name, axis.loop, axis.parameters.brake
+        loop, brake = axis.loop, axis.parameters.brake
         if axis.parameters.admittance is None:
             time = (1 + loop.delay) * loop.sample_time * (1.0 + (loop.sync_jitter or 0.0)) + (loop.torque_window or 0.0)
             most = axis.parameters.torque_limit * time
@@ -102,10 +129,10 @@ def stop_hints(scene: Scene) -> list[Hint]:
             )
             text += "" if loop.moving_mass is not None else "; moving_mass is not declared"
             is_large = at_rest is not None and at_rest > DEFAULT_LIMIT
-            hints.append(Hint(name, "energy out at a stop", at_rest, None, "J", text, concerns=is_large))
+            hints.append(_limit(axis, "stop_energy", at_rest, text, concerns=is_large))
         if brake is not None and not brake.holds_weight:
             text = f"declare brake.holds_weight: a stop holds nothing for set_time ({brake.set_time:g} s)"
-            hints.append(Hint(name, "weight at a stop", None, None, effort_unit(axis.parameters.unit), text))
+            hints.append(_limit(axis, "stop_weight", None, text))
     return hints
 
 
@@ -115,7 +142,7 @@ def stability_hints(axis: AxisScene) -> list[Hint]:
         return []  # see `group_hints`, `display_hints`
     if not axis.is_read:
         text = "not known: environment or algorithm is own code, which is not run here"
-        return [Hint(axis.parameters.name, "stiffness and damping", None, None, "", text)]
+        return [_limit(axis, "not_read", None, text)]
     return [*_stiffness_hints(axis), _quantisation_hint(axis), *_damping_hints(axis), *_certificate_hints(axis)]
 
 
@@ -174,18 +201,7 @@ def _apart_hint(axis: AxisScene, axes: int) -> list[Hint]:
         f"itself, for {holds} holds. With max_consecutive_losses 0 a spring between axes pulls at once"
     )
     limit = 2.0 * holds * axis.loop.sample_time
-    return [Hint(axis.parameters.name, "stretch before a coupling pulls", limit, None, unit, text)]
-
-
-def _hint(
-    axis: AxisScene, quantity: Literal["stiffness", "damping"], what: str, limit: float | None, text: str,
-    certificate: str = "", *, plain: bool = False,
-) -> Hint:  # fmt: skip
-    """Return a limit of stiffness or damping; a `plain` one holds for a spring and damper without any algorithm."""
-    unit = (stiffness_unit if quantity == "stiffness" else damping_unit)(axis.parameters.unit)
-    concerns = not plain or axis.passivity.name == "unprotected"
-    text = text if concerns else f"plain wall, no algorithm: {text}"
-    return Hint(axis.parameters.name, what, limit, _asked(axis, quantity), unit, text, concerns, certificate)
+    return [_limit(axis, "coupling_stretch", limit, text)]
 
 
 def _known(axis: AxisScene, key: str, of_plant: str) -> tuple[float | None, str]:
@@ -198,21 +214,15 @@ def _known(axis: AxisScene, key: str, of_plant: str) -> tuple[float | None, str]
     return None, f"unknown: declare passivity.{key}"
 
 
-def _asked(axis: AxisScene, name: str) -> float | None:
-    value = getattr(axis.environment.parameters, name, None)
-    return float(value) if isinstance(value, int | float) else None
-
-
 def _stiffness_hints(axis: AxisScene) -> list[Hint]:
     damping, source = _known(axis, "device_damping", "damping")
     period, delay = axis.loop.sample_time, axis.loop.delay
     bound = None if damping is None else bounds.renderable_by_device_damping(damping, period, 0)
-    what = "stiffness, Colgate's bound 2 b / T"
-    hints = [_hint(axis, "stiffness", what, bound, f"passive below this, {source}", plain=True)]
+    hints = [_plain(axis, "stiffness_colgate", bound, f"passive below this, {source}")]
     if delay and damping is not None:
         bound = bounds.renderable_by_device_damping(damping, period, delay)
-        what = f"stiffness at delay {delay}, 2 b / {1 + delay} T"
-        hints.append(_hint(axis, "stiffness", what, bound, f"held by the device's damping, {source}", plain=True))
+        text, holds = f"held by the device's damping, {source}", f"{1 + delay}"
+        hints.append(_plain(axis, "stiffness_delayed", bound, text, f"{delay}", holds))
     return hints
 
 
@@ -222,7 +232,7 @@ def _quantisation_hint(axis: AxisScene) -> Hint:
     Abbott and Okamura, "Effects of position quantization and sampling rate on virtual-wall passivity", IEEE Trans.
     Robotics 21, 2005: a plain spring wall is passive for every user up to the lesser of this and Colgate's bound.
     """
-    stiffness, friction = _asked(axis, "stiffness"), _simulated_friction(axis)
+    stiffness, friction = _requested(axis, _STIFFNESS), _simulated_friction(axis)
     unit = effort_unit(axis.parameters.unit)
     text = "no Coulomb friction known"
     if friction is not None:
@@ -230,8 +240,7 @@ def _quantisation_hint(axis: AxisScene) -> Hint:
     if stiffness is not None:
         needed = 0.5 * stiffness * axis.loop.encoder_count
         text += f"; the requested wall needs {needed:.3g} {unit}"
-    what = "stiffness, quantisation bound 2 f_c / count"
-    return _hint(axis, "stiffness", what, quantisation_bound(axis), text, plain=True)
+    return _plain(axis, "stiffness_quantisation", quantisation_bound(axis), text)
 
 
 def quantisation_bound(axis: AxisScene) -> float | None:
@@ -252,17 +261,17 @@ def _simulated_friction(axis: AxisScene) -> float | None:
 
 def _damping_hints(axis: AxisScene) -> list[Hint]:
     """Return limits of damping; the first is from Colgate's condition b > k T / 2 + |d| at the requested stiffness."""
-    hints, (device, source), stiffness = [], _known(axis, "device_damping", "damping"), _asked(axis, "stiffness")
+    hints, (device, source), stiffness = [], _known(axis, "device_damping", "damping"), _requested(axis, _STIFFNESS)
     period, delay = axis.loop.sample_time, axis.loop.delay
     if device is not None and stiffness is not None:
         limit = max(0.0, device - 0.5 * stiffness * period)
-        hints.append(_hint(axis, "damping", "damping, Colgate's bound b - k T / 2", limit, source, plain=True))
+        hints.append(_plain(axis, "damping_colgate", limit, source))
     mass, source = _known(axis, "moving_mass", "mass")
     ripples = None if mass is None else least_oscillating_damping(delay, mass, period)
     diverges = None if mass is None else largest_stable_damping(delay, mass, period)
     text = f"the most that algorithms inject at delay {delay}, {source}"
-    hints.append(_hint(axis, "damping", "damping, no ripple", ripples, text))
-    return [*hints, _hint(axis, "damping", "damping, stable", diverges, f"at delay {delay}, {source}")]
+    hints.append(_limit(axis, "damping_calm", ripples, text))
+    return [*hints, _limit(axis, "damping_stable", diverges, f"at delay {delay}, {source}")]
 
 
 def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list[Hint]:
@@ -298,7 +307,7 @@ def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list
 
 def _encoder_hint(axis: AxisScene) -> list[Hint]:
     """Return the stiffness f_c / count that `guarded` renders indefinitely with this encoder."""
-    count, friction, asked = axis.loop.encoder_count, axis.loop.device_friction or 0.0, _asked(axis, "stiffness")
+    count, friction, asked = axis.loop.encoder_count, axis.loop.device_friction or 0.0, _requested(axis, _STIFFNESS)
     if not count or axis.group or axis.passivity.name != "guarded":
         return []
     unit, limit = axis.parameters.unit, friction / count if friction else None
@@ -311,8 +320,7 @@ def _encoder_hint(axis: AxisScene) -> list[Hint]:
         keeps = f"{asked * count:.2g} {effort_unit(unit)} of dry friction keeps" if asked else "Dry friction keeps"
         text = f"each press of one count and back costs the account {uncertain}, so repeated presses soften the wall. "
         text += f"{keeps} the wall stiff: measure it (canhaptic commission) and declare passivity.device_friction"
-    what = "stiffness after repeated presses (dry friction per count)"
-    return [_hint(axis, "stiffness", what, limit, text)._replace(is_of_encoder=True)]
+    return [_limit(axis, "stiffness_pressed", limit, text)._replace(is_of_encoder=True)]
 
 
 def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
@@ -339,17 +347,16 @@ def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
 
 def _felt_hints(axis: AxisScene, response: bounds.DisplacementResponse, lag: int, text: str) -> list[Hint]:
     """Return how much of a wall a hand feels that leans on it or approaches slowly, by the hand-force certificate."""
-    push, stiffness = LEAN * axis.parameters.torque_limit, _asked(axis, "stiffness")
+    push, stiffness = LEAN * axis.parameters.torque_limit, _requested(axis, _STIFFNESS)
     limit = bounds.renderable_by_hand_force(response, lag, push)
-    what = f"stiffest wall held at a push of {push:.3g} {effort_unit(axis.parameters.unit)}"
+    pushed = f"{push:.3g} {effort_unit(axis.parameters.unit)}"
     slowest = bounds.start_speed(response, axis.loop.sample_time, lag, axis.loop.encoder_count)
     begins = "if no energy is stored; a slower hand feels the wall deeper in it, or not at all"
-    slow, unit = "slowest approach with torque in its first cycle", f"{axis.parameters.unit}/s"
     if friction := axis.loop.device_friction:
         slowest, begins = 0.0, f"up to device_friction {friction:g} at once, more with the energy below"
     return [
-        _hint(axis, "stiffness", what, limit, f"{text}{_share(limit, stiffness)}"),
-        Hint(axis.parameters.name, slow, slowest, None, unit, f"{begins}; {text}", concerns=False),
+        _limit(axis, "stiffness_held", limit, f"{text}{_share(limit, stiffness)}", pushed),
+        _limit(axis, "approach_speed", slowest, f"{begins}; {text}", concerns=False),
         *_energy_hint(axis, response, lag, min(stiffness or limit, limit)),
     ]
 
@@ -360,7 +367,7 @@ def _energy_hint(axis: AxisScene, response: bounds.DisplacementResponse, lag: in
     parameters = axis.passivity.parameters
     if energy in {0.0, math.inf}:
         return []
-    what = f"energy to feel slower contacts, {stiffness:.4g} {stiffness_unit(unit)}"
+    wall = f"{stiffness:.4g} {stiffness_unit(unit)}"
     drag, friction = getattr(parameters, "drag", 0.0) or DRAG, axis.loop.device_friction or 0.0
     earning = f"{drag:g} {effort_unit(unit)} of drag earn it over {energy / drag:.2g} {unit} of faster motion"
     if friction:
@@ -368,7 +375,7 @@ def _energy_hint(axis: AxisScene, response: bounds.DisplacementResponse, lag: in
     kept = getattr(parameters, "earned_energy", None)
     if kept is not None and kept < energy:
         earning += f"; earned_energy keeps {kept:.2g} J of it"
-    return [Hint(axis.parameters.name, what, energy, None, "J", f"{earning}; or set energy_allowance to it")]
+    return [_limit(axis, "contact_energy", energy, f"{earning}; or set energy_allowance to it", wall)]
 
 
 def _on_all(axis: AxisScene, group: Sequence[AxisScene]) -> float:
@@ -381,18 +388,19 @@ def _on_all(axis: AxisScene, group: Sequence[AxisScene]) -> float:
 
 def _held_stiffness(axis: AxisScene, held: dict[str, tuple[float, str]]) -> list[Hint]:
     """Return one hint per certificate, and one for the largest of several, which is the effective limit."""
-    stiffness = _asked(axis, "stiffness")
+    stiffness = _requested(axis, _STIFFNESS)
     hints = [
-        _hint(
-            axis, "stiffness", f"stiffness, certified by {name}", limit, f"{text}{_share(limit, stiffness)}", name
-        )._replace(concerns=len(held) == 1)
+        _limit(
+            axis, "stiffness_certified", limit, f"{text}{_share(limit, stiffness)}", f" by {name}",
+            certificate=name, concerns=len(held) == 1,
+        )
         for name, (limit, text) in held.items()
-    ]
+    ]  # fmt: skip
     if len(held) > 1:
         name = max(held, key=lambda entry: held[entry][0])
         limit = held[name][0]
         text = f"the largest limit applies: by {name}{_share(limit, stiffness)}"
-        hints.append(_hint(axis, "stiffness", "stiffness, certified", limit, text, "largest"))
+        hints.append(_limit(axis, "stiffness_certified", limit, text, "", certificate="largest"))
     return hints
 
 
@@ -408,10 +416,9 @@ def display_hints(scene: Scene) -> list[Hint]:
 
 
 def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
-    given, properties = axis.parameters, display_properties(axis)
-    doubt = _uncertainty(properties)
+    properties = display_properties(axis)
     text = "costs the account as much as dry friction of this size: sensor error, and slew T / 4 for point samples"
-    hints = [Hint(given.name, "force uncertainty of the account", doubt, None, effort_unit(given.unit), text)]
+    hints = [_limit(axis, "force_uncertainty", _uncertainty(properties), text)]
     group = scene.group_of(axis)
     chosen = (axis.passivity, axis.environment) if group is None else (group.passivity, group.network)
     known, rendered = (part.parameters for part in chosen)
@@ -444,8 +451,7 @@ _NOTHING_STORED: Final = "by energy_allowance, with nothing stored"
 def _of_guard(
     axis: AxisScene, known: GuardedAdmittanceParameters, properties: AdmittanceProperties, asked: float | None
 ) -> list[Hint]:
-    name, axis_unit = axis.parameters.name, axis.parameters.unit
-    unit, speed_unit = mass_unit(axis_unit), f"{axis_unit}/s"
+    unit = mass_unit(axis.parameters.unit)
     time, gain, mass = properties.longest_hold, known.loop_gain, known.drive_mass
     holds = properties.delay + 1 + known.max_consecutive_losses
     lag = (properties.delay + 0.5 + properties.latency) * time
@@ -455,29 +461,27 @@ def _of_guard(
     start = sqrt(4.0 * known.energy_allowance / (gain * time * holds))
     about = "" if asked is None else f"; requested {asked:g} {unit}"
     hints = [
-        Hint(name, "mass felt at the first move, at least", felt, None, unit, f"{_SPEEDING_UP}{about}"),
-        Hint(name, "lightest mass that is passive without the guard", never, None, unit, f"{_WITHOUT_GUARD}{about}"),
-        Hint(name, "speed of the first step from rest", start, None, speed_unit, _NOTHING_STORED),
+        _limit(axis, "first_mass", felt, f"{_SPEEDING_UP}{about}"),
+        _limit(axis, "unguarded_mass", never, f"{_WITHOUT_GUARD}{about}"),
+        _limit(axis, "first_speed", start, _NOTHING_STORED),
     ]
     if known.integral_gain:
         text = "in mode 8 the drive's integral is unknown: nothing is certified if holds differ in length"
-        hints.append(Hint(name, "SYNC jitter allowed", 0.0, properties.jitter, "", text))
+        hints.append(_limit(axis, "jitter_allowed", 0.0, text))
     elif known.hand_stiffness:
         hand = DeclaredHand(known, loop_settings(known, properties), properties)
         carried = hand.lightest(properties.speed_limit)
         text = "at speed_limit, with a hand as declared (hand_stiffness); heavier at lower speed" + about
-        hints.append(Hint(name, "mass carried for the declared hand", carried, None, unit, text))
+        hints.append(_limit(axis, "carried_mass", carried, text))
         if asked is not None and asked < never:
             border = damping_border(mass, gain, asked, known.hand_stiffness, lag)
             text = f"in place of that mass, for the declared hand_stiffness; requested {asked:g} {unit}"
-            hints.append(
-                Hint(name, "damping that is passive without the guard", border, None, damping_unit(axis_unit), text)
-            )
+            hints.append(_limit(axis, "unguarded_damping", border, text))
     if asked is not None and properties.speed_quantum:
         least = asked * properties.speed_quantum / properties.sample_time
         text = "mass times the smallest step of the speed, over T; in mode 8 a step is one count per T"
         text += ": use a fine encoder"
-        hints.append(Hint(name, "least force that moves it", least, None, effort_unit(axis_unit), text))
+        hints.append(_limit(axis, "least_force", least, text))
     return hints
 
 
@@ -504,9 +508,8 @@ def _of_faults(
         energy = power * noticed * properties.longest_hold
         frozen = f"{power:.3g} W until it is noticed after {noticed * properties.longest_hold:.4g} s"
     stalled = f"{power:.3g} W at speed_limit for {silence:g} s"
-    per_force = "J/N" if given.unit == "m" else "J/(N*m)"
     return [
-        Hint(given.name, "energy from a sensor offset", room, None, per_force, offset),
-        Hint(given.name, "energy from a stalled master", power * silence, None, "J", stalled),
-        Hint(given.name, "energy from a frozen sensor", energy, None, "J", frozen),
+        _limit(axis, "offset_energy", room, offset),
+        _limit(axis, "stalled_energy", power * silence, stalled),
+        _limit(axis, "frozen_energy", energy, frozen),
     ]

@@ -188,7 +188,7 @@ def test_check_says_on_which_declaration_the_guarantee_rests_and_what_the_encode
     )  # b / T, late by one
     rough = axis(*UNCOMMISSIONED, "axes.0.counts_per_unit=10000", "passivity.device_friction=0.2")
     kept = next(hint for hint in stability_hints(rough) if hint.what.startswith("stiffness after repeated presses"))
-    assert (kept.limit, kept.asked) == (pytest.approx(2000.0), 100.0)
+    assert (kept.limit, kept.requested) == (pytest.approx(2000.0), 100.0)
     assert "counts up to 0.002 m keep the requested wall, here 0.0001 m" in kept.text
 
 

@@ -170,10 +170,10 @@ def test_hints_are_those_of_the_groups_certificates_for_each_axis() -> None:
     scene = load_scene(STAGE)
     assert [hint for axis in scene.axes for hint in stability_hints(axis)] == []
     held = [hint for hint in group_hints(scene) if hint.what == "stiffness, certified by hand force"]
-    assert [(hint.axis, hint.asked, hint.unit) for hint in held] == [("x", 1500.0, "N/m"), ("y", 1500.0, "N/m")]
+    assert [(hint.axis, hint.requested, hint.unit) for hint in held] == [("x", 1500.0, "N/m"), ("y", 1500.0, "N/m")]
     assert held[0].limit == pytest.approx(0.2 / (6 * 1e-3**2))  # m / 6 T^2 at delay 1 (design 2.4)
     turning = [hint for hint in group_hints(load_scene(LINKS)) if hint.what == "stiffness, certified by hand force"]
-    assert [(hint.unit, hint.asked) for hint in turning] == [("N*m/rad", None)] * 2
+    assert [(hint.unit, hint.requested) for hint in turning] == [("N*m/rad", None)] * 2
 
 
 def test_hints_say_what_lost_frames_and_a_hand_on_every_axis_leave() -> None:
