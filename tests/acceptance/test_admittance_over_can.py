@@ -98,6 +98,7 @@ def test_the_account_is_a_lower_bound_of_the_energy_at_the_sensor() -> None:
         assert ledger.interaction <= judge.interaction[0] + 1e-9
 
 
+@pytest.mark.slow
 def test_the_same_scene_gives_the_same_frames_and_every_reader_agrees(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -361,6 +362,7 @@ def test_a_limit_written_inside_a_hold_leaves_its_velocity(mode: str) -> None:
 _FRICTION = ("passivity.drive_friction=0.5 N", "passivity.drive_damping=2.2 N*s/m")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset", [5.0, -5.0])
 def test_an_offset_that_comes_in_a_run_is_found_where_the_friction_is_declared(offset: float) -> None:
     sensor = [f"simulation.admittance.sensor.{key}" for key in ("fault_at=0.5", f"fault_offset={offset}")]
@@ -373,6 +375,7 @@ def test_an_offset_that_comes_in_a_run_is_found_where_the_friction_is_declared(o
         run(experiment.cycle, 900)  # the same without the offset
 
 
+@pytest.mark.slow
 def test_each_axis_of_a_group_says_that_its_sensor_contradicts_its_encoder() -> None:
     scene = SCENE.with_name("guided_path.yaml")
     with build(load_scene(scene, ["simulation.admittance.sensor.gain=0.1"])) as experiment:

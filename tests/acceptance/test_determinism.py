@@ -28,7 +28,7 @@ def in_this_process(bus_log: Path, *words: str) -> bytes:
     return bus_log.read_bytes()
 
 
-@pytest.mark.slow_for("demo")
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [[], NOISY], ids=["demo", "with encoder noise"])
 def test_another_process_gives_the_same_bus_log(words: list[str], tmp_path: Path) -> None:
     here = in_this_process(tmp_path / "a.log", *words)

@@ -54,6 +54,7 @@ def test_no_account_of_two_displays_claims_what_their_plants_deny() -> None:
     assert exchanged < -0.1  # one axis alone gave out what came in by the other
 
 
+@pytest.mark.slow
 def test_no_account_of_an_arm_of_two_displays_claims_what_their_plants_deny() -> None:
     judged = moved = 0
     for seed in range(700, 706):

@@ -73,7 +73,7 @@ def dry(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     return DryRun(KINDS[request.param], tmp_path_factory.mktemp("dry"))
 
 
-@pytest.mark.slow_for("another group")
+@pytest.mark.slow_but("one*")
 def test_every_torque_sent_is_zero_while_the_requests_are_kept(dry: DryRun) -> None:
     ran, result = dry, dry.result
     assert ran.torques() == {0}
@@ -93,7 +93,7 @@ def test_every_torque_sent_is_zero_while_the_requests_are_kept(dry: DryRun) -> N
                 assert account["withheld_torque"] <= min(asked, limit)
 
 
-@pytest.mark.slow_for("another group")
+@pytest.mark.slow_but("group")
 def test_its_account_claims_nothing(dry: DryRun) -> None:
     ran, result = dry, dry.result
     with EnergyLog.open(ran.log) as log:
@@ -124,6 +124,7 @@ def test_it_is_recomputed_rederived_and_replayed_as_it_ran(dry: DryRun) -> None:
     assert replay_bus_log(ran.bus, ran.scene)["status"] == "different"  # a run would have sent torques
 
 
+@pytest.mark.slow
 def test_a_replay_takes_from_the_energy_log_that_the_run_was_dry(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -150,6 +151,7 @@ def test_the_drive_is_enabled_as_in_a_run(tmp_path: Path) -> None:
     assert {command.controlword for command in commands(frames)} >= {0x06, 0x07, 0x0F}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [MEASURED, UNREAD], ids=["measured", "not read back"])
 def test_a_drive_that_reads_back_otherwise_books_nothing_either(
     kind: tuple[str, tuple[str, ...]], tmp_path: Path

@@ -143,7 +143,7 @@ def test_the_replay_of_a_run_that_was_ended_is_ended_too(tmp_path: Path) -> None
     assert (result["status"], "ENERGY_LOST" in result["ended"]) == ("identical", True)
 
 
-@pytest.mark.slow_but("4", "6")
+@pytest.mark.slow_but("4")
 @pytest.mark.parametrize("seed", range(12))
 def test_no_run_loses_more_than_the_limit_and_one_hold_and_goes_on(seed: int) -> None:
     """Stalls, losses and masses drawn at random, on walls that are too stiff for them."""

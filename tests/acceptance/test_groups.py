@@ -42,6 +42,7 @@ def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         yield request.param, ran, log
 
 
+@pytest.mark.slow_but("xy_box")
 def test_the_true_energy_of_the_group_never_falls_below_zero_and_the_account_closes(whole: Whole) -> None:
     name, experiment, log = whole
     judge, group = experiment.cycle.judge, log.ports[GROUP[name]]
@@ -90,7 +91,7 @@ def test_master_and_plant_agree_on_where_the_handle_is_though_neither_knows_the_
     assert abs(mechanism.handle[0]) > 0.01
 
 
-@pytest.mark.slow_for("two_handles", "five_bar_sphere")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", AXES)
 def test_log_and_frames_give_the_same_account_again_bit_for_bit(name: str, tmp_path: Path) -> None:
     energy, frames = tmp_path / "run.h5", tmp_path / "run.log"

@@ -2,6 +2,8 @@
 
 import signal
 
+import pytest
+
 from tests.acceptance.bus_frames import DEMO, commands, reports
 from tests.acceptance.two_processes import Listener, canhaptic, pushed, shared_bus
 
@@ -12,6 +14,7 @@ STOP_CYCLES = 60  # of the scene on the shared bus: missed SYNCs after which the
 TOO_BUSY = ("[TPDO_LOST]", "[HEARTBEAT_LOST]", "[SYNCS_SKIPPED]", "[EMERGENCY]")  # how a busy computer ends a run
 
 
+@pytest.mark.slow
 def test_a_killed_drive_stops_the_master_and_one_that_is_started_again_serves_the_next_run(
     shared_bus: tuple[Listener, list[str]],
 ) -> None:

@@ -42,6 +42,7 @@ def touched(law: Callable[..., None] = wall, **options: Any) -> OpenRig:
     return rig
 
 
+@pytest.mark.slow
 def test_logs_of_a_program_recompute_rederive_and_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = touched(energy_log=tmp_path / "e.h5", bus_log=tmp_path / "b.log")
     assert rig.account["handle"].passive == "yes"

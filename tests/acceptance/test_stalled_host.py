@@ -132,7 +132,7 @@ def test_a_long_hold_takes_the_certificates_of_torques(torque: float, certificat
     assert account["certificates"] == certificates
 
 
-@pytest.mark.slow_for("0.2167", "0.2232")
+@pytest.mark.slow_but("0.2297")
 @pytest.mark.parametrize("begin", [0.2167, 0.2232, 0.2284, 0.2297])
 def test_a_stall_at_the_entry_into_a_wall_is_no_kick(begin: float, tmp_path: Path) -> None:
     """14 sample times of motion, taken for one, asked a damper of 2 N for 8 to 33 N."""
@@ -171,6 +171,7 @@ def test_no_account_of_torques_that_were_never_commanded_says_yes(capsys: pytest
     assert port["passive"] == "in doubt"
 
 
+@pytest.mark.slow_but("values0", "values3")
 @pytest.mark.parametrize(
     "values",
     [

@@ -71,6 +71,7 @@ MENDED_FURTHER = {
 }
 
 
+@pytest.mark.slow_but("3*")
 @pytest.mark.parametrize("seed", MENDED_FURTHER)
 def test_what_was_mended_of_further_scenes_stays_mended(seed: int) -> None:
     outcome = outcome_of(seed)

@@ -37,6 +37,7 @@ def check_together(log: EnergyLog, lost: float) -> None:
     assert max(passed_on) > 0.05  # energy does go from hand to hand
 
 
+@pytest.mark.slow
 def test_two_handles_are_passive_together_under_loss(tmp_path: Path) -> None:
     with logged("two_handles", 2100, tmp_path) as (experiment, log):
         assert experiment.scene.axes[0].loop.delay == 1

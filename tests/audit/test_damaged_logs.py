@@ -147,6 +147,7 @@ def test_a_value_that_is_no_finite_number_is_a_finding_and_no_check_passes(
         LiveLog(path).look()
 
 
+@pytest.mark.slow_but("*longest_hold")
 @pytest.mark.parametrize(
     "name",
     ["timing/sync_index", *(f"ports/handle/{name}" for name in ("statusword", "longest_hold", "energy_resolution"))],
@@ -273,6 +274,7 @@ def test_a_code_that_does_not_exist_is_one_error(whole: Path, name: str) -> None
         typed.inspect(damaged(whole, put, f"ports/handle/{name}"))
 
 
+@pytest.mark.slow_but("format_version-x", "ports-")
 @pytest.mark.parametrize(
     ("attribute", "value"),
     [
@@ -330,6 +332,7 @@ def test_a_damaged_table_of_names_is_repaired_or_one_error(whole: Path, step: in
                 repair(path, whole.with_name("saved.h5"))
 
 
+@pytest.mark.slow_but("digest")
 @pytest.mark.parametrize("column", ["digest", "timing/compute", "ports/handle/branch"])
 def test_a_chunk_that_cannot_be_unpacked_is_one_error(column: str, whole: Path, tmp_path: Path) -> None:
     path = tmp_path / "damaged.h5"
@@ -352,6 +355,7 @@ def test_a_running_count_that_falls_is_found(whole: Path, tmp_path: Path, capsys
     assert "uncommanded: 2 rows are a decreasing count, first in cycle 8" in capsys.readouterr().out
 
 
+@pytest.mark.slow_but("config_overrides-{}*")
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [

@@ -212,6 +212,7 @@ def test_late_cycles_and_lost_frames_are_counted(tmp_path: Path) -> None:
     assert (part["link"]["missing"], part["link"]["cycles_without_row"]) == (1, 0)
 
 
+@pytest.mark.slow_but("cycles?<?4000*", "margin?>=*", "surplus*")
 @pytest.mark.parametrize(
     ("expression", "holds"),
     [
@@ -255,6 +256,7 @@ def test_checks_that_cannot_be_read_are_refused(log: Path, expression: str, mess
         check(inspect(opened), expression)
 
 
+@pytest.mark.slow_but("cycles*", "margin*", "knob*")
 @pytest.mark.parametrize(
     ("expression", "message"),
     [
@@ -315,6 +317,7 @@ def test_the_verdict_of_a_run_is_its_worst() -> None:
         assert overall(ports)["verdict"] == worst
 
 
+@pytest.mark.slow
 def test_a_run_without_a_contact_fails_the_check_of_its_verdict(tmp_path: Path, capsys: Captured) -> None:
     scene = load_scene(CONFIGS / "demo.yaml", ["environment.position=-1"])
     with build(scene, energy_log=tmp_path / "run.h5") as experiment:
@@ -328,6 +331,7 @@ def test_a_run_without_a_contact_fails_the_check_of_its_verdict(tmp_path: Path, 
     assert "the wall begins at -1" in shown
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:--set passivity=unprotected")
 def test_a_run_without_protection_names_its_algorithm_everywhere(tmp_path: Path, capsys: Captured) -> None:
     for name in ("guarded", "unprotected"):

@@ -99,6 +99,7 @@ def test_a_scene_that_is_gone_is_asked_for(logs: tuple[Path, Path], tmp_path: Pa
         typed.inspect(moved, "--recompute")
 
 
+@pytest.mark.slow
 def test_a_recomputation_that_differs_is_shown_and_ends_with_one(
     logs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -114,6 +115,7 @@ def test_a_recomputation_that_differs_is_shown_and_ends_with_one(
     assert found["mismatch"]["logged"] == pytest.approx(found["mismatch"]["recomputed"] + 1.0)
 
 
+@pytest.mark.slow
 def test_rows_that_are_missing_are_no_mismatch_but_counted(
     logs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

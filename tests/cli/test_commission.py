@@ -171,6 +171,7 @@ def test_an_unfinished_commissioning_writes_what_was_found_and_no_run_takes_it(
     assert f"its commissioning is not finished: {todo}" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_scene_that_is_commissioned_again_loses_its_mark(tmp_path: Path) -> None:
     scene = tmp_path / "rig.yaml"
     scene.write_text(Path(DEMO).read_text() + '\nunfinished: "handle: moving mass: unclear"\n')
@@ -295,6 +296,7 @@ def commissioned_at_a_terminal(answers: dict[str, str], typed_ahead: str = "") -
     return status, {finding["item"]: finding["verdict"] for finding in report["findings"]}, said
 
 
+@pytest.mark.slow
 def test_a_person_at_a_terminal_answers_every_question() -> None:
     status, verdicts, said = commissioned_at_a_terminal(ANSWERS)
     assert (verdicts["torque sign"], verdicts["watchdog"]) == ("agrees",) * 2

@@ -87,8 +87,11 @@ def torques(frames: Sequence[can.Message]) -> list[int]:
     return [struct.unpack("<h", frame.data[2:4])[0] for frame in frames if frame.arbitration_id == 0x201]
 
 
-def test_a_right_configuration_agrees_in_everything() -> None:
-    report = commissioned()
+def test_a_right_configuration_agrees_in_everything_and_no_torque_exceeds_what_was_announced() -> None:
+    reports: list[Report] = []
+    frames = frames_of(lambda at: reports.append(commissioned(at)), "agrees")
+    [report] = reports
+    assert max(abs(torque) for torque in torques(frames)) in range(50, 101)  # 10 per cent of the rated torque
     assert not report.failed
     assert not report.differs
     assert row(report, "moving mass").found.startswith("0.25")
@@ -97,6 +100,7 @@ def test_a_right_configuration_agrees_in_everything() -> None:
     assert row(report, "cycle").verdict is StepVerdict.AGREES
 
 
+@pytest.mark.slow
 def test_wrong_encoder_counts_are_found_and_do_not_spoil_mass_and_scale() -> None:
     report = commissioned("simulation.drive.counts_per_unit=5e5", until="moving mass")
     assert row(report, "encoder counts").verdict is StepVerdict.DIFFERS
@@ -114,6 +118,7 @@ def test_a_drive_mounted_the_other_way_round_wants_direction_minus_one() -> None
     assert not commissioned("simulation.drive.direction=-1", "axes.0.direction=-1").differs  # what it says, helps
 
 
+@pytest.mark.slow_but("torque")
 @pytest.mark.parametrize("wrong", ["torque", "encoder"])
 def test_a_motor_that_turns_against_its_encoder_gets_no_more_torque(wrong: str) -> None:
     report = commissioned(f"simulation.drive.reversed={wrong}")
@@ -135,6 +140,7 @@ def test_a_rated_torque_that_the_drive_does_not_have_is_found_by_a_known_mass() 
     assert value(report, "rated_torque") == pytest.approx(10.0, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_declared_mass_above_the_real_one_is_a_failure() -> None:
     assert (
         row(commissioned("passivity.moving_mass=0.3 kg", until="moving mass"), "moving mass").verdict
@@ -212,7 +218,8 @@ def test_without_consent_no_frame_carries_a_torque() -> None:
     assert len(torques(frames)) == 0  # not even enabled
 
 
-def test_no_torque_exceeds_what_was_announced(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.slow
+def test_no_torque_exceeds_a_lower_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mass_and_friction, "_DOUBLETS", (8,))
     limits = CommissioningLimits(torque=0.02)
     frames = frames_of(lambda at: commissioned(at, limits=limits), "announced")
@@ -352,6 +359,7 @@ def test_a_stop_before_the_first_cycle_ends_the_standstill_without_a_finding() -
     assert row(session.report, STANDSTILL).found == "not tried"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("is_stopped", "found"), [(False, "stopped"), (True, "not tried")])
 def test_a_pulse_that_was_cut_short_says_nothing_of_friction_and_asks_for_no_larger_torque(
     is_stopped: bool, found: str

@@ -54,6 +54,7 @@ def test_logs_of_a_run_say_what_its_check_said(tmp_path: Path) -> None:
         assert rederive(bus, again, log)["ports"]["handle"]["hold"] == "checked at this start"
 
 
+@pytest.mark.slow_but("early")
 @pytest.mark.parametrize(
     ("drive", "words"),
     [

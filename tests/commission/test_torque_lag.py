@@ -106,6 +106,7 @@ def timed(*overrides: str) -> tuple[Session, Answers]:
 LAG = "simulation.effects=[{{type: current_loop, time_constant: {} us}}]"
 
 
+@pytest.mark.slow
 def test_a_lag_below_what_is_resolved_keeps_what_is_configured() -> None:
     session, _ = timed("passivity.current_lag=100 us")
     found = row(session.report, "torque lag")
@@ -132,6 +133,7 @@ def test_a_torque_that_acts_before_its_sync_fails_and_bounds_nothing(monkeypatch
     assert not [found for found in session.report.values if found.key.startswith("passivity")]
 
 
+@pytest.mark.slow
 def test_a_test_that_leaves_too_much_open_is_repeated_longer(monkeypatch: pytest.MonkeyPatch) -> None:
     lengths: list[int] = []
 
@@ -149,6 +151,7 @@ def test_a_test_that_leaves_too_much_open_is_repeated_longer(monkeypatch: pytest
     assert "energy_allowance" not in str(session.report.values)
 
 
+@pytest.mark.slow
 def test_a_lag_that_ends_the_wall_is_declared_with_the_allowance_that_keeps_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mass_and_friction, "_DOUBLETS", (2, 4))
     monkeypatch.setattr(mass_and_friction, "estimate_lateness", lambda *_: (-387e-6, 500e-6))

@@ -212,6 +212,7 @@ def test_a_torque_too_small_for_its_encoder_tells_no_hold_but_the_torque_that_do
     assert "let go of the handle" in _remedy(found._replace(is_explained=False))
 
 
+@pytest.mark.slow
 def test_a_skipped_sync_costs_the_windows_around_it_and_not_the_test(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every 300 cycles the host is held up by two sample times: that hold is three times as long as it counts."""
     regular, calls, skipped = Exchange._wait, count(), []

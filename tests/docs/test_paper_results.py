@@ -30,7 +30,7 @@ def close_to(value: Any) -> Any:
     return value if isinstance(value, int) else pytest.approx(value, rel=1e-3, abs=1e-9)
 
 
-@pytest.mark.slow_for("fig8", "fig9", "fig5")
+@pytest.mark.slow_but("fig4")
 @pytest.mark.parametrize("name", FIGURES)
 def test_the_figures_of_today_are_the_committed_ones(name: str) -> None:
     found = {label: figures_of(taken) for label, taken in runs(name).items()}

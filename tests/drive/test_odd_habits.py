@@ -106,6 +106,17 @@ def test_the_slave_without_an_odd_habit_is_run_and_stopped(kind: str) -> None:
         assert b.slave.torque == 0
 
 
+@pytest.mark.slow_for(
+    "torque:?shows*",
+    "torque:?counts*",
+    "torque:?answers*",
+    "torque:?sends?an*",
+    "torque:?sends?SDO*",
+    "torque:?remote*",
+    "torque:?is?in*",
+    "torque:?toggles*",
+    "sensor:?sends?every*",
+)
 @pytest.mark.parametrize("habit", HABITS, ids=lambda habit: f"{habit.rig}: {habit.what}")
 def test_an_odd_habit_is_refused_ended_or_endured_and_named(habit: Habit) -> None:
     with odd_bench(habit.rig) as b:

@@ -72,7 +72,7 @@ def account(scene, algorithm, **options):
     return result["axes"]["handle"]["algorithms"][algorithm]
 
 
-@pytest.mark.slow_for("0-internal_dissipation", "1-unprotected")
+@pytest.mark.slow_but("1-guarded")
 @pytest.mark.parametrize("algorithm", ["unprotected", "internal_dissipation", "guarded"])
 @pytest.mark.parametrize("delay", [0, 1])
 def test_every_figure_is_that_of_an_independent_simulation(scene, algorithm, delay):
@@ -127,9 +127,7 @@ def test_over_can_every_figure_is_the_same_to_the_last_bit(scene):
         assert direct["force_variation"]["value"] > 1.0
 
 
-@pytest.mark.slow_for(
-    "limit_cycle", "torque_saturation", "hardening_wall", "tremor_on_the_surface", "slot", "sudden_pull"
-)
+@pytest.mark.slow_but("stiff_wall", "slow_and_late")
 @pytest.mark.parametrize("path", HARD, ids=lambda path: path.stem)
 def test_guarded_gives_out_nothing_on_any_hard_scene(path):
     assert path.read_text().startswith("# ")  # what is hard about it

@@ -43,7 +43,7 @@ def test_the_wall_is_that_of_an_independent_dop853(stiffness, damping, surface):
     assert np.abs(found.position - position).max() < 2e-9
 
 
-@pytest.mark.slow_for("DamperWall")
+@pytest.mark.slow_for("DamperWall", "TwoSidedWall", "HardeningWall")
 @pytest.mark.parametrize(
     "environment",
     [

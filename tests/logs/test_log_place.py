@@ -81,6 +81,7 @@ HARM: dict[str, list[Callable[[Path], object]]] = {
 }
 
 
+@pytest.mark.slow_but("*bus_log")
 @BOTH
 @pytest.mark.parametrize(("word", "harm"), [(word, harm) for word, harms in HARM.items() for harm in harms])
 def test_a_log_that_is_harmed_while_it_is_written_is_noticed_before_it_is_closed(
@@ -223,7 +224,7 @@ def test_a_file_that_cannot_be_opened_in_time_does_not_hang_the_start(
 # --- what the writer imports ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow_for("json", "h5py")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["h5py", "json", "canhaptic"])
 def test_the_writer_imports_nothing_from_the_working_folder(tmp_path: Path, name: str) -> None:
     """The controller is started so that it does not look there either."""

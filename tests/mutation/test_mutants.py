@@ -147,6 +147,7 @@ def survives(code: object, judge: Callable[[ModuleType], None]) -> bool:
     return True
 
 
+@pytest.mark.slow_but("cia402", "scaling")
 @pytest.mark.parametrize("name", SUBJECTS)
 def test_the_module_meets_its_specification_and_every_mutant_fails_it(name: str) -> None:
     subject = SUBJECTS[name]

@@ -36,6 +36,7 @@ def test_a_mass_that_rests_on_a_stiff_stop_costs_few_products(mass, period):
     assert plant.products <= 1000 + 8 * holds
 
 
+@pytest.mark.slow
 def test_a_hand_on_a_stiff_stop_meets_the_reference_at_every_sync():
     """1e-6 kg between a hand and 1e9 N/m, current loop and all: DOP853 follows every swing of 30 Mrad/s."""
     pytest.importorskip("scipy")

@@ -142,6 +142,7 @@ def test_a_winding_at_its_supply_is_the_closed_form_of_a_stalled_and_of_a_runnin
     assert run(free, [1.0, -2.0, 0.5]) == pytest.approx(run(bare, [1.0, -2.0, 0.5]), rel=1e-12)
 
 
+@pytest.mark.slow_but("8.0")
 @pytest.mark.parametrize("torque", [1.0, 4.0, 8.0])
 def test_the_slowest_lag_of_a_winding_bounds_how_late_its_torque_is(torque):
     limit, lag = VoltageLimit(**{key: of for key, of in WINDING.items() if key != "type"}), 1e-4

@@ -231,6 +231,7 @@ def test_recordings_in_other_formats_are_replayed(suffix: str, tmp_path: Path) -
     assert (result["status"], result["difference"]) == ("identical", None)
 
 
+@pytest.mark.slow
 def test_a_late_sync_and_a_skipped_one_are_as_late_in_the_replay(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

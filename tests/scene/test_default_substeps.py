@@ -45,6 +45,7 @@ def test_a_scene_keeps_its_hash_and_its_log_has_the_substeps(tmp_path: Path) -> 
     assert axis["simulation"]["accuracy"]["substeps"] == 4
 
 
+@pytest.mark.slow_but("0.02")
 @pytest.mark.parametrize("mass", [0.02, 0.25])
 def test_by_default_a_bristle_errs_by_less_than_a_thousandth_of_its_travel(tmp_path: Path, mass: float) -> None:
     path = scene_file(tmp_path)
@@ -89,6 +90,7 @@ def test_figures_of_a_plant_that_is_not_exact_come_with_its_error(tmp_path: Path
     assert "with environment.stiffness=200: plant of handle: not exact, estimated error" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_sweep_over_plants_tells_the_error_of_each_that_is_not_exact(
     tmp_path: Path, capfd: pytest.CaptureFixture
 ) -> None:

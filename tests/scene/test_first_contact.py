@@ -49,6 +49,7 @@ def test_a_wall_for_a_hand_that_does_not_pull_is_felt_from_the_start_and_one_for
     assert not is_felt(strong, 0.9 * felt_from(strong))
 
 
+@pytest.mark.slow
 def test_the_speed_is_that_from_which_a_run_feels_the_wall() -> None:
     slowest = felt_from(axis("passivity.hand_force=20"))
     for factor, word in ((0.5, "nothing rendered"), (2.0, "yes")):
@@ -116,6 +117,7 @@ def test_skipped_syncs_are_the_first_reason_and_no_declaration_is_blamed_for_a_w
     assert why_silent(axis(name="five_bar_sphere.yaml"), 0, 4000) == ""
 
 
+@pytest.mark.slow
 def test_inspect_says_what_run_says_where_it_finds_the_scene(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -125,6 +125,7 @@ def test_an_alias_bomb_is_refused_quickly() -> None:
     assert f"more than {_MAX_NODES} values" in fault_of("\n".join(lines))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text",
     [

@@ -264,6 +264,7 @@ def test_an_effect_that_does_nothing_leaves_every_frame_at_its_instant(tmp_path:
 # --- real time ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_at_real_pace_frames_are_late_by_the_delay_asked_for() -> None:
     overrides = ["simulation.bus={delay: 2 ms}", "bus.rate=10 Hz", *IN_AND_OUT]
     with build(load_scene(DEMO, overrides), "real") as experiment:

@@ -62,6 +62,7 @@ def test_the_last_panel_is_the_force_over_the_position_of_both_runs_in_the_scale
     assert [panel.get_xlabel() for panel in panels].count("time [s]") == 1
 
 
+@pytest.mark.slow_but("words0")
 @pytest.mark.parametrize("words", [[], ["--overlay"]])
 def test_two_logs_show_two_accounts(
     logs: tuple[Path, Path], words: list[str], capsys: pytest.CaptureFixture[str]
@@ -73,6 +74,7 @@ def test_two_logs_show_two_accounts(
     assert re.search(r"^ *passive at the motor +\S.* yes *$", out, re.MULTILINE)
 
 
+@pytest.mark.slow
 def test_the_page_of_a_run_that_became_active_has_a_button_to_that_moment(logs: tuple[Path, Path]) -> None:
     page = logs[0].with_suffix(".html")
     assert main(["inspect", *map(str, logs), "--html", str(page), "--json"]) == 0

@@ -108,7 +108,7 @@ def scope(log: Path, number: signal.Signals = signal.SIGINT) -> Iterator[str]:
             process.kill()
 
 
-@pytest.mark.slow_for("2")
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_scope_with_its_own_status(number: signal.Signals, tmp_path: Path) -> None:
     pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")

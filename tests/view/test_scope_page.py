@@ -43,6 +43,7 @@ def titles_of(document: Any) -> list[str]:
     return [panel.yaxis[0].axis_label for panel in document.select({"type": figure})]
 
 
+@pytest.mark.slow
 def test_a_page_waits_for_its_log_and_then_shows_the_last_seconds(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     page, document = page_of(path)

@@ -74,16 +74,7 @@ def search(kind, runs, cycles=150):
     return least, rendered
 
 
-@pytest.mark.slow_for(
-    "late, frames lost",
-    "three axes, frames lost",
-    "commands of one axis lost",
-    "samples lost",
-    "masses of 100 to 1, frames lost",
-    "three axes",
-    "a wall that moves",
-    "late",
-)
+@pytest.mark.slow_but("together", "any frame lost", "counts, quanta and known limits")
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_attack_within_the_promise_takes_energy_out(kind):
     least, rendered = search(kind, 6, 100)
@@ -135,6 +126,7 @@ OBLIQUE = AnisotropicSpring(centre=(0.0, 0.0), stiffness=((4e3, 1.9e3), (1.9e3, 
 SLIDING = Attack(OBLIQUE, sample_time=2e-3, delay=1, start=(0.03, 0.03), parts=1, cycles=120)
 
 
+@pytest.mark.slow_but("lost_samples")
 @pytest.mark.parametrize(
     "apart", [{"cuts": (1.0, 1e9)}, {"lost_commands": 0.4}, {"lost_samples": 0.45}], ids=lambda apart: next(iter(apart))
 )

@@ -91,7 +91,7 @@ def run_example(rate, delay, duration=0.4, hand_force=0.0):
     return rms, figures["margin"], plant.least, figures["residual"]
 
 
-@pytest.mark.slow_for("1000*-0", "500*-1", "200*-0", "100-*-1")
+@pytest.mark.slow_but("500*-0", "100-*-0")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize(
     ("rate", "rms", "margin"), [(100, 6e-3, -5e-3), (200, 5e-4, -5e-3), (500, 1e-4, -5e-4), (1000, 5e-5, -5e-4)]
@@ -195,7 +195,7 @@ ENVIRONMENTS = {
 }
 
 
-@pytest.mark.slow_for("0.0-[bmph]*-1", "*-0")
+@pytest.mark.slow_but("8.0-handles-1", "8.0-sphere-1", "8.0-path-1")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("environment", ENVIRONMENTS)
 @pytest.mark.parametrize("hand_force", [0.0, 8.0])

@@ -47,7 +47,7 @@ def positions(one, cycles, delay, start=0.003, clip=math.inf, after=None):
             q, t = q + quarter * v, t + quarter
 
 
-@pytest.mark.slow_for("*-3000.0-0.0-?", "*-200.0-0.0-0")
+@pytest.mark.slow_but("own[024]*-800.0-0.0-*")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize(("stiffness", "damping"), WALLS)
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_the_account_of_a_guarded_group_is_that_of_guarded(delay, stiffness, dam
     assert worst_energy <= allowed * richest
 
 
-@pytest.mark.slow_for("*-1")
+@pytest.mark.slow_but("800*-0")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("alpha", ["0", "100 s/m^2"])
 @pytest.mark.parametrize(
