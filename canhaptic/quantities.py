@@ -4,7 +4,8 @@ Tables on a terminal, keys of `--json`, columns of logs and exported files, pict
 `sweep`, limits of `check` and `inspect --check` take unit and title from here. Programs compare ids, never titles.
 """
 
-from typing import Any, Final, Literal, NamedTuple
+from collections.abc import Mapping
+from typing import Any, Final, Literal, NamedTuple, TypeVar, cast
 
 from canhaptic.axis_units import Motion
 
@@ -12,7 +13,7 @@ BLUE, VERMILION, GREEN, ORANGE = "#0072B2", "#D55E00", "#009E73", "#E69F00"
 PURPLE, SKY = "#CC79A7", "#56B4E9"
 GREY, PALE = "#4D4D4D", "#8C8C8C"
 ALARM: Final = VERMILION
-"""Colour of what a user must look at: energy below zero, a fault. No quantity has it."""
+"""Colour of what a user must look at: energy that was given out, a fault. No quantity has it."""
 
 _ROTARY: Final = {
     "m": "rad", "m/s": "rad/s", "N": "N*m", "N/m": "N*m/rad", "N*s/m": "N*m*s/rad", "kg": "kg*m^2", "J/N": "J/(N*m)",
@@ -29,12 +30,97 @@ class QuantityRow(NamedTuple):
     symbol: str = ""  # in the paper
     better: Literal["", "less", "near one", "not negative"] = ""  # which value is better; "": neither
     colour: str = ""  # of its line in a picture; "": none
-    old: tuple[str, ...] = ()  # ids in earlier releases
     key: str = ""  # key of the scene that a limit is compared with
 
     def unit_on(self, motion: Motion) -> str:
         """Return the unit for an axis in "m" or "rad"."""
         return _ROTARY.get(self.unit, self.unit) if motion == "rad" else self.unit
+
+
+ACCOUNT: Final[dict[str, QuantityRow]] = {
+    "in": QuantityRow("J", "energy in", "that the hand put in"),
+    "out": QuantityRow("J", "energy out", "that the hand got back"),
+    "interaction": QuantityRow(
+        "J", "net energy (in - out)", "minus torque times displacement, summed", "h_i", colour=BLUE
+    ),
+    "dissipated": QuantityRow(
+        "J", "dissipated", "turned into heat by the damper of the environment", "h_r", colour=ORANGE
+    ),
+    "stored": QuantityRow("J", "stored", "in the spring of the environment; the hand may get it back", "h_s"),
+    "surplus": QuantityRow(
+        "J", "surplus (energy created by sampling)", "created by sampling and not yet removed", "h_dis", "less", ORANGE,
+    ),
+    "surplus.max": QuantityRow("J", "  at its peak", better="less"),
+    "recovered": QuantityRow("J", "surplus removed by extra damping", symbol="h_pas"),
+    "paid": QuantityRow("J", "surplus removed with stored energy that was not returned"),
+    "generated": QuantityRow("J", "energy created at the start of contacts", symbol="gen", better="less"),
+    "leaked": QuantityRow(
+        "J", "stored energy not returned", "given up by the algorithm: the spring got weaker", "leak", "less",
+    ),
+    "deficit": QuantityRow("J", "energy returned beyond what was stored", better="less", colour=PURPLE),
+    "least_interaction": QuantityRow("J", "lowest net energy (in - out), at the motor", better="not negative"),
+    "least_at_handle": QuantityRow("J", "lowest net energy (in - out), at the handle", better="not negative"),
+    "least_certain": QuantityRow("J", "lowest net energy at the motor that is certain", better="not negative"),
+    "least_certain_at_handle": QuantityRow(
+        "J", "lowest net energy at the handle that is certain", better="not negative"
+    ),
+    "margin": QuantityRow(
+        "J", "smallest margin (net energy less dissipated)", "eq. 4: more than a passive port needs",
+        better="not negative", colour=GREEN,
+    ),
+    "margin.time": QuantityRow("s", "time of the smallest margin"),
+    "margin.cycle": QuantityRow("1", "cycle of the smallest margin"),
+    "damping_rendered": QuantityRow("N*s/m", "damping rendered", "by environment and algorithm together", colour=GREEN),
+    "rendered.damping": QuantityRow("1", "damping rendered, of requested", better="near one"),
+    "rendered.stiffness": QuantityRow("1", "stiffness rendered, of requested", better="near one"),
+    "mass": QuantityRow("kg", "mass felt", "by the hand at an admittance display"),
+    "mass.share": QuantityRow("1", "mass felt, of requested", better="near one"),
+    "contact": QuantityRow("1", "cycles of contact"),
+    "contact.without_torque": QuantityRow("1", "cycles of contact with zero command", better="less"),
+    "contact.requested": QuantityRow("N", "effort requested in contact, summed"),
+    "contact.sent": QuantityRow("N", "torque sent in contact, summed"),
+    "contact.no_torque_after": QuantityRow("s", "time of the last torque"),
+    "energy_resolution": QuantityRow("J", "uncertainty of the account", "largest error of its net energy", "", "less"),
+    "read_back_bound": QuantityRow("J", "uncertainty from what the drive reports", better="less"),
+    "uncertainty": QuantityRow("J", "uncertainty, taken off `in`", better="less"),
+    "supplied": QuantityRow("J", "input from moving surfaces"),
+    "device_dissipated": QuantityRow("J", "dissipated by the device, at least"),
+    "energy_allowance": QuantityRow("J", "energy allowance", "that may be given out before any came in"),
+    "longest_hold": QuantityRow("1", "longest time between torque updates", "in cycles", better="less"),
+    "max_consecutive_losses": QuantityRow("1", "lost cycles that the certificates cover"),
+    "uncommanded_cycles": QuantityRow("1", "cycles with another torque than commanded", better="less"),
+    "limited_cycles": QuantityRow("1", "cycles cut by torque_limit"),
+    "branches": QuantityRow("1", "cycles by how they were booked"),
+    "limits": QuantityRow("1", "cycles by what limited them"),
+    "friction_excess": QuantityRow("N", "force beyond declared friction and hand", better="less"),
+    "hand_force": QuantityRow("N", "largest pull of the hand, as declared"),
+    "peak_torque": QuantityRow("N", "largest torque"),
+    "withheld_torque": QuantityRow("N", "largest torque that a dry run did not send"),
+    "position": QuantityRow("m", "position", colour=BLUE),
+    "wall": QuantityRow("m", "where the environment begins"),
+    "reach": QuantityRow("m", "lowest and highest position"),
+    "torque_applied": QuantityRow("N", "torque applied", colour=BLUE),
+    "torque_command": QuantityRow("N", "requested, before limits", colour=ORANGE),
+    "velocity_command": QuantityRow("m/s", "velocity commanded", colour=ORANGE),
+    "effort_requested": QuantityRow("N", "effort requested by the environment"),
+    "first_active": QuantityRow("s", "  first below zero at"),
+    "first_active_contact": QuantityRow("1", "contact in which it was first below zero"),
+    "active_since": QuantityRow("s", "below the allowance for certain since"),
+    "active_at_handle_since": QuantityRow("s", "the same at the handle"),
+    "passive": QuantityRow("", "passive at the motor"),
+    "passive_at_handle": QuantityRow("", "passive at the handle"),
+    "algorithm": QuantityRow("", "algorithm"),
+    "certificates": QuantityRow("", "guarantee rests on"),
+    "hold": QuantityRow("", "when a torque acts"),
+}  # fmt: skip
+"""Quantities of a port, by their path in the account of `run --json`; those of a cycle are columns of a log."""
+TRUTH: Final[dict[str, QuantityRow]] = {
+    "interaction": QuantityRow("J", "true net energy (plant)"),
+    "least_interaction": QuantityRow("J", "lowest true net energy (plant)", better="not negative"),
+    "least_at_handle": QuantityRow("J", "lowest true net energy at the handle (plant)", better="not negative"),
+    "accounted_error": QuantityRow("J", "largest error of the account", "against the plant", "", "less"),
+}  # fmt: skip
+"""Energies of the simulated plant, by their key in the section `truth` of `run --json`."""
 
 
 _STIFFNESS: Final = "environment.stiffness"
@@ -71,10 +157,35 @@ LIMITS: Final[dict[str, QuantityRow]] = {
 }  # fmt: skip
 """Limits of a scene that `check` prints. One with a key is compared with the value of that key, in its unit."""
 
-_RENAMED: Final = {"requested": "asked"}
-"""Key of `--json` -> its name in releases before 0.4; one release writes both."""
+OLD_COLUMNS: Final = {
+    "interaction": "h_i", "dissipated": "h_r", "stored": "h_s", "surplus": "h_dis", "generated": "gen",
+    "leaked": "leak", "effort_requested": "effort_asked", "velocity_command": "torque_command",
+}  # fmt: skip
+"""Column of a log -> its name before 0.4. One release writes both, and logs of earlier ones have the old name alone."""
+OLD_KEYS: Final = {"requested": "asked", "uncertainty": "unsure", "accounted_error": "believed_error"}
+"""Key of `--json` -> its name before 0.4; one release writes both."""
 
 
-def with_old_names(values: dict[str, Any]) -> dict[str, Any]:
-    """Return values with the new keys, and the same under the names that earlier releases wrote."""
-    return values | {old: values[new] for new, old in _RENAMED.items() if new in values}
+_NEW_KEYS: Final = {old: new for new, old in OLD_KEYS.items()}
+_Values = TypeVar("_Values", bound=Mapping[str, Any])
+
+
+def with_old_names(values: _Values) -> _Values:
+    """Return values of `--json` with their keys, and the same under the names of releases before 0.4."""
+    old = {OLD_KEYS[name]: value for name, value in values.items() if name in OLD_KEYS}
+    return cast("_Values", {**values, **old})
+
+
+def row_of(table: Mapping[str, QuantityRow], path: str) -> QuantityRow:
+    """Return the row of a figure such as `surplus.end`, by its own path or the first part of it.
+
+    Args:
+        table: `ACCOUNT` or `TRUTH`.
+        path: Path of the figure; its last part may be a name of an earlier release.
+
+    Raises:
+        KeyError: The table has neither.
+    """
+    head, dot, last = path.rpartition(".")
+    path = head + dot + _NEW_KEYS.get(last, last)
+    return table[path if path in table else path.partition(".")[0]]

@@ -21,6 +21,7 @@ from canhaptic.control.balance import Certificate
 from canhaptic.control.verdict import WORST_LAST, Headline, PortResult, Verdict
 from canhaptic.cycle import Cycle
 from canhaptic.meters import PortFigures, Promise, promise_of
+from canhaptic.quantities import with_old_names
 
 
 class TruthResult(TypedDict):
@@ -29,7 +30,7 @@ class TruthResult(TypedDict):
     interaction: float
     least_interaction: float
     least_at_handle: float
-    believed_error: float
+    accounted_error: float
 
 
 class Verdicts(TypedDict):
@@ -141,13 +142,14 @@ def _accounts(cycle: Cycle, truth: Mapping[str, TruthResult]) -> dict[str, PortR
             accounts[name]["withheld_torque"] = drive.withheld
     for place, group in enumerate(cycle.groups, len(axes)):
         sums = group.ledger.summary().as_json(sample_time)
-        accounts[group.name] = {
+        account: PortResult = {
             "unit": axes[group.axes[0]].unit,
             **port_account(known[place], sums, promise_of(group.controller), sample_time),
             "supplied": group.supplied,
-            "unsure": group.uncertainty,
+            "uncertainty": group.uncertainty,
             "limits": dict(group.limits),
         }
+        accounts[group.name] = with_old_names(account)
     for account in accounts.values() if cycle.rig.dry_run else ():
         verdicts.claim_nothing(account)
     groups = {group.name: [axes[axis].name for axis in group.axes] for group in cycle.groups}
@@ -188,14 +190,17 @@ def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_t
     if not port.contacts and not port.books_least and port.reach[0] <= port.reach[1]:
         account["reach"] = list(port.reach)
     if port.damping_asked is not None:
-        account["contact"] |= {"asked": port.sizes_asked, "sent": port.sizes_sent, "beyond_limit": port.beyond_limit}
+        account["contact"] |= {"requested": port.sizes_asked, "sent": port.sizes_sent}
+        account["contact"]["beyond_limit"] = port.beyond_limit
+        account["contact"] = with_old_names(account["contact"])
         _add_end_of_torque(account["contact"], port, sample_time)
         damping = port.damping_asked * port.contacts
         stiffness = max(0.0, port.rendered / port.asked) if port.asked else None
         account["rendered"] = {"stiffness": stiffness, "damping": port.damping / damping if damping else None}
     if (felt := port.felt) is not None:
         asked, mass = felt.asked.mass, felt.mass
-        account["mass"] = {"asked": asked, "felt": mass, "share": None if mass is None else mass / asked}
+        share = None if mass is None else mass / asked
+        account["mass"] = with_old_names({"requested": asked, "felt": mass, "share": share})
     if (excess := port.friction_excess) is not None:
         account["friction_excess"] = excess
     if port.books_least:
@@ -275,4 +280,5 @@ def _truth(cycle: Cycle) -> dict[str, TruthResult]:
     sums = zip(judge.interaction, judge.least, judge.least_at_handle, judge.believed_error, strict=True)
     names = (*(drive.axis.name for drive in cycle.rig.drives), *(group.name for group in cycle.groups))
     keys = TruthResult.__annotations__
-    return {name: cast("TruthResult", dict(zip(keys, of, strict=True))) for name, of in zip(names, sums, strict=True)}
+    truth = (with_old_names(dict(zip(keys, of, strict=True))) for of in sums)
+    return {name: cast("TruthResult", of) for name, of in zip(names, truth, strict=True)}

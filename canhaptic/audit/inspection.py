@@ -22,6 +22,7 @@ from canhaptic.logs.columns import DIGEST, FRICTION_DECLARED
 from canhaptic.logs.energy_reader import EnergyLog, read_safely
 from canhaptic.logs.hdf5 import Array
 from canhaptic.meters import ActiveLimits, PortFigures, Promise, limits_of
+from canhaptic.quantities import with_old_names
 from canhaptic.result import TruthResult, Verdicts, overall, port_account, with_groups
 from canhaptic.signals import CycleTiming, Measured
 
@@ -540,19 +541,22 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> TruthResult:
     """
     interaction = _taken_in(log, name, rows)
     if not len(interaction):
-        return {"interaction": 0.0, "least_interaction": 0.0, "least_at_handle": 0.0, "believed_error": 0.0}
+        return with_old_names(
+            TruthResult(interaction=0.0, least_interaction=0.0, least_at_handle=0.0, accounted_error=0.0)
+        )
     axes = log.groups.get(name, (name,))
     by_motors = sum(_taken_in(log, axis, rows) for axis in axes)
     h_i = np.sum([log.ports[axis].read("h_i", rows.start, rows.stop) for axis in axes], axis=0)
     accounted = _running(h_i) if rows.start else _running(h_i) - h_i[0]
     booked = log.ports[axes[0]].read("branch", rows.start, rows.stop) != Branch.HELD
     dissipated = log.truth[name].read("dissipated", rows.start, rows.stop)
-    return {
+    truth: TruthResult = {
         "interaction": float(interaction[-1]),
         "least_interaction": min(0.0, float(interaction.min())),
         "least_at_handle": min(0.0, float((interaction + dissipated - dissipated[0]).min())),
-        "believed_error": float(np.abs((accounted - by_motors)[booked]).max(initial=0.0)),
+        "accounted_error": float(np.abs((accounted - by_motors)[booked]).max(initial=0.0)),
     }
+    return with_old_names(truth)
 
 
 def _taken_in(log: EnergyLog, name: str, rows: slice) -> Array:

@@ -6,8 +6,9 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any, Final, Literal, NotRequired, TypedDict
 
-from canhaptic.axis_units import damping_unit, effort_unit
+from canhaptic.axis_units import Motion
 from canhaptic.errors import InputError
+from canhaptic.quantities import ACCOUNT, TRUTH, row_of
 from canhaptic.units import parse_unit
 
 _EXPRESSION: Final = re.compile(
@@ -23,8 +24,6 @@ _OPERATORS: Final = {
 }
 _VERDICT: Final[Literal["passive"]] = "passive"
 _SHORT: Final = {"margin": "margin.value", "surplus": "surplus.max"}
-_PURE: Final = ("branches.", "contact.", "limits.", "max_consecutive_losses", "rendered.")
-"""Prefixes of the figures of a port that have no unit."""
 
 
 Checked = Mapping[str, Any]
@@ -141,29 +140,15 @@ def _unit_of(path: str, result: Checked) -> str:
         result: Output of `inspect` or `run --json`.
     """
     section, _, rest = path.partition(".")
-    name = path.rpartition(".")[2]
     if section in ("ports", "truth"):
         port, _, figure = rest.partition(".")
         while port not in result["ports"]:  # a name may hold dots
             head, _, figure = figure.partition(".")
             port = f"{port}.{head}"
-        motion: str = result["ports"][port].get("unit", "m")
-        units = {
-            "peak_torque": effort_unit(motion),
-            "margin.time": "s",
-            "first_active": "s",
-            "active_since": "s",
-            "margin.cycle": "1",
-            "longest_hold": "1",
-            "wall": motion,
-            "hand_force": effort_unit(motion),
-        }
-        if figure.startswith("damping_rendered."):
-            return damping_unit(motion)
-        pure = figure.startswith(_PURE) or name.endswith("cycles")
-        return units.get(figure, "1" if pure else "J")
+        motion: Motion = result["ports"][port].get("unit", "m")
+        return row_of(ACCOUNT if section == "ports" else TRUTH, figure).unit_on(motion)
     if section == "timing":
-        return {"cycles_per_second": "1/s", "deadlines_missed": "1"}.get(name, "s")
+        return {"cycles_per_second": "1/s", "deadlines_missed": "1"}.get(rest, "s")
     return {"duration": "s", "from": "s", "to": "s", "rate": "Hz"}.get(path, "1")
 
 

@@ -101,9 +101,9 @@ class ContactHolds(TypedDict):
 
     holds: int
     without_torque: int
-    asked: NotRequired[float]  # sum of the efforts asked for, each at most the torque limit [N or N*m]
-    beyond_limit: NotRequired[int]  # holds in which more than the torque limit was asked for
-    no_torque_after: NotRequired[float]  # time of the last torque, if much was asked for after it [s]
+    requested: NotRequired[float]  # sum of the efforts requested, each at most the torque limit [N or N*m]
+    beyond_limit: NotRequired[int]  # holds in which more than the torque limit was requested
+    no_torque_after: NotRequired[float]  # time of the last torque, if much was requested after it [s]
     sent: NotRequired[float]  # sum of the sizes of the torques that were sent there [N or N*m]
 
 
@@ -155,14 +155,14 @@ class PortResult(_Flows, total=False):
     algorithm: str  # its name in the scene
     wall: float  # position at which it begins, where it has one [m or rad]
     reach: list[float]  # without a contact: lowest and highest position [m or rad]
-    mass: dict[str, float | None]  # of an admittance display: asked, felt (None: not known) [kg or kg*m^2], share
+    mass: dict[str, float | None]  # of an admittance display: requested, felt (None: not known) [kg or kg*m^2], share
     read_back: str
     hold: str  # whether a hands-off test found in which hold the torques of this drive act; of a group the worst
     read_back_bound: float | None
     peak_torque: float
     limited_cycles: int
     supplied: float
-    unsure: float
+    uncertainty: float
     limits: dict[str, int]
     dry_run: bool  # one torque alone: nothing is claimed
     withheld_torque: float  # the largest that a dry run did not send [N or N*m]
@@ -255,7 +255,7 @@ def account_verdict(account: PortResult) -> tuple[Verdict, str]:
         return "no", ""
     least, resolution = account["least_interaction"], account.get("energy_resolution")
     if resolution is None:  # of an older log, which does not hold it
-        least, resolution = least + PASSIVE_TOLERANCE, account.get("unsure", 0.0)
+        least, resolution = least + PASSIVE_TOLERANCE, account.get("uncertainty", 0.0)
     promised = is_certified(account) and account.get("least_at_handle") is None
     return _verdict_of(account, least, resolution, promised, account.get("least_certain"))
 
@@ -361,8 +361,8 @@ def _is_silent(account: PortResult, contact: ContactHolds) -> bool:
 
     If both are unknown, as for a group or an admittance display: whether no torque acted at all.
     """
-    if contact.get("asked"):
-        return contact["sent"] < _LEAST_RENDERED * contact["asked"]
+    if contact.get("requested"):
+        return contact["sent"] < _LEAST_RENDERED * contact["requested"]
     damping = account["rendered"]["damping"] if "rendered" in account else None
     if damping is not None:
         return damping < _LEAST_RENDERED

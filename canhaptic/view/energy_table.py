@@ -10,6 +10,7 @@ from rich.text import Text
 
 from canhaptic.axis_units import counted, damping_unit, effort_unit, si
 from canhaptic.control.verdict import BY_CONSTRUCTION, PASSIVE_TOLERANCE, Verdict
+from canhaptic.quantities import ACCOUNT, TRUTH
 from canhaptic.view.run_lines import (
     Result,
     failure_text,
@@ -75,17 +76,17 @@ def energy_table(*results: Result) -> Table:
     if len(results) > 1:
         files = (in_lines(Path(result["file"]).name, _HEAD_WIDTH) for result, _ in places)
         heads = [f"{file}\n{head}" for file, head in zip(files, heads, strict=True)]
-    rows: list[list[Cell]] = [[label, *(_cell(cell, port) for port in ports)] for label, cell in _PORT_ROWS]
+    rows: list[list[Cell]] = [[label, *(_cell(cell, port) for port in ports)] for label, cell in PORT_ROWS]
     rows = [row for row in rows if any(cell != _NOTHING for cell in row[1:])]
     rows += _count_rows(ports, "branches", lambda name: _BRANCHES.get(name, f"cycles {name}"))
-    for key, label in _OF_GROUPS.items():
+    for key in _OF_GROUPS:
         if any(port.get(key) for port in ports):
-            rows.append([label, *(_cell(key, port) for port in ports)])
+            rows.append([ACCOUNT[key].title, *(_cell(key, port) for port in ports)])
     rows += _count_rows(ports, "limits", "cycles limited by: {}".format)
     truths = [(result.get("truth") or {}).get(name, {}) for result, name in places]
     if any(truths):
         rows.append([])
-        rows += [[label, *(_cell(key, truth) for truth in truths)] for label, key in _TRUTH_ROWS.items()]
+        rows += [[row.title, *(_cell(key, truth) for truth in truths)] for key, row in TRUTH.items()]
     return Table("", ["energy account", *heads], rows, keys=1)
 
 
@@ -167,7 +168,7 @@ def _friction(port: Result) -> str | Styled:
     return Styled(f"{excess:.3g} {effort_unit(port['unit'])}   ", "bold red") if excess else "none   "
 
 
-_OF_GROUPS: Final = {"supplied": "input from moving surfaces", "unsure": "uncertainty, taken off `in`"}
+_OF_GROUPS: Final = ("supplied", "uncertainty")
 """Rows of a group, shown if not zero."""
 _BRANCHES: Final = {
     "free": "cycles out of contact", "start": "cycles at the start of a contact",
@@ -177,42 +178,31 @@ _BRANCHES: Final = {
     "held": "cycles without a new position",
 }  # fmt: skip
 """Name of a branch of the algorithm -> label of its row."""
-_PORT_ROWS: Final[tuple[tuple[str, _Shown], ...]] = (
-    ("in", "in"),
-    ("out", "out"),
-    ("dissipated", "dissipated"),
-    ("stored at the end", "stored"),
-    ("energy created by sampling, not yet removed", "surplus.end"),
-    ("  at its peak", "surplus.max"),
-    ("energy removed by extra damping", "recovered"),
-    ("stored energy not returned", "leaked"),
-    ("energy returned beyond what was stored", "deficit"),
-    ("lowest net energy (in - out), at the motor", "least_interaction"),
-    ("  first below zero at", lambda port: f"{first_active(port)}   "),
-    ("passive at the motor", lambda port: _VERDICTS[port["passive"]]),
-    ("lowest net energy (in - out), at the handle", "least_at_handle"),
-    ("passive at the handle", lambda port: _VERDICTS[port["passive_at_handle"]]),
-    ("smallest margin (net energy less dissipated)", _margin),
-    ("damping rendered", _damping),
-    ("damping rendered, of requested", lambda port: f"{100.0 * port['rendered']['damping']:.3g} %   "),
-    ("stiffness rendered, of requested", lambda port: f"{100.0 * port['rendered']['stiffness']:.3g} %   "),
-    ("mass felt", lambda port: f"{mass_text(port)}   "),
-    ("cycles of contact with zero command", _silent),
-    ("uncertainty of the account", _resolution),
-    ("longest time between torque updates", lambda port: f"{counted(port['longest_hold'], 'cycle')}   "),
-    ("cycles with another torque than commanded", lambda port: f"{port['uncommanded_cycles'] or '-'}   "),
-    ("force beyond declared friction and hand", _friction),
-    ("algorithm", lambda port: f"{port['algorithm']}   "),
-    ("guarantee rests on", _certificates),
-    ("when a torque acts", _hold),
-)
-"""Label of each row, and the path of an energy in the account or a function that formats a figure."""
-_TRUTH_ROWS: Final = {
-    "true net energy (plant)": "interaction",
-    "lowest true net energy (plant)": "least_interaction",
-    "lowest true net energy at the handle (plant)": "least_at_handle",
-    "largest error of the account": "believed_error",
+_CELLS: Final[dict[str, _Shown]] = {
+    **dict.fromkeys(("in", "out", "dissipated", "stored"), ""),
+    "surplus": "surplus.end",
+    "surplus.max": "surplus.max",
+    **dict.fromkeys(("recovered", "leaked", "deficit", "least_interaction"), ""),
+    "first_active": lambda port: f"{first_active(port)}   ",
+    "passive": lambda port: _VERDICTS[port["passive"]],
+    "least_at_handle": "",
+    "passive_at_handle": lambda port: _VERDICTS[port["passive_at_handle"]],
+    "margin": _margin,
+    "damping_rendered": _damping,
+    "rendered.damping": lambda port: f"{100.0 * port['rendered']['damping']:.3g} %   ",
+    "rendered.stiffness": lambda port: f"{100.0 * port['rendered']['stiffness']:.3g} %   ",
+    "mass": lambda port: f"{mass_text(port)}   ",
+    "contact.without_torque": _silent,
+    "energy_resolution": _resolution,
+    "longest_hold": lambda port: f"{counted(port['longest_hold'], 'cycle')}   ",
+    "uncommanded_cycles": lambda port: f"{port['uncommanded_cycles'] or '-'}   ",
+    "friction_excess": _friction,
+    "algorithm": lambda port: f"{port['algorithm']}   ",
+    "certificates": _certificates,
+    "hold": _hold,
 }
+PORT_ROWS: Final = tuple((ACCOUNT[name].title, cell or name) for name, cell in _CELLS.items())
+"""Title of each row, and the path of an energy in the account or a function that formats a figure."""
 
 
 def inspection_report(result: Result) -> RenderableType:

@@ -24,7 +24,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
 from canhaptic.signals import CycleTiming
 from canhaptic.view.energy_table import energy_table, inspection_tables
-from canhaptic.view.picture_style import BLUE, GREEN, ORANGE, PURPLE, VERMILION, drawing, save_picture, scale_of
+from canhaptic.view.picture_style import ALARM, BLUE, GREEN, ORANGE, PURPLE, drawing, save_picture, scale_of
 from canhaptic.view.run_lines import failure_text, first_active, headline_text
 from canhaptic.view.run_picture import draw_energy
 from canhaptic.view.series import FAULTS, decimate, losses
@@ -111,8 +111,8 @@ _SUMS: Final[dict[Literal["passive", "passive_at_sensor", "passive_at_handle"], 
 _COLOURS: Final[dict[Headline, str]] = {
     "yes": GREEN,
     "in doubt": ORANGE,
-    "no": VERMILION,
-    "nothing rendered": VERMILION,
+    "no": ALARM,
+    "nothing rendered": ALARM,
     "no contact": BLUE,
     "dry run": BLUE,
 }
@@ -142,10 +142,9 @@ def verdict_bar(ports: Mapping[str, PortResult], failure: str = "") -> str:
 
 
 _BUCKETS: Final = 1000
-_LINE_COLOURS: Final = (BLUE, GREEN, VERMILION, PURPLE)
+_LINE_COLOURS: Final = (BLUE, GREEN, ORANGE, PURPLE)
 _SPAN: Final = 0.25  # [s] shown on either side of a moment
 _MOST_FAULTS: Final = 3
-_FIRST_BELOW: Final = "first below zero at"
 _BUTTON: Final = """<p><button onclick="const near = document.getElementById('moment{}'); near.open = true;
 near.scrollIntoView()">{}</button></p>"""
 _S_PER_NS: Final = 1e-9
@@ -180,10 +179,10 @@ def write_html(
     for other in result.get("others", ()):
         parts += [words(f"{other['file']}: {_facts(other)}"), verdict_bar(other["ports"], failure_text(other))]
     moments = []
-    for number, (title, moment) in enumerate(_moments(result)):
+    for number, (title, moment, is_alarm) in enumerate(_moments(result)):
         near = partial(draw_energy, log, start=moment - _SPAN, stop=moment + _SPAN, others=others)
         moments.append(picture(near, title, folded=True).replace("<details", f'<details id="moment{number}"', 1))
-        if _FIRST_BELOW in title:
+        if is_alarm:
             parts.append(_BUTTON.format(number, html.escape(title)))
     parts += [picture(whole, "the run"), *moments]
     panels, idle = _further(log, rows)
@@ -202,8 +201,8 @@ def _facts(result: "Inspection") -> str:
     )
 
 
-def _moments(result: "Inspection") -> Iterator[tuple[str, float]]:
-    """Yield title and time [s] of each moment that gets an enlarged picture."""
+def _moments(result: "Inspection") -> Iterator[tuple[str, float, bool]]:
+    """Yield title and time [s] of each moment that gets an enlarged picture, and whether it gets a button too."""
     if result["to"] - result["from"] <= 2.0 * _SPAN:
         return
 
@@ -212,12 +211,12 @@ def _moments(result: "Inspection") -> Iterator[tuple[str, float]]:
 
     for name, port in result["ports"].items():
         if "first_active" in port:
-            yield f"{name}: {_FIRST_BELOW} {first_active(port).strip()}", within(port["first_active"])
+            yield f"{name}: first below zero at {first_active(port)}", within(port["first_active"]), True
         if "margin" in port:
             time = within(port["margin"]["time"])
-            yield f"{name}: around the smallest margin, {si(port['margin']['value'], 'J')} at {time:.4g} s", time
+            yield f"{name}: around the smallest margin, {si(port['margin']['value'], 'J')} at {time:.4g} s", time, False
     for event in [event for event in result["events"] if event["kind"] in FAULTS][:_MOST_FAULTS]:
-        yield f"around {event['kind']} {event['text']} at {event['time']:.4g} s", within(event["time"])
+        yield f"around {event['kind']} {event['text']} at {event['time']:.4g} s", within(event["time"]), False
 
 
 def _further(log: EnergyLog, rows: slice) -> tuple[_Panels, list[str]]:

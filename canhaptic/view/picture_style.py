@@ -13,13 +13,19 @@ from typing import TYPE_CHECKING, Any, Final
 from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
 from canhaptic.files import read_regular, replacing
+from canhaptic.quantities import ALARM as ALARM
+from canhaptic.quantities import BLUE as BLUE
+from canhaptic.quantities import GREEN as GREEN
+from canhaptic.quantities import GREY as GREY
+from canhaptic.quantities import ORANGE as ORANGE
+from canhaptic.quantities import PALE as PALE
+from canhaptic.quantities import PURPLE as PURPLE
+from canhaptic.quantities import SKY as SKY
+from canhaptic.quantities import VERMILION as VERMILION
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-BLUE, VERMILION, GREEN, ORANGE = "#0072B2", "#D55E00", "#009E73", "#E69F00"
-PURPLE, SKY = "#CC79A7", "#56B4E9"
-GREY, PALE = "#4D4D4D", "#8C8C8C"
 OVERLAID = ("black", PURPLE, SKY, PALE)
 """Colours of overlaid runs, in turn."""
 

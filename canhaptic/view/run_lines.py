@@ -307,5 +307,5 @@ def mass_text(port: Result) -> str:
     """Return the mass felt at an admittance display, and its share of the requested mass."""
     mass, unit = port["mass"], mass_unit(port["unit"])
     if (felt := mass["felt"]) is None:
-        return f"not known, {mass['asked']:.3g} {unit} requested"
+        return f"not known, {mass['requested']:.3g} {unit} requested"
     return f"{felt:.3g} {unit}, {100.0 * (mass['share'] or 0.0):.3g} % of requested"

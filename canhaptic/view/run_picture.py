@@ -17,14 +17,26 @@ from canhaptic.control.ledger import without_dust
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
-from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, OVERLAID, VERMILION, drawing, save_picture, scale_of
+from canhaptic.quantities import ACCOUNT
+from canhaptic.view.picture_style import (
+    ALARM,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    OVERLAID,
+    SKY,
+    drawing,
+    save_picture,
+    scale_of,
+)
 from canhaptic.view.series import TaskPlane, decimate, decimate_together, faults_of, notches_of, task_plane
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_OF_AXES: Final = (BLUE, VERMILION, GREEN, ORANGE)  # axes of a group in turn
+_OF_AXES: Final = (BLUE, GREEN, ORANGE, SKY)  # axes of a group in turn
 _BUCKETS: Final = 2000  # about 4000 points a line, more than the picture has columns
 _MAX_CONTACTS_SHADED: Final = 400  # more stripes than this are only grey
 _MAX_FAULTS_NAMED: Final = 4
@@ -120,19 +132,19 @@ class PortPicture:
         if panel == "energy":
             return [(np.cumsum(self._column(name)), {}) for name in ("h_i", "h_r")]
         if panel == "surplus":
-            return [(self._column("h_dis"), {"color": ORANGE, "linewidth": 1.3, "label": "surplus to dissipate"})]
+            return [(self._column("h_dis"), {**_look("surplus"), "linewidth": 1.3})]
         alone = {"velocity": "commanded", "torque": "on the hand" if self._is_display else "applied"}.get(panel, panel)
         movers = zip(self._of_movers(_COLUMNS[panel]), self._axes or (alone,), cycle(_OF_AXES))
         return [(values, {"color": colour, "label": label, **_LOOKS[panel]}) for values, label, colour in movers]
 
     def _own_lines(self, panel: str) -> list[tuple[Array, dict[str, Any]]]:
         """Return values and style of the lines not drawn for an overlaid run: deficit and requested torques."""
-        look: dict[str, Any] = {"color": VERMILION, "linewidth": 1.0, "linestyle": "--", "label": "deficit, summed"}
+        look: dict[str, Any] = {**_look("deficit"), "linewidth": 1.0, "linestyle": "--"}
         if panel == "surplus":
             return [(np.cumsum(self._column("deficit")), look)]
         if panel != "torque" or self._is_display:
             return []
-        label = {"label": "requested, before limits"}
+        label = {"label": ACCOUNT["torque_command"].title}
         look = {"linewidth": 2.4, "alpha": 0.3} if self._axes else {"linewidth": 2.2, "alpha": 0.8, **label}
         requests = zip(self._of_movers("torque_command"), cycle(_OF_AXES if self._axes else (ORANGE,)))
         return [(values, {"color": colour, "stair": "steps-post", **look}) for values, colour in requests]
@@ -210,19 +222,18 @@ class PortPicture:
         least = without_dust(min(0.0, float(margin[worst])), flowed)
         shown = decimate_together((taken_in, dissipated, margin), _BUCKETS)
         time, upper, lower = self._time[shown], taken_in[shown] / scale, dissipated[shown] / scale
-        axes.fill_between(time, lower, upper, upper >= lower, color=GREEN, alpha=0.22, linewidth=0, label="margin")
+        area: Any = {"alpha": 0.22, "linewidth": 0, "label": "margin", "color": ACCOUNT["margin"].colour}
+        axes.fill_between(time, lower, upper, upper >= lower, **area)
         if least < 0.0:
-            axes.fill_between(
-                time, lower, upper, upper < lower, color=VERMILION, alpha=0.45, linewidth=0, label="margin below 0"
-            )
-        axes.plot(time, upper, color=BLUE, linewidth=1.3, label="net (in - out)")
-        axes.plot(time, lower, color=VERMILION, linewidth=1.3, linestyle=(0, (4, 1.5)), label="dissipated")
+            axes.fill_between(time, lower, upper, upper < lower, **area | {"color": GREY, "label": "margin below 0"})
+        axes.plot(time, upper, linewidth=1.3, **_look("interaction"))
+        axes.plot(time, lower, linewidth=1.3, linestyle=(0, (4, 1.5)), **_look("dissipated"))
         label = f"smallest margin {si(least, 'J', 3)}"
         axes.plot(self._time[worst], taken_in[worst] / scale, "ko", markersize=4, zorder=5, label=label)
         below = taken_in < -PASSIVE_TOLERANCE
         if below.any():
             first = float(self._time[int(below.argmax())])
-            axes.axvline(first, color=VERMILION, linewidth=1.0, linestyle=":", label=f"below zero from {first:.4g} s")
+            axes.axvline(first, color=ALARM, linewidth=1.0, linestyle=":", label=f"below zero from {first:.4g} s")
 
     def _mark(self, axes: "Axes", label: str) -> None:
         """Shade the contacts, with a label in the legend unless it is empty, and mark the faults."""
@@ -230,13 +241,18 @@ class PortPicture:
         for number, (start, end) in enumerate(self._contacts):
             axes.axvspan(self._time[start], self._time[end], label="_" * bool(number) + label, **look)
         for fault in self._faults:
-            axes.axvline(fault.time, color=VERMILION, linewidth=0.9, linestyle=":")
+            axes.axvline(fault.time, color=ALARM, linewidth=0.9, linestyle=":")
 
     def faults(self) -> str:
         """Return one line of text per marked fault, for the label of the time axis."""
         return "".join(
             f"\n{time:.4g} s: {event.kind} {event.text[:60]}" for time, event in self._faults[:_MAX_FAULTS_NAMED]
         )
+
+
+def _look(name: str) -> dict[str, Any]:
+    """Return colour and label of the line of a quantity."""
+    return {"color": ACCOUNT[name].colour, "label": ACCOUNT[name].title}
 
 
 def _draw_material(axes: "Axes", plane: TaskPlane, scale: float) -> None:

@@ -28,9 +28,10 @@ from bokeh.plotting import figure
 from canhaptic.axis_units import counted, prefixes_of, si
 from canhaptic.logs.decoder import state_text
 from canhaptic.logs.hdf5 import Array
+from canhaptic.quantities import ACCOUNT
 from canhaptic.result import with_groups
 from canhaptic.view.html_page import verdict_bar
-from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION
+from canhaptic.view.picture_style import ALARM, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY
 from canhaptic.view.series import FAULTS, LiveLog, News, PortFacts, decimate_together
 
 _TOOLS: Final = "xpan,xwheel_zoom,xbox_zoom,reset,save"
@@ -126,7 +127,7 @@ _LINES: Final = (
     "position", "command", "applied", "taken_in", "dissipated", "margin", "upper", "surplus", "deficit", "damping",
 )  # fmt: skip
 _EVENTS_SHOWN: Final = 4
-_REQUESTED: Final = "requested, before limits"
+_REQUESTED: Final = ACCOUNT["torque_command"].title
 
 
 _Glyph = tuple[str, dict[str, Any]]
@@ -172,10 +173,15 @@ def _line(column: str, label: str, colour: str, width: float = 1.5, **style: Any
     }  # fmt: skip
 
 
+def _known(column: str, name: str, width: float = 1.5, **style: Any) -> _Glyph:
+    """Return the line of a quantity, with its title and colour."""
+    return _line(column, ACCOUNT[name].title, ACCOUNT[name].colour, width, **style)
+
+
 def _timing_panel(time: Range, source: ColumnDataSource, period: float) -> figure:
     """Return the panel of the durations within a cycle, with the sample time as a dashed line [s]."""
     labels = {name.replace("_", " "): name for name in source.data if name != "time"}
-    colours = (BLUE, GREEN, VERMILION, PURPLE)
+    colours = (BLUE, GREEN, ORANGE, PURPLE)
     lines = [_line(name, label, colour, 1.0) for (label, name), colour in zip(labels.items(), colours, strict=True)]
     panel = _panel(time, source, "timing", "s", 150, lines, labels)
     panel.add_layout(Span(location=period, dimension="width", line_color=GREY, line_dash="dashed"))
@@ -187,7 +193,7 @@ def _link_panel(time: Range, source: ColumnDataSource) -> figure:
     names = [name for name in source.data if name != "time"]
     steps = [
         ("step", {**_line(name, name, colour, 1.0)[1], "mode": "after"})
-        for name, colour in zip(names, cycle((BLUE, VERMILION, GREEN, ORANGE, PURPLE, GREY)))
+        for name, colour in zip(names, cycle((BLUE, GREEN, ORANGE, PURPLE, SKY, GREY)))
     ]
     panel = _panel(time, source, "lost", "", 130, steps, {name: name for name in names})
     panel.y_range = DataRange1d(start=-0.05, min_interval=1.0)
@@ -220,9 +226,8 @@ def _port_panels(facts: PortFacts, time: Range, source: ColumnDataSource) -> dic
         labels[_REQUESTED] = "command"
     panels["torque"] = panel(f"{name}: {'torque' if effort == 'N*m' else 'force'}", effort, 190, lines, labels)
     if not facts.is_member:
-        lines = [_line("surplus", "surplus to dissipate", ORANGE)]
-        lines.append(_line("deficit", "deficit, summed", VERMILION, 1.0, line_dash=[6, 3]))
-        damping = [_line("damping", "damping rendered", GREEN, 1.2)]
+        lines = [_known("surplus", "surplus"), _known("deficit", "deficit", 1.0, line_dash=[6, 3])]
+        damping = [_known("damping", "damping_rendered", 1.2)]
         panels |= {
             "energy": panel(f"{name}: energy", "J", 240, _ENERGY, _ENERGY_LABELS),
             "surplus": panel(f"{name}: surplus", "J", 150, lines, {"surplus": "surplus", "deficit": "deficit"}),
@@ -231,18 +236,20 @@ def _port_panels(facts: PortFacts, time: Range, source: ColumnDataSource) -> dic
     return panels
 
 
-def _margin(name: str, label: str, base: str, colour: str, alpha: float) -> _Glyph:
-    look = {"fill_color": colour, "fill_alpha": alpha, "legend_label": label, "name": name}
+def _margin(name: str, label: str, base: str, colour: str) -> _Glyph:
+    look = {"fill_color": colour, "fill_alpha": 0.22, "legend_label": label, "name": name}
     return "varea", {"y1": base, "y2": "upper", **look}
 
 
 _ENERGY: Final = (
-    _margin("margin", "margin", "dissipated", GREEN, 0.22),
-    _margin("negative margin", "margin below 0", "taken_in", VERMILION, 0.5),
-    _line("taken_in", "net (in - out)", BLUE),
-    _line("dissipated", "dissipated", VERMILION, line_dash=[6, 3]),
+    _margin("margin", "margin", "dissipated", ACCOUNT["margin"].colour),
+    _margin("negative margin", "margin below 0", "taken_in", GREY),
+    _known("taken_in", "interaction"),
+    _known("dissipated", "dissipated", line_dash=[6, 3]),
 )
-_ENERGY_LABELS: Final = {"net (in - out)": "taken_in", "dissipated": "dissipated", "margin": "margin"}
+_ENERGY_LABELS: Final = {
+    ACCOUNT["interaction"].title: "taken_in", ACCOUNT["dissipated"].title: "dissipated", "margin": "margin"
+}  # fmt: skip
 
 
 def _add_wall(panel: figure, wall: float, side: str) -> None:
@@ -328,7 +335,7 @@ class _LivePort:
                 x0="start", x1="end", source=self._contacts, fill_color=GREY, fill_alpha=0.07, line_alpha=0
             )
             strip.level, strip.name = "underlay", "contacts"
-            mark = panel.vspan(x="at", source=self._faults, line_color=VERMILION, line_width=1.5, line_dash="dotted")
+            mark = panel.vspan(x="at", source=self._faults, line_color=ALARM, line_width=1.5, line_dash="dotted")
             panel.add_tools(HoverTool(renderers=[mark], tooltips=[("", "@text"), ("at", "@at{0.0000} s")]))
 
     def take(self, news: News, keep: Array) -> None:

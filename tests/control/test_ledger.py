@@ -239,10 +239,10 @@ def test_every_flow_is_summed_under_its_name_and_the_surplus_at_its_largest() ->
 
 
 def test_a_log_without_a_resolution_is_judged_by_counts_and_at_the_motor_no_damping_promises() -> None:
-    account = {"in": 1.0, "certificate": "hand_force", "certificates": ["none"], "unsure": 0.0}
+    account = {"in": 1.0, "certificate": "hand_force", "certificates": ["none"], "uncertainty": 0.0}
     assert account_verdict({**account, "least_interaction": -5e-7})[0] == "yes"
     assert account_verdict({**account, "least_interaction": -1e-5})[0] == "no"
-    del account["unsure"]
+    del account["uncertainty"]
     assert account_verdict({**account, "least_interaction": 0.0})[0] == "yes"
     assert account_verdict({**account, "least_interaction": -1e-5})[0] == "no"
     promised = {**account, "certificates": ["hand_force"], "least_interaction": -1e-3, "energy_resolution": 1.0}
@@ -300,8 +300,8 @@ def test_a_certificate_is_refuted_where_its_own_sum_is(known: dict[str, float], 
     assert ("suspects" in account) is (left == ["none"])
 
 
-AT_REST_INSIDE = {"holds": 100, "without_torque": 99, "asked": 0.0, "sent": 0.0}
-TOUCHED = {"holds": 100, "without_torque": 0, "asked": 50.0, "sent": 49.0}
+AT_REST_INSIDE = {"holds": 100, "without_torque": 99, "requested": 0.0, "sent": 0.0}
+TOUCHED = {"holds": 100, "without_torque": 0, "requested": 50.0, "sent": 49.0}
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import re
 
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.view.energy_table import _PORT_ROWS
+from canhaptic.view.energy_table import PORT_ROWS
 from tests.docs.documents import ROOT, pages
 
 PAGE = (ROOT / "docs" / "words.md").read_text(encoding="utf-8")
@@ -34,7 +34,7 @@ def test_the_keys_of_a_scene_link_to_their_words() -> None:
 
 def test_rows_of_the_account_that_a_page_names_exist() -> None:
     """A row that is renamed is renamed in every page."""
-    labels = {label.strip() for label, _ in _PORT_ROWS}
+    labels = {label.strip() for label, _ in PORT_ROWS}
     texts = (" ".join(page.read_text(encoding="utf-8").split()) for page in pages())
     named = [row for text in texts for row in re.findall(r"[Rr]ow \*([^*]+)\*", text)]
     assert len(named) > 8

@@ -128,7 +128,7 @@ def test_a_port_that_gave_energy_away_is_marked() -> None:
 )
 def test_a_port_is_passive_in_doubt_or_not(least: float, uncertainty: float, verdict: str) -> None:
     content = result(["handle"])
-    content["ports"]["handle"] |= {"least_interaction": least, "unsure": uncertainty, "certificate": "none"}
+    content["ports"]["handle"] |= {"least_interaction": least, "uncertainty": uncertainty, "certificate": "none"}
     assert row_of(content, "passive at the motor") == verdict
 
 
@@ -147,7 +147,7 @@ def test_a_port_is_passive_in_doubt_or_not(least: float, uncertainty: float, ver
         ("uncertainty of the account", {"energy_resolution": 2.017, "books_least": True}, "+2.02 J, -0 J"),
         ("uncertainty of the account", {"read_back": "actual", "energy_resolution": 2.5e-3}, "+-2.500 mJ"),
         ("stiffness rendered, of requested", {"rendered": {"stiffness": 0.875, "damping": None}}, "87.5 %"),
-        ("mass felt", {"mass": {"asked": 3.0, "felt": 2.9607, "share": 0.9869}}, "2.96 kg, 98.7 % of requested"),
+        ("mass felt", {"mass": {"requested": 3.0, "felt": 2.9607, "share": 0.9869}}, "2.96 kg, 98.7 % of requested"),
         ("cycles of contact with zero command", {"contact": {"holds": 40, "without_torque": 3}}, "3 of 40"),
         (
             "cycles of contact with zero command",
@@ -168,7 +168,7 @@ def test_a_port_is_passive_in_doubt_or_not(least: float, uncertainty: float, ver
         ("passive at the handle", {"energy_resolution": 0.0, "least_at_handle": -1e-3}, "in doubt"),
         ("passive at the handle", {"energy_resolution": 0.0, "least_at_handle": 0.0}, "yes"),
         ("input from moving surfaces", {"supplied": 0.25}, "250.0 mJ"),
-        ("uncertainty, taken off `in`", {"unsure": 0.25}, "250.0 mJ"),
+        ("uncertainty, taken off `in`", {"uncertainty": 0.25}, "250.0 mJ"),
         ("cycles limited by: singular", {"limits": {"singular": 12, "workspace": 0}}, "12"),
     ],
 )
@@ -245,7 +245,7 @@ def test_two_logs_share_one_table_with_a_column_for_each_account() -> None:
     text = stream.getvalue()
     assert max(map(len, text.splitlines())) <= 80
     assert re.search(r"^ *a\.h5 +b\.h5 *\n *energy account +handle +handle *$", text, re.MULTILINE)
-    assert re.search(r"^ *in +0 J +500\.0 mJ", text, re.MULTILINE)
+    assert re.search(r"^ *energy in +0 J +500\.0 mJ", text, re.MULTILINE)
     assert re.search(r"^ *uncertainty of the +- +\+-1\.000 uJ", text, re.MULTILINE)
     assert re.search(r"^ *true net energy \(plant\) +10\.20 mJ +-", text, re.MULTILINE)
     assert text.index(" a.h5   1.00 kHz") < text.index(" b.h5   1.00 kHz") < text.index("energy account")

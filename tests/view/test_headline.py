@@ -63,13 +63,13 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
          "passive: yes · cut by torque_limit in 3 cycles"),
         ({"passive": "yes", "in": 0.1, "out": 0.0, "rendered": {"stiffness": 1.38, "damping": None}},
          "passive: yes · 100 mJ in, 0 J out · stiffness 138 % of requested"),
-        ({"passive": "yes", "unit": "m", "mass": {"asked": 3.0, "felt": 2.9607, "share": 0.9869}},
+        ({"passive": "yes", "unit": "m", "mass": {"requested": 3.0, "felt": 2.9607, "share": 0.9869}},
          "passive: yes · mass felt over the run 2.96 kg, 98.7 % of requested"),
-        ({"passive": "yes", "unit": "m", "mass": {"asked": 6.0, "felt": 4.15, "share": 0.692},
+        ({"passive": "yes", "unit": "m", "mass": {"requested": 6.0, "felt": 4.15, "share": 0.692},
           "certificate": "velocity_loop"}, "passive: yes · mass felt over the run 4.15 kg, 69.2 % of requested · "
          "guard limited the speed: raise environment.mass or damping, lower force.slew, or move further · "
          "guarantee rests on: velocity loop"),
-        ({"passive": "yes", "unit": "rad", "mass": {"asked": 0.02, "felt": None, "share": None}},
+        ({"passive": "yes", "unit": "rad", "mass": {"requested": 0.02, "felt": None, "share": None}},
          "passive: yes · mass felt over the run not known, 0.02 kg*m^2 requested"),
         ({"passive": "yes", "contact": {"holds": 9, "without_torque": 5, "no_torque_after": 4.2}},
          "passive: yes · no torque after 4.2 s: no energy left for one; raise energy_allowance, or declare the damping "

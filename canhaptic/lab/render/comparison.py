@@ -26,8 +26,9 @@ from canhaptic.lab.loop.axis_loop import Array, LoopRun
 from canhaptic.lab.render import sheet
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import AxisComparison, Comparison
+from canhaptic.quantities import ACCOUNT, TRUTH
 from canhaptic.view import picture_style as style
-from canhaptic.view.picture_style import GREEN, VERMILION
+from canhaptic.view.picture_style import ALARM, GREEN
 from canhaptic.view.run_lines import rests_on
 from canhaptic.view.series import decimate
 from canhaptic.view.table import Cell, Styled, Table
@@ -187,6 +188,16 @@ def row_of(name: str, figure: Figure) -> _Row:
     return _Row(figure.label, read, _SHOWN[figure.unit], _BETTER.get(figure.better), figure.better == "not negative")
 
 
+def _accounted(name: str, read: Callable[[_Account, _Account], Any]) -> _Row:
+    row = ACCOUNT[name]
+    return _Row(row.title, read, _joule, is_bounded=row.better == "not negative")
+
+
+def _true(name: str) -> _Row:
+    row = TRUTH[name]
+    return _Row(row.title, lambda a, _: a["truth"][name], _joule, is_bounded=row.better == "not negative")
+
+
 _STYLES: Final = {"yes": "green", "in doubt": "yellow", "no": "red", "nothing rendered": "red"}
 _BETTER: Final[dict[str, Callable[[float], float]]] = {"less": abs, "near one": lambda value: abs(value - 1.0)}
 _SHOWN: Final[dict[str, Callable[[float, str], str]]] = {
@@ -200,43 +211,33 @@ _ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
     _Row("passive, by the plant", lambda a, _: _verdict(a)),
     *(row_of(name, figure) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.label),
-    _Row("guarantee rests on", lambda a, _: _premise(a) if a["contact"] else None),
+    _Row(ACCOUNT["certificates"].title, lambda a, _: _premise(a) if a["contact"] else None),
     _Row("computing time per step", lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
 )
 _GROUP_ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
     _Row("passive, by the account", lambda a, _: a["passive"]),
     _Row("passive, by the plant", lambda a, _: _verdict(a)),
-    _Row(
-        "lowest true net energy (plant)",
-        lambda a, _: a["truth"]["least_interaction"],
-        _joule,
-        is_bounded=True,
-    ),
-    _Row("smallest margin", lambda a, _: a["margin"]["value"], _joule, is_bounded=True),
-    _Row("largest error of the account", lambda a, _: a["truth"]["believed_error"], _joule),
-    _Row("in", lambda a, _: a["in"], _joule),
-    _Row("out", lambda a, _: a["out"], _joule),
-    _Row("dissipated", lambda a, _: a["dissipated"], _joule),
-    _Row("energy created by sampling, peak", lambda a, _: a["surplus"]["max"], _joule),
-    _Row("damping rendered", _damping),
-    _Row("guarantee rests on", lambda a, _: _premise(a)),
+    _true("least_interaction"),
+    _accounted("margin", lambda a, _: a["margin"]["value"]),
+    _true("accounted_error"),
+    _accounted("in", lambda a, _: a["in"]),
+    _accounted("out", lambda a, _: a["out"]),
+    _accounted("dissipated", lambda a, _: a["dissipated"]),
+    _Row(f"{ACCOUNT['surplus'].title}, peak", lambda a, _: a["surplus"]["max"], _joule),
+    _Row(ACCOUNT["damping_rendered"].title, _damping),
+    _Row(ACCOUNT["certificates"].title, lambda a, _: _premise(a)),
 )
 _DISPLAY_ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
-    _Row("energy in", lambda a, _: a["account"]["in"], _joule),
-    _Row("energy out", lambda a, _: a["account"]["out"], _joule),
+    _accounted("in", lambda a, _: a["account"]["in"]),
+    _accounted("out", lambda a, _: a["account"]["out"]),
     _Row("uncertainty of the account, + only", lambda a, _: a["account"]["energy_resolution"], _joule),
     _Row("passive, by the account", lambda a, _: a["account"]["passive"]),
     _Row("passive, by the plant", lambda a, _: _verdict(a)),
-    _Row("guarantee rests on", lambda a, _: _premise(a["account"])),
-    _Row("true net energy (plant)", lambda a, _: a["truth"]["interaction"], _joule),
-    _Row(
-        "lowest true net energy (plant)",
-        lambda a, _: a["truth"]["least_interaction"],
-        _joule,
-        is_bounded=True,
-    ),
+    _Row(ACCOUNT["certificates"].title, lambda a, _: _premise(a["account"])),
+    _true("interaction"),
+    _true("least_interaction"),
 )
 
 
@@ -296,7 +297,7 @@ def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: NDArray[Any
             _line(position, period, reference.position, scales[0], **behind)
             _line(force, float(reference.fine_time[1]), reference.fine_torque, scales[1], **behind)
         _line(position, period, run.true_position, scales[0], color=style.BLUE, linewidth=1.0)
-        _line(force, period, run.torque, scales[1], color=VERMILION, linewidth=0.9, drawstyle="steps-pre")
+        _line(force, period, run.torque, scales[1], color=style.BLUE, linewidth=0.9, drawstyle="steps-pre")
         _draw_energy(energy, run, period, scales[2])
         energy.set_xlabel("time [s]")
         energy.tick_params(labelbottom=True)
@@ -338,9 +339,10 @@ def _line(panel: "Axes", period: float, values: Array, scale: _Scale, **look: An
 def _draw_energy(panel: "Axes", run: LoopRun, period: float, scale: _Scale) -> None:
     panel.axhline(0.0, color="black", linewidth=0.8)
     left = run.interaction - run.dissipated
-    _line(panel, period, run.interaction, scale, color=style.BLUE, linewidth=1.2, label="net (in - out)")
-    _line(panel, period, run.dissipated, scale, color=VERMILION, linewidth=1.1, linestyle="--", label="dissipated")
-    _line(panel, period, left, scale, color=GREEN, linewidth=1.1, label="margin: net less dissipated")
+    looks: Any = {name: {"color": ACCOUNT[name].colour, "label": ACCOUNT[name].title} for name in ACCOUNT}
+    _line(panel, period, run.interaction, scale, linewidth=1.2, **looks["interaction"])
+    _line(panel, period, run.dissipated, scale, linewidth=1.1, linestyle="--", **looks["dissipated"])
+    _line(panel, period, left, scale, linewidth=1.1, **looks["margin"] | {"label": "margin: net less dissipated"})
     panel.set_title(f"smallest margin {si(run.least_margin, 'J', 3)}", fontsize=8.0, loc="left")
     if (place := panel.get_subplotspec()) is not None and place.is_first_col() and place.rowspan.start == 2:
         panel.legend(loc="best", fontsize=7.5, ncols=1)
@@ -349,7 +351,7 @@ def _draw_energy(panel: "Axes", run: LoopRun, period: float, scale: _Scale) -> N
 def _write_verdict(panel: "Axes", run: LoopRun) -> None:
     """Write below the title whether, by the plant's energy, the handle gave out more than it received."""
     given = -run.least_interaction
-    word, colour = ("passive", GREEN) if given <= PASSIVE_TOLERANCE else (f"gave out {si(given, 'J', 3)}", VERMILION)
+    word, colour = ("passive", GREEN) if given <= PASSIVE_TOLERANCE else (f"gave out {si(given, 'J', 3)}", ALARM)
     panel.text(0.0, 1.02, word, transform=panel.transAxes, fontsize=9.5, fontweight="bold", color=colour)
 
 

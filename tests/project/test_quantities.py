@@ -1,0 +1,54 @@
+"""One table has unit and title of every quantity that a user sees, and earlier names are read and written on."""
+
+from typing import get_args, get_type_hints, is_typeddict
+
+import pytest
+
+from canhaptic.audit.user_checks import check
+from canhaptic.control.verdict import PortResult
+from canhaptic.quantities import ACCOUNT, ALARM, LIMITS, OLD_KEYS, TRUTH, row_of, with_old_names
+from canhaptic.result import TruthResult
+from canhaptic.units import parse_unit
+
+TEXTS = {"unit", "state_unit", "environment", "read_back", "group", "axes", "suspects", "contradicted", "why", "advice",
+         "verdict", "plant_passive", "plant_passive_at_handle", "passive_at_sensor", "certificate"}  # fmt: skip
+TABLES = {"ACCOUNT": ACCOUNT, "TRUTH": TRUTH, "LIMITS": LIMITS}
+
+
+def test_every_number_of_an_account_has_a_row() -> None:
+    """A new one without a unit is found here, and not by who checks it."""
+    hints = get_type_hints(PortResult, include_extras=True)
+    flags = {name for name, hint in hints.items() if bool in (hint, *get_args(hint))}
+    for name in set(hints) - TEXTS - flags:
+        parts = next((get_type_hints(of) for of in (hints[name], *get_args(hints[name])) if is_typeddict(of)), {})
+        for path in [f"{name}.{part}" for part in parts] or [name]:
+            assert row_of(ACCOUNT, path).title, path
+    assert set(get_type_hints(TruthResult)) == set(TRUTH)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_row_has_a_unit_that_can_be_read_and_a_colour_that_is_no_alarm(name: str) -> None:
+    for row in TABLES[name].values():
+        for motion in ("m", "rad"):
+            parse_unit(row.unit_on(motion).replace("(N*m)", "N/m") or "1")
+        assert row.title
+        assert row.colour != ALARM
+
+
+def test_titles_of_one_table_differ() -> None:
+    for rows in TABLES.values():
+        titles = [row.title for row in rows.values()]
+        assert len(set(titles)) == len(titles)
+
+
+def test_a_figure_is_found_by_its_name_and_by_that_of_an_earlier_release() -> None:
+    contact = with_old_names({"requested": 3.0, "sent": 1.0})
+    assert contact == {"requested": 3.0, "sent": 1.0, "asked": 3.0}
+    port = {"unit": "rad", "contact": contact, "mass": {"felt": 2.0}, **with_old_names({"uncertainty": 0.5})}
+    result = {"ports": {"knob": port}, "truth": {"knob": with_old_names({"accounted_error": 0.1})}}
+    for expression, unit in (
+        ("contact.requested == 3 N*m", "N*m"), ("contact.asked == 3 N*m", "N*m"), ("mass.felt < 3 kg*m^2", "kg*m^2"),
+        ("knob.uncertainty == 500 mJ", "J"), ("unsure == 500 mJ", "J"), ("believed_error < 1 J", "J"),
+    ):  # fmt: skip
+        assert [(of["holds"], of["unit"]) for of in check(result, expression)] == [(True, unit)], expression
+    assert set(OLD_KEYS) <= {name.rpartition(".")[2] for name in (*ACCOUNT, *TRUTH)} | {"requested"}
