@@ -48,6 +48,8 @@ LATE: Final = "acts a hold late, run canhaptic commission"
 """Values of `hold` by that test; with the last two no torque of the run has a certificate."""
 BY_CONSTRUCTION: Final = "by construction"
 """Value of `hold` of a simulated drive that acts in the hold that its scene declares."""
+BY_CERTIFICATE: Final = "by certificate"
+"""Value of `why` if every torque was certified and nothing refutes the certificates."""
 UNCHECKED: Final = frozenset({NOT_CHECKED, UNDECIDED})
 """Values of `hold` with which no port is passive."""
 _LARGEST_DOUBT: Final = 0.1
@@ -218,7 +220,7 @@ def passive_verdict(
         return "yes", "measured"
     is_small = books_least or resolution <= max(_SMALLEST_DOUBT, allowance, _LARGEST_DOUBT * energy_in)
     if is_promised:
-        return ("yes", "by certificate") if is_small else ("in doubt", _too_coarse(resolution, energy_in))
+        return ("yes", BY_CERTIFICATE) if is_small else ("in doubt", _too_coarse(resolution, energy_in))
     if has_open_hold:
         return "in doubt", "the run ended in holds without a position"
     if is_estimated:

@@ -13,6 +13,7 @@ from canhaptic.control.verdict import BY_CONSTRUCTION, PASSIVE_TOLERANCE, Verdic
 from canhaptic.quantities import ACCOUNT, TRUTH
 from canhaptic.view.run_lines import (
     Result,
+    account_lines,
     failure_text,
     first_active,
     heading,
@@ -51,7 +52,7 @@ def energy_report(*results: Result) -> RenderableType:
     parts: list[RenderableType] = []
     for result in results:
         said = headlines(result) if result.get("cycles", 1) else [Text(" the log holds no cycle", style="bold red")]
-        parts += [*([_header(result)] if "file" in result else []), *said, heading(result)]
+        parts += [*([_header(result)] if "file" in result else []), *said, *account_lines(result), heading(result)]
     if any(result.get("ports") and result.get("cycles", 1) for result in results):
         table = energy_table(*results)
         if len(results) > 1:  # short lines, so that the columns fit next to each other
@@ -79,7 +80,7 @@ def energy_table(*results: Result) -> Table:
     rows: list[list[Cell]] = [[label, *(_cell(cell, port) for port in ports)] for label, cell in PORT_ROWS]
     rows = [row for row in rows if any(cell != _NOTHING for cell in row[1:])]
     rows += _count_rows(ports, "branches", lambda name: _BRANCHES.get(name, f"cycles {name}"))
-    for key in _OF_GROUPS:
+    for key in _IF_ANY:
         if any(port.get(key) for port in ports):
             rows.append([ACCOUNT[key].title, *(_cell(key, port) for port in ports)])
     rows += _count_rows(ports, "limits", "cycles limited by: {}".format)
@@ -168,8 +169,8 @@ def _friction(port: Result) -> str | Styled:
     return Styled(f"{excess:.3g} {effort_unit(port['unit'])}   ", "bold red") if excess else "none   "
 
 
-_OF_GROUPS: Final = ("supplied", "uncertainty")
-"""Rows of a group, shown if not zero."""
+_IF_ANY: Final = ("energy_allowance", "supplied", "uncertainty")
+"""Rows shown if not zero."""
 _BRANCHES: Final = {
     "free": "cycles out of contact", "start": "cycles at the start of a contact",
     "exit": "cycles at the end of a contact",

@@ -25,7 +25,7 @@ from canhaptic.logs.hdf5 import Array
 from canhaptic.signals import CycleTiming
 from canhaptic.view.energy_table import energy_table, inspection_tables
 from canhaptic.view.picture_style import ALARM, BLUE, GREEN, ORANGE, PURPLE, drawing, save_picture, scale_of
-from canhaptic.view.run_lines import failure_text, first_active, headline_text
+from canhaptic.view.run_lines import advice_lines, failure_text, first_active, headline_text
 from canhaptic.view.run_picture import draw_energy
 from canhaptic.view.series import FAULTS, decimate, losses
 from canhaptic.view.table import Table
@@ -176,6 +176,9 @@ def write_html(
     rows = rows_to_draw(log, start, stop)
     whole = partial(draw_energy, log, start=start, stop=stop, others=others)
     parts: list[str | Table] = [words(_facts(result)), verdict_bar(result["ports"], failure_text(result))]
+    parts += [
+        words(f"{name}: {text}") for name, of in result["ports"].items() if "verdict" in of for text in advice_lines(of)
+    ]
     for other in result.get("others", ()):
         parts += [words(f"{other['file']}: {_facts(other)}"), verdict_bar(other["ports"], failure_text(other))]
     moments = []

@@ -11,7 +11,17 @@ from rich.table import Table as TerminalTable
 from rich.text import Text
 
 from canhaptic.axis_units import counted, mass_unit, si
-from canhaptic.control.verdict import BY_CONSTRUCTION, EARLY, GUARANTEEING, LATE, NO_PULL, Headline, PortResult
+from canhaptic.control.verdict import (
+    BY_CERTIFICATE,
+    EARLY,
+    GUARANTEEING,
+    LATE,
+    NO_PULL,
+    ROUNDING,
+    Headline,
+    PortResult,
+)
+from canhaptic.quantities import ACCOUNT
 from canhaptic.view.terminal import visible
 
 _INDENT: Final = "    "
@@ -84,7 +94,7 @@ def failure_text(result: Result) -> str:
 
 
 def headline_text(name: str, port: PortResult, failure: str = "") -> Text:
-    """Return the first line of a port with its own account.
+    """Return the first line of a port with its own account: one judgement, its reason, and one number.
 
     Args:
         name: Name of the port.
@@ -97,56 +107,64 @@ def headline_text(name: str, port: PortResult, failure: str = "") -> Text:
     where = "passive at the handle" if _is_at_handle_alone(port) else "passive"
     text.append(f"{where}: {_WORDS.get(word, word)}" if word in ("yes", "no", "in doubt") else _WORDS.get(word, word),
                 style=STYLES[word])  # fmt: skip
-    text.append("".join(f"{separator}{reason}" for separator, reason in _reasons(port)))
-    return text.append("".join(f" · {figure}" for figure in _first_figures(port)))
+    reason, number = _reason(port), _number(port)
+    text.append(f"{', ' if word in ('yes', 'no') else ': '}{reason}" if reason else "")
+    return text.append(f" · {number}" if number else "")
 
 
 _MASS_OFF: Final = 0.05  # of the mass felt from the requested one, beyond which the guard's part is explained
 
 
-def _first_figures(port: PortResult) -> list[str]:
-    """Return the figures of the first line: energies, rendered share of the stiffness, mass felt, guarantee."""
-    if port["verdict"] in ("no contact", "dry run"):
-        return []
-    found = [f"{si(port['in'], 'J', 3)} in, {si(port['out'], 'J', 3)} out"] if "in" in port else []
-    if found and _is_by_plant(port):
-        found = [f"account: {found[0]}, {uncertainty(port)}"]
-    if (ended := port.get("contact", {}).get("no_torque_after")) is not None:
-        found.insert(0, f"no torque after {ended:.4g} s: no energy left for one; {_MORE_ENERGY}")
-    share = port["rendered"]["stiffness"] if "rendered" in port else None
+def _number(port: PortResult) -> str:
+    """Return the figure that says most about a judgement: what was rendered, what is uncertain, or what is missing."""
+    word = port["verdict"]
+    if word == "in doubt":
+        return f"{ACCOUNT['energy_resolution'].title} {uncertainty(port)}"
+    if word == "no":
+        least = port.get("least_interaction", 0.0)
+        return f"{ACCOUNT['least_interaction'].title} {si(least, 'J', 3)}" if least < -ROUNDING else ""
+    if word != "yes":
+        return ""
+    share, what = port.get("mass", {}).get("share"), ACCOUNT["mass"].title
+    if share is None and "rendered" in port:
+        share, what = port["rendered"]["stiffness"], _RENDERED.get(port.get("environment", ""), "stiffness")
     if share is not None:
-        what = _RENDERED.get(port.get("environment", ""), "stiffness")
-        found.append(
-            f"{what} as requested" if abs(share - 1.0) < _CLOSE else f"{what} {100.0 * share:.3g} % of requested"
-        )
-    if beyond := port.get("contact", {}).get("beyond_limit"):
-        found.append(f"cut by torque_limit in {counted(beyond, 'cycle')}")
-    if "mass" in port:
-        found.append(f"mass felt over the run {mass_text(port)}")
-    certificate = port.get("certificate", "none")
-    if certificate not in ("none", "exact") and abs((port.get("mass", {}).get("share") or 1.0) - 1.0) > _MASS_OFF:
-        found.append("guard limited the speed: raise environment.mass or damping, lower force.slew, or move further")
-    found += _guarantee(port, certificate)
-    hold = port.get("hold", BY_CONSTRUCTION)
-    if hold != BY_CONSTRUCTION and (port["verdict"] == "yes" or hold in (EARLY, LATE)):
-        found.append(f"hold: {hold}")
-    return found
+        return f"{what} as requested" if abs(share - 1.0) < _CLOSE else f"{what} {100.0 * share:.3g} % of requested"
+    return f"{ACCOUNT['interaction'].title} {si(port['in'] - port['out'], 'J', 3)}" if "in" in port else ""
 
 
-def _guarantee(port: PortResult, certificate: str) -> list[str]:
-    """Return what the guarantee rests on, or the algorithm that gives none."""
-    found: list[str] = []
-    if port["verdict"] == "yes" and certificate not in ("none", "exact"):
-        found.append(f"guarantee rests on: {rests_on(certificate, hand_force=port.get('hand_force'))}")
+def advice_lines(port: PortResult) -> list[str]:
+    """Return what a person at the rig should act on: a false declaration, torque that was missing, cut or early."""
+    found = []
+    if "contradicted" in port:
+        names = " and ".join(name.replace("_", " ") for name in port["contradicted"])
+        found.append(f"contradicts its certificates ({names}): one of {', '.join(port['suspects'])} is wrong")
+    if port["verdict"] == "no" and "yes" in (port["passive"], port.get("passive_at_handle")):
+        found.append("the account says yes, so a declaration is false")
+    if port["verdict"] in ("no contact", "dry run"):
+        return found
     if "none" in port.get("certificates", ()) and port.get("algorithm", "guarded") not in GUARANTEEING:
-        found.append(f"no guarantee: {port['algorithm']}")
-    return found
+        found.append(f"no guarantee: {port['algorithm']} has none, so this holds for this run alone")
+    contact, share = port.get("contact", {}), port.get("mass", {}).get("share")
+    if (ended := contact.get("no_torque_after")) is not None:
+        found.append(f"no torque after {ended:.4g} s: no energy left for one; {_MORE_ENERGY}")
+    if beyond := contact.get("beyond_limit"):
+        found.append(f"cut by torque_limit in {counted(beyond, 'cycle')}")
+    if port.get("certificate", "none") not in ("none", "exact") and abs((share or 1.0) - 1.0) > _MASS_OFF:
+        found.append("guard limited the speed: raise environment.mass or damping, lower force.slew, or move further")
+    return [*found, *([f"hold: {port['hold']}"] if port.get("hold") in (EARLY, LATE) else [])]
 
 
 def uncertainty(port: Result) -> str:
     """Return the largest error of the account's energy; a display books the least energy that can have come in."""
     largest = si(port.get("energy_resolution", 0.0), "J", 3)
     return f"+{largest}, -0 J" if port.get("books_least") else f"+-{largest}"
+
+
+def account_lines(result: Result) -> list[RenderableType]:
+    """Return what the account alone says of each port that the simulated plant judged otherwise, and why."""
+    ports = [(name, of) for name, of in result.get("ports", {}).items() if "verdict" in of and _is_by_plant(of)]
+    return [Text(f" {name}: by the account: {of['passive']}, {of.get('why', '')}".rstrip(", ")) for name, of in ports]
 
 
 def _is_by_plant(port: PortResult) -> bool:
@@ -161,41 +179,43 @@ def _is_at_handle_alone(port: PortResult) -> bool:
     return port["verdict"] == "yes" != port["passive"] and "yes" in at_handle
 
 
-def _reasons(port: PortResult) -> list[tuple[str, str]]:
-    """Return the reasons and conditions behind the verdict, each with its separator."""
-    word = port["verdict"]
-    found: list[tuple[str, str]] = []
+def _reason(port: PortResult) -> str:
+    """Return on what the judgement rests."""
+    word, why = port["verdict"], port.get("why", "")
     if word == "yes":
-        allowance = port.get("energy_allowance", 0.0)
-        is_ours = "why" in port and "yes" in (port["passive"], port.get("passive_at_handle"))
-        found += [(", ", port["why"])] if is_ours else []
-        found += [(", ", f"within an allowance of {si(allowance, 'J', 3)}")] if allowance else []
-        motor = {"no": "NO"}.get(port["passive"], port["passive"])
-        found += [(" ", f"(at the motor: {motor})")] if _is_at_handle_alone(port) else []
-    if _is_by_plant(port):
-        is_misled = word == "no" and "yes" in (port["passive"], port.get("passive_at_handle"))
-        known = "the account says yes, so a declaration is false" if is_misled else "the account cannot tell"
-        found.append((", ", f"by the simulated plant; {known}"))
+        return ", ".join(_grounds(port))
     if word == "no":
-        first = first_active(port) if "first_active" in port else ""
-        certain = f"{port['active_since']:.4g} s" if "active_since" in port else ""
-        is_same = first.split(" (")[0] == certain
-        found += [(", ", f"for certain from {first if is_same else certain} on")] if certain else []
-        found += [(", ", "already before this part of the log")] if port.get("active_before") else []
-        found += [(", ", f"first below zero at {first}")] if first and not is_same else []
+        return "by the simulated plant" if _is_by_plant(port) else _since(port)
     if word == "in doubt":
-        found.append((": ", f"the account is uncertain by {uncertainty(port)}"))
-        found += [("; ", port["why"])] if "why" in port else []
+        return why
     if word == "no contact" and "reach" in port:
         unit = port.get("unit", "m")
-        found.append((": ", f"the handle stayed between {' and '.join(si(at, unit, 3) for at in port['reach'])}"))
-        found += [(", ", f"the wall begins at {si(port['wall'], unit, 3)}")] if "wall" in port else []
-    if word == "nothing rendered" and "advice" in port:
-        found.append((": ", port["advice"]))
-    if "contradicted" in port:
-        names = " and ".join(name.replace("_", " ") for name in port["contradicted"])
-        found.append(("; ", f"contradicts its certificates ({names}): one of {', '.join(port['suspects'])} is wrong"))
-    return found
+        wall = f", the wall begins at {si(port['wall'], unit, 3)}" if "wall" in port else ""
+        return f"the handle stayed between {' and '.join(si(at, unit, 3) for at in port['reach'])}{wall}"
+    return port.get("advice", "") if word == "nothing rendered" else ""
+
+
+def _grounds(port: PortResult) -> Iterator[str]:
+    """Yield the grounds of a yes: plant, measurement or certificate, and the energy that may be given out."""
+    names, allowance = port.get("certificates", ()), port.get("energy_allowance", 0.0)
+    if _is_by_plant(port):
+        yield "by the simulated plant"
+    elif port.get("why") == BY_CERTIFICATE:
+        yield f"{BY_CERTIFICATE}: {rests_on(*names, hand_force=port.get('hand_force'))}"
+    elif "why" in port:
+        yield port["why"]
+    if allowance:
+        yield f"within an allowance of {si(allowance, 'J', 3)}"
+
+
+def _since(port: PortResult) -> str:
+    """Return since when a port was not passive."""
+    if port.get("active_before"):
+        return "already before this part of the log"
+    since, first = port.get("active_since"), first_active(port) if "first_active" in port else ""
+    if since is None:
+        return f"first below zero at {first}" if first else ""
+    return f"for certain from {first if port.get('first_active') == since else f'{since:.4g} s'} on"
 
 
 def rests_on(*certificates: str, hand_force: float | None = None) -> str:
@@ -230,10 +250,14 @@ def brief_report(result: Result) -> RenderableType:
 
 
 def headlines(result: Result) -> list[RenderableType]:
-    """Return the first line of each port that has a separate account."""
+    """Return the first line of each port that has a separate account, with what to act on below it."""
     failure = failure_text(result)
     ports = {name: result["ports"][name] for name in ordered(result.get("ports", {}))}
-    return [headline_text(name, of, failure) for name, of in ports.items() if "verdict" in of]
+    found: list[RenderableType] = []
+    for name, of in ports.items():
+        if "verdict" in of:
+            found += [headline_text(name, of, failure), *(Text(f"   {text}", "yellow") for text in advice_lines(of))]
+    return found
 
 
 def ordered(ports: Mapping[str, PortResult]) -> list[str]:

@@ -123,7 +123,7 @@ def test_a_guard_that_acts_makes_the_mass_heavier_and_every_reader_says_so(
     words = ["--set", "environment.mass=0.5", "--set", "duration=1", "--log", str(log), "--bus-log", str(bus_log)]
     assert main(["run", str(SCENE), *words, "--json"]) == 0
     mass = json.loads(capsys.readouterr().out)["ports"]["handle"]["mass"]
-    assert (mass["asked"], mass["share"]) == (0.5, pytest.approx(mass["felt"] / 0.5))
+    assert (mass["requested"], mass["share"]) == (0.5, pytest.approx(mass["felt"] / 0.5))
     assert 1.2 < mass["felt"] < 1.8
     assert main(["inspect", str(log), "--bus-log", str(bus_log), "--json"]) == 0
     inspected = json.loads(capsys.readouterr().out)
@@ -131,7 +131,8 @@ def test_a_guard_that_acts_makes_the_mass_heavier_and_every_reader_says_so(
     assert inspected["rederived"]["ports"]["handle"]["mass"] == pytest.approx(mass, rel=1e-12)
     assert main(["inspect", str(log)]) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    assert f"mass felt over the run {mass['felt']:.3g} kg, {100 * mass['share']:.3g} % of requested" in shown
+    assert f" · mass felt {100 * mass['share']:.3g} % of requested" in shown
+    assert f"mass felt {mass['felt']:.3g} kg, {100 * mass['share']:.3g} % of requested" in shown
 
 
 @pytest.mark.slow

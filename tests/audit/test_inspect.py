@@ -343,7 +343,7 @@ def test_a_run_without_protection_names_its_algorithm_everywhere(tmp_path: Path,
     page = tmp_path / "page.html"
     assert typed.inspect(tmp_path / "unprotected.h5", tmp_path / "guarded.h5", "--html", page) == 0
     shown = capsys.readouterr().out
-    assert shown.count("no guarantee: unprotected") == 1
+    assert shown.count("no guarantee: unprotected has none") == 1
     assert re.search(r"algorithm +unprotected +guarded", shown)
     assert re.search(r"<td[^>]*>algorithm</td><td[^>]*>unprotected *</td><td[^>]*>guarded", page.read_text())
 
