@@ -305,6 +305,7 @@ def named(log: Path, tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_names_of_others_are_shown_and_do_not_steer_the_terminal(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -444,6 +444,7 @@ def test_the_command_exits_with_one_when_a_check_or_comparison_fails(
     assert result["ports"]["handle"]["branches"]["exact"] == 1375
 
 
+@pytest.mark.slow
 def test_every_picture_and_page_written_is_named_for_one_log_and_for_two(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

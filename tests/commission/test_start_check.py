@@ -153,6 +153,7 @@ def test_a_twin_that_acts_in_another_hold_than_declared_makes_no_measured_yes() 
     assert (port["passive"], port["hold"], port["plant_passive"]) == ("in doubt", "not checked", "no")
 
 
+@pytest.mark.slow
 def test_a_simulation_from_python_checks_the_hold_as_a_run_does() -> None:
     port = canhaptic.simulate(load_scene(DEMO, [ASKED]), duration=0.01, progress=False).account["handle"]
     assert port.hold == "checked at this start"

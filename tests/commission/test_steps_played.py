@@ -200,6 +200,7 @@ def test_a_coarse_encoder_tells_the_sign_within_its_guard(counts: int) -> None:
         assert {travels for _, torques, _, travels in session.played if torques} == {0.25}
 
 
+@pytest.mark.slow
 def test_an_axis_that_something_else_moves_has_no_sign() -> None:
     """It swings, also without a torque: of 32 times 32 pulses as many move it along their sign as against it."""
     session = played(Moved(lambda time: 1e-4 * np.sin(37.0 * time)))

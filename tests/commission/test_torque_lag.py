@@ -115,6 +115,7 @@ def test_a_lag_below_what_is_resolved_keeps_what_is_configured() -> None:
     assert [found.value for found in session.report.values if found.key == "passivity.current_lag"] == [None]
 
 
+@pytest.mark.slow
 def test_what_the_test_cannot_exclude_is_declared_where_less_was_configured() -> None:
     """The row and the value say the same; a window of 0, as in lock-step, is never written: it declares nothing."""
     session, _ = timed("bus.rpdo=synchronous")

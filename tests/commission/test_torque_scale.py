@@ -101,6 +101,7 @@ def test_without_a_means_no_more_torque_is_sent_and_nothing_is_finished() -> Non
     assert report.unfinished(["handle"], ["torque scale"]) == ["handle: torque scale: not verified"]
 
 
+@pytest.mark.slow
 def test_the_first_pulse_is_one_count_of_the_drive_and_each_is_said_in_per_mille() -> None:
     _, sent, said = report_of(means="no")
     rising = list(dict.fromkeys(abs(torque) for torque in sent if torque))

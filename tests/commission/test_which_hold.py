@@ -204,6 +204,7 @@ def test_of_random_twins_no_hold_is_wrong(seed: int) -> None:
     assert found.hold in (None, found.true_hold)
 
 
+@pytest.mark.slow
 def test_a_torque_too_small_for_its_encoder_tells_no_hold_but_the_torque_that_does() -> None:
     found = delay_of([], 0, count=1e-4, doublets=12)
     assert found.hold(0.25) is None

@@ -10,6 +10,7 @@ DEMO = str(CONFIGS / "demo.yaml")
 IN_CONTACT = ("--duration", "0.3", "--set", "environment.side=above")
 
 
+@pytest.mark.slow
 def test_a_dry_run_shows_what_would_be_sent_and_its_log_can_be_opened(person: Person) -> None:
     result = person.runs(DEMO, *IN_CONTACT, "--no-torque", "--strict", "--log", "dry.h5", "--bus-log", "dry.log")
     assert shown(result) == {"dry run"}

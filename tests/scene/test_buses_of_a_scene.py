@@ -136,6 +136,7 @@ def test_the_frames_of_each_bus_are_decoded_for_their_own_axes(recorded: tuple[P
     }
 
 
+@pytest.mark.slow
 def test_the_frames_alone_give_the_same_accounts(recorded: tuple[Path, Path]) -> None:
     scene = load_scene(TWO_BUSES, ["environment.side=above"])
     with EnergyLog.open(recorded[0]) as log:

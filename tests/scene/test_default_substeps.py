@@ -72,6 +72,7 @@ def test_a_substep_of_a_whole_number_of_detents_claims_no_small_error(tmp_path: 
         assert error.size > 1e-9 or not known  # 6e-16 m by halves alone
 
 
+@pytest.mark.slow
 def test_figures_of_a_plant_that_is_not_exact_come_with_its_error(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
     path = scene_file(tmp_path)
     assert plant_errors(load_scene(path)) == []

@@ -199,6 +199,7 @@ SNAPS += ["passivity={algorithm: guarded, moving_mass: 0.2, hand_force: 5, hand_
           "device_damping_bound: 0.6, sync_jitter: 0.02, current_lag: 0.1 ms}"]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_both_halves_of_a_detent_are_rendered_and_check_says_how_much(capsys: pytest.CaptureFixture[str]) -> None:
     halves = halves_rendered(axis(*SNAPS), 0.1)
     assert halves is not None
@@ -218,6 +219,7 @@ LOSSY = ("passivity.max_consecutive_losses=4", "environment.stiffness=500", "bus
          "passivity.device_friction_bound=1")  # fmt: skip
 
 
+@pytest.mark.slow
 def test_of_a_link_that_loses_frames_check_says_how_much_of_a_wall_it_holds(capsys: pytest.CaptureFixture[str]) -> None:
     late = dict(kept_through_losses(axis(*LOSSY), 0.1))
     assert list(late.values()) == sorted(late.values(), reverse=True)

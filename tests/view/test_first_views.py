@@ -95,6 +95,7 @@ def test_the_contact_of_that_moment_has_its_number_in_the_table(
     assert float(start) <= 0.507
 
 
+@pytest.mark.slow
 def test_a_run_that_stayed_passive_has_no_button(tmp_path: Path) -> None:
     write_run(tmp_path / "run.h5", cycles=300)
     assert main(["inspect", str(tmp_path / "run.h5"), "--html", str(tmp_path / "run.html"), "--json"]) == 0

@@ -68,6 +68,7 @@ def test_a_page_waits_for_its_log_and_then_shows_the_last_seconds(tmp_path: Path
     assert "SYNC 1500 emcy handle: 0x8130 heartbeat lost" in status_of(document)
 
 
+@pytest.mark.slow
 def test_detents_are_notches_that_leave_the_scale_to_the_position(tmp_path: Path) -> None:
     scene = load_scene(CONFIGS / "rotary_knob.yaml")
     with build(scene, energy_log=tmp_path / "run.h5") as experiment:

@@ -157,6 +157,7 @@ def compared(seed: int, cycles: int, **sensor: float) -> str:
     return ""
 
 
+@pytest.mark.slow
 def test_true_declarations_are_never_contradicted_and_an_offset_is() -> None:
     for seed in (3, 12):
         assert compared(seed, 200) == ""

@@ -91,6 +91,7 @@ IN_GROUP = f"""groups:
 """
 
 
+@pytest.mark.slow
 def test_a_scene_at_its_defaults_sends_the_same_frames_on_an_axis_and_in_a_group_of_one(tmp_path):
     frames = []
     for name, rendered in (("axis", ON_AXIS), ("group", IN_GROUP)):

@@ -51,6 +51,7 @@ def touched_by_a_sine(name: str, cycles: int, overrides: Sequence[str] = ()) -> 
         return dict(zip(names, judge.least, strict=True))
 
 
+@pytest.mark.slow
 def test_a_stiff_wall_gives_energy_out_unprotected_alone() -> None:
     least = touched_by_a_sine("hard/stiff_wall.yaml", 3000)
     assert least["unprotected"] < -0.01
