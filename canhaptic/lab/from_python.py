@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from canhaptic.lab.batch import Engine
 from canhaptic.lab.studies.compare import Comparison
 from canhaptic.lab.studies.compare import compare as compare_algorithms
+from canhaptic.quantities import OLD_FIGURES
 from canhaptic.scene.models import Scene
 from canhaptic.simulation import load_any
 
@@ -104,7 +105,9 @@ def sweep(
         with SweepTable(path) as table:
             found = table.points.columns(0, len(table))
             for axis in table.axes:
-                found |= {f"{axis}.{metric}": table.figure(axis, metric) for metric in table.metrics}
+                of_axis = {metric: table.figure(axis, metric) for metric in table.metrics}
+                of_axis |= {old: of_axis[new] for new, old in OLD_FIGURES.items() if new in of_axis}
+                found |= {f"{axis}.{metric}": values for metric, values in of_axis.items()}
     return found
 
 

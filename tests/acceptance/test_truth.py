@@ -81,13 +81,13 @@ def test_what_was_mended_of_further_scenes_stays_mended(seed: int) -> None:
 
 def test_no_verdict_may_rest_on_a_resolution_that_is_an_estimate() -> None:
     port = {"energy_resolution": 1.0, "passive": "in doubt", "certificates": [], "resolution_is_estimated": True}
-    truth = {"believed_error": 1.05, "least_interaction": 0.0, "least_at_handle": 0.0}
+    truth = {"accounted_error": 1.05, "least_interaction": 0.0, "least_at_handle": 0.0}
     assert _false_claims("handle", port, truth, {}) == []
     [claim] = _false_claims("handle", {**port, "passive": "yes"}, truth, {})
     assert "an estimate" in claim
     [claim] = _false_claims("handle", {**port, "passive_at_handle": "yes"}, truth, {})
     assert "an estimate" in claim
-    assert _false_claims("handle", port, {**truth, "believed_error": 1.15}, {})
+    assert _false_claims("handle", port, {**truth, "accounted_error": 1.15}, {})
     assert _false_claims("handle", {**port, "resolution_is_estimated": False}, truth, {})
 
 

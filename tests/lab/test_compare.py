@@ -93,8 +93,10 @@ def test_every_figure_is_that_of_an_independent_simulation(scene, algorithm, del
     dissipated = np.cumsum([balance.h_r for balance in run.balances])[1:]
     assert found["least_interaction"] == pytest.approx(min(0.0, interaction.min()), abs=1e-7)
     assert found["margin"]["value"] == pytest.approx(min(0.0, (interaction - dissipated).min()), abs=1e-6)
-    assert found["force_variation"]["value"] == pytest.approx(np.abs(np.diff(run.torque)).sum(), rel=1e-2)
-    ratio = found["force_variation"]["value"] / found["force_variation"]["ratio"]
+    assert found["force_ripple"]["value"] == pytest.approx(np.abs(np.diff(run.torque)).sum(), rel=1e-2)
+    ratio = found["force_ripple"]["value"] / found["force_ripple"]["ratio"]
+    old = [found[name] for name in ("force_variation", "surplus_end", "believed_margin", "believed_error")]
+    assert old == [found["force_ripple"], found["surplus"]["end"], found["accounted_margin"], found["accounted_error"]]
     assert ratio == pytest.approx(np.abs(np.diff(torque)).sum(), rel=2e-3)
 
 
@@ -124,7 +126,7 @@ def test_over_can_every_figure_is_the_same_to_the_last_bit(scene):
     for overrides in (chosen, scene("axes.0.rated_torque=10 N", "axes.0.counts_per_unit=1e6", "bus.rpdo=synchronous")):
         direct, over_can = (account(overrides, "guarded", duration=0.9, over_can=c) for c in (False, True))
         assert direct == over_can
-        assert direct["force_variation"]["value"] > 1.0
+        assert direct["force_ripple"]["value"] > 1.0
 
 
 @pytest.mark.slow_but("stiff_wall", "slow_and_late")
@@ -149,7 +151,7 @@ def test_a_wall_that_rings_out_of_the_room_is_reported_as_diverged(scene):
     found = account(chosen, "unprotected")
     assert found["status"] == "diverged"
     assert 0.0 < found["diverged"] < 1.5
-    assert found["force_variation"]["ratio"] is None
+    assert found["force_ripple"]["ratio"] is None
 
 
 def test_an_algorithm_that_lacks_something_takes_the_plant_or_is_refused_with_its_reason(scene):

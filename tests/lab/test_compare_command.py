@@ -10,8 +10,9 @@ import pytest
 
 from canhaptic import compare, simulate
 from canhaptic.cli.main import main
-from canhaptic.lab.figures.figures import ALL, Figure, metrics_of
-from canhaptic.lab.render.comparison import row_of
+from canhaptic.lab.figures.figures import ALL, metrics_of
+from canhaptic.lab.render.comparison import figure_row
+from canhaptic.quantities import QuantityRow
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FIGURE = str(REPOSITORY / "configs" / "paper_fig5_100hz.yaml")
@@ -68,14 +69,14 @@ def test_the_tool_is_the_same_command(capsys, monkeypatch):
     assert "unknown passivity algorithm" in capsys.readouterr().err
 
 
-def test_a_figure_with_a_label_is_a_row_of_the_table_and_needs_no_other_file():
-    row = row_of("interaction", Figure("true energy at the end", "J", ("interaction",), "energy left", "not negative"))
+def test_a_figure_that_says_which_value_is_better_is_a_row_of_the_table_and_needs_no_other_file():
+    row = figure_row("interaction", QuantityRow("J", "energy left", better="not negative"))
     assert (row.label, row.is_bounded) == ("energy left", True)
     assert row.show(row.read({"interaction": 2e-3}, {}), "m").replace("\N{NO-BREAK SPACE}", " ").startswith("2")
-    part = row_of("error.rms", Figure("", "m", (), "error", "less"))
+    part = figure_row("error.rms", QuantityRow("m", "error", better="less"))
     assert part.better is abs
     assert part.read({"error": {"rms": 3.0, "max": 4.0}}, {}) == 3.0
-    labels = [row_of(name, figure).label for name, figure in ALL.items() if figure.label]
+    labels = [figure_row(name, figure.row).label for name, figure in ALL.items() if figure.row.better]
     assert len(set(labels)) == len(labels) >= 10
 
 

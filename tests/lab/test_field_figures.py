@@ -9,7 +9,6 @@ from canhaptic.control.environments.free_space import FreeSpace
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.figures.figures import (
-    FIELD_FIGURES,
     _moved_in_a_hold,
     asked_impedance,
     drag,
@@ -20,6 +19,7 @@ from canhaptic.lab.figures.figures import (
     rendered_impedance,
     stiffest_walls,
 )
+from canhaptic.quantities import ARENA
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tools.bench.standard_cases import standard_case
@@ -128,8 +128,6 @@ def test_a_filter_of_the_acceleration_widens_the_m_width():
 
 
 def test_every_figure_of_the_field_has_a_definition_and_its_source():
-    asked = {"K-B", "M-width", "rate-hardness", "impedance", "limit cycle", "energy", "force variation", "drag", "time"}
-    assert all(any(word in name for name in FIELD_FIGURES) for word in asked)
-    for figure in FIELD_FIGURES.values():
-        assert figure.meaning
-        assert figure.source
+    asked = {"K-B", "M-width", "rate-hardness", "impedance", "limit cycle", "energy", "force ripple", "drag", "time"}
+    assert all(any(word in row.title for row in ARENA.values()) for word in asked)
+    assert all(row.sentence and row.source for row in ARENA.values())

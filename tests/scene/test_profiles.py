@@ -67,7 +67,7 @@ def test_every_vendor_drive_runs_whole_with_its_profile(
     assert main(["run", str(DEMO), "--duration", "0.5", "--json", *overrides]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["ports"]["handle"]["in"] > 1e-3
-    assert result["truth"]["handle"]["believed_error"] < 1e-3 * result["ports"]["handle"]["in"]
+    assert result["truth"]["handle"]["accounted_error"] < 1e-3 * result["ports"]["handle"]["in"]
 
 
 def test_every_dictionary_of_the_folder_serves_whole_or_is_refused_whole(

@@ -37,7 +37,7 @@ def result(names: list[str]) -> dict[str, Any]:
         "config_hash": "ab12cd34ef56ab12",
         "cycles": 8000,
         "ports": {name: port(number) for number, name in enumerate(names)},
-        "truth": {names[-1]: {"interaction": 0.0102, "least_interaction": 0.0, "believed_error": 3e-17}},
+        "truth": {names[-1]: {"interaction": 0.0102, "least_interaction": 0.0, "accounted_error": 3e-17}},
         "timing": {
             "cycles_per_second": 9123.4,
             "deadlines_missed": 0,

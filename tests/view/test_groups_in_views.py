@@ -55,7 +55,7 @@ def test_the_truths_of_the_parts_of_a_run_add_up_to_that_of_the_whole(path: Path
         split = (np.abs(log.ports["x"]["h_i"]).argmax() - 0.5) * log.sample_time  # behind it the hold that moved most
         whole, first, second = (inspect(log, *span)["truth"][port] for span in ((), (None, split), (split, None)))
     assert first["interaction"] + second["interaction"] == pytest.approx(whole["interaction"], abs=1e-15)
-    assert max(part["believed_error"] for part in (first, second)) <= 2.0 * whole["believed_error"]
+    assert max(part["accounted_error"] for part in (first, second)) <= 2.0 * whole["accounted_error"]
 
 
 def test_only_what_a_port_has_is_drawn(path: Path) -> None:

@@ -24,7 +24,7 @@ from tools.bench.report import Row
 REPOSITORY = Path(__file__).resolve().parents[2]
 CONFIG = REPOSITORY / "configs" / "demo.yaml"
 SCENES, CYCLES = 300, 1000
-FIVE = ("diverged", "least_interaction", "margin", "believed_error", "torque_peak")
+FIVE = ("diverged", "least_interaction", "margin", "accounted_error", "torque_peak")
 MOVING = ("environment.position=0.005", "simulation.user.motion.frequency=3")
 STOP = "{type: hard_stop, side: upper, position: 0.02, stiffness: 1e5, damping: 50}"
 PLANTS = {

@@ -307,7 +307,7 @@ def _outcome(
         claim for name, port in ports.items() for claim in _false_claims(name, port, account["truth"][name], section)
     ]
     worst = max(
-        ports, key=lambda name: account["truth"][name]["believed_error"] / (_resolution(ports[name]) + ROUNDING)
+        ports, key=lambda name: account["truth"][name]["accounted_error"] / (_resolution(ports[name]) + ROUNDING)
     )
     handles = [port["passive_at_handle"] for port in ports.values() if "passive_at_handle" in port]
     return Outcome(
@@ -318,7 +318,7 @@ def _outcome(
         at_handle=max(handles, key=("yes", "in doubt", "no").index) if handles else "",
         certificates=tuple(sorted({name for port in ports.values() for name in certificates(port)})),
         resolution=_resolution(ports[worst]),
-        error=account["truth"][worst]["believed_error"],
+        error=account["truth"][worst]["accounted_error"],
         least=min(account["truth"][name]["least_interaction"] for name in ports),
         peak=asked.peak,
         asked=asked.asked,
@@ -354,7 +354,7 @@ def certificates(port: Mapping[str, Any]) -> list[str]:
 def _false_claims(
     name: str, port: Mapping[str, Any], truth: Mapping[str, float], section: Mapping[str, Any]
 ) -> list[str]:
-    resolution, least, error = _resolution(port), truth["least_interaction"], truth["believed_error"]
+    resolution, least, error = _resolution(port), truth["least_interaction"], truth["accounted_error"]
     allowance = section.get("energy_allowance", 0.0)
     claims = []
     if error > resolution * (_ESTIMATE if port.get("resolution_is_estimated") else 1.0) + ROUNDING:

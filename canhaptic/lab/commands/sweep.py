@@ -27,6 +27,7 @@ from canhaptic.lab.studies.runner import Progress, dask_executor, pool_of
 from canhaptic.lab.studies.store import SweepTable
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.vary import CONTROLLER
+from canhaptic.quantities import FIGURES
 from canhaptic.view.table import Table
 from canhaptic.view.terminal import note_file, write_note
 
@@ -154,12 +155,12 @@ def _finite(figure: Callable[[Array], Any]) -> Callable[[Array], float | None]:
 _SHARES: Final[Mapping[str, tuple[str, str, Callable[[Array], float | None]]]] = {
     "passive": ("passive, by the plant", "least_interaction", _kept),
     "margin_kept": ("margin never negative", "margin", _kept),
-    "least_margin": ("smallest margin", "margin", _finite(np.min)),
+    "least_margin": (FIGURES["margin"].title, "margin", _finite(np.min)),
     "diverged": ("diverged", "diverged", lambda values: float((values == 1.0).mean())),
     "stable": ("stable without\nalgorithm", RADIUS, _finite(lambda values: (values < 1.0).mean())),
     "stiffness_rendered": ("stiffness, median", "stiffness_rendered.share", _finite(np.median)),
-    "mass_felt": ("mass felt, median", "mass_felt.share", _finite(np.median)),
-    "guard_acts": ("guard acts, median", "guard_acts", _finite(np.median)),
+    "mass_felt": (f"{FIGURES['mass_felt'].title}, median", "mass_felt.share", _finite(np.median)),
+    "guard_acts": (f"{FIGURES['guard_acts'].title}, median", "guard_acts", _finite(np.median)),
 }
 """Name -> heading, metric, and the function from its values to one number."""
 _PROVE_NOTHING: Final = {"no_contact": UNTOUCHED, "nothing_rendered": UNRENDERED}
@@ -178,7 +179,6 @@ def summary_report(found: Row) -> RenderableType:
     lines += [
         Text(f" {of['scenes']} {of['status']} ({_ENGINES[of['engine']]}): {of['remark']}", style.get(of["status"], ""))
         for of in found["remarks"]
-        if of["engine"] != "scalar" or not of["remark"].startswith("only ")
     ]
     return Group(heading, *lines, _shares_table(found))
 
@@ -211,4 +211,5 @@ def _cell(key: str, value: float | None) -> str:
         return "-"
     if key in _PROVE_NOTHING:
         return str(value)
-    return si(value, "J", 3) if key == "least_margin" else f"{100.0 * value:.3g} %"
+    unit = FIGURES[_SHARES[key][1]].unit
+    return si(value, unit, 3) if key == "least_margin" else f"{100.0 * value:.3g} %"

@@ -27,7 +27,7 @@ def execute(arguments: argparse.Namespace) -> int:
         metrics=arguments.metrics, engine="numba",
     )  # fmt: skip
     columns = asked.points.columns(0, len(asked.points))
-    result = run_chunk(replace(asked.recipe, alone=""), 0, columns)
+    result = run_chunk(replace(asked.recipe, is_alone=False), 0, columns)
     names = [str(name) for name in columns.get("controller", ["algorithm of the scene"])]
     found = {
         name: {"engine": ENGINES[engine], "remark": remark}

@@ -1,4 +1,4 @@
-"""Definitions of all figures of a run: name, meaning, unit, the sums it needs, and which value is better.
+"""Definitions of all figures of a run: the sums that each needs; meaning and unit are those of `quantities.FIGURES`.
 
 The sums are those of `meter`, gathered during a run or from recorded rows. Energies [J] are the plant's, unless the
 name begins with `believed_`: those are the controller's account. There is one table for impedance displays, one for
@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from math import inf, nan
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, diverge, 
 from canhaptic.lab.loop.admittance_loop import AdmittanceRun, felt
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
 from canhaptic.lab.reference import REST, ContinuousReference
+from canhaptic.quantities import FIGURES, OLD_FIGURES, QuantityRow, with_old_names
 from canhaptic.scene.models import Scene
 
 _LAST_PART: Final = 0.1
@@ -32,102 +33,56 @@ _ERRORS: Final = ("position_squares", "position_worst", "force_squares", "force_
 
 
 class Figure(NamedTuple):
-    """Definition of one figure of a run."""
+    """One figure of a run: what it is, and how it is computed."""
 
-    meaning: str
-    unit: str  # "": a number, "1": a share; otherwise the unit for a linear axis, such as "m" or "N/m"
+    row: QuantityRow  # unit, title, meaning
     sums: tuple[str, ...] = ()  # sums from which it is computed; fields of `meter.Meter`, and of the continuous run
-    label: str = ""  # heading of its row in the table of `compare`; "": no row
-    better: Literal["", "less", "near one", "not negative"] = ""  # which value is better; "": neither
-    source: str = "own definition"
     of: Callable[["_Display"], float] = lambda _: nan  # computes the figure for an admittance display
 
 
-_PAPER: Final = "the paper, eqs. 3 and 4"
-_CALM: Final = "the paper, section V: oscillations of the force"
+_OF_BRANCHES: Final = ("free", "start", "exact", "sticky", "fallback", "depleted", "exit")
+METRICS: Final = {
+    name: Figure(FIGURES[name], sums)
+    for name, sums in {
+        **{
+            name: (name,)
+            for name in ("diverged", "cycles", "interaction", "least_interaction", "least_covered", "margin")
+        },
+        "accounted_margin": ("believed_margin",),
+        "accounted_error": ("believed_error",),
+        "surplus.end": ("surplus",),
+        "torque_peak": ("torque_peak",),
+        "force_ripple": ("variation",),
+        "contact": ("contacts", "cycles"),
+        "damping_rendered.mean": ("damping", "contacts"),
+        "damping_rendered.least": ("damping_least", "contacts"),
+        "damping_rendered.most": ("damping_most", "contacts"),
+        "damping_rendered.share": ("damping", "damping_requested"),
+        "effort_rendered.share": ("sizes_sent", "sizes_asked"),
+        "stiffness_rendered.value": ("force", "state"),
+        "stiffness_rendered.share": ("rendered", "asked"),
+        "stiffness_at_end.share": ("last_force", "last_asked"),
+        "travel": ("highest", "lowest"),
+        "certificate": ("certificate",),
+        **{f"branches.{name}": (name,) for name in _OF_BRANCHES},
+    }.items()
+}
+"""Figures that need no continuous run. One that says which value is better is a row of `compare`."""
 
-METRICS: Final[dict[str, Figure]] = {
-    "diverged": Figure("1 where the axis left every place the user could have taken it, else 0", "", ("diverged",)),
-    "cycles": Figure("SYNCs that the figures are of: all, or those until it diverged", "", ("cycles",)),
-    "interaction": Figure("energy in less energy out at the end, from the plant", "J", ("interaction",)),
-    "least_interaction": Figure(
-        "lowest energy in less energy out after any hold, from the plant", "J", ("least_interaction",),
-        "lowest true net energy (plant)", "not negative", _PAPER,
-    ),
-    "least_covered": Figure(
-        "the same with the least that damping b and Coulomb friction f_c of the device dissipate added, (b / T) "
-        "sum(dq^2) + f_c sum|dq|; b as declared, else of the simulated plant",
-        "J", ("least_covered",),
-    ),
-    "margin": Figure(
-        "lowest energy in less energy out (plant) and dissipated (booked) after any hold", "J", ("margin",),
-        "smallest margin", "not negative", _PAPER,
-    ),
-    "believed_margin": Figure("the same, all as booked", "J", ("believed_margin",), source=_PAPER),
-    "believed_error": Figure(
-        "largest difference of booked and true energy in less energy out after any hold", "J", ("believed_error",),
-        "largest error of the account", "less",
-    ),
-    "surplus_end": Figure("energy created by sampling, not yet removed, at the end", "J", ("surplus",), source=_PAPER),
-    "torque_peak": Figure("largest |torque| held", "N", ("torque_peak",)),
-    "force_variation": Figure("total variation of the torque held, the first step included", "N", ("variation",)),
-    "contact": Figure("share of the holds that ended in contact", "1", ("contacts", "cycles")),
-    "damping_rendered.mean": Figure("in contact, NaN without", "N*s/m", ("damping", "contacts")),
-    "damping_rendered.least": Figure("in contact, NaN without", "N*s/m", ("damping_least", "contacts")),
-    "damping_rendered.most": Figure("in contact, NaN without", "N*s/m", ("damping_most", "contacts")),
-    "damping_rendered.share": Figure(
-        "mean damping in contact over the damping asked for", "1", ("damping", "damping_requested"),
-        "damping rendered", "near one",
-    ),
-    "effort_rendered.share": Figure(
-        "sum of |torque| sent in contact over that of the efforts asked for, each at most the torque limit", "1",
-        ("sizes_sent", "sizes_asked"),
-    ),
-    "stiffness_rendered.value": Figure(
-        "mean force over mean state in contact: over whole contacts the damper averages out; NaN without contact and "
-        "where the state relaxes", "N/m", ("force", "state"),
-    ),
-    "stiffness_rendered.share": Figure(
-        "sum of the forces in contact, each positive in the direction of the effort asked for, over the sum of the "
-        "sizes of these efforts; 0 if negative", "1", ("rendered", "asked"), "stiffness rendered", "near one",
-    ),
-    "stiffness_at_end.share": Figure(
-        "signed mean force in contact over the mean effort asked for there, in the last part of the run", "1",
-        ("last_force", "last_asked"),
-    ),
-    "travel": Figure("largest less least true position", "m", ("highest", "lowest")),
-    "certificate": Figure(
-        "weakest promise of any hold: 0 exact, 1 device damping, 7 device friction, 2 hand force, 3 hand speed, 4 none",
-        "", ("certificate",),
-    ),
-    "branches.free": Figure("holds without contact", "", ("free",)),
-    "branches.start": Figure("holds that began a contact", "", ("start",)),
-    "branches.exact": Figure("holds with the balance solved", "", ("exact",)),
-    "branches.sticky": Figure("holds that moved out while energy came in", "", ("sticky",)),
-    "branches.fallback": Figure("holds without an exact solution", "", ("fallback",)),
-    "branches.depleted": Figure("holds that took more than was stored", "", ("depleted",)),
-    "branches.exit": Figure("holds that ended a contact", "", ("exit",)),
-}  # fmt: skip
-"""Figures that need no continuous run. A figure with a label is a row of `compare`."""
-
-_RMS: Final = ("position_squares", "cycles")
 _AT_REST: Final = ("last_force", "last_state", "last_asked", "last", *_LAST)
-CONTINUOUS: Final[dict[str, Figure]] = {
-    "position_error.rms": Figure("against the continuous run", "m", _RMS, "position error, rms", "less"),
-    "position_error.max": Figure("the largest", "m", ("position_worst",), "position error, largest", "less"),
-    "force_error.rms": Figure("torque held less mean of the continuous one", "N", ("force_squares", "cycles"),
-                              "force error, rms", "less"),
-    "force_error.max": Figure("the largest", "N", ("force_worst",), "force error, largest", "less"),
-    "force_variation.ratio": Figure("force_variation over that of the continuous force", "",
-                                    ("variation", "diverged", "continuous"), "force ripple / ideal wall's",
-                                    "near one", _CALM),
-    "limit_cycle": Figure("how far it goes to and fro in the last part, where the continuous axis rests", "m",
-                          ("last_highest", "last_lowest", *_LAST), "limit cycle", "less"),
-    "stiffness_at_rest.value": Figure("mean force over mean state in the last part, where the continuous axis rests",
-                                      "N/m", _AT_REST),
-    "stiffness_at_rest.share": Figure("that over the mean effort asked for there", "1", _AT_REST, "stiffness at rest",
-                                      "near one"),
-}  # fmt: skip
+CONTINUOUS: Final = {
+    name: Figure(FIGURES[name], sums)
+    for name, sums in {
+        "position_error.rms": ("position_squares", "cycles"),
+        "position_error.max": ("position_worst",),
+        "force_error.rms": ("force_squares", "cycles"),
+        "force_error.max": ("force_worst",),
+        "force_ripple.ratio": ("variation", "diverged", "continuous"),
+        "limit_cycle": ("last_highest", "last_lowest", *_LAST),
+        "stiffness_at_rest.value": _AT_REST,
+        "stiffness_at_rest.share": _AT_REST,
+    }.items()
+}
 """Figures that compare with a continuous run of the same user; NaN without one. A batch has a continuous run for walls
 with spring and damper on one or two sides, dampers and free space, if the plant has no effects on its motion other than
 viscous friction and tremor."""
@@ -182,15 +137,23 @@ def figures(
         parts.setdefault(whole, {})[part or "value"] = _measured(name, sums)
     found: dict[str, Any] = {whole: of if set(of.values()) != {None} else None for whole, of in parts.items()}
     found |= {whole: of["value"] for whole, of in parts.items() if of.keys() == {"value"}}
-    return found | {
-        "outcome": OUTCOMES[int(outcomes(lambda name: _measured(name, sums)))],
-        "diverged": len(run.rows) * sample_time if run.ended == "diverged" else None,
-        "damping_rendered": {"asked": environment.damping, **(found["damping_rendered"] or dict.fromkeys(_OF_DAMPING))},
-        "margin": {"value": run.least_margin, "time": int(margin.argmin()) * sample_time},
-        "residual": run.residual,
-        "certificate": run.summary.certificate.name.lower(),
-        "branches": dict(run.summary.branches),
-    }
+    old = {old: found[new.partition(".")[0]] for new, old in OLD_FIGURES.items() if "." not in old}
+    return (
+        found
+        | old
+        | {
+            "surplus_end": found["surplus"]["end"],
+            "outcome": OUTCOMES[int(outcomes(lambda name: _measured(name, sums)))],
+            "diverged": len(run.rows) * sample_time if run.ended == "diverged" else None,
+            "damping_rendered": with_old_names(
+                {"requested": environment.damping, **(found["damping_rendered"] or dict.fromkeys(_OF_DAMPING))}
+            ),
+            "margin": {"value": run.least_margin, "time": int(margin.argmin()) * sample_time},
+            "residual": run.residual,
+            "certificate": run.summary.certificate.name.lower(),
+            "branches": dict(run.summary.branches),
+        }
+    )
 
 
 def _measured(metric: str, sums: Mapping[str, float]) -> float | None:
@@ -254,7 +217,7 @@ def _metric(metric: str, sums: Mapping[str, Array]) -> Array:
         return np.where(second > 0.0, first, np.nan)
     if metric.startswith(("limit_cycle", "stiffness_at_rest")):
         return _at_rest(metric, sums)
-    if metric == "force_variation.ratio":
+    if metric == "force_ripple.ratio":
         return np.where((sums["diverged"] == 0.0) & (second > _LEAST_EFFORT), first / second, np.nan)
     if metric.endswith("_error.rms"):
         return np.sqrt(first / second)
@@ -286,56 +249,31 @@ class _Display(NamedTuple):
     shares: tuple[float, float, int]  # see `AdmittanceRun.shares`
 
 
-DISPLAY_METRICS: Final[dict[str, Figure]] = {
-    "diverged": Figure("1 where the run ended early: diverged, or what stops the rig, else 0", "",
-                       of=lambda d: bool(d.run.ended)),
-    "cycles": Figure("SYNCs that the figures are of", "", of=lambda d: len(d.run.rows)),
-    "interaction": Figure("true energy through the sensors at the end", "J",
-                          of=lambda d: d.run.interaction[-1] if len(d.motion) else 0.0),
-    "least_interaction": Figure("lowest true energy through the sensors after any hold", "J", source=_PAPER,
-                                of=lambda d: d.run.least_interaction),
-    "believed_error": Figure("largest |accounted - true| energy after any hold", "J",
-                             of=lambda d: d.run.believed_error),
-    "energy_resolution": Figure("uncertainty of the energy that came in", "J", of=lambda d: d.run.resolution),
-    "surplus_end": Figure("energy created by sampling and not yet removed, at the end", "J", source=_PAPER,
-                          of=lambda d: d.run.booked.h_dis[-1] if len(d.motion) else 0.0),
-    "mass_felt": Figure("mass that fits true force and velocity best", "kg", of=lambda d: d.felt[0]),
-    "mass_felt.share": Figure("that over the mass asked", "1", of=lambda d: d.felt[0] / d.asked if d.asked else nan),
-    "damping_felt": Figure("damping that fits true force and velocity best", "N*s/m", of=lambda d: d.felt[1]),
-    "guard_acts": Figure("holds with a command that a certificate cut", "1", of=lambda d: d.shares[0]),
-    "uncertified": Figure("holds without a certificate", "1", of=lambda d: d.shares[1]),
-    "speed_peak": Figure("largest true |velocity| at a SYNC", "m/s", of=lambda d: _most(np.abs(d.motion[:, :, 1]))),
-    "force_peak": Figure("largest true |force| at a SYNC", "N", of=lambda d: _most(np.abs(d.motion[:, :, 2]))),
-    "travel": Figure("largest less least true position, of the axis that moves most", "m",
-                     of=lambda d: _most(np.ptp(d.motion[:, :, 0], axis=0) if len(d.motion) else d.motion)),
-    "certificate": Figure("weakest of any hold: 0 exact, 4 none, 5 velocity loop, 6 hand force", "",
-                          of=lambda d: d.shares[2]),
-}  # fmt: skip
+DISPLAY_METRICS: Final = {
+    name: Figure(FIGURES[name], of=of)
+    for name, of in cast(
+        "dict[str, Callable[[_Display], float]]",
+        {
+            "diverged": lambda d: bool(d.run.ended),
+            "cycles": lambda d: len(d.run.rows),
+            "interaction": lambda d: d.run.interaction[-1] if len(d.motion) else 0.0,
+            "least_interaction": lambda d: d.run.least_interaction,
+            "accounted_error": lambda d: d.run.believed_error,
+            "energy_resolution": lambda d: d.run.resolution,
+            "surplus.end": lambda d: d.run.booked.h_dis[-1] if len(d.motion) else 0.0,
+            "mass_felt": lambda d: d.felt[0],
+            "mass_felt.share": lambda d: d.felt[0] / d.asked if d.asked else nan,
+            "damping_felt": lambda d: d.felt[1],
+            "guard_acts": lambda d: d.shares[0],
+            "uncertified": lambda d: d.shares[1],
+            "speed_peak": lambda d: _most(np.abs(d.motion[:, :, 1])),
+            "force_peak": lambda d: _most(np.abs(d.motion[:, :, 2])),
+            "travel": lambda d: _most(np.ptp(d.motion[:, :, 0], axis=0) if len(d.motion) else d.motion),
+            "certificate": lambda d: d.shares[2],
+        },
+    ).items()
+}
 """Figures of an admittance display. A name that impedance displays use too has the same meaning."""
-
-_COLGATE_BROWN: Final = 'Colgate and Brown, "Factors affecting the Z-width of a haptic display", ICRA 1994'
-FIELD_FIGURES: Final[dict[str, Figure]] = {
-    "K-B plot (Z-width)": Figure(
-        "stiffest wall that is passive, and the stiffest of these rendered near, over the damping asked for", "N/m",
-        source=_COLGATE_BROWN,
-    ),
-    "M-width": Figure("least and largest virtual mass that is stable", "kg", source='Colonnese and Okamura, "M-width: '
-                      'stability, noise characterization, and accuracy of rendering virtual mass", IJRR 34, 2015, '
-                      "doi:10.1177/0278364914559294"),
-    "rate-hardness": Figure("largest rate of the force after the first contact over the speed at it", "N/m",
-                            source='Lawrence et al., "Rate-hardness: a new performance metric for haptic interfaces", '
-                            "IEEE TRA 16, 2000"),
-    "impedance spectrum": Figure("force over velocity at a frequency, and the requested one", "N*s/m",
-                                 source='Lawrence, "Stability and transparency in bilateral teleoperation", IEEE TRA '
-                                 "9, 1993 (cited in what was read)"),
-    "limit cycle": Figure("motion to and fro where the continuous axis rests", "m"),
-    "true energy given out": Figure("most energy that the port gave out beyond what came in, by the plant", "J",
-                                    source="Hannaford and Ryu 2002, doi:10.1109/70.988969"),
-    "force variation": Figure("total variation of the force over that of the continuous environment", "1"),
-    "drag in free motion": Figure("mean size of the force held out of contact", "N", source=_COLGATE_BROWN),
-    "time of a step": Figure("processor time of one step in Python, interleaved with the others", "us"),
-}  # fmt: skip
-"""Definitions of the arena's figures."""
 
 
 def _most(values: Array) -> float:

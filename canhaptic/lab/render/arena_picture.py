@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from canhaptic.lab.figures.figures import FIELD_FIGURES
 from canhaptic.lab.render import BLACK, MARKS, WHITE, sheet
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.arena import COLUMNS
+from canhaptic.quantities import ARENA
 from canhaptic.view.html_page import picture, words, write_page
 from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 from canhaptic.view.table import Cell, Styled, Table, shown
@@ -196,7 +196,7 @@ def write_arena_page(found: Found, path: Path) -> None:
         _table(
             "Definitions",
             ("figure", "what it is", "unit", "source"),
-            [[name, one.meaning, one.unit, one.source] for name, one in FIELD_FIGURES.items()],
+            [[row.title, row.sentence, row.unit, row.source] for row in ARENA.values()],
         ),
     ]
     write_page(path, f"Arena: {len(found['algorithms'])} algorithms, {len(found['scenes'])} scenes", parts)

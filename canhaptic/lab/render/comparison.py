@@ -21,12 +21,12 @@ from rich.text import Text
 from canhaptic.axis_units import counted, damping_unit, effort_unit, si
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
-from canhaptic.lab.figures.figures import CONTINUOUS, METRICS, Figure
+from canhaptic.lab.figures.figures import CONTINUOUS, METRICS
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
 from canhaptic.lab.render import sheet
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import AxisComparison, Comparison
-from canhaptic.quantities import ACCOUNT, TRUTH
+from canhaptic.quantities import ACCOUNT, TRUTH, QuantityRow
 from canhaptic.view import picture_style as style
 from canhaptic.view.picture_style import ALARM, GREEN
 from canhaptic.view.run_lines import rests_on
@@ -177,15 +177,15 @@ def _premise(account: _Account) -> str:
     return words.removeprefix("device ").removeprefix("moving mass, ")
 
 
-def row_of(name: str, figure: Figure) -> _Row:
-    """Return the table row of a figure with a label."""
+def figure_row(name: str, row: QuantityRow) -> _Row:
+    """Return the table row of a figure."""
     whole, _, part = name.partition(".")
 
     def read(account: _Account, _axis: _Account) -> Any:
         value = account[whole]
         return value[part or "value"] if isinstance(value, Mapping) else value
 
-    return _Row(figure.label, read, _SHOWN[figure.unit], _BETTER.get(figure.better), figure.better == "not negative")
+    return _Row(row.title, read, _SHOWN[row.unit], _BETTER.get(row.better), row.better == "not negative")
 
 
 def _accounted(name: str, read: Callable[[_Account, _Account], Any]) -> _Row:
@@ -210,7 +210,7 @@ _SHOWN: Final[dict[str, Callable[[float, str], str]]] = {
 _ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
     _Row("passive, by the plant", lambda a, _: _verdict(a)),
-    *(row_of(name, figure) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.label),
+    *(figure_row(name, figure.row) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.row.better),
     _Row(ACCOUNT["certificates"].title, lambda a, _: _premise(a) if a["contact"] else None),
     _Row("computing time per step", lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
 )
@@ -356,12 +356,12 @@ def _write_verdict(panel: "Axes", run: LoopRun) -> None:
 
 
 def _write_error(panel: "Axes", account: Row, unit: str) -> None:
-    error, ratio = account["position_error"], account["force_variation"]["ratio"]
+    error, ratio = account["position_error"], account["force_ripple"]["ratio"]
     words = [] if error is None else [f"rms error {si(error['rms'], unit, 3)}"]
     if account["status"] != "completed":
         words = [str(account["status"]).partition(":")[0]]
     elif ratio is not None:
-        words.append(f"force varies {ratio:.3g} x")
+        words.append(f"force ripple {ratio:.3g} x")
     paper: Any = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 1.0}
     look: Any = {"va": "top", "fontsize": 8.0, "color": "#404040", "bbox": paper}
     panel.text(0.02, 0.98, "\n".join(words), transform=panel.transAxes, **look)

@@ -183,7 +183,7 @@ def rounded(value: float) -> float:
     return float(f"{value:.4g}")
 
 
-_PARTS: Final = {"position_error": "rms", "force_variation": "ratio", "stiffness_rendered": "share"}
+_PARTS: Final = {"position_error": "rms", "force_ripple": "ratio", "stiffness_rendered": "share"}
 """Figure of `figures` with several values -> key of the value that the arena uses."""
 DAMPINGS: Final = (0.0, 0.05, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)  # [N*s/m]
 _STIFFNESSES: Final = (1e2, 1e6)  # [N/m]

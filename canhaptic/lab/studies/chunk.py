@@ -124,7 +124,7 @@ class Recipe:
         allow_code: Whether the program files that scenes name may run, here and in workers.
         own_code: (file or plug-in, SHA-256) of the scene's user code; a worker with different code refuses the scene.
         displays: Whether every axis is an admittance display.
-        alone: Reason why scenes run one by one even if they fit a batch; "" if batches are used.
+        is_alone: Whether scenes run one by one even if they fit a batch, as too few of them would share one.
     """
 
     source: str
@@ -139,7 +139,7 @@ class Recipe:
     duration: float | None = None
     cycles: int | None = None
     beyond_bus: bool = False
-    alone: str = ""
+    is_alone: bool = False
     displays: bool = False
     allow_code: bool = False
     own_code: tuple[tuple[str, str], ...] = ()
@@ -442,8 +442,8 @@ class _Chunk:
         if self._recipe.metrics == (RADIUS,):
             self._note(rows, COMPLETED, 0 if not_linear else _CLOSED_FORM, _joined(not_linear, _remark_of(built)))
             return
-        reason = self._recipe.alone or self._in_arrays(built, rows, batched)
-        if reason:
+        reason = "" if self._recipe.is_alone else self._in_arrays(built, rows, batched)
+        if reason or self._recipe.is_alone:
             self._one_by_one(rows, reason)
 
     def _closed_form(self, built: Built, rows: _Rows, batched: Sequence[str]) -> str:

@@ -26,6 +26,7 @@ from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.loop.over_can import Progress, accounts_over_can, heading_of, known_algorithms, render_over_can
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.lab.studies import Row
+from canhaptic.quantities import with_old_names
 from canhaptic.scene.models import AxisScene, Scene
 
 _BATCH: Final = 64  # cycles between two reports of progress
@@ -309,9 +310,10 @@ def _compiled(scene: Scene, name: str, cycles: int) -> Row:
     account["passive"] = passive_verdict(run.least_interaction)[0]
     known = {"contact": np.isfinite(run.damping).mean(), "torque_peak": np.abs(run.torque).max(initial=0.0)}
     account["outcome"] = OUTCOMES[int(outcomes(known.get))]
-    account["truth"] = {
+    truth = {
         "interaction": float(run.interaction[-1]) if run.interaction.size else 0.0,
         "least_interaction": run.least_interaction,
-        "believed_error": run.believed_error,
+        "accounted_error": run.believed_error,
     }
+    account["truth"] = with_old_names(truth)
     return account

@@ -36,6 +36,7 @@ from canhaptic.lab.loop.axis_loop import Array, display_under, viscous_friction,
 from canhaptic.lab.studies.chunk import BATCHED, COMPLETED, RADIUS, STATUS, UNRENDERED, UNTOUCHED, batch_key
 from canhaptic.lab.studies.store import SweepTable
 from canhaptic.lab.studies.vary import CONTROLLER
+from canhaptic.quantities import FIGURES, figure_name
 from canhaptic.scene.hints import quantisation_bound, stability_hints
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import Scene
@@ -95,7 +96,7 @@ class MapField:
 
     def has(self, metric: str) -> bool:
         """Return whether the sweep computed a figure."""
-        return metric in self._table.metrics
+        return figure_name(metric) in self._table.metrics
 
     def label(self, key: str) -> str:
         """Return a key with its unit, for an axis of a picture."""
@@ -524,6 +525,7 @@ _PREFERRED: Final = ("bus.rate", "environment.damping")
 _MOST_LINES: Final = 5
 LEAST_ENERGY: Final = 1e-6  # [J]
 _ERROR: Final = "position_error.rms"
+_SHARES: Final = tuple(name for name in FIGURES if name.partition(".")[2] == "share")
 _DAMPING: Final = "damping_rendered.share"
 _OF_WALLS: Final = ("margin", "stiffness_rendered.share", _DAMPING, _ERROR)
 
@@ -656,15 +658,15 @@ def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
 def _shown(field: MapField, metric: str) -> tuple[Array, str, Kind]:
     """Return the values to draw for a figure, its label and kind; of an energy, the amount that is missing to zero."""
     values = field.figure(metric)
-    if metric in ("margin", "least_interaction", "believed_margin"):
-        words = {"margin": "margin shortfall (paper eq. 4)", "least_interaction": "given out beyond what came in"}
+    row = FIGURES[metric]
+    if row.better == "not negative" or metric == "accounted_margin":
         missing = np.where(np.isnan(values), np.nan, np.maximum(-values, LEAST_ENERGY))
-        return missing, f"{words.get(metric, metric)} [J]", "energy"
-    if metric.endswith(".share"):
-        return values, f"{metric.removesuffix('.share').replace('_', ' ')} over asked", "share"
+        return missing, f"{row.title}, below zero by [{row.unit}]", "energy"
+    if metric in _SHARES:
+        return values, row.title, "share"
     if metric == _ERROR:
-        return values, f"position error, rms [{field.unit}]", "error"
-    return values, metric, "plain"
+        return values, f"{row.title} [{field.unit}]", "error"
+    return values, row.title, "plain"
 
 
 def _worst(values: Array, kind: Kind) -> Array:

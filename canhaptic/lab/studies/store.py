@@ -35,6 +35,7 @@ from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.chunk import COMPLETED, ENGINES, STATUS, UNRENDERED, UNTOUCHED, ChunkResult
 from canhaptic.lab.studies.vary import Column, Points, Varied
+from canhaptic.quantities import figure_name
 
 _LARGEST: Final = 1_000_000_000  # [B] of one file
 _NAME: Final = "study.json"
@@ -215,7 +216,10 @@ class SweepTable(Store):
         self.points = _points(self.identity)
         self.keys = [one.key for one in self.points.varied]
         self.axes: list[str] = self.identity["axes"]
-        self.metrics: list[str] = self.identity["metrics"]
+        self._stored = {
+            figure_name(name): name for name in self.identity["metrics"]
+        }  # those of earlier releases differ
+        self.metrics = list(self._stored)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -244,7 +248,8 @@ class SweepTable(Store):
 
     def figure(self, axis: str, metric: str) -> Array:
         """Return a figure of every scene, shape (n,); NaN where it does not apply or is not computed yet."""
-        return self._column(f"{axis}/{metric}", np.full(len(self), np.nan))
+        metric = figure_name(metric)
+        return self._column(f"{axis}/{self._stored.get(metric, metric)}", np.full(len(self), np.nan))
 
     def status(self, axis: str = "") -> NDArray[np.uint8]:
         """Return the status of every scene, for one axis or for all, as indices in `STATUS`, shape (n,)."""

@@ -50,6 +50,7 @@ from canhaptic.lab.studies.chunk import (
 from canhaptic.lab.studies.runner import Count, Job, Progress, pool_of, run_jobs
 from canhaptic.lab.studies.store import SweepTable, create
 from canhaptic.lab.studies.vary import Column, Points, Varied, make_points, parse_vary, short
+from canhaptic.quantities import figure_name
 from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
 
@@ -177,7 +178,8 @@ def make_sweep(
         InputError: A key, a value or an option is wrong.
     """
     points = make_points([parse_vary(one) if isinstance(one, str) else one for one in vary], controllers, samples, seed)
-    if unknown := [name for name in metrics or () if name not in FIGURES]:
+    metrics = [figure_name(name) for name in metrics or ()]
+    if unknown := [name for name in metrics if name not in FIGURES]:
         raise InputError(f"unknown metric {unknown[0]!r}, expected one of: {', '.join(FIGURES)}")
     if duration is not None and cycles is not None:
         raise InputError("got a duration and a number of cycles; give one")
@@ -187,9 +189,8 @@ def make_sweep(
     )  # fmt: skip
     together = _together(recipe, points)
     if together < _FEWEST_TOGETHER and not scene.groups and not recipe.displays:
-        reason = f"only {together} of the scenes would share a batch, expected {_FEWEST_TOGETHER}"
-        recipe = replace(recipe, alone=reason)
-    least, most = _SCALAR_CHUNK if recipe.alone or _is_not_batchable(scene, controllers) else _BATCH_CHUNK
+        recipe = replace(recipe, is_alone=True)
+    least, most = _SCALAR_CHUNK if recipe.is_alone or _is_not_batchable(scene, controllers) else _BATCH_CHUNK
     each = recipe.cycles or cycles_of(scene, duration)
     pays = _pays(scene, len(points), each)
     recipe = replace(recipe, engine=chosen_engine(engine, pays))

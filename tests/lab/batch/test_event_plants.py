@@ -155,14 +155,12 @@ def test_numba_gives_the_bits_of_python_for_every_plant(plant):
 def test_noise_follows_the_seed_of_each_scene():
     scene = demo(PLANTS["encoder"], algorithm="unprotected")
     varied = {"environment.stiffness": np.full(3, 500.0)}
-    found = run_batch(scene, varied, CYCLES, "python", ["force_variation"], seeds=np.array([5.0, 6.0, 5.0]))
-    first, second, third = found["force_variation"].tolist()
+    found = run_batch(scene, varied, CYCLES, "python", ["force_ripple"], seeds=np.array([5.0, 6.0, 5.0]))
+    first, second, third = found["force_ripple"].tolist()
     assert first == third != second
     axis = scene.axes[0]
     seeded = replace(scene, axes=(replace(axis, simulation=replace(axis.simulation, seed=6)),))
     assert second == pytest.approx(
-        run_scalar(scene_with(seeded, {"environment.stiffness": 500.0}), CYCLES, ["force_variation"])[
-            "force_variation"
-        ],
+        run_scalar(scene_with(seeded, {"environment.stiffness": 500.0}), CYCLES, ["force_ripple"])["force_ripple"],
         rel=1e-9,
     )

@@ -175,7 +175,7 @@ def test_a_sweep_of_groups_says_what_computed_it(tmp_path) -> None:
         with SweepTable(path) as table:
             computed = "scalar" if engine == "python" else engine
             assert table.engine().tolist() == [ENGINES.index(computed)] * 2
-            found.append(table.figure("stage", "believed_error").tolist())
+            found.append(table.figure("stage", "accounted_error").tolist())
     assert found[0] == found[1]
 
 

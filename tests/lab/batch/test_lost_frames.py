@@ -48,7 +48,7 @@ def test_a_controller_that_declares_losses_gives_out_nothing_although_its_accoun
     assert (declared["cycles"] == 2000).all()
     assert declared["torque_peak"].min() > 0.1
     ideal = figures(scene_of("passivity.max_consecutive_losses=3", rpdo=rpdo))
-    assert (declared["believed_error"] > ideal["believed_error"] + 1e-9).all()
+    assert (declared["accounted_error"] > ideal["accounted_error"] + 1e-9).all()
 
 
 @pytest.mark.slow

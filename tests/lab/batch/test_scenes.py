@@ -71,10 +71,10 @@ def test_the_figures_are_those_of_the_comparison(algorithm):
     assert found["least_interaction"] == pytest.approx(of_comparison["least_interaction"], rel=1e-6, abs=1e-12)
     assert found["interaction"] == pytest.approx(of_comparison["interaction"], rel=1e-6)
     assert found["margin"] == pytest.approx(of_comparison["margin"]["value"], rel=1e-6, abs=1e-12)
-    assert found["believed_margin"] == pytest.approx(of_comparison["believed_margin"], rel=1e-6, abs=1e-12)
-    assert found["believed_error"] == pytest.approx(of_comparison["believed_error"], rel=1e-6)
-    assert found["surplus_end"] == pytest.approx(of_comparison["surplus_end"], rel=1e-6, abs=1e-12)
-    assert found["force_variation"] == pytest.approx(of_comparison["force_variation"]["value"], rel=1e-6)
+    assert found["accounted_margin"] == pytest.approx(of_comparison["accounted_margin"], rel=1e-6, abs=1e-12)
+    assert found["accounted_error"] == pytest.approx(of_comparison["accounted_error"], rel=1e-6)
+    assert found["surplus.end"] == pytest.approx(of_comparison["surplus"]["end"], rel=1e-6, abs=1e-12)
+    assert found["force_ripple"] == pytest.approx(of_comparison["force_ripple"]["value"], rel=1e-6)
     for part in ("mean", "least", "most"):
         expected = of_comparison["damping_rendered"][part]
         assert found[f"damping_rendered.{part}"] == pytest.approx(expected, rel=1e-6)
