@@ -21,6 +21,7 @@ from warnings import catch_warnings
 
 import numpy as np
 import yaml
+from scipy.interpolate import CubicSpline
 
 import canhaptic
 from canhaptic.errors import CanHapticError
@@ -324,7 +325,8 @@ def trembling(log: canhaptic.EnergyLog, scene: Scene) -> float:
     arm = _ARM if scene["axes"][0]["unit"] == "rad" else 1.0
     worst = 0.0
     for port in log.truth:
-        position = log.truth[port]["position"]
+        time = log.time  # of skipped SYNCs there is no row
+        position = CubicSpline(time, log.truth[port]["position"])(np.arange(0.0, time[-1], log.sample_time))
         size = round(_WINDOW / log.sample_time)
         found = []
         for start in range(size, len(position) - size, size // 2):

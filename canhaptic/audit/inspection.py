@@ -4,7 +4,7 @@
 log or a faulty logger: numbers that are not finite, counts that decrease, and rows that do not match their digest.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import inf, isfinite
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final, NotRequired, TypedDict, TypeVar, cast
@@ -383,6 +383,8 @@ class Inspection(_Inspected, Verdicts):
     comparison: NotRequired[LogComparison]
     recomputed: NotRequired[list["Recomputed"]]
     rederived: NotRequired["Rederived"]
+    why: NotRequired[Mapping[str, Any]]  # axis -> what trembles, and its causes (`audit.why`)
+    trials: NotRequired[Mapping[str, Any]]  # axis -> outcome of a changed key in the twin
     others: NotRequired[list["Inspection"]]  # summaries of further logs
 
 

@@ -262,7 +262,7 @@ class _Heard:
             self.read_back_bound = inf
 
 
-def _samples_of(bus_log: str | Path, scene: Scene, remarks: Remarks) -> Iterator[tuple[int, list[Sample], list[bool]]]:
+def samples_of(bus_log: str | Path, scene: Scene, remarks: Remarks) -> Iterator[tuple[int, list[Sample], list[bool]]]:
     """Yield for each SYNC the sample times since the last, each axis's sample, and whether its torque is the demand.
 
     From the first SYNC that all axes answered in OPERATION ENABLED to the last one. The ramp of the stop is included,
@@ -359,7 +359,7 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
     differences: dict[str, dict[str, str | int | float]] = {}
     asked = _asked(derived.programs, scene, log, bus_log)
     remarks = Remarks()
-    for periods, samples, shown in _samples_of(bus_log, scene, remarks):
+    for periods, samples, shown in samples_of(bus_log, scene, remarks):
         if log is not None and derived.cycles == log.rows:
             break
         for program, efforts in asked:

@@ -17,10 +17,11 @@ from canhaptic.logs.bus_reader import is_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export, require_library
 from canhaptic.logs.repair import repair, require_readable
+from canhaptic.view.buzz_lines import trial_lines, why_lines
 from canhaptic.view.energy_table import inspection_report
 from canhaptic.view.run_lines import failure_text, make_console
 from canhaptic.view.run_picture import draw_energy
-from canhaptic.view.terminal import note_file, write_json
+from canhaptic.view.terminal import note_file, write_json, write_line
 
 _EXPORTS: Final = ("csv", "parquet", "mat", "mcap")
 _OF_ONE_LOG: Final = ("compare", "recompute", "bus_log", "repair", *_EXPORTS)
@@ -56,6 +57,10 @@ def execute(arguments: argparse.Namespace) -> int:
         for path in arguments.overlay:
             with EnergyLog.open(path) as other:
                 result.setdefault("others", []).append(_explained(other, arguments))
+        if arguments.why or arguments.try_:
+            from canhaptic.cli.why import add_why
+
+            add_why(log, result, arguments)
         result["checks"] = _checks(result, arguments)
         _judge(log, result, arguments)
         _write_files(log, result, arguments)
@@ -186,6 +191,8 @@ def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
     """Print the account derived from a bus log; return 1 if a check fails, else 0."""
     from canhaptic.scene.load import load_scene
 
+    if arguments.why:
+        return _why_of_frames(arguments)
     if arguments.config is None:
         raise InputError(f"{arguments.log}: is a bus log; name the scene of the run with --config")
     result = rederive(arguments.log, load_scene(arguments.config, allow_code=arguments.allow_code))
@@ -195,8 +202,30 @@ def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
     return 0 if all(outcome["holds"] for outcome in result["checks"]) else 1
 
 
+def _why_of_frames(arguments: argparse.Namespace) -> int:
+    """Print what a bus log says of a ripple; return 0."""
+    from canhaptic.audit.why.frames import why_of_frames
+    from canhaptic.scene.load import load_scene
+
+    scene = arguments.config and load_scene(arguments.config, allow_code=arguments.allow_code)
+    found = why_of_frames(arguments.log, scene)
+    if arguments.json:
+        write_json(found)
+        return 0
+    units = {axis.parameters.name: axis.parameters.unit for axis in scene.axes} if scene else {}
+    for text in (*found["said"], *(f"missing: {signal}" for signal in found["missing"])):
+        write_line(f" {text}")
+    for text in why_lines(found["why"], units) if scene else ():
+        write_line(text)
+    return 0
+
+
 def _show(result: Checked, console: Console, as_json: bool) -> None:
     if as_json:
         write_json(result)
     else:
         console.print(inspection_report(result))
+    units = {name: port["unit"] for name, port in result.get("ports", {}).items() if "unit" in port}
+    if not as_json and "why" in result:
+        for text in (*why_lines(result["why"], units), *trial_lines(result.get("trials", {}), units)):
+            write_line(text)

@@ -64,6 +64,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
             with EnergyLog.open(energy_log) as log:
                 draw_energy(log, arguments.png)
+        _note_buzz(energy_log, scene)
     for name, texts in result.get("remarks", {}).items():
         write_note(f"  {name}: {'; '.join(texts)}")
     for name, texts in result.get("unrestored", {}).items() if scene.axes[0].simulation is None else ():
@@ -71,6 +72,13 @@ def execute(arguments: argparse.Namespace) -> int:
     if error is not None:
         return error.exit_status
     return stop.exit_status or (_NOT_PASSIVE if arguments.strict and _fails(result) else 0)
+
+
+def _note_buzz(energy_log: Path | None, scene: Scene) -> None:
+    if energy_log is not None:
+        from canhaptic.cli.why import note_buzz
+
+        note_buzz(energy_log, scene)
 
 
 def _preflight(scene: Scene) -> Iterator[str]:
