@@ -2,7 +2,7 @@
 
 A cause gets a weight from 0 to 1: how much of the ripple it explains by the log. The tests are of three kinds.
 
-- *Steps*: the torque of one encoder count, or one step of the torque, beside the torque's swing.
+- *Steps*: the torque of one encoder count, or one step of the torque, against the torque's swing.
 - *The loop*: whether wall, mass and delay grow as declared, and whether they do with the delay that the log shows
   (`sampled_loop`). What makes a stable loop grow is the cause.
 - *The answer*: whether the mass moves as the torque says. A lag, a limit or steps of the motor that the drive does not
@@ -48,7 +48,7 @@ class Why(TypedDict):
     amplitude: float  # of the position, peak to peak [m or rad]
     torque: float  # peak to peak [N or N*m]
     share: float  # of the torque
-    ripple: float  # beside a wall without it
+    ripple: float  # over that of a wall without it
     phase: float  # of the torque ahead of minus the motion [rad]
     chatter: float  # contacts per second
     kind: str
@@ -232,7 +232,7 @@ def _stretches(known: Known, motion: Motion) -> list[dict[str, float]]:
     return found
 
 
-# --- what the log shows beside the scene ------------------------------------------------------------------------------
+# --- what the log shows and no scene says ---------------------------------------------------------------------------
 
 
 def _windows(buzz: Buzz, values: Array, shift: int = 0) -> Array:

@@ -6,13 +6,15 @@ median, so that the moments of touching and leaving do not count.
 """
 
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.control.balance import OUT_OF_CONTACT, Branch
-from canhaptic.logs.energy_reader import EnergyLog
+
+if TYPE_CHECKING:
+    from canhaptic.logs.energy_reader import EnergyLog
 
 Array = NDArray[Any]
 
@@ -91,9 +93,15 @@ def least_step(values: Array) -> float:
     return float(steps.min()) if len(steps) else 0.0
 
 
-def variation(values: Array) -> float:
-    """Return the way of a signal to and fro, in its unit."""
-    return float(np.abs(np.diff(values)).sum())
+def variation(values: Array, start: float | None = None) -> float:
+    """Return the way of a signal to and fro, in its unit; of several signals, one a row, the sum.
+
+    Args:
+        values: The signal.
+        start: Value before the first one; None: the first one.
+    """
+    steps = np.diff(values) if start is None else np.diff(values, prepend=start)
+    return float(np.abs(steps).sum())
 
 
 def to_and_fro(values: Array) -> float:
@@ -109,7 +117,7 @@ def residues(values: Array, starts: Array, size: int) -> Array:
     return np.asarray(parts - (parts @ basis) @ basis.T)
 
 
-def motion_of(log: EnergyLog, name: str, rows: slice | None = None) -> Motion:
+def motion_of(log: "EnergyLog", name: str, rows: slice | None = None) -> Motion:
     """Return the motion of an axis in a log; SYNCs that were skipped are filled with cubics."""
     port, rows = log.ports[name], rows or slice(0, log.rows)
 
@@ -240,7 +248,7 @@ def _described(motion: Motion, mass: float, starts: Array, size: int, in_contact
         _swing(moved[:, lines >= 0.5 * frequency], taper),
         float(np.median(np.ptp(torque, axis=1))),
         float(torque.std() / max(float(np.sqrt((whole**2).mean())), 1e-12)),
-        _ratio(np.abs(np.diff(whole)).sum(), np.abs(np.diff(smooth)).sum()),
+        _ratio(variation(whole), variation(smooth)),
         impedance,
         float(powers[band & near].sum() / powers[band].sum()),
         _chatter(motion, starts, size),

@@ -17,6 +17,7 @@ from typing import Any, Final, cast
 
 import numpy as np
 
+from canhaptic.audit.why.ripple import variation
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments import Environment, plain
 from canhaptic.control.multi_axis.group_controller import GroupBalance
@@ -446,8 +447,8 @@ def continuous_reference(
     torque = reference.environment_torque(environment, position, velocity, step)
     ends = 0.5 * (torque[1:] + torque[:-1])
     mean = np.concatenate([[0.0], ends.reshape(-1, readings).mean(axis=1)]) if cycles > 1 else torque[:1]
-    variation = float(np.abs(np.diff(torque, prepend=0.0)).sum())
-    return ContinuousReference(position[::readings], mean, variation, times, torque, method)
+    way = variation(torque, 0.0)
+    return ContinuousReference(position[::readings], mean, way, times, torque, method)
 
 
 def _in_closed_form(

@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from canhaptic.audit.why.ripple import variation
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.control.balance import Branch, EnergyBalance, residual
 from canhaptic.control.environments import Environment
@@ -182,7 +183,7 @@ class LoopRun:
     @property
     def variation(self) -> float:
         """Total variation of the torque, with the first step from zero [N or N*m]."""
-        return float(np.abs(np.diff(self.torque, prepend=0.0)).sum())
+        return variation(self.torque, 0.0)
 
     def _of_motors(self, which: int) -> Array:
         axes = self.axes or 1

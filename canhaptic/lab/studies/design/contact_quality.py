@@ -32,6 +32,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from canhaptic.audit.why.ripple import to_and_fro
 from canhaptic.control.certificates.scalar_bounds import displacement_response, renderable_by_hand_force
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.guarded import GuardedParameters, hand_response, kept_for_contacts
@@ -208,7 +209,7 @@ def held(bench: Bench, stiffness: float, leaning: Leaning, damping: float = 0.0)
     depth, torque = -run.true_position[last], run.torque[last]
     mean = float(depth.mean())
     share = float(torque.mean()) / (stiffness * mean) if mean > 0.0 else 0.0
-    ripple = float(np.ptp(depth)) / mean if mean > 0.0 else float("inf")
+    ripple = to_and_fro(depth) if mean > 0.0 else float("inf")
     within = abs(share - 1.0) <= leaning.tolerance and ripple <= leaning.tolerance
     return Held(share, ripple, run.least_interaction, within and run.least_interaction >= -leaning.allowance)
 
