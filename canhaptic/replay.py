@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, TypedDict
+from typing import Final, Literal, NamedTuple, TypedDict, TypeVar
 
 import can
 
@@ -23,7 +23,7 @@ from canhaptic.cycle import Cycle, run
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.pdo_map import choose_map, codec
 from canhaptic.drive.can.servo_drive import ServoDrive
-from canhaptic.drive.clock import Clock, WallClock
+from canhaptic.drive.clock import Clock, FrameSource, WallClock
 from canhaptic.drive.profile.fitness import agreed_rated_torque
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.profile.scaling import axis_scaling
@@ -39,6 +39,7 @@ from canhaptic.scene.build import build_loss_meters, open_bus, private_channel
 from canhaptic.scene.models import Scene
 from canhaptic.scene.scene_logs import Channels, describe_nodes
 
+_Frame = TypeVar("_Frame")
 _ENABLE_BITS: Final = int(od.Controlword.ENABLE_OPERATION)
 
 Address = tuple[int, int]
@@ -336,7 +337,7 @@ class RecordedClock:
             self._side.process(self._now)
             self._move(min(deadline, max(self._now + 1, self._side.next_due())))
 
-    def receive(self, bus: can.BusABC, deadline: int) -> can.Message | None:
+    def receive(self, bus: FrameSource[_Frame], deadline: int) -> _Frame | None:
         """Return the next frame of the drives; None when the master's frame is due first, or at `deadline` [ns]."""
         side = self._side
         while True:

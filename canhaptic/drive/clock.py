@@ -10,12 +10,19 @@ drives then run in lock-step in one thread, as fast as the machine allows and wi
 import time
 from collections.abc import Sequence
 from itertools import accumulate
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol, TypeVar
 
 from canhaptic.signals import SimulatedPeer
 
-if TYPE_CHECKING:
-    import can
+_Frame = TypeVar("_Frame")
+_Received = TypeVar("_Received", covariant=True)
+
+
+class FrameSource(Protocol[_Received]):
+    """What frames come from: a `can.BusABC` is one."""
+
+    def recv(self, timeout: float | None = None) -> _Received | None:
+        """Return the next frame, or None when none came within `timeout` [s]."""
 
 
 class Clock(Protocol):
@@ -27,7 +34,7 @@ class Clock(Protocol):
     def wait_until(self, deadline: int) -> None:
         """Return when `deadline` [ns] has come; at once when it has passed."""
 
-    def receive(self, bus: "can.BusABC", deadline: int) -> "can.Message | None":
+    def receive(self, bus: FrameSource[_Frame], deadline: int) -> _Frame | None:
         """Return the next frame of `bus`, or None when none came until `deadline` [ns]."""
 
 
@@ -55,7 +62,7 @@ class WallClock:
                 time.sleep(idle)
             now = time.monotonic_ns()
 
-    def receive(self, bus: "can.BusABC", deadline: int) -> "can.Message | None":
+    def receive(self, bus: FrameSource[_Frame], deadline: int) -> _Frame | None:
         """Return the next frame, or None at `deadline` [ns]: block, then poll, then spin."""
         now = time.monotonic_ns()
         while True:
@@ -106,7 +113,7 @@ class VirtualClock:
             self._process(self._now)
             self._now = min(deadline, self._next_event(self._now))
 
-    def receive(self, bus: "can.BusABC", deadline: int) -> "can.Message | None":
+    def receive(self, bus: FrameSource[_Frame], deadline: int) -> _Frame | None:
         """Return the next frame; virtual time moves, up to `deadline` [ns], only while there is none."""
         while True:
             now = self._now
