@@ -20,6 +20,7 @@ from canhaptic.canopen import objects as od
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
 from canhaptic.cycle import Cycle, run
+from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.pdo_map import choose_map, codec
 from canhaptic.drive.can.servo_drive import ServoDrive
@@ -586,7 +587,9 @@ class OpenReplay:
         by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
         drives = [parts.build_servo_drive(axis, *by_name[axis.bus], dry_run=dry_run) for axis in scene.axes]
         self._follow_older_master(drives)
-        return (JoinedRig if self._joins else Rig)(links, drives, scene.bus, scene.group_places)
+        return (JoinedRig if self._joins else Rig)(
+            can_buses(links, drives, scene.bus), drives, scene.bus, scene.group_places
+        )
 
     def _follow_older_master(self, drives: list[ServoDrive]) -> None:
         """Skip what an older recorded master did not do: identify first, write 0x1006 or an offset, restore values."""

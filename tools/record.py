@@ -16,6 +16,7 @@ import can
 from can.interfaces.virtual import VirtualBus
 
 from canhaptic.cycle import Cycle, run
+from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
@@ -186,7 +187,8 @@ def record(plan: Plan, path: Path) -> str:
     with LossyBus(channel, plan.loses) as far_bus, VirtualBus(channel=channel, preserve_timestamps=True) as near_bus:
         group = build_drive_group(scene, far_bus)
         link = Link(near_bus, VirtualClock([group]), writer)
-        rig = Rig(link, [build_servo_drive(axis, link, scene.bus) for axis in scene.axes], scene.bus)
+        drives = [build_servo_drive(axis, link, scene.bus) for axis in scene.axes]
+        rig = Rig(can_buses(link, drives, scene.bus), drives, scene.bus)
 
         def inject(cycles: int) -> None:
             if cycles == plan.fault_cycle:

@@ -62,7 +62,7 @@ def identify(session: Session) -> None:
     Raises:
         StartError: A drive of the configuration does not answer.
     """
-    for link in session.rig.links:
+    for link in {drive.link: None for drive in session.drives}:
         on_link = [n for n, drive in enumerate(session.drives) if drive.link is link]
         known = [session.drives[n].axis.node_id for n in on_link]
         strangers = _scan(link, known, session.scene.bus.master_id)
@@ -276,8 +276,8 @@ def pull_the_master(session: Session) -> None:
     rig.start()
     try:
         silence = _SILENCES * rig.bus.master_silence_ns
-        for link in rig.links:
-            link.pump(link.clock.now() + silence)
+        for bus in rig.buses:
+            bus.pump(bus.clock.now() + silence)
         for axis in axes:
             _judge_watchdog(session, axis)
     finally:

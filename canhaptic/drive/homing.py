@@ -12,6 +12,7 @@ from canopen import ObjectDictionary
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import StatusBit, is_writable
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import CanBringUp, ServoDrive
 from canhaptic.drive.rig import Rig
@@ -143,7 +144,7 @@ def home(drive: HomingDrive, stopped: Callable[[], bool]) -> tuple[int, int] | N
         StartError: A step was not confirmed; nothing moved.
         RigError: The drive showed an error, took too long or moved too fast, or the rig failed on the way.
     """
-    rig = Rig(drive.link, [drive], drive.bus)
+    rig = Rig(can_buses(drive.link, [drive], drive.bus), [drive], drive.bus)
     try:
         rig.start()
     except StartStoppedError:

@@ -11,15 +11,12 @@ On every error zero torque is sent first, then the drives are disabled, then the
 import threading
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
 from canhaptic.drive.axis_parameters import BusParameters
-from canhaptic.drive.can.bus_budget import budget_of, has_room_for_sdo, own_frames
-from canhaptic.drive.can.exchange import Exchange
-from canhaptic.drive.can.link import Link
-from canhaptic.drive.can.servo_drive import ServoDrive
+from canhaptic.drive.bus_cycle import BackgroundLine, BusCycle
 from canhaptic.drive.clock import VirtualClock
+from canhaptic.drive.exchange import Exchange
 from canhaptic.drive.profile.restore import restore
 from canhaptic.drive.safety import stop
 from canhaptic.drive.safety.link_policy import STOP_TABLE, LossBudget, StopReason
@@ -30,7 +27,8 @@ from canhaptic.host.realtime import Realtime, RealtimeParameters
 from canhaptic.signals import CycleTiming, Sample
 
 if TYPE_CHECKING:
-    from canhaptic.drive.can.background_sdo import BackgroundSdo, SdoLine
+    from canhaptic.drive.can.background_sdo import BackgroundSdo
+    from canhaptic.drive.can.servo_drive import ServoDrive
     from canhaptic.drive.profile.fitness import Finding
 
 _tuple: Final = tuple.__new__  # makes a record at half the cost of calling its class
@@ -43,24 +41,17 @@ class _CycleRecord(NamedTuple):
     torques_per_mille: list[int]  # commanded in answer, per axis
 
 
-_SHARED_PORT: Final = (
-    "; on udp_multicast all scenes with one port hear each other on every channel: "
-    "give each its own bus.options: {port: ...}"
-)
-
-
 class Rig:
     """The drives of one or several buses, run by one SYNC.
 
     Args:
-        link: The bus, or the buses.
+        buses: The buses in the cycle; the first sets the clock.
         drives: One per axis, in the order of samples and torques.
-        bus: Bus parameters: rate, link policy and the rest; the same for all buses.
+        bus: Parameters of the cycle: rate, link policy and the rest; the same for all buses.
         groups: Indices of axes that render together. If one of them does not answer a SYNC, none of them has a sample,
             and the link policy counts a missed SYNC for each.
 
     Attributes:
-        budgets: Worst cycle of each bus.
         is_running: Whether the drives are enabled and the cycle may continue.
         sync_index: Index of the last SYNC; 0 is the first that found every drive enabled, -1 before it.
         deadline_index: Sample times since SYNC 0: ahead of `sync_index` where SYNCs were skipped.
@@ -70,29 +61,26 @@ class Rig:
         records: The last cycles, newest last.
         realtime: Real-time settings that the operating system granted to the thread that called `start`.
         timing: Durations within the last cycle with torques written [ns].
-
-    Raises:
-        InputError: A node ID is used twice on one bus.
-        BusBudgetError: The frames of one cycle do not fit a bus.
     """
 
     def __init__(
         self,
-        link: Link | Sequence[Link],
-        drives: Sequence[ServoDrive],
+        buses: Sequence[BusCycle],
+        drives: "Sequence[ServoDrive]",
         bus: BusParameters,
         groups: Sequence[Sequence[int]] = (),
     ) -> None:
-        self.links = (link,) if isinstance(link, Link) else tuple(link)
+        self.buses = tuple(buses)
+        self._seen = tuple(bus.seen for bus in self.buses)
         self.drives = tuple(drives)
         together = {axis: tuple(self.drives[other] for other in group) for group in groups for axis in group}
         self._needed = [(drive, together.get(axis, ())) for axis, drive in enumerate(self.drives)] if groups else []
-        self.bus, self.clock = bus, self.links[0].clock
-        self.budgets = [budget_of([d for d in self.drives if d.link is link], bus) for link in self.links]
+        self.bus, self.clock = bus, self.buses[0].clock
         self._period = bus.sample_time_ns
-        self._exchange = Exchange(self.links, self.drives, bus)
+        self._exchange = Exchange(self.buses, self.drives, bus)
+        self._pace = self._exchange.pace
         self._skips = LossBudget(bus.loss_limit, max(bus.stop_cycles, 1.0 / bus.sample_time))  # those of a second
-        self._sdo_lines: tuple[SdoLine, ...] = ()  # one for each bus, from the first `sdo` on
+        self._sdo_lines: tuple[BackgroundLine, ...] = ()  # one for each bus, from the first `sdo` on
         self._making_lines = threading.Lock()  # between those who ask first; the cycle never waits for it
         # At free pace the thread never sleeps: with real-time priority it would starve all others of its processor.
         self.realtime = Realtime(RealtimeParameters() if isinstance(self.clock, VirtualClock) else bus.realtime)
@@ -121,8 +109,8 @@ class Rig:
             RigError: It failed, and a drive did not confirm that it is disabled.
         """
         self._reset()
-        for link in self.links:
-            link.reserve(own_frames(link, self.drives, self.bus))
+        for bus in self.buses:
+            bus.reserve()
         self.realtime.begin()
         self._mark_start(is_starting=True)
         try:
@@ -142,8 +130,8 @@ class Rig:
     def _begin_cycle(self) -> None:
         """Take over the drives, which are enabled from here on."""
         self._mark_start(is_starting=False)
-        self._exchange.skipped = 0
-        self._first_deadline = self._exchange.deadline
+        self._pace.skipped = 0
+        self._first_deadline = self._pace.deadline
         self.sync_index = 0
         self.is_running = True
         self._first_samples = [drive.sample(0) for drive in self.drives]
@@ -154,8 +142,8 @@ class Rig:
 
     def _mark_start(self, *, is_starting: bool) -> None:
         """Let a signal end every wait on a bus, or none."""
-        for link in self.links:
-            link.is_starting = is_starting
+        for bus in self.buses:
+            bus.mark_start(is_starting=is_starting)
 
     # --- the cycle ----------------------------------------------------------------------------------------------------
 
@@ -170,9 +158,9 @@ class Rig:
         """
         if not self.is_running:
             raise self._not_running()
-        exchange = self._exchange
+        exchange, pace = self._exchange, self._pace
         if self._first_samples is not None:
-            self.periods, self.uneven = exchange.periods, exchange.uneven
+            self.periods, self.uneven = pace.periods, pace.uneven
             self._samples, self._first_samples = self._first_samples, None
             return self._samples
         try:
@@ -180,12 +168,12 @@ class Rig:
         except LinkError as error:
             raise self._stopped(StopReason.SEND_FAILED, str(error)) from error
         self.sync_index = index = self.sync_index + 1
-        self.deadline_index = (exchange.deadline - self._first_deadline) // self._period
+        self.deadline_index = (pace.deadline - self._first_deadline) // self._period
         self._require_no_other_master()
         samples: list[Sample] = []
         self._samples = samples
-        self.periods = periods = exchange.periods
-        self.uneven = exchange.uneven
+        self.periods = periods = pace.periods
+        self.uneven = pace.uneven
         for drive, others in self._needed:
             is_whole = all(other.is_complete for other in others)
             samples.append(drive.sample(index, periods, is_whole=is_whole))
@@ -209,11 +197,11 @@ class Rig:
             raise self._stopped(StopReason.SYNCS_SKIPPED, f"{what}, {beyond}; torque is zero; {rule.remedy}")
 
     def _require_no_other_master(self) -> None:
-        for link in self.links:
-            if link.intruder:
+        for seen in self._seen:
+            if seen.intruder:
                 rule = STOP_TABLE[StopReason.SECOND_MASTER]
-                text = f"{link.intruder} came from elsewhere: {rule.meaning}; torque is zero; {rule.remedy}"
-                text += _SHARED_PORT if self.bus.interface == "udp_multicast" else ""
+                text = f"{seen.intruder} came from elsewhere: {rule.meaning}; torque is zero; {rule.remedy}"
+                text += self.buses[self._seen.index(seen)].shared_hint()
                 raise self._stopped(StopReason.SECOND_MASTER, text)
 
     def write_torques(self, torques: Sequence[float]) -> None:
@@ -245,7 +233,7 @@ class Rig:
             raise
         self.records.append(_tuple(_CycleRecord, (self._samples, commands)))
         woken, heard = exchange.woken, exchange.heard
-        parts = (woken - exchange.deadline, heard - woken, computed - heard, exchange.now() - computed)
+        parts = (woken - self._pace.deadline, heard - woken, computed - heard, exchange.now() - computed)
         timing = self.timing  # at free pace time does not advance within a cycle
         self.timing = timing if parts == timing else _tuple(CycleTiming, parts)
         for line in self._sdo_lines:
@@ -264,18 +252,17 @@ class Rig:
         place = names.index(axis) if axis in names else axis
         if not isinstance(place, int) or not 0 <= place < len(names):
             raise InputError(f"no axis {axis!r}; expected one of: {', '.join(names)}, or 0 to {len(names) - 1}")
-        from canhaptic.drive.can.background_sdo import BackgroundSdo, SdoLine
-
         with self._making_lines:
             if not self._sdo_lines:  # one for each bus, made with the first request; open while the rig runs
-                rooms = [has_room_for_sdo(budget, self.bus) for budget in self.budgets]
-                self._sdo_lines = tuple(map(SdoLine, self.links, rooms))
+                self._sdo_lines = tuple(bus.background() for bus in self.buses)
                 for line in self._sdo_lines if self.is_running else ():
                     line.open()
                 for line in () if self.is_running else self._sdo_lines:  # stopped in between
                     line.close()
         drive = self.drives[place]
-        return BackgroundSdo(drive, self._sdo_lines[self.links.index(drive.link)])
+        [line] = [line for bus, line in zip(self.buses, self._sdo_lines, strict=True) if drive in bus.drives]
+        access: BackgroundSdo = line.access(drive)
+        return access
 
     def _not_running(self) -> RigError:
         text = f"the rig is not running (last stop: {self.stop_reason.name}); call start()"
@@ -398,7 +385,7 @@ class Rig:
             except Exception as error:
                 return [f"the stop failed: {cause_of(error)}"] * len(self.drives)
 
-    def details(self, drive: ServoDrive, reason: StopReason) -> str:
+    def details(self, drive: "ServoDrive", reason: StopReason) -> str:
         """Return what was seen of a drive that is a reason to stop."""
         details = {
             StopReason.TPDO_LOST: self._missed(drive),
@@ -413,17 +400,17 @@ class Rig:
         }
         return details.get(reason, f"state {drive.state.value}, statusword {drive.statusword:#06x}")
 
-    def _describe(self, drive: ServoDrive, reason: StopReason) -> str:
+    def _describe(self, drive: "ServoDrive", reason: StopReason) -> str:
         rule = STOP_TABLE[reason]
         what = f"{drive.axis.name}: {rule.meaning} at SYNC {self.sync_index}: {self.details(drive, reason)}"
         remedy = drive.emergency_remedy(self.skipped_syncs)
         return f"{what}; torque is zero; {remedy or rule.remedy}"
 
-    def _lost(self, drive: ServoDrive) -> str:
+    def _lost(self, drive: "ServoDrive") -> str:
         answered = f"{100.0 * drive.policy.success_rate():.4g} % of all SYNCs answered"
         return f"{answered}, limit bus.loss_limit ({100.0 * self.bus.loss_limit:g} % of the last ones lost)"
 
-    def _contradicted(self, drive: ServoDrive) -> str:
+    def _contradicted(self, drive: "ServoDrive") -> str:
         found, unit = drive.check.last, "N" if drive.axis.unit == "m" else "N*m"
         if found is None:
             return ""
@@ -434,7 +421,7 @@ class Rig:
         )
         return f"{drive.check.contradicted} SYNCs in a row, read {read:.4g} {unit}, {commanded}"
 
-    def _missed(self, drive: ServoDrive) -> str:
+    def _missed(self, drive: "ServoDrive") -> str:
         others = next((others for one, others in self._needed if one is drive), ())
         names = ", ".join(other.axis.name for other in others)
         together = f" without the TPDOs of all of {names}, which render together" if names else ""
@@ -477,8 +464,8 @@ class Rig:
     def link_statistics(self) -> dict[str, float]:
         """Return the counts of all links, the SYNCs skipped and the fraction of SYNCs that every axis answered."""
         counts: dict[str, float] = {"skipped_syncs": self.skipped_syncs}
-        for link in self.links:
-            for name, count in asdict(link.statistics).items():
+        for bus in self.buses:
+            for name, count in bus.statistics().items():
                 counts[name] = counts.get(name, 0) + count
         counts["missed_tpdos"] = sum(drive.unheard for drive in self.drives)
         counts["success_rate"] = min((drive.policy.success_rate() for drive in self.drives), default=1.0)

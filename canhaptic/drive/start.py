@@ -6,10 +6,11 @@ are taken to operational, exchange zero torque, and are enabled.
 
 from collections.abc import Callable, Sequence
 from itertools import count
-from typing import Final, Protocol
+from typing import Final
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import Controlword, StatusBit
+from canhaptic.drive.exchange import Exchange
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.drive.safety.power_states import FAULTED, PowerState, next_controlword
@@ -21,39 +22,6 @@ _AFTER: Final[dict[int, PowerState]] = {  # state after a controlword
     Controlword.SWITCH_ON: PowerState.SWITCHED_ON,
     Controlword.ENABLE_OPERATION: PowerState.OPERATION_ENABLED,
 }
-
-
-class Exchange(Protocol):
-    """What the start needs of the cycle on the buses: see `drive.can.exchange.Exchange`, which is one."""
-
-    silence: int
-    beat_cycles: int
-    skipped: int
-
-    @property
-    def drives(self) -> Sequence[TorqueAxis]:
-        """All drives of the rig."""
-
-    def now(self) -> int:
-        """Return the time [ns]."""
-
-    def begin(self) -> None:
-        """Restart the schedule."""
-
-    def sync(self) -> None:
-        """Run one SYNC with its answers; raise LinkError."""
-
-    def leave_one_out(self) -> None:
-        """Delay the next SYNC by one sample time; raise LinkError."""
-
-    def write_zero(self) -> None:
-        """Send every drive its controlword with zero torque; raise LinkError."""
-
-    def beat(self, *, at_once: bool = False) -> None:
-        """Send the master's heartbeat when it is due, or at once; raise LinkError."""
-
-    def keep_alive_while_waiting(self, *, on: bool) -> None:
-        """Send what the drives' watchdogs await also while the answer of one of them is awaited."""
 
 
 def start(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
@@ -255,5 +223,5 @@ def _is_enabled(drive: TorqueAxis) -> bool:
 
 def _refuse_fault(exchange: Exchange, drive: TorqueAxis, bring_up: BringUp) -> None:
     if drive.state in FAULTED or drive.emergency is not None:
-        remedy = drive.emergency_remedy(exchange.skipped)
+        remedy = drive.emergency_remedy(exchange.pace.skipped)
         raise bring_up.refusal("enable", bring_up.fault_text(), PowerState.OPERATION_ENABLED.value, remedy)

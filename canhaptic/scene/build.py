@@ -23,6 +23,7 @@ from canhaptic.control.ledger import DEFAULT_LIMIT, EnergyLossMeter
 from canhaptic.control.verdict import GUARANTEEING, PortResult
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
@@ -408,7 +409,7 @@ def _build_rig(scene: Scene, links: Sequence[Link], *, dry_run: bool) -> Rig:
     drives = [build_servo_drive(axis, *by_name[axis.bus], dry_run=dry_run) for axis in scene.axes]
     for drive, axis in zip(drives, scene.axes, strict=True):
         drive.hold = scene.hold_of(axis)
-    return Rig(links, drives, scene.bus, scene.group_places)
+    return Rig(can_buses(links, drives, scene.bus), drives, scene.bus, scene.group_places)
 
 
 def _truths(far_side: "Drives | None") -> Callable[[], Sequence[Truth]] | None:

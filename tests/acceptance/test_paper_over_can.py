@@ -34,7 +34,7 @@ class OverCan(NamedTuple):
 def over_can(config: str, *overrides: str, duration: float) -> OverCan:
     frames: list[tuple[int, bytes]] = []
     with build(load_scene(CONFIGS / config, overrides), "free") as experiment:
-        link, cycle = experiment.rig.links[0], experiment.cycle
+        link, cycle = experiment.rig.drives[0].link, experiment.cycle
         link._recorder = lambda _time, can_id, data, _is_rx: frames.append((can_id, bytes(data)))
         sticky: list[float] = []
         [controller] = cycle.controllers

@@ -16,7 +16,7 @@ import pytest
 
 import canhaptic
 from canhaptic.cli.main import main
-from canhaptic.drive.can.exchange import Exchange
+from canhaptic.drive.exchange import Exchange
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CycleFailedError, InputError, RigError
 from canhaptic.logs.energy_reader import EnergyLog

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from canhaptic.commission.session import Report, StepVerdict, reversals
 from canhaptic.commission.which_hold import TorqueDelay, _age, _remedy, _response, estimate_delay
 from canhaptic.cycle import run
-from canhaptic.drive.can.exchange import Exchange
+from canhaptic.drive.exchange import Exchange
 from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.effects import Effect
@@ -220,9 +220,9 @@ def test_a_skipped_sync_costs_the_windows_around_it_and_not_the_test(monkeypatch
 
     def held_up(exchange: Exchange) -> int:
         if next(calls) % 300 == 299:
-            exchange.wait_until(exchange._next + 2 * exchange._period)
+            exchange.wait_until(exchange.pace.due + 2 * exchange.pace.period)
         woken = regular(exchange)
-        skipped.append(exchange.skipped)
+        skipped.append(exchange.pace.skipped)
         return woken
 
     monkeypatch.setattr(Exchange, "_wait", held_up)

@@ -11,6 +11,7 @@ from canopen import ObjectDictionary
 
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
@@ -204,4 +205,6 @@ def make_bench(
         lambda time, can_id, data, is_rx: frames.append((time, can_id, bytes(data), is_rx)),
     )
     drives = [ServoDrive(link, a, dictionary(a), parameters, dry_run=dry_run) for a in axes]
-    return Bench(Rig(link, drives, parameters), [link], clock, tampered, simulated, buses, frames)
+    return Bench(
+        Rig(can_buses(link, drives, parameters), drives, parameters), [link], clock, tampered, simulated, buses, frames
+    )

@@ -8,6 +8,7 @@ import can
 import pytest
 
 from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import DurationHistogram, VirtualClock, WallClock
@@ -213,7 +214,8 @@ def test_a_rig_in_real_time_never_sends_syncs_in_a_burst(pair: tuple[can.BusABC,
 
     clock = WallClock([DriveGroup(pair[1], (drive,))])
     link = Link(pair[0], clock, record)
-    rig = Rig(link, [ServoDrive(link, of_axis, dictionary(of_axis), parameters)], parameters)
+    drives = [ServoDrive(link, of_axis, dictionary(of_axis), parameters)]
+    rig = Rig(can_buses(link, drives, parameters), drives, parameters)
     with rig:
         syncs.clear()
         for cycle in range(30):

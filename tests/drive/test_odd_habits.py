@@ -10,6 +10,7 @@ from canhaptic.canopen.attached_devices import ForceNode
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.drive.can.admittance_drive import AdmittanceDrive
+from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
@@ -53,7 +54,7 @@ class OddBench:
         else:
             one = display(kind)
             drive = AdmittanceDrive(link, one, read_dictionary(one.eds, NODE), parameters)
-        self.rig = Rig(link, [drive], parameters)
+        self.rig = Rig(can_buses(link, [drive], parameters), [drive], parameters)
 
     def record(self, _time: int, can_id: int, data: bytes | bytearray, is_rx: bool) -> None:
         if not is_rx:

@@ -6,6 +6,7 @@ import os
 
 import pytest
 
+from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import WallClock
@@ -119,5 +120,6 @@ def test_only_a_rig_in_real_time_asks(bench: MakeBench, calls: Calls) -> None:
     b.rig.start()
     assert calls == []
     link = Link(b.buses[0], WallClock())
-    Rig(link, [ServoDrive(link, axis(), dictionary(axis()), b.rig.bus)], b.rig.bus).realtime.begin()
+    drives = [ServoDrive(link, axis(), dictionary(axis()), b.rig.bus)]
+    Rig(can_buses(link, drives, b.rig.bus), drives, b.rig.bus).realtime.begin()
     assert calls == ASKED

@@ -124,10 +124,11 @@ def test_one_frame_more_than_was_sent_is_no_echo(bench: MakeBench) -> None:
 
 @pytest.mark.parametrize(("interface", "is_told"), [("udp_multicast", True), ("socketcan", False)])
 def test_two_scenes_on_one_port_are_told_why_they_hear_each_other(
-    bench: MakeBench, interface: str, is_told: bool
+    bench: MakeBench, monkeypatch: pytest.MonkeyPatch, interface: str, is_told: bool
 ) -> None:
     b = bench()
-    b.rig.bus = b.rig.bus.model_copy(update={"interface": interface})
+    [on] = b.rig.buses
+    monkeypatch.setattr(on, "_bus", b.rig.bus.model_copy(update={"interface": interface}))
     let_in(b, *FRAMES["SYNC"])
     with pytest.raises(SecondMasterError) as raised:
         b.rig.start()

@@ -6,6 +6,7 @@ import can
 import pytest
 
 from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
@@ -48,7 +49,7 @@ class Buses:
         drives = [
             ServoDrive(self.links[number // per_bus], a, dictionary(a), parameters) for number, a in enumerate(axes)
         ]
-        self.rig = Rig(self.links, drives, parameters)
+        self.rig = Rig(can_buses(self.links, drives, parameters), drives, parameters)
 
     def connect(self, channel: str) -> can.BusABC:
         self.buses.append(can.Bus(interface="virtual", channel=channel, preserve_timestamps=True))
@@ -67,7 +68,7 @@ def test_two_buses_share_one_sync_index_and_stop_together() -> None:
         assert len({sample.sync_index for sample in samples}) == 1
         two.rig.write_torques([1.0, 2.0, 3.0, 4.0])
     assert [sample.torque_applied for sample in samples] == pytest.approx([1.0, 2.0, 3.0, 4.0])
-    assert len(two.rig.budgets) == 2
+    assert len(two.rig.buses) == 2
     two.rig.stop()
     assert {drive.state for drive in two.simulated} == {DriveState.SWITCH_ON_DISABLED}
     two.close()
@@ -78,7 +79,7 @@ def test_a_host_that_stops_while_it_reads_the_second_bus_sends_no_two_syncs_in_a
 ) -> None:
     two = Buses()
     two.rig.start()
-    period, drain, sent = two.rig.bus.sample_time_ns, two.links[1].drain, [0]
+    period, drain, sent = two.rig.bus.sample_time_ns, two.rig.buses[1].drain, [0]
     stops = itertools.count()
 
     def late() -> None:
@@ -86,11 +87,11 @@ def test_a_host_that_stops_while_it_reads_the_second_bus_sends_no_two_syncs_in_a
         if len(sent) == 6 and next(stops) == 0:
             two.clock.wait_until(two.clock.now() + 9 * period + 9 * period // 10)
 
-    monkeypatch.setattr(two.links[1], "drain", late)
+    monkeypatch.setattr(two.rig.buses[1], "drain", late)
     for _ in range(12):
         two.rig.sync()
         two.rig.write_torques([1.0] * 4)
-        sent.append(two.rig._exchange._synced)
+        sent.append(two.rig._pace.synced)
     gaps = [(after - before) / period for before, after in itertools.pairwise(sent[2:])]
     assert max(gaps) == pytest.approx(11.0)
     assert min(gaps) == pytest.approx(1.0)

@@ -47,7 +47,7 @@ def test_an_rpdo_given_back_is_sent_on_every_cycle_all_the_same() -> None:
     scene = load_scene(REPOSITORY / "configs" / "demo.yaml", ["bus.options={receive_own_messages: true}"])
     with build(scene) as experiment:
         run(experiment.cycle, 50)
-        statistics = experiment.rig.links[0].statistics
+        statistics = experiment.rig.drives[0].link.statistics
         assert statistics.echoed == statistics.sent > 150
 
 

@@ -10,6 +10,7 @@ import pytest
 from canhaptic.audit.recompute import rederive
 from canhaptic.cli.decode import _decode_log
 from canhaptic.cycle import run
+from canhaptic.drive.can.bus_cycle import CanBusCycle
 from canhaptic.errors import LogFormatError, RigError, SceneError
 from canhaptic.logs.bus_reader import read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
@@ -68,8 +69,8 @@ def test_every_axis_has_its_own_account_by_one_sync_index(axes: int, buses: int,
     with build(scene_of(axes, buses, rate)) as experiment:
         run(experiment.cycle, round(0.6 * rate))
         cycle, rig = experiment.cycle, experiment.rig
-        assert len(rig.links) == len(rig.budgets) == buses
-        assert all(budget.fits for budget in rig.budgets)
+        assert len(rig.buses) == buses
+        assert all(isinstance(bus, CanBusCycle) and bus.budget.fits for bus in rig.buses)
         assert {sample.sync_index for sample in rig.records[-1].samples} == {rig.sync_index}
         assert cycle.judge is not None
         variations = _torque_variations(experiment)

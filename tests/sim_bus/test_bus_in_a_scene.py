@@ -122,7 +122,7 @@ def test_an_ideal_bus_imports_nothing_of_this_and_runs_no_line_of_it() -> None:
 def test_an_ideal_scene_is_built_with_a_bare_connection() -> None:
     with build(load_scene(DEMO)) as experiment:
         assert not experiment.faulty_buses
-        assert type(experiment.rig.links[0]._bus) is LeanVirtualBus
+        assert type(experiment.rig.drives[0].link._bus) is LeanVirtualBus
 
 
 def test_a_run_tells_what_its_bus_did(capsys: pytest.CaptureFixture[str]) -> None:

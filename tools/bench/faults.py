@@ -76,13 +76,13 @@ def _fault(experiment: Experiment) -> None:
 
 def _command(*data: int) -> Callable[[Experiment], None]:
     def send(experiment: Experiment) -> None:
-        experiment.rig.links[0].send(0x000, bytes(data))
+        experiment.rig.drives[0].link.send(0x000, bytes(data))
 
     return send
 
 
 def _switch_off(experiment: Experiment) -> None:
-    experiment.rig.links[0].send(0x601, bytes([0x2B, 0x40, 0x60, 0x00, 0x06, 0, 0, 0]))
+    experiment.rig.drives[0].link.send(0x601, bytes([0x2B, 0x40, 0x60, 0x00, 0x06, 0, 0, 0]))
 
 
 def _break_controller(experiment: Experiment) -> None:
@@ -111,7 +111,7 @@ def _foreign(can_id: int, *data: int) -> Callable[[Experiment], None]:
 
 def _jump(experiment: Experiment) -> None:
     """Turns the highest bit but one of every position from now on."""
-    link = experiment.rig.links[0]
+    link = experiment.rig.drives[0].link
     link._bus = JumpingBus(link._bus)  # type: ignore[assignment] # noqa: SLF001 - in between
 
 
@@ -168,7 +168,7 @@ class Watch:
         self._first_sync: int | None = None
         self._zero_since: int | None = None
         self._triggered: int | None = None
-        link = experiment.rig.links[0]
+        link = experiment.rig.drives[0].link
         link._recorder = self.hear  # noqa: SLF001 - the only one who sees every frame, those of the stop too
         clock = cast(VirtualClock, experiment.clock)
         far_sides = (*clock._far_sides, self)  # noqa: SLF001 - asked after the drive at each instant

@@ -63,7 +63,7 @@ class Elsewhere:
     patience, pause = PATIENCE, 0.05
 
     def __init__(self, experiment: Experiment) -> None:
-        self.bus: can.BusABC = experiment.rig.links[0]._bus  # noqa: SLF001 - the peers take over the connection
+        self.bus: can.BusABC = experiment.rig.drives[0].link._bus  # noqa: SLF001 - the peers take over the connection
 
     def process(self, now: int) -> None:
         """Does nothing: the drive lives elsewhere."""

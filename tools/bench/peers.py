@@ -17,6 +17,7 @@ import canopen
 from can.interfaces.virtual import VirtualBus
 
 from canhaptic.canopen.eds import read_dictionary
+from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
@@ -83,7 +84,8 @@ class BroughtUp:
             sides = [self.far_side]
             self.clock: Clock = VirtualClock(sides) if pace == "free" else WallClock(sides)
             link = Link(self.bus, self.clock)
-            Rig(link, [build_servo_drive(axis, link, scene.bus) for axis in scene.axes], scene.bus).start()
+            drives = [build_servo_drive(axis, link, scene.bus) for axis in scene.axes]
+            Rig(can_buses(link, drives, scene.bus), drives, scene.bus).start()
             self._stack = stack.pop_all()
 
     def process(self, now: int) -> None:

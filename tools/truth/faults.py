@@ -174,7 +174,7 @@ class FaultWatch:
 
     def jump(self) -> None:
         """Turns the highest bit but one of every position of the first axis from now on."""
-        link: Any = self._experiment.rig.links[0]
+        link: Any = self._experiment.rig.drives[0].link
         link._bus = JumpingBus(link._bus)  # noqa: SLF001 - in between
 
     def break_controller(self) -> None:

@@ -165,6 +165,10 @@ class SdoLine:
 
     # --- the thread of the cycle --------------------------------------------------------------------------------------
 
+    def access(self, drive: ServoDrive) -> BackgroundSdo:
+        """Return the access to one drive of the bus."""
+        return BackgroundSdo(drive, self)
+
     def open(self) -> None:
         """Accept requests; no effect if already open."""
         with self._starting:  # the first request for SDO may open it while the rig starts

@@ -72,7 +72,7 @@ class StoppedAxis(Protocol):
 
 
 class StoppedExchange(Protocol):
-    """What the stop needs of the cycle on the buses: see `drive.can.exchange.Exchange`, which is one."""
+    """What the stop needs of the cycle on the buses: see `drive.exchange.Exchange`, which is one."""
 
     sample_time_ns: int
     silence: int

@@ -27,6 +27,7 @@ import numpy as np
 
 from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.cycle import Cycle, run
+from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
@@ -67,7 +68,8 @@ def exchange_time(scene: Scene) -> float | None:
             stack.callback(end.shutdown)
         far_side = _TimedFarSide(build_drive_group(scene, ends[0]))
         link = Link(ends[1], VirtualClock([far_side]))
-        rig = Rig(link, [build_servo_drive(axis, link, scene.bus) for axis in scene.axes], scene.bus)
+        drives = [build_servo_drive(axis, link, scene.bus) for axis in scene.axes]
+        rig = Rig(can_buses(link, drives, scene.bus), drives, scene.bus)
         cycle = Cycle(rig, [_Idle() for _ in scene.axes])
         return _fastest_block(cycle, _CYCLES, lambda: far_side.clock.now() - far_side.spent)
 
