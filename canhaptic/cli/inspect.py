@@ -57,14 +57,14 @@ def execute(arguments: argparse.Namespace) -> int:
         for path in arguments.overlay:
             with EnergyLog.open(path) as other:
                 result.setdefault("others", []).append(_explained(other, arguments))
-        if arguments.why or arguments.try_:
+        if arguments.why or arguments.try_ or arguments.html is not None:
             from canhaptic.cli.why import add_why
 
             add_why(log, result, arguments)
         result["checks"] = _checks(result, arguments)
         _judge(log, result, arguments)
         _write_files(log, result, arguments)
-    _show(result, console, as_json=arguments.json)
+    _show(result, console, as_json=arguments.json, asked=arguments.why or arguments.try_)
     return 0 if _is_good(result) else 1
 
 
@@ -220,12 +220,12 @@ def _why_of_frames(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _show(result: Checked, console: Console, as_json: bool) -> None:
+def _show(result: Checked, console: Console, *, as_json: bool, asked: bool = False) -> None:
     if as_json:
         write_json(result)
     else:
         console.print(inspection_report(result))
     units = {name: port["unit"] for name, port in result.get("ports", {}).items() if "unit" in port}
-    if not as_json and "why" in result:
+    if not as_json and asked:
         for text in (*why_lines(result["why"], units), *trial_lines(result.get("trials", {}), units)):
             write_line(text)

@@ -23,11 +23,13 @@ from canhaptic.files import replacing
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
 from canhaptic.signals import CycleTiming
+from canhaptic.view.buzz_lines import why_lines
 from canhaptic.view.energy_table import energy_table, inspection_tables
 from canhaptic.view.picture_style import ALARM, BLUE, GREEN, ORANGE, PURPLE, drawing, save_picture, scale_of
 from canhaptic.view.run_lines import advice_lines, failure_text, first_active, headline_text
 from canhaptic.view.run_picture import draw_energy
 from canhaptic.view.series import FAULTS, decimate, losses
+from canhaptic.view.state_lanes import draw_buzz
 from canhaptic.view.table import Table
 from canhaptic.view.terminal import visible
 
@@ -187,7 +189,7 @@ def write_html(
         moments.append(picture(near, title, folded=True).replace("<details", f'<details id="moment{number}"', 1))
         if is_alarm:
             parts.append(_BUTTON.format(number, html.escape(title)))
-    parts += [picture(whole, "the run"), *moments]
+    parts += [picture(whole, "the run"), *_buzz(log, result, rows), *moments]
     panels, idle = _further(log, rows)
     if panels:
         parts.append(picture(partial(_draw_further, panels), "damping, timing, losses", folded=True))
@@ -195,6 +197,14 @@ def write_html(
         parts.append(words(f"zero throughout, not drawn: {', '.join(idle)}"))
     tables = [energy_table(result, *result.get("others", ())), *inspection_tables(result)]
     write_page(path, log.path.name, [*parts, *tables])
+
+
+def _buzz(log: EnergyLog, result: "Inspection", rows: slice) -> Iterator[str]:
+    """Yield what buzzes in words, and its spectrum and states; nothing of a calm run."""
+    if whys := result.get("why"):
+        units = {name: port["unit"] for name, port in result["ports"].items()}
+        yield words(*(line.strip() for line in why_lines(whys, units)))
+        yield picture(partial(draw_buzz, log, whys, rows), "spectrum and states")
 
 
 def _facts(result: "Inspection") -> str:

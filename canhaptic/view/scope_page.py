@@ -32,6 +32,7 @@ from canhaptic.quantities import ACCOUNT
 from canhaptic.result import with_groups
 from canhaptic.view.html_page import verdict_bar
 from canhaptic.view.picture_style import ALARM, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY
+from canhaptic.view.scope_states import StatePanels
 from canhaptic.view.series import FAULTS, LiveLog, News, PortFacts, decimate_together
 
 _TOOLS: Final = "xpan,xwheel_zoom,xbox_zoom,reset,save"
@@ -329,7 +330,10 @@ class _LivePort:
         self._name = name
         self._is_shaded = not news.facts[name].is_member
         self.panels = _port_panels(news.facts[name], time, self._source)
-        for title, panel in self.panels.items():
+        self._states = _states(news, name, time)
+        over_time = list(self.panels.items())
+        self.panels |= self._states.panels if self._states else {}
+        for title, panel in over_time:
             panel.visible = title not in _OPTIONAL
             strip = panel.vstrip(
                 x0="start", x1="end", source=self._contacts, fill_color=GREY, fill_alpha=0.07, line_alpha=0
@@ -349,7 +353,9 @@ class _LivePort:
         }
         _stream(self._source, time, columns)
         for title, panel in self.panels.items():
-            panel.visible = panel.visible or any(columns[name].any() for name in _OPTIONAL[title])
+            panel.visible = panel.visible or any(columns[name].any() for name in _OPTIONAL.get(title, ()))
+        if self._states is not None:
+            self._states.take(news, rows, self._window)
         if not self._is_shaded:
             return
         for start, end in news.contacts[self._name]:
@@ -361,6 +367,17 @@ class _LivePort:
             "start": [start for start, _ in self._in_contact],
             "end": [end for _, end in self._in_contact],
         }
+
+
+def _states(news: News, name: str, time: Range) -> StatePanels | None:
+    """Return lane and spectrum of an axis; None of a group, which has no torque of its own."""
+    facts = news.facts[name]
+    if facts.is_group:
+        return None
+    unit = facts.units["applied"]
+    panel = new_panel(f"{name}: spectrum", unit, DataRange1d(range_padding=0.0), 150)
+    panel.xaxis.formatter = si_ticks("Hz")
+    return StatePanels(name, facts.torque_limit, unit, time, news.sample_time, panel)
 
 
 def _stream(source: ColumnDataSource, time: Array, columns: Mapping[str, Array]) -> None:

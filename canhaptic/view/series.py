@@ -92,6 +92,7 @@ class PortFacts(NamedTuple):
     wall: float | None  # where it begins [m or rad]
     wall_side: str  # of its inside: below or above
     notches: list[float]  # of detents, around the first one [m or rad]
+    torque_limit: float  # [N or N*m]; infinite where none is known
 
     @property
     def is_display(self) -> bool:
@@ -112,9 +113,10 @@ def port_facts(log: EnergyLog, name: str) -> PortFacts:
     }
     pitch, start = (log.number(f"{name}.wall_{key}") for key in ("pitch", "position"))
     reach = 0.49 * _MOST_NOTCHES * pitch
+    limit = log.number(f"{name}.torque_limit", math.inf)
     side = str(log.attributes.get(f"{name}.wall_side", "below"))
     notches = notches_of(log, name, start - reach, start + reach)
-    return PortFacts(name, name in log.groups, name in log.group_of, units, wall_of(log, name), side, notches)
+    return PortFacts(name, name in log.groups, name in log.group_of, units, wall_of(log, name), side, notches, limit)
 
 
 _MOST_NOTCHES: Final = 200
@@ -337,7 +339,7 @@ class LiveLog:
     def _port(self, log: EnergyLog, name: str, start: int, stop: int) -> dict[str, Array]:
         port = log.ports[name]
         rows = {key: port.read(column, start, stop) for key, column in COLUMNS.items()}
-        rows["statusword"] = port.read("statusword", start, stop)
+        rows |= {key: port.read(key, start, stop) for key in ("statusword", "branch", "certificate")}
         summed = {"taken_in": "h_i", "dissipated": "h_r", "deficit": "deficit"}
         rows |= {key: self._summed(name, key, port.read(column, start, stop)) for key, column in summed.items()}
         if name not in self._records:

@@ -14,6 +14,7 @@ from canhaptic.view.series import LiveLog, MarkedEvent
 from tests.view.synthetic_run import write_run
 
 pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
+_STATES = ("states", "spectrum")
 CONFIGS = Path(__file__).parents[2] / "configs"
 
 
@@ -55,7 +56,11 @@ def test_a_page_waits_for_its_log_and_then_shows_the_last_seconds(tmp_path: Path
     write_run(path, cycles=3000, ports=("handle", "knob"))
     page.update()
     parts = {"handle": ("position", "force"), "knob": ("position", "torque")}
-    expected = [f"{name}: {what}" for name, whats in parts.items() for what in (*whats, "energy", "surplus", "damping")]
+    expected = [
+        f"{name}: {what}"
+        for name, whats in parts.items()
+        for what in (*whats, "energy", "surplus", "damping", *_STATES)
+    ]
     assert sorted(titles_of(document)) == sorted([*expected, "timing", "lost"])
     for columns in columns_of(document):
         if "time" not in columns:
@@ -108,7 +113,7 @@ def test_a_group_has_the_energy_and_its_axes_the_positions(tmp_path: Path) -> No
         run(experiment.cycle, 50)
     page, document = page_of(path)
     page.update()
-    of_axes = [f"{name}: {what}" for name in ("x", "y") for what in ("force", "position")]
+    of_axes = [f"{name}: {what}" for name in ("x", "y") for what in ("force", "position", *_STATES)]
     of_group = [f"stage: {what}" for what in ("damping", "energy", "force", "surplus")]
     assert sorted(titles_of(document)) == sorted(["lost", "timing", *of_axes, *of_group])
     assert "stage: " in status_of(document)

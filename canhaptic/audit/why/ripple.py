@@ -220,6 +220,22 @@ def _forces(motion: Motion, mass: float, starts: Array, size: int) -> Array:
     return np.asarray(forces)
 
 
+def spectrum(period: float, values: Array) -> tuple[Array, Array]:
+    """Return frequencies [Hz] and amplitudes of a signal in windows of twice `WINDOW`, the root of the mean square.
+
+    Args:
+        period: Time between two values [s].
+        values: The signal, shape (n,); shorter than a window: amplitudes of its whole length.
+    """
+    size = min(len(values), 2 * round(WINDOW / period))
+    if size < _FEWEST:
+        return np.zeros(0), np.zeros(0)
+    rest = residues(values, np.arange(0, len(values) - size + 1, max(1, size // 2)), size)
+    taper = np.hanning(size)
+    powers = (np.abs(np.fft.rfft(rest * taper)) ** 2).mean(axis=0)
+    return np.fft.rfftfreq(size, period), np.asarray(2.0 * np.sqrt(powers) / taper.sum())
+
+
 def _described(motion: Motion, mass: float, starts: Array, size: int, in_contact: bool) -> Buzz | None:
     """Return the figures of the windows that tremble."""
     size = min(2 * size, len(motion.position))
