@@ -347,7 +347,7 @@ def _loop(seen: Seen) -> Iterator[Cause]:
         return
     largest = largest_stable_damping(round(known.delay), loop.mass, loop.period)
     by_damping, limit = loop.damping / largest, 0.0
-    softer = replace(loop, stiffness=0.1 * loop.stiffness)
+    softer = replace(loop, stiffness=1e-6 * loop.stiffness)
     if loop.grows:
         is_damping = softer.grows or by_damping > 0.9
         weight = 0.9 if seen.buzz.chatter or seen.buzz.purity > 0.3 else 0.6

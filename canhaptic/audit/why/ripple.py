@@ -31,6 +31,8 @@ _IN_CONTACT: Final = 0.1
 """Share of a window from which it counts as in contact."""
 _FEWEST: Final = 16
 """Rows of a window below which nothing can be said."""
+_OF_HANDS: Final = 12.0
+"""Frequency below which lines may be the rest of the hand's own motion, and count the less the lower they are [Hz]."""
 _NARROW: Final = 0.15
 """Half width of a line in the spectrum, as a fraction of its frequency."""
 
@@ -250,7 +252,7 @@ def _described(motion: Motion, mass: float, starts: Array, size: int, in_contact
     band = lines >= _LEAST
     if not powers[band].any():
         return None
-    place = int(np.argmax(np.where(band, powers, 0.0)))
+    place = int(np.argmax(np.where(band, powers * np.minimum(lines, _OF_HANDS) ** 2, 0.0)))
     frequency = _peak(lines, powers, place)
     near = np.abs(lines - frequency * np.maximum(1.0, np.round(lines / frequency))) <= max(
         _NARROW * frequency, lines[2]
