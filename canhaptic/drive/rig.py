@@ -328,8 +328,8 @@ class Rig:
 
     @property
     def holds_to_act(self) -> int:
-        """Holds until every torque that was sent has acted and its last sample has come."""
-        return 2 + max(drive.delay for drive in self.drives)
+        """Holds until every torque that was sent has acted, as late as is declared, and its last sample has come."""
+        return 2 + max(drive.delay + drive.settling for drive in self.drives)
 
     @property
     def is_still(self) -> bool:

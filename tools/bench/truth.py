@@ -7,8 +7,8 @@ false of it and leaves it, made smaller, as a scene file. Faults that no frame c
 TPDO repeated to the bit, a motor whose sign turns in a run (docs/safety.md). A run counts when it lasted 1 s and
 something pushed or asked for 0.5 N, and any torque was sent: without one it proves nothing. `--faults` adds a fault to
 every scene (`tools/truth/faults.py`): lost, doubled and late frames, bus and host that stop, drives that fail,
-another master, on one bus or
-two.
+another master, on one bus or two. `--stops` ends every run by the operator at a random instant: its stop is part of
+the account, and what the motors exchange once that has ended must lie within its resolution.
 
 A yes is due where
 
@@ -42,12 +42,16 @@ from tools.bench.report import Row, kept_folder, out_folder, publish, write_resu
 from tools.kept_runs import run_kept
 from tools.truth.faults import with_fault
 from tools.truth.judge import ROUNDING, TOUCH, Outcome, judged
-from tools.truth.scenes import random_scene
+from tools.truth.scenes import TruthScene, random_scene
 from tools.truth.shrink import shrunk, write_scene
 from tools.truth.stops import with_stop
 
 _PACKAGES: Final = ("canhaptic", "numpy")
-_KEPT: Final = {"truth": "truth_runs.jsonl", "truth_faults": "truth_fault_runs.jsonl"}
+_KEPT: Final = {
+    "truth": "truth_runs.jsonl",
+    "truth_faults": "truth_fault_runs.jsonl",
+    "truth_stops": "truth_stop_runs.jsonl",
+}
 _SHRUNK_AT_MOST: Final = 5
 _IN_WORDS: Final = ("named", "fault", "stopped by", "declared falsely")
 _WANTED: Final = 20_000
@@ -68,6 +72,14 @@ def outcome_with_stop(seed: int) -> Outcome:
 def outcome_with_fault(seed: int) -> Outcome:
     """Returns what the run of a seed came to with a fault of bus, drive or host."""
     return judged(with_fault(random_scene(seed)))[1]
+
+
+_CHANGES: Final[dict[str, Callable[[TruthScene], TruthScene]]] = {
+    "truth": lambda scene: scene,
+    "truth_faults": with_fault,
+    "truth_stops": with_stop,
+}
+_RUNS_OF: Final = {"truth": outcome_of, "truth_faults": outcome_with_fault, "truth_stops": outcome_with_stop}
 
 
 def run_all(seeds: Iterable[int], kept: Path, jobs: int, run: Callable[[int], Outcome] = outcome_of) -> list[Outcome]:
@@ -215,10 +227,9 @@ def show(rows: list[dict[str, Any]], title: str = "what the account said, by wha
     Console(width=150).print(table)
 
 
-def explain(seed: int, *, faults: bool = False) -> None:
+def explain(seed: int, change: Callable[[TruthScene], TruthScene]) -> None:
     """Runs one seed, prints what it came to, and writes the smaller scene where a claim is false."""
-    drawn = random_scene(seed)
-    scene, outcome = judged(with_fault(drawn) if faults else drawn)
+    scene, outcome = judged(change(random_scene(seed)))
     for name, value in outcome.as_json().items():
         print(f"{name}: {value}")
     if outcome.false_claims:
@@ -236,16 +247,20 @@ def main() -> None:
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--new", action="store_true", help="forget the runs kept")
-    parser.add_argument("--faults", action="store_true", help="with a fault of bus, drive, host or node in each run")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--faults", action="store_true", help="with a fault of bus, drive, host or node in each run")
+    kind.add_argument(
+        "--stops", action="store_true", help="with a stop by the operator at a random instant of each run"
+    )
     arguments = parser.parse_args()
+    name = "truth_faults" if arguments.faults else "truth_stops" if arguments.stops else "truth"
     if arguments.only is not None:
-        explain(arguments.only, faults=arguments.faults)
+        explain(arguments.only, _CHANGES[name])
         return
-    name, run = ("truth_faults", outcome_with_fault) if arguments.faults else ("truth", outcome_of)
     kept = kept_folder() / _KEPT[name]
     if arguments.new:
         kept.unlink(missing_ok=True)
-    outcomes = run_all(range(arguments.seed, arguments.seed + arguments.runs), kept, arguments.jobs, run)
+    outcomes = run_all(range(arguments.seed, arguments.seed + arguments.runs), kept, arguments.jobs, _RUNS_OF[name])
     rows = fault_table(outcomes) if arguments.faults else table_of(outcomes)
     show(rows)
     false = false_table(outcomes)

@@ -122,6 +122,7 @@ class TorqueAxis(ABC):
         elsewhere: Writes to other nodes, whose objects are not restored.
         controlword: Controlword sent with the next torque.
         weight: Torque that a stop holds until the brake does [N*m or N]; 0: none.
+        settling: Holds until a torque has settled that is as late as the scene declares.
         unasked: Number of process data since the last `reset` that arrived in no SYNC window.
         culprit: Process data that arrived outside a window, or are missing in the last one, in words.
         unheard: Number of SYNCs since the last `reset` whose process data did not arrive in their window.
@@ -178,6 +179,7 @@ class TorqueAxis(ABC):
         self._measures = read_back == "actual"
         self._shows_next = axis.demand_reported == "after"
         self._tolerance = axis.torque_tolerance / self.quirks.torque_resolution  # counts of 0x6077
+        self.settling = math.ceil(rules.lateness / rules.sample_time)
         settled = math.ceil((rules.lateness + _FILTER * self._measures) / rules.sample_time)
         self.check = TorqueCheck(1 + rules.is_synchronous + settled, self._tolerance)
         # A handle just below the limit may pass one line of the encoder more than its speed makes.
