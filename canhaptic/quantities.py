@@ -73,6 +73,8 @@ OLD_COLUMNS: Final = {
     "leaked": "leak", "effort_requested": "effort_asked", "velocity_command": "torque_command",
 }  # fmt: skip
 """Column of a log -> its name before 0.4. One release writes both, and logs of earlier ones have the old name alone."""
+NEW_COLUMNS: Final = {old: new for new, old in OLD_COLUMNS.items() if new != "velocity_command"}
+"""Column of a log before 0.4 -> its name; a torque that is commanded keeps its name."""
 OLD_FIGURES: Final = {
     "surplus.end": "surplus_end", "force_ripple": "force_variation", "force_ripple.ratio": "force_variation.ratio",
     "accounted_margin": "believed_margin", "accounted_error": "believed_error",

@@ -200,7 +200,7 @@ class EnergyLog(energy_reader.EnergyLog):
             (f"{prefix}{port}.{name}", quantities.unit(name), np.asarray(quantities[name], dtype=np.float64))
             for prefix, ports in (("", self.ports), ("true.", self.truth))
             for port, quantities in ports.items()
-            for name in quantities
+            for name in quantities.every_name()
         ]
 
 
@@ -274,7 +274,7 @@ class SimulationResult:
             InputError: xarray is not installed.
 
         Example:
-            >>> result.to_xarray()["handle.h_i"].cumsum("time").max()  # doctest: +SKIP
+            >>> result.to_xarray()["handle.interaction"].cumsum("time").max()  # doctest: +SKIP
         """
         with self.log() as log:
             return log.to_xarray()

@@ -157,7 +157,7 @@ class PortRecord(PortFigures):
         if stop <= start:
             return
         branch, torque = port.read("branch", start, stop), port.read("torque_command", start, stop)
-        h_i = port.read("h_i", start, stop)
+        h_i = port.read("interaction", start, stop)
         self._in += float(h_i[h_i > 0.0].sum())
         running = self._interaction + np.cumsum(h_i, dtype=np.longdouble)
         self._interaction = running[-1]
@@ -194,7 +194,7 @@ class PortRecord(PortFigures):
         longest, uncommanded = (int(port.read(key, stop - 1, stop)[0]) for key in ("longest_hold", "uncommanded"))
         known = float(resolution[-1]) + self._unknown, float(dissipated[-1])
         self._measured = Measured(*known, 0.0, longest, uncommanded, 0)
-        asked, most = port.read("effort_asked", start, stop), self._largest_torque
+        asked, most = port.read("effort_requested", start, stop), self._largest_torque
         booked = (asked != 0.0) & (branch != Branch.HELD)
         asked, sent = asked[booked], np.clip(torque[booked], -most, most)  # beyond it the limiter cuts
         sizes = np.minimum(np.abs(asked), most)
@@ -224,7 +224,7 @@ class PortRecord(PortFigures):
 
     def _take_motion(self, log: EnergyLog, start: int, stop: int, branch: Array) -> None:
         port, booked = log.ports[self._name], branch != Branch.HELD
-        names = ("position", "torque_applied", "effort_asked")
+        names = ("position", "torque_applied", "effort_requested")
         position, torque, asked = (port.read(name, start, stop)[booked].tolist() for name in names)
         deadlines = log.deadlines(start, stop)[booked].tolist()
         for row in zip(position, torque, deadlines, asked, strict=True):
@@ -480,7 +480,7 @@ def _port(log: EnergyLog, port_name: str, rows: slice) -> PortResult:
 
 def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> LedgerSummary:
     """Return the sums over some rows; a `Ledger` that takes one row at a time gives equal sums."""
-    h_i, h_r = column("h_i"), column("h_r")
+    h_i, h_r = column("interaction"), column("dissipated")
     margin, margin_row = _least(_running(h_i - h_r))
     margin = without_dust(margin, _sum(np.abs(h_i)))
     margin_row = margin_row if margin else 0
@@ -488,19 +488,19 @@ def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> Led
     place = rows.start + margin_row
     cycle = int(log.timing["sync_index"][place]) if len(h_i) else 0
     deadline = int(log.deadlines(place, place + 1)[0]) if len(h_i) else 0
-    surplus, branch = column("h_dis"), _known(log, "branch", column("branch"), len(Branch))
+    surplus, branch = column("surplus"), _known(log, "branch", column("branch"), len(Branch))
     certificates = _known(log, "certificate", column("certificate"), len(Certificate))
     rendered = column("damping_rendered")[(branch != Branch.FREE) & (branch != Branch.EXIT)]
     return LedgerSummary(
         energy_in=_sum(np.maximum(h_i, 0.0)),
         energy_out=-_sum(np.minimum(h_i, 0.0)),
-        stored=_last(column("h_s")),
+        stored=_last(column("stored")),
         dissipated=_sum(h_r),
         generated=_sum(column("gen")),
         surplus_end=_last(surplus),
         surplus_max=float(surplus.max(initial=0.0)),
         recovered=_sum(column("h_pas")),
-        leaked=_sum(column("leak")),
+        leaked=_sum(column("leaked")),
         paid=_sum(column("paid")),
         deficit=_sum(column("deficit")),
         margin_value=margin,
@@ -548,7 +548,7 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> TruthResult:
         )
     axes = log.groups.get(name, (name,))
     by_motors = sum(_taken_in(log, axis, rows) for axis in axes)
-    h_i = np.sum([log.ports[axis].read("h_i", rows.start, rows.stop) for axis in axes], axis=0)
+    h_i = np.sum([log.ports[axis].read("interaction", rows.start, rows.stop) for axis in axes], axis=0)
     accounted = _running(h_i) if rows.start else _running(h_i) - h_i[0]
     booked = log.ports[axes[0]].read("branch", rows.start, rows.stop) != Branch.HELD
     dissipated = log.truth[name].read("dissipated", rows.start, rows.stop)
@@ -625,7 +625,7 @@ def _contacts(log: EnergyLog, name: str, rows: slice) -> list[ContactStretch]:
     depths = _depths(log, name, rows)
     depth = np.array([None] * len(stretches)) if depths is None else np.maximum.reduceat(depths, spans)[::2]
     peak = np.maximum.reduceat(np.abs(column("torque_applied")), spans)[::2]
-    energy = np.add.reduceat(column("h_i"), spans)[::2]
+    energy = np.add.reduceat(column("interaction"), spans)[::2]
     deadlines = log.deadlines(rows.start, rows.stop)
     first, last = deadlines[edges[:, 0]], deadlines[edges[:, 1] - 1]
     start, duration = first * log.sample_time, (last - first + 1) * log.sample_time

@@ -32,6 +32,7 @@ from canhaptic.logs.bus_reader import Frame, Remarks, read_bus_log
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.text_lines import UNTIMED
 from canhaptic.meters import RunMeters, limits_of, promise_of
+from canhaptic.quantities import NEW_COLUMNS
 from canhaptic.result import Verdicts, overall, port_account, with_groups
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import LATER_LOOP_KEYS, AxisScene, Scene, hash_of
@@ -41,7 +42,7 @@ from canhaptic.scene.scene_logs import Channels
 from canhaptic.signals import Sample
 
 _INPUTS: Final = ("position", "torque_applied", "fresh")
-_OUTPUTS: Final = tuple("torque_command" if name == "torque" else name for name in EnergyBalance._fields)
+_OUTPUTS: Final = tuple({"torque": "torque_command", **NEW_COLUMNS}.get(name, name) for name in EnergyBalance._fields)
 _CERTIFICATE: Final = EnergyBalance._fields.index("certificate")
 _NONE: Final = Certificate.NONE.value
 _ROUNDING: Final = 1e-12
@@ -135,7 +136,7 @@ def activity_mismatch(log: EnergyLog, name: str) -> Mismatch | None:
     if "active" not in port or limits is None or not rows:
         return None
     logged = port.read("active", 0, rows)
-    most = np.cumsum(port.read("h_i", 0, rows), dtype=np.longdouble) + port.read("energy_resolution", 0, rows)
+    most = np.cumsum(port.read("interaction", 0, rows), dtype=np.longdouble) + port.read("energy_resolution", 0, rows)
     at_handle = most + limits.power * limits.sample_time * (log.deadlines(0, rows) + 1)
     for bit, energy in ((ACTIVE_AT_MOTOR, most), (ACTIVE_AT_HANDLE, at_handle)):
         surely, likely = (np.maximum.accumulate(energy < limits.floor + more) for more in (-_ROUNDING, _ROUNDING))
@@ -173,7 +174,7 @@ def logged_rows(log: EnergyLog, port: str, columns: Sequence[str]) -> Iterator[t
 
 def efforts_asked(log: EnergyLog, axis: str) -> Iterator[float]:
     """Yield the effort requested on an axis, row by row [N or N*m]: the negative torque."""
-    return (effort for (effort,) in logged_rows(log, axis, ("effort_asked",)))
+    return (effort for (effort,) in logged_rows(log, axis, ("effort_requested",)))
 
 
 def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: bool = False) -> list[Recomputed]:
@@ -338,7 +339,10 @@ class Rederived(Verdicts):
     checks: NotRequired[list[Outcome]]
 
 
-_COMPARED: Final = ("position", "torque_applied", "h_i", "h_pas", "h_m", "h_r", "h_s", "h_dis", "gen", "deficit")
+_COMPARED: Final = (
+    *("position", "torque_applied", "interaction", "h_pas", "h_m", "dissipated", "stored", "surplus", "generated"),
+    "deficit",
+)
 
 
 def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) -> Rederived:

@@ -2,9 +2,10 @@
 
 from typing import Final, NamedTuple
 
-from canhaptic.axis_units import Motion, damping_unit, effort_unit
+from canhaptic.axis_units import Motion
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.logs.ring import RingShape
+from canhaptic.quantities import ACCOUNT, NEW_COLUMNS
 from canhaptic.signals import CycleTiming, Measured, PlantEnergy, Sample
 
 FORMAT_VERSION: Final = 4
@@ -16,6 +17,7 @@ FORMAT_NAME: Final = "canhaptic energy log"
 
 Attribute = str | int | float
 
+_PORTS: Final = "ports/"
 GROUP_AXES: Final = "group_axes"
 """`NAME.group_axes`: names of the axes of a group (JSON). The port of a group has an account but no position."""
 
@@ -41,17 +43,10 @@ _BALANCE_NAMES: Final = {"torque": "torque_command"}
 _MEANINGS: Final = {
     "branch": ", ".join(f"{member.value} {member.name.lower()}" for member in Branch),
     "certificate": ", ".join(f"{member.value} {member.name.lower()}" for member in Certificate),
-    "fresh": "0 no TPDO for this SYNC, values are those of the last one; 1 fresh",
     "dropped_before": "cycles lost between the row before and this one because the ring was full",
     "sync_index": "index k of the SYNC",
     "deadline_index": "sample times since SYNC 0, more than sync_index after skipped SYNCs; times sample_time_ns: time",
-    "energy_resolution": "largest |booked - true| sum of h_i so far",
-    "device_dissipated": "least energy dissipated so far by declared damping and friction of the device",
-    "effort_asked": "effort requested by the spring of the environment at this position; 0 out of contact",
-    "uncommanded": "holds so far whose torque was never commanded",
-    "longest_hold": "longest time so far for which one torque was held, in sample times",
     DIGEST: "CRC-32 of the row: every other column in the order of the format, each as 8 bytes, little endian",
-    "active": "1 the sum at the motor fell below the allowance for certain, 2 that at the handle, 3 both; never falls",
 }
 
 
@@ -70,11 +65,14 @@ class _LogColumn(NamedTuple):
     path: str  # of its dataset; empty when the ring carries it but the file does not
     unit: str
     dtype: str  # in the file, NumPy notation
+    also: str = ""  # second name of a dataset that had another one before 0.4
 
     @property
     def meaning(self) -> str:
         """Explanation of a quantity that is not self-evident; empty otherwise."""
-        return _MEANINGS.get(self.path.rpartition("/")[2], "")
+        name = (self.also or self.path).rpartition("/")[2]
+        row = ACCOUNT.get(name) if self.path.startswith(_PORTS) else None
+        return _MEANINGS.get(name) or (", ".join(filter(None, (row.title, row.sentence))) if row else "")
 
 
 class Event(NamedTuple):
@@ -132,22 +130,14 @@ class LogSchema(NamedTuple):
 
 def _port_columns(port: PortDescription, version: int) -> list[_LogColumn]:
     """Return the columns of a port; older formats have fewer of the quantities in `Measured`."""
-    effort = effort_unit(port.unit)
-    units = {
-        **dict.fromkeys(_INTEGERS, "1"),
-        "position": port.unit,
-        "torque_applied": effort,
-        "torque": f"{port.unit}/s" if port.commands_velocity else effort,
-        "damping_rendered": damping_unit(port.unit),
-        "state": port.state_unit or port.unit,
-        "effort_asked": effort,
-    }
+    names = NEW_COLUMNS | ({"torque_command": "velocity_command"} if port.commands_velocity else {})
     measured = Measured._fields if version > 2 else Measured._fields[:-1] if version > 1 else ()
-    path = f"ports/{port.name}/"
-    return [
-        _LogColumn("", "1", "i8"),  # the SYNC index is in /timing, once for all ports
-        *(
-            _LogColumn(path + _BALANCE_NAMES.get(name, name), units.get(name, "J"), _INTEGERS.get(name, "f8"))
-            for name in (*Sample._fields[1:], *EnergyBalance._fields, *measured)
-        ),
-    ]
+    columns = [_LogColumn("", "1", "i8")]  # the SYNC index is in /timing, once for all ports
+    for field in (*Sample._fields[1:], *EnergyBalance._fields, *measured):
+        stored = _BALANCE_NAMES.get(field, field)
+        name = names.get(stored, stored)
+        motion = port.state_unit or port.unit if name == "state" else port.unit
+        also = f"{_PORTS}{port.name}/{name}" if name != stored else ""
+        unit, dtype = ACCOUNT[name].unit_on(motion), _INTEGERS.get(field, "f8")
+        columns.append(_LogColumn(f"{_PORTS}{port.name}/{stored}", unit, dtype, also))
+    return columns

@@ -2,8 +2,8 @@
 
 with EnergyLog("run.h5") as log:
     handle = log.ports["handle"]
-    power = handle["h_i"] / log.sample_time          # [W]
-    print(handle.unit("h_i"), log.status, log.attributes["config_hash"])
+    power = handle["interaction"] / log.sample_time  # [W]
+    print(handle.unit("interaction"), log.status, log.attributes["config_hash"])
 
 A log is opened only if all its columns are present, of the right type, and of equal length.
 """
@@ -22,6 +22,7 @@ from canhaptic.errors import InputError, LogFormatError
 from canhaptic.logs import columns as log_format
 from canhaptic.logs import log_file
 from canhaptic.logs.hdf5 import Array, Attribute, Dataset, Hdf5File, failure_of, row_digests
+from canhaptic.quantities import NEW_COLUMNS, OLD_COLUMNS
 
 _RUNNING: Final = "running"
 """Status of a log that its writer has not closed; after a kill the columns may differ in length by one chunk."""
@@ -116,19 +117,25 @@ _OURS = ("format", "format_version", "sample_time_ns", "ports", "status", "rows_
 
 
 class Quantities(Mapping[str, Array]):
-    """The columns of one group, as arrays of shape (n_rows,)."""
+    """The columns of one group, as arrays of shape (n_rows,); names of earlier releases are understood too."""
 
     def __init__(self, file: Hdf5File, group: str, rows: int) -> None:
         self._file = file
         self._group = group
         self._rows = rows
-        self._names = file.names(group)
+        found = set(file.names(group))
+        known = OLD_COLUMNS if group.startswith("ports/") else {}
+        self._stored = {  # name -> that of the dataset; a velocity has its name where the log says that it is one
+            new: old for new, old in known.items() if old in found and (old in NEW_COLUMNS or new in found)
+        }
+        self._names = sorted((found - {*self._stored.values()}).union(self._stored))
         self._loaded: dict[str, Array] = {}
 
     def __getitem__(self, name: str) -> Array:
-        if name not in self._names:
-            raise KeyError(name)
+        name = self._stored.get(name, name)
         if name not in self._loaded:
+            if name not in self._names and name not in self._stored.values():
+                raise KeyError(name)
             self._loaded[name] = self.read(name)
         return self._loaded[name]
 
@@ -138,15 +145,19 @@ class Quantities(Mapping[str, Array]):
     def __len__(self) -> int:
         return len(self._names)
 
+    def every_name(self) -> list[str]:
+        """Return the names, and those that some had before 0.4."""
+        return [*self._names, *self._stored.values()]
+
     def read(self, name: str, start: int = 0, stop: int | None = None) -> Array:
         """Return rows `start` to `stop` of one quantity without keeping them in memory."""
-        path = f"{self._group}/{name}"
+        path = f"{self._group}/{self._stored.get(name, name)}"
         with read_safely(path, "the data is damaged", _SAVES):
             return self._file[path].read(start, self._rows if stop is None else min(stop, self._rows))
 
     def unit(self, name: str) -> str:
         """Return the unit of a quantity; "1" for a pure number."""
-        path = f"{self._group}/{name}"
+        path = f"{self._group}/{self._stored.get(name, name)}"
         with read_safely(path, "the unit is damaged"):
             return str(_plain(self._file[path].attributes.get("unit", "1")))
 
@@ -165,7 +176,7 @@ class EnergyLog:
         path: The file.
         attributes: Attributes stored with the run (configuration, hashes, versions, ...).
         format_version: Version of the format; 1 and 2 are from earlier releases.
-        ports: Name of the axis -> its quantities; `position`, `torque_command`, `torque_applied`, `h_i`, ...
+        ports: Name of the axis -> its quantities; `position`, `torque_command`, `torque_applied`, `surplus`, ...
         truth: True values of a simulation, in the same form; empty on a real rig.
         groups: Name of a group -> names of its axes, which share its account.
         timing: Times of each cycle and `sync_index`.

@@ -15,6 +15,7 @@ import numpy as np
 from canhaptic.logs.columns import EVENT_COLUMNS, FORMAT_NAME, FORMAT_VERSION, LogSchema
 from canhaptic.logs.hdf5 import ENDS_AT, Attribute, Hdf5File, mark_failed, row_digests
 from canhaptic.logs.ring import NO_SPACE, LogSink, SharedArea, cause_of, open_regular
+from canhaptic.quantities import OLD_COLUMNS
 
 _PACKED_CHUNK: Final = 16_384  # rows
 _BLOCK: Final = 16 * _PACKED_CHUNK  # rows copied at a time
@@ -59,12 +60,23 @@ def repack(
     with Hdf5File(source, "live") as old, Hdf5File(temporary, "x") as new:
         new.set_attributes({**old.attributes, **attributes})
         lengths = _whole_lengths(old) if lengths is None else lengths
-        for path, column in old.datasets():
-            length = lengths[path.startswith(_EVENTS)]
-            copy = new.create(path, column.dtype, max(1, min(length, _PACKED_CHUNK)), column.attributes)
+        columns = {_names_of(path, old): path for path, _ in old.datasets()}
+        for (stored, also), path in columns.items():
+            length, column = lengths[path.startswith(_EVENTS)], old[path]
+            copy = new.create(stored, column.dtype, max(1, min(length, _PACKED_CHUNK)), column.attributes, also=also)
             for start in range(0, length, _BLOCK):
                 copy.append(column.read(start, min(length, start + _BLOCK)))
     os.replace(temporary, target)
+
+
+def _names_of(path: str, file: Hdf5File) -> tuple[str, str]:
+    """Return the stored name of a column, and its second name or "", from either of them."""
+    group, _, name = path.rpartition("/")
+    if not group.startswith("ports/"):
+        return path, ""
+    stored, found = OLD_COLUMNS.get(name, name), file.names(group)
+    also = [new for new, old in OLD_COLUMNS.items() if old == stored and new in found]
+    return f"{group}/{stored}", f"{group}/{also[0]}" if also else ""
 
 
 class EnergySink(LogSink):
@@ -116,7 +128,8 @@ class EnergySink(LogSink):
         )
         for column in schema.stored():
             meaning = {"meaning": column.meaning} if column.meaning else {}
-            self._file.create(column.path, column.dtype, schema.chunk_rows, {"unit": column.unit, **meaning})
+            given = {"unit": column.unit, **meaning}
+            self._file.create(column.path, column.dtype, schema.chunk_rows, given, also=column.also)
         for path, dtype in EVENT_COLUMNS.items():
             self._file.create(path, dtype, 1, {}, compressed=False)
 

@@ -12,6 +12,7 @@ from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
 from canhaptic.files import replacing
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
+from canhaptic.quantities import ACCOUNT
 
 _BLOCK: Final = 65_536  # rows held in memory at a time
 
@@ -55,7 +56,7 @@ def _columns(log: EnergyLog) -> Iterator[tuple[str, str, Quantities, str]]:
     for path, quantities in log.tables.items():
         kind, _, port = path.partition("/")
         prefix = {"timing": "", "ports": f"{port}.", "truth": f"true.{port}."}[kind]
-        for name in quantities:
+        for name in quantities.every_name():
             yield f"{prefix}{name}", quantities.unit(name), quantities, name
 
 
@@ -90,7 +91,7 @@ def _write_mat(log: EnergyLog, path: Path) -> None:
     from scipy.io import savemat
 
     content: dict[str, object] = {"timing": dict(log.timing), "sample_time": log.sample_time}
-    content["ports"] = {name: dict(port) for name, port in log.ports.items()}
+    content["ports"] = {name: {key: port[key] for key in port.every_name()} for name, port in log.ports.items()}
     if log.truth:
         content["truth"] = {name: dict(truth) for name, truth in log.truth.items()}
     content["attributes"] = {name.replace(".", "_"): value for name, value in log.attributes.items()}
@@ -125,7 +126,8 @@ _MESSAGES: Final = 4096  # SYNCs held in memory at a time
 
 
 def _described(quantities: Quantities) -> dict[str, dict[str, str]]:
-    return {name: {"type": "number", "description": f"[{quantities.unit(name)}]"} for name in quantities}
+    titles = {name: f"{ACCOUNT[name].title} " if name in ACCOUNT else "" for name in quantities}
+    return {name: {"type": "number", "description": f"{of}[{quantities.unit(name)}]"} for name, of in titles.items()}
 
 
 def _mcap_channel(writer: Any, topic: str, properties: Mapping[str, Mapping[str, str]]) -> int:

@@ -146,13 +146,16 @@ class Hdf5File:
         attributes: Mapping[str, Attribute],
         *,
         compressed: bool = True,
+        also: str = "",
     ) -> Dataset:
-        """Return a new empty column that can grow."""
+        """Return a new empty column that can grow; with a second name if `also` is given."""
         options: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
         if not compressed:  # which has a checksum
             options = {"fletcher32": True}
         column = self._file.create_dataset(path, (0,), maxshape=(None,), dtype=dtype, chunks=(chunk,), **options)
         column.attrs.update(attributes)
+        if also:
+            self._file[also] = column
         return Dataset(column)
 
     def __getitem__(self, path: str) -> Dataset:

@@ -43,7 +43,7 @@ _MAX_FAULTS_NAMED: Final = 4
 _ROUNDING: Final = 1e-6  # part of the energy that flowed, below which a surplus is no line to look at
 _COLUMNS: Final = {
     "position": "position", "velocity": "torque_command", "torque": "torque_applied",
-    "energy": "h_i", "surplus": "h_dis",
+    "energy": "interaction", "surplus": "surplus",
 }  # fmt: skip
 """Title of a panel over time -> log column, with its unit."""
 _LOOKS: Final[dict[str, dict[str, Any]]] = {
@@ -84,9 +84,9 @@ class PortPicture:
 
     def draws(self) -> list[str]:
         """Return the names of the panels to draw: position and torque always, others only if they are not zero."""
-        energy = self._column("h_i").any() or self._column("h_r").any()
-        least = _ROUNDING * float(np.abs(self._column("h_i")).sum())
-        surplus = self._column("h_dis").max(initial=0.0) > least or self._column("deficit").sum() > least
+        energy = self._column("interaction").any() or self._column("dissipated").any()
+        least = _ROUNDING * float(np.abs(self._column("interaction")).sum())
+        surplus = self._column("surplus").max(initial=0.0) > least or self._column("deficit").sum() > least
         shown = {
             "path": self.plane is not None,
             "position": True,
@@ -130,9 +130,9 @@ class PortPicture:
     def _lines(self, panel: str) -> list[tuple[Array, dict[str, Any]]]:
         """Return values and style of those lines of a panel over time that are also drawn for an overlaid run."""
         if panel == "energy":
-            return [(np.cumsum(self._column(name)), {}) for name in ("h_i", "h_r")]
+            return [(np.cumsum(self._column(name)), {}) for name in ("interaction", "dissipated")]
         if panel == "surplus":
-            return [(self._column("h_dis"), {**_look("surplus"), "linewidth": 1.3})]
+            return [(self._column("surplus"), {**_look("surplus"), "linewidth": 1.3})]
         alone = {"velocity": "commanded", "torque": "on the hand" if self._is_display else "applied"}.get(panel, panel)
         movers = zip(self._of_movers(_COLUMNS[panel]), self._axes or (alone,), cycle(_OF_AXES))
         return [(values, {"color": colour, "label": label, **_LOOKS[panel]}) for values, label, colour in movers]

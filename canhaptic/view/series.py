@@ -68,7 +68,7 @@ COLUMNS: Final = {
     "position": "position",
     "command": "torque_command",
     "applied": "torque_applied",
-    "surplus": "h_dis",
+    "surplus": "surplus",
     "damping": "damping_rendered",
 }
 """Drawn quantity -> log column with its values."""
@@ -340,7 +340,7 @@ class LiveLog:
         port = log.ports[name]
         rows = {key: port.read(column, start, stop) for key, column in COLUMNS.items()}
         rows |= {key: port.read(key, start, stop) for key in ("statusword", "branch", "certificate")}
-        summed = {"taken_in": "h_i", "dissipated": "h_r", "deficit": "deficit"}
+        summed = {"taken_in": "interaction", "dissipated": "dissipated", "deficit": "deficit"}
         rows |= {key: self._summed(name, key, port.read(column, start, stop)) for key, column in summed.items()}
         if name not in self._records:
             self._records[name] = PortRecord(log, name)

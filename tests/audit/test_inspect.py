@@ -421,7 +421,7 @@ def test_comparison_finds_one_changed_bit_and_its_cycle(log: Path, tmp_path: Pat
         found = compare(first, second)
     assert not found["identical"]
     (difference,) = found["differences"]
-    assert (difference["name"], difference["cycle"], difference["unit"]) == ("ports/handle/h_r", 1234, "J")
+    assert (difference["name"], difference["cycle"], difference["unit"]) == ("ports/handle/dissipated", 1234, "J")
     assert difference["largest"] == pytest.approx(1e-18, rel=0.1)
 
 
@@ -461,7 +461,7 @@ def test_a_csv_reads_back_to_the_same_bits(log: Path, tmp_path: Path, capsys: py
     capsys.readouterr()
     lines = (tmp_path / "run.csv").read_text().splitlines()
     titles = lines[0].split(",")
-    column = titles.index("handle.h_i [J]")
+    column = titles.index("handle.interaction [J]")
     assert len(lines) == 4001
     with EnergyLog.open(log) as opened:
         assert [float(line.split(",")[column]) for line in lines[1:]] == opened.ports["handle"]["h_i"].tolist()
@@ -475,17 +475,17 @@ def test_a_mat_file_holds_every_quantity(log: Path, tmp_path: Path, capsys: pyte
     capsys.readouterr()
     content = io.loadmat(tmp_path / "run.mat", simplify_cells=True)
     with EnergyLog.open(log) as opened:
-        assert np.array_equal(content["ports"]["handle"]["h_i"], opened.ports["handle"]["h_i"])
+        assert np.array_equal(content["ports"]["handle"]["interaction"], opened.ports["handle"]["h_i"])
 
 
 def test_repair_saves_the_rows_before_the_damage(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     damaged, saved = tmp_path / "damaged.h5", tmp_path / "saved.h5"
-    with EnergyLog.open(log) as opened, h5py.File(damaged, "w") as file, h5py.File(log) as source:
+    with h5py.File(damaged, "w") as file, h5py.File(log) as source:
         for name, value in source.attrs.items():
             file.attrs[name] = value
         for name in ("timing", "events", "digest"):
             source.copy(name, file)
-        for name in opened.ports["handle"]:
+        for name in source["ports/handle"]:
             data = source[f"ports/handle/{name}"]
             copy = file.create_dataset(f"ports/handle/{name}", data=data[:], chunks=(500,), compression="gzip")
             copy.attrs["unit"] = data.attrs["unit"]
@@ -534,7 +534,7 @@ def test_what_json_lacks_is_null(log: Path, tmp_path: Path, capsys: pytest.Captu
     result = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert result["findings"] == [
         {"dataset": "ports/handle/h_m", "what": "not finite", "rows": 1, "cycle": 7},
-        {"dataset": "ports/handle/leak", "what": "not finite", "rows": 1, "cycle": 7},
+        {"dataset": "ports/handle/leaked", "what": "not finite", "rows": 1, "cycle": 7},
         {"dataset": "digest", "what": "not as the run wrote it", "rows": 1, "cycle": 7},
     ]
     assert result["ports"]["handle"]["leaked"] is None

@@ -57,5 +57,5 @@ def test_a_recorded_run_is_reproduced_bit_for_bit_and_one_changed_bit_is_found(
         file["ports/handle/h_s"][321] = math.nextafter(file["ports/handle/h_s"][321], math.inf)
     with EnergyLog.open(path) as log:
         [found] = recompute(log, ["handle"], GroupedControllers([WithHold()], []))
-    assert found[:3] == ("handle", 321, "h_s")
+    assert found[:3] == ("handle", 321, "stored")
     assert math.nextafter(found.recomputed, math.inf) == found.logged

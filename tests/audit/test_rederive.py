@@ -108,7 +108,7 @@ def test_a_recomputation_that_differs_is_shown_and_ends_with_one(
     with h5py.File(tampered, "r+") as file:
         file["ports/handle/h_r"][1200] += 1.0
     assert typed.inspect(tampered, "--recompute") == 1
-    assert "recomputed h_r of cycle 1200 is" in capsys.readouterr().out
+    assert "recomputed dissipated of cycle 1200 is" in capsys.readouterr().out
     assert typed.inspect(tampered, "--recompute", "--json") == 1
     (found,) = json.loads(capsys.readouterr().out)["recomputed"]
     assert found["port"] == "handle"

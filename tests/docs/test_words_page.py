@@ -3,6 +3,7 @@
 import re
 
 from canhaptic.control.balance import EnergyBalance
+from canhaptic.quantities import NEW_COLUMNS
 from canhaptic.view.energy_table import PORT_ROWS
 from tests.docs.documents import ROOT, pages
 
@@ -44,5 +45,5 @@ def test_rows_of_the_account_that_a_page_names_exist() -> None:
 def test_columns_of_the_log_that_are_named_exist() -> None:
     """A column that is renamed is renamed here."""
     named = {name for _, _, meaning in ROWS for name in re.findall(r"In the log: `(\w+)`", meaning)}
-    assert named <= set(EnergyBalance._fields)
-    assert {"h_i", "h_r", "h_s", "h_dis"} <= named
+    assert named <= {NEW_COLUMNS.get(name, name) for name in EnergyBalance._fields}
+    assert {"interaction", "dissipated", "stored", "surplus"} <= named

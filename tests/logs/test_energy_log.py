@@ -12,8 +12,10 @@ import pytest
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.errors import LogFormatError, LogWriteError
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.repair import repair
 from canhaptic.logs.ring import RingShape, SharedArea, allocate, size_of
 from canhaptic.logs.writer_process import EnergyLogWriter
+from canhaptic.quantities import NEW_COLUMNS
 from tests.logs.log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing, truth
 from tests.logs.patience import wait_for
 
@@ -67,6 +69,31 @@ def test_every_quantity_of_every_row_is_read_back_as_it_was_written(finished: Pa
             assert np.array_equal(port["h_i"], [balance(k, number).h_i for k in range(ROWS)])
         assert np.array_equal(log.timing["sync_index"], np.arange(ROWS))
         assert log.time[-1] == pytest.approx(ROWS * 1e-3 - 1e-3, abs=1e-12)
+
+
+def test_a_log_has_each_renamed_column_under_both_names_and_an_older_one_is_read_by_either(
+    finished: Path, tmp_path: Path
+) -> None:
+    older, repaired = tmp_path / "older.h5", tmp_path / "repaired.h5"
+    older.write_bytes(finished.read_bytes())
+    with h5py.File(older, "r+") as file:
+        port, size = file["ports/handle"], finished.stat().st_size
+        assert all(port[new] == port[old] for old, new in NEW_COLUMNS.items())  # one column
+        for new in NEW_COLUMNS.values():
+            del port[new]
+    for path in (finished, older):
+        with EnergyLog.open(path) as log:
+            names = set(log.ports["handle"])
+            assert set(NEW_COLUMNS.values()) <= names
+            assert not names & set(NEW_COLUMNS)
+            assert "velocity_command" not in log.ports["handle"]
+            assert np.array_equal(log.ports["handle"]["surplus"], [balance(k).h_dis for k in range(ROWS)])
+            assert log.ports["handle"]["h_dis"] is log.ports["handle"]["surplus"]
+            assert log.changed_rows() == []
+    assert repair(finished, repaired) == (ROWS, 0)
+    with h5py.File(repaired) as file:
+        assert file["ports/knob/surplus"] == file["ports/knob/h_dis"]
+    assert repaired.stat().st_size < 1.1 * size
 
 
 def test_units_follow_the_motion_of_the_axis(finished: Path) -> None:

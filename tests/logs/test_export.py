@@ -39,7 +39,7 @@ def test_a_parquet_table_holds_every_quantity_bit_for_bit_with_its_unit(
         export(log, tmp_path / "run.parquet")
         table = parquet.read_table(tmp_path / "run.parquet")
         assert table.num_rows == ROWS
-        assert table.column("knob.h_i").to_numpy().tobytes() == log.ports["knob"]["h_i"].tobytes()
+        assert table.column("knob.interaction").to_numpy().tobytes() == log.ports["knob"]["h_i"].tobytes()
         assert table.column("true.handle.motor").to_pylist() == log.truth["handle"]["motor"].tolist()
         assert table.schema.field("handle.torque_applied").metadata == {b"unit": b"N"}
         assert table.schema.field("knob.torque_applied").metadata == {b"unit": b"N*m"}
@@ -52,7 +52,7 @@ def test_a_mat_file_holds_ports_timing_and_attributes(path: Path, tmp_path: Path
         export(log, tmp_path / "run.mat")
     content = scipy_io.loadmat(tmp_path / "run.mat", simplify_cells=True)
     assert content["sample_time"] == 1e-3
-    assert content["ports"]["knob"]["h_r"][-1] == balance(ROWS - 1, 1).h_r
+    assert content["ports"]["knob"]["dissipated"][-1] == balance(ROWS - 1, 1).h_r
     assert content["attributes"]["bus_rate"] == 1e3
     assert math.isclose(content["truth"]["handle"]["position"][5], 0.0051)
 
@@ -68,11 +68,14 @@ def test_an_mcap_file_holds_every_row_as_a_message_with_its_schema(path: Path, t
         file.seek(0)
         messages = list(reader.make_reader(file).iter_messages(topics=["/knob"]))
     assert topics == {"/timing", "/handle", "/knob", "/true/handle", "/true/knob", "/events"}
-    assert [json.loads(message.data)["h_i"] for _, _, message in messages] == energies
+    assert [json.loads(message.data)["interaction"] for _, _, message in messages] == energies
     assert [message.log_time for _, _, message in messages] == [k * SAMPLE_TIME_NS for k in range(ROWS)]
     schema, channel, _ = messages[0]
     assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
-    assert json.loads(schema.data)["properties"]["h_i"] == {"type": "number", "description": f"[{units}]"}
+    assert json.loads(schema.data)["properties"]["interaction"] == {
+        "type": "number",
+        "description": f"net energy (in - out) [{units}]",
+    }
 
 
 def test_an_event_behind_skipped_syncs_has_the_time_of_its_row(tmp_path: Path) -> None:
