@@ -7,7 +7,7 @@ from warnings import catch_warnings
 
 from rich.console import Console
 
-from canhaptic.audit.inspection import CHANGED, Inspection, compare, inspect
+from canhaptic.audit.inspection import CHANGED, Inspection, compare, inspect, rows_to_draw
 from canhaptic.audit.recompute import recompute_all, rederive, scene_of
 from canhaptic.audit.user_checks import Checked, Outcome, check
 from canhaptic.axis_units import counted
@@ -178,7 +178,12 @@ def _write_files(log: EnergyLog, result: Inspection, arguments: argparse.Namespa
                 text = f"{other.path}: got the ports {', '.join(other.ports)}, expected one of {', '.join(log.ports)}"
                 raise InputError(f"{text}; name a log of the same rig to draw it over this run")
         for path in pictures:
-            draw_energy(log, path, arguments.start, arguments.stop, others)
+            if arguments.why and result.get("why"):
+                from canhaptic.view.state_lanes import draw_buzz
+
+                draw_buzz(log, result["why"], rows_to_draw(log, arguments.start, arguments.stop), path)
+            else:
+                draw_energy(log, path, arguments.start, arguments.stop, others)
             note_file("picture", path)
         if arguments.html is not None:
             from canhaptic.view.html_page import write_html

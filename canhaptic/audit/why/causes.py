@@ -477,8 +477,8 @@ def _hand(seen: Seen) -> Iterator[Cause]:
     key, value = f"{known.wall}.damping", None
     if tremor is not None:
         key, value = f"{known.effects_at}.{tremor[0]}.amplitude", 0.25 * tremor[1].amplitude
-    does = "takes energy out" if takes else "gives energy"
-    text = f"at {buzz.frequency:.3g} Hz the wall {does}; a hand trembles at 4 to 12 Hz"
+    does = "the wall takes energy out" if takes else "the wall does not take energy out"
+    text = f"at {buzz.frequency:.3g} Hz {does}; a hand trembles at 4 to 12 Hz"
     yield seen.cause("a hand that trembles", weight, text, key, value)
 
 

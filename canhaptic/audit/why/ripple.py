@@ -252,7 +252,8 @@ def _described(motion: Motion, mass: float, starts: Array, size: int, in_contact
     band = lines >= _LEAST
     if not powers[band].any():
         return None
-    place = int(np.argmax(np.where(band, powers * np.minimum(lines, _OF_HANDS) ** 2, 0.0)))
+    weighed = np.where(band, powers * np.minimum(lines, _OF_HANDS) ** 2, 0.0)
+    place = int(np.argmax(weighed))
     frequency = _peak(lines, powers, place)
     near = np.abs(lines - frequency * np.maximum(1.0, np.round(lines / frequency))) <= max(
         _NARROW * frequency, lines[2]
@@ -288,9 +289,10 @@ def _ratio(first: float, second: float) -> float:
 
 def _peak(lines: Array, powers: Array, place: int) -> float:
     """Return the frequency of a line, by a parabola through the logarithms of three powers."""
-    if not 0 < place < len(powers) - 1 or not powers[place - 1 : place + 2].all():
+    near = powers[max(0, place - 1) : place + 2]
+    if len(near) < 3 or near.min() <= 0.0 or near.max() > powers[place]:
         return float(lines[place])
-    left, middle, right = np.log(powers[place - 1 : place + 2])
+    left, middle, right = np.log(near)
     bend = left - 2.0 * middle + right
     return float(lines[place] + (0.5 * (left - right) / bend if bend else 0.0) * lines[1])
 
