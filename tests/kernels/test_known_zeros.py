@@ -103,9 +103,3 @@ def test_a_zero_that_cannot_be_traced_is_read_from_the_record() -> None:
     rows, found = records_of([Settings(Inner(), offset=1.0), Settings(Inner(), offset=2.0)]), np.zeros(2)
     compiled(read_by_a_changing_name)(rows, found)
     assert found.tolist() == [1.0, 2.0]
-
-
-@pytest.mark.slow
-def test_numbas_own_steps_know_the_zeros_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("canhaptic.kernels.linking._installed", lambda: False)  # an unknown version of numba
-    assert run(Settings(Inner(), offset=1.0)) == [7.0]

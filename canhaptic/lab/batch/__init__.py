@@ -16,6 +16,7 @@ Compiling takes some 5 s, once for each algorithm and environment; the machine c
 """
 
 import os
+from importlib.metadata import version
 from importlib.util import find_spec
 from typing import Final, Literal
 
@@ -33,14 +34,24 @@ friction) a cycle, compiled code at most 0.5 us; compiling takes 3 to 8 s, once 
 WORTH_COMPILING_GROUPS: Final = 3e5
 """The same for groups: Python takes some 150 us a cycle, and compiling 10 s."""
 _FOREIGN: Final = ".numba_config.yaml"
-WITHOUT_NUMBA: Final = (
-    f"numba is not installed: computed in Python, about 100 times slower; {install_hint('fast')} installs it"
-)
+_KNOWN: Final = ((0, 63), (0, 68))
+"""First and last version of numba with which `canhaptic.kernels.linking` was run; the extra `fast` asks for these."""
 
 
-def is_numba_installed() -> bool:
-    """Return whether numba, which compiles the loops, is installed."""
-    return find_spec("numba") is not None
+def why_no_numba() -> str:
+    """Return "" if numba, which compiles the loops, can be used, else why not."""
+    if find_spec("numba") is None:
+        return "which is not installed"
+    found = version("numba")
+    first, last = (".".join(map(str, of)) for of in _KNOWN)
+    is_known = _KNOWN[0] <= tuple(int(part) for part in found.split(".")[:2]) <= _KNOWN[1]
+    return "" if is_known else f"whose version {found} is not one of {first} to {last}"
+
+
+def without_numba() -> str:
+    """Return the note that Python computes because numba cannot."""
+    reason = f"numba, {why_no_numba()}, cannot compile: computed in Python, about 100 times slower"
+    return f"{reason}; {install_hint('fast')} installs it"
 
 
 def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
@@ -51,15 +62,15 @@ def chosen_engine(engine: Engine, pays: bool) -> ChosenEngine:
         pays: Whether compiling saves more time than it takes.
 
     Raises:
-        ParameterError: The name is unknown, numba is requested but not installed, or the current folder has a file
-            with settings of numba.
+        ParameterError: The name is unknown, numba is requested but not installed or of a version that was never
+            tried, or the current folder has a file with settings of numba.
     """
     if engine not in ("auto", "numba", "python"):
         raise ParameterError(f"engine: got {engine!r}, expected auto, numba or python")
-    there = is_numba_installed()
-    if engine == "numba" and not there:
-        raise ParameterError(f"engine: got numba, which is not installed; {install_hint('fast')}, or use python")
-    chosen: ChosenEngine = ("numba" if there and pays else "python") if engine == "auto" else engine
+    missing = why_no_numba()
+    if engine == "numba" and missing:
+        raise ParameterError(f"engine: got numba, {missing}; {install_hint('fast')}, or use python")
+    chosen: ChosenEngine = ("python" if missing or not pays else "numba") if engine == "auto" else engine
     if chosen == "numba" and os.path.lexists(_FOREIGN):
         raise ParameterError(f"engine: numba would read {_FOREIGN} of this folder; move it away, or use python")
     return chosen

@@ -23,12 +23,12 @@ import numpy as np
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError
 from canhaptic.lab.batch import (
-    WITHOUT_NUMBA,
     WORTH_COMPILING,
     WORTH_COMPILING_GROUPS,
     Engine,
     chosen_engine,
-    is_numba_installed,
+    why_no_numba,
+    without_numba,
 )
 from canhaptic.lab.batch.cases import why_not_batchable
 from canhaptic.lab.batch.group_loop import group_case
@@ -118,7 +118,7 @@ def sweep(
     """
     asked, path = make_sweep(scene, vary, **options), Path(out)
     if asked.is_slow:
-        note(WITHOUT_NUMBA)
+        note(without_numba())
     if not (resume and path.exists()):
         create(path, asked.chunk, asked.identity, _notes(scene, asked), replace=force)
     cores, run = os.cpu_count() or 1, run_chunk
@@ -197,7 +197,7 @@ def make_sweep(
     if recipe.engine == "python":
         most = min(most, max(1, _CYCLES_IN_PYTHON // each))
     chunk = chunk or min(most, max(least, -(-len(points) // _FEWEST_CHUNKS)))
-    is_slow = engine == "auto" and pays and not recipe.displays and not is_numba_installed()  # displays: always Python
+    is_slow = engine == "auto" and pays and not recipe.displays and bool(why_no_numba())  # displays: always Python
     return Asked(recipe, points, chunk, _identity(scene, recipe, points), engine == "auto", is_slow)
 
 
