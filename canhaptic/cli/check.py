@@ -269,9 +269,7 @@ def _print(console: Console, found: _CheckFindings, *, resolved: bool, full: boo
     for text in found.dear:
         console.print(f"[yellow]{escape(text)}[/]")
     said = [(axis.parameters.name, guarantee(axis, found.hints)) for axis in scene.axes]
-    for text, names in _axes_of(
-        ((name, text.removeprefix(f"{name}: ")) for name, text in said if text), len(said)
-    ).items():
+    for text, names in _axes_of(((name, text) for name, text in said if text), len(said)).items():
         console.print(f"{names}: {text}", markup=False)
     unset = values_to_set(scene)
     if found.refused or any(guess.line for guess in unset):

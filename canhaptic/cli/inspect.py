@@ -7,13 +7,14 @@ from warnings import catch_warnings
 
 from rich.console import Console
 
-from canhaptic.audit.inspection import CHANGED, Inspection, compare, inspect, rows_to_draw
+from canhaptic.audit.inspection import Inspection, compare, inspect, rows_to_draw
 from canhaptic.audit.recompute import recompute_all, rederive, scene_of
 from canhaptic.audit.user_checks import Checked, Outcome, check
 from canhaptic.axis_units import counted
 from canhaptic.cli.options import check_page, check_picture, check_place, require_new
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.logs.bus_reader import is_bus_log
+from canhaptic.logs.columns import DIGEST
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export, require_library
 from canhaptic.logs.repair import repair, require_readable
@@ -111,7 +112,7 @@ def _judge(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) ->
     if arguments.compare is not None:
         with EnergyLog.open(arguments.compare) as other:
             result["comparison"] = compare(log, other)
-    is_finite = all(finding["what"] == CHANGED for finding in result["findings"])
+    is_finite = all(finding["dataset"] == DIGEST for finding in result["findings"])
     if arguments.recompute and is_finite:  # controllers take finite numbers
         result["recomputed"] = recompute_all(log, arguments.config, allow_code=arguments.allow_code)
     if arguments.bus_log is not None:

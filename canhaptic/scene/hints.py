@@ -20,7 +20,7 @@ from canhaptic.control.ledger import DEFAULT_LIMIT
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.verdict import NO_PULL
 from canhaptic.meters import promise_of
-from canhaptic.quantities import LIMITS
+from canhaptic.quantities import ACCOUNT, LIMITS
 from canhaptic.scene.displays import display_properties
 from canhaptic.scene.models import AxisScene, Scene
 
@@ -337,7 +337,7 @@ def guarantee(axis: AxisScene, hints: Sequence[Hint]) -> str:
     unit, (most, declared) = stiffness_unit(axis.parameters.unit), max(held)
     if declared == "hand force" and promise_of(axis.passivity.parameters).hand_force == 0.0:
         declared = NO_PULL
-    text = f"{axis.parameters.name}: guarantee rests on: {declared}; walls up to {most:.3g} {unit} at the torque limit"
+    text = f"{ACCOUNT['certificates'].title}: {declared}; walls up to {most:.3g} {unit} at the torque limit"
     bound = axis.loop.device_damping_bound
     if bound and axis.loop.device_damping is None:
         limit = bounds.renderable_by_device_damping(bound, axis.loop.sample_time, axis.loop.delay + _losses(axis))

@@ -249,8 +249,8 @@ def _further(log: EnergyLog, rows: slice) -> tuple[_Panels, list[str]]:
     timing = {name.replace("_", " "): thinned(log.timing.read(name, *span)) for name in CycleTiming._fields}
     panels["timing"] = "s", {name: (at, values * _S_PER_NS) for name, (at, values) in timing.items()}
     panels["lost"] = "", {name: thinned(np.cumsum(of)) for name, of in losses(log, *span).items() if of.any()}
-    shown = {title: panel for title, panel in panels.items() if any(line.any() for _, line in panel[1].values())}
-    return shown, [title for title in panels if title not in shown]
+    shown = {name: panel for name, panel in panels.items() if any(line.any() for _, line in panel[1].values())}
+    return shown, [name for name in panels if name not in shown]
 
 
 def _draw_further(panels: _Panels, path: Path) -> None:
@@ -260,7 +260,7 @@ def _draw_further(panels: _Panels, path: Path) -> None:
         for place, (title, (unit, lines)) in zip(places, panels.items(), strict=True):
             largest = max(float(np.abs(line).max()) for _, line in lines.values())
             scale, prefix = scale_of(largest) if unit else (1.0, "")
-            stair = "default" if title == "timing" else "steps-post"
+            stair = "default" if unit == "s" else "steps-post"
             for (name, (time, line)), colour in zip(lines.items(), cycle(_LINE_COLOURS)):
                 place.plot(time, line / scale, color=colour, linewidth=1.0, drawstyle=stair, label=name)
             place.set_title(title, fontweight="bold")

@@ -333,8 +333,8 @@ class _LivePort:
         self._states = _states(news, name, time)
         over_time = list(self.panels.items())
         self.panels |= self._states.panels if self._states else {}
-        for title, panel in over_time:
-            panel.visible = title not in _OPTIONAL
+        for kind, panel in over_time:
+            panel.visible = kind not in _OPTIONAL
             strip = panel.vstrip(
                 x0="start", x1="end", source=self._contacts, fill_color=GREY, fill_alpha=0.07, line_alpha=0
             )

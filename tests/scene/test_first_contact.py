@@ -184,7 +184,7 @@ def test_a_run_needs_a_word_for_an_allowance_above_ten_millijoules(capsys: pytes
 def test_check_says_on_which_declaration_the_guarantee_rests_and_what_the_encoder_keeps() -> None:
     demo = axis(*UNCOMMISSIONED)
     said = guarantee(demo, stability_hints(demo))
-    assert said.startswith("handle: guarantee rests on: hand force; ")
+    assert said.startswith("guarantee rests on: hand force; ")
     assert said.endswith(
         "for a hand that also pulls: walls up to 2e+03 N/m, once device_damping is measured"
     )  # b / T, late by one

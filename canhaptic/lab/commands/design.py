@@ -14,6 +14,7 @@ from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import are_displays
 from canhaptic.lab.studies.design.search import design, display_design_report, display_snippet
 from canhaptic.lab.studies.runner import Progress
+from canhaptic.quantities import ACCOUNT
 from canhaptic.scene.method import plant_errors
 from canhaptic.view.run_lines import rests_on
 from canhaptic.view.table import Table
@@ -90,8 +91,8 @@ def _price(result: Row) -> list[Text]:
         f" largest stiffness certified by {name}: {si(limit, unit, 3)}" for name, limit in result["certified"].items()
     ]
     guarantee = [f" {text}" for text in result.get("guarantee", ()) if text]
-    rests = rests_on(str(result["certificate"]))
-    lines += guarantee or [f" {rests}" if "guarantee" in rests else f" guarantee rests on: {rests}"]
+    rests, is_none = rests_on(str(result["certificate"])), result["certificate"] == "none"
+    lines += guarantee or [f" {rests}" if is_none else f" {ACCOUNT['certificates'].title}: {rests}"]
     rest = si(max(0.0, -result["least_judged"]), "J", 3)
     covered = f" at the motor, {rest} at the handle" if "device_damping" in result["loop"] else ""
     given = si(max(0.0, -result["least_interaction"]), "J", 3)

@@ -9,7 +9,6 @@ from canhaptic.lab.render.map_picture import draw_map, write_map
 from canhaptic.lab.studies.chunk import UNRENDERED, UNTOUCHED
 from canhaptic.lab.studies.map import (
     JUDGEMENTS,
-    LEAST_ENERGY,
     Chosen,
     Lines,
     Panel,
@@ -77,10 +76,10 @@ def _share(name: str, share: float, by: str, untouched: float, unrendered: float
     return f" {name}: {', '.join(words)}"
 
 
-def _value(value: float, label: str) -> str:
+def _value(value: float, floor: float | None) -> str:
     if isnan(value):
         return "none"
-    return f"{'<= ' if value == LEAST_ENERGY and label.endswith('[J]') else ''}{value:.4g}"
+    return f"{'<= ' * (value == floor)}{value:.4g}"
 
 
 def _print(columns: list[list[Panel | None]], first: list[str]) -> None:
@@ -91,6 +90,6 @@ def _print(columns: list[list[Panel | None]], first: list[str]) -> None:
                 write_line(f" {panel.title}\n   {panel.note}\n   {panel.y_label} at each {panel.x_label}:")
                 for line in panel.lines:
                     points = "  ".join(
-                        f"{x:.4g}: {_value(y, panel.y_label)}" for x, y in zip(line.x, line.y, strict=True)
+                        f"{x:.4g}: {_value(y, panel.floor)}" for x, y in zip(line.x, line.y, strict=True)
                     )
                     write_line(f"   {line.label:<28} {points}")

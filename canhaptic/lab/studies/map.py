@@ -379,6 +379,7 @@ class Lines:
     y_log: bool
     note: str = ""
     y_range: tuple[float, float] | None = None  # values of y that were tried, where y is a varied key
+    floor: float | None = None  # y by which all that is smaller is drawn
 
     @property
     def x(self) -> Array:
@@ -686,4 +687,5 @@ def _profile(field: MapField, key: str, metric: str) -> Panel:
     order = np.argsort(field.values[key])
     flat = _worst(values.reshape(len(order), 1, -1), kind)[:, 0]
     line = PanelCurve(field.algorithm, field.values[key][order], flat[order], "measured")
-    return Lines(f"{field.algorithm}: {label}", field.label(key), label, (line,), kind in ("energy", "error"))
+    title, floor = f"{field.algorithm}: {label}", LEAST_ENERGY if kind == "energy" else None
+    return Lines(title, field.label(key), label, (line,), kind in ("energy", "error"), floor=floor)
