@@ -1,64 +1,9 @@
 """Largest certified commands of an admittance display for a hand of declared force or impedance.
 
-A certificate is a proof that a command gives out no more energy than the display may. `damping_border` is the stability
-limit without certificates. All certificates here are for a drive without an integral, whose torque must not reach its
-limit (`VelocityLoop.may_limit`).
-
-**Hand declared by its impedance** (`DeclaredHand`):
-
-    F = K (x - q) + b (x' - v) - m v',     0 <= K <= K_e, 0 <= b <= B, 0 <= m <= N, abs(x') <= w, all constant but x
-
-x is the position of the arm behind the grip; q and v = q' belong to the mass before the sensor,
-M v' = c (r - v) + F - f, with the friction f = f_c + d v, f_c v >= 0, abs(f_c) <= f_d, 0 <= d <= d_d.
-Claim: E >= -allowance at every time, for every such hand.
-
-Proof. Let g be the velocity due to the commands alone, l g' = r - g for a chosen l, and s = v - g the part due to the
-hand. With D = (c - M / l) (r - g), M s' = F - f - c s + D, so that for A = E - M s^2 / 2
-
-    A' = F g + c s^2 + f s - D s        and        f s >= -f_d abs(g) - d_d g^2 / 4                                (1)
-
-At a SYNC all commands are known, and with them g, the distance y that it covers until a later time, and the largest
-distance P still to be covered at any time. F is known there, and with it the part of the spring: F + m a + b v, a = v'.
-Afterwards the hand force changes with the spring, the arm and the axis, and integration by parts gives
-
-    int F g  >=  (F + m a + b v) y - K_e y^2 / 2 - b int g^2 - m (g_1^2 - g_0^2) / 2 + m (s_0 g_0 - s_1 g_1)
-                 - K_e w int P - 2 B w P_0 - int (K P + b abs(g) + m abs(g')) abs(s)                               (2)
-
-where 0 is the SYNC and 1 the later time. In the sum of (1) and (2), c s^2 covers the last term and D s up to
-(K P + b abs(g) + m abs(g') + abs(D))^2 / 4c, and M s_1^2 / 2 covers m s_1 g_1 up to m^2 g_1^2 / 2M. All that remains is
-known: it is the `loss` of the commands. E >= A >= -allowance at every later time follows from loss <= A + allowance,
-for the queued commands, the new one, and zeros after them. At the next SYNC the command zero always fits, because it
-continues the sequence that was proved here. The loss is convex in K, b and m, so that it is largest at an end of each
-range. It is convex in the new command too, so that every command between two that fit also fits.
-
-A is bounded from below by E at the sensor less the largest M s^2 / 2, and by (1) from the SYNC before. A late force
-makes the sequence longer by as many holds. The two studies of `tools/displays/declared_hands.py` are the cases
-b = m = 0 and l = 0.
-
-**Hand of bounded force** (`LargestForce`): abs(F) <= f. With r = 0 such a hand can take from a speed v just
-
-    G(v) = f (M / c) (v - (f / c) ln(1 + c v / f)),        less than M v^2 / 2 and than f v M / c
-
-by braking with f until the handle stops. For commands r, with E' = F v and M v' = c (r - v) + F - friction:
-
-    (E - G)' >= -f abs(r)
-
-Proof. G' = f M v / (f + c v) for v >= 0; for v < 0 turn the signs of v, r and F. Then (E - G)' + f abs(r) is
-F v - f v (c (r - v) + F - friction) / (f + c v) + f abs(r). The terms of r are f (abs(r) - r c v / (f + c v)) >= 0.
-That of friction is not negative. Those of F are F c v^2 / (f + c v), least at F = -f; the rest, f c v^2 / (f + c v),
-compensates them. At v = 0 both sides have G' = 0.
-
-So commands with f T (sum abs(u_i) of the queued ones + n abs(u)) <= E - G + allowance keep E >= -allowance for every
-hand that never pushes or pulls harder than f. The range of a force sensor does not guarantee that the hand does not.
-
-**Stability border without a guard** (`damping_border`): the least damping with which a light virtual mass is stable
-against a spring to ground. The drive is M v' = c (r - v) + F, the command r follows m r' = F - b r after a lag tau, and
-F = -K q. At the border the loop oscillates at w, and the real and imaginary parts of its equation vanish:
-
-    w^2 (m + M b / c) = K (cos w tau + b / c)
-    b = K sin(w tau) / w + m (M w^2 - K) / c
-
-For w tau small, b = K (tau + (M - m) / c). The sampled loop with the mean force of a hold has tau = (delay + 1/2) T.
+A certificate is a proof that a command gives out no more energy than the display may: D1 for `DeclaredHand`, D2 for
+`LargestForce`. `damping_border` (D3) is the stability limit without certificates. All certificates here are for a drive
+without an integral, whose torque must not reach its limit (`VelocityLoop.may_limit`). Proofs:
+`docs/theory/commands_of_a_display.md`.
 """
 
 from collections.abc import Sequence
@@ -194,7 +139,7 @@ class DeclaredHand:
         self.down, self.down_with_mass = self._forces(heard, -1.0, error)
 
     def _gained(self, heard: HeardForce, begin: float) -> float:
-        """Return the least change of the margin A in a hold, by (1) [J]; -inf with a filter. Half of c s^2 covers D."""
+        """Return the least change of the margin A in a hold, by D1 [J]; -inf with a filter. Half of c s^2 covers D."""
         loop, port, end = self.loop, self.port, self.before
         if port.lag > 0.0:
             return -inf

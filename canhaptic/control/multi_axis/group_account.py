@@ -1,64 +1,7 @@
 """The energy account of a group of axes: one balance for all torques, and the energy reserved for queued torques.
 
-Energy that is *given out* flows from the motors to the user's side, energy *received* or *absorbed* flows back.
-A *certificate* proves that torques give out no more than the account holds. *Older torques* are commands of earlier
-holds that a motor still produces because a new one takes effect late. The *shortfall* of a hold is the most by which
-the energy received may be below the energy booked. A *mover* is a prescribed motion of a wall; it can supply energy.
-
-The sections below derive the bounds that `group_certificates` leaves open: lost samples, and torques that come late.
-
-**Several holds of which only the total displacement is known.** After n - 1 lost samples the displacement D of n holds
-is known, the torque f_n of the last one, read back, and for each hold before it the torques that may have acted. Booked
-is -f_n D; true is -sum f_j D_j; too much by
-
-    sum over j < n and axes of (f_j - f_n) D_j = sum of delta_j D_j.
-
-*Hand force.* Only the side of D_j that makes the sum large counts; on that side the declared force holds the hand. With
-s the farthest that torques and hand move the axis beyond the hold before (`Gap.step`), for delta_j > 0 (else mirrored)
-
-    f_j > 0:   D_j <= D_0 + j s + friction,                         the hand pulls along f_j with F_h at most;
-    else f_n < f_j <= 0, and the hand is held along -: D_m >= D_j - (m - j) s - friction for m > j, and
-               D_k >= D_0 - k s - friction for k < j; their sum is D, so that
-               (n - j + 1) D_j <= D - (j - 1) D_0 + s (j (j - 1) + (n - j)(n - j + 1)) / 2 + friction
-
-(with friction, 1 + a + a^2 + ... in place of n - j + 1 where D_j > 0, a the share that a hold keeps of the one before).
-
-*Hand speed.* |D_j| <= v_max T.
-
-*Device damping* alone, for every hand: sum((b/T) D_j^2 - delta_j D_j) over displacements of sum D is least at
-D_j = D/n + (T/2b)(delta_j - mean), where it is (b/T) D^2 / n - mean D - (T/4b) sum((delta_j - mean)^2). The first term
-is dissipated for certain, the others are uncertain.
-
-**Late torques** give out energy beyond that of the torques held, which `group_certificates` bounds. Let W be the
-torques of the next free hold, l W those sent, and g_i in [lowest_i, highest_i] the older torques that axis i still has
-at its SYNC. With p_i as in (1) of `hold_timing`, different for every axis, the motors give out in that hold
-
-    l W . D + sum of integral(p_i (g_i - l W_i) v_i) <= l W . D + sum of max(0, highest_i - l W_i) X_i+
-                                                                    + max(0, l W_i - lowest_i) X_i-            (1)
-
-with X_i+ and X_i- the most that p_i |v_i| can integrate to along + and -. An axis gains in a time t no more speed than
-t m_i^(-1/2) (N + h), N the largest |f|_P of torques that act and h that of the hand (`group_certificates`), so that
-with D_i its displacement along the sign in the hold before, s = theta_i / T and step_i = T^2 m_i^(-1/2) (N + h)
-
-    X_i <= s max(0, D_i) + s (1/2 + s) step_i,      D_i in the j-th hold from now <= r D_i0 + j step_i.             (2)
-
-*A hand without limit inwards*, where M does not couple the axes and all torques of an axis have one sign: what the
-motor gives out grows with v_i, which is no larger than with F_h along the torque throughout; (2) holds for that motion.
-
-*The hold after it.* Of l W and older torques no more is left than (highest', lowest') of the next SYNC, and they
-give out highest' X' and -lowest' X' at most, as if no torque followed. That counts with W. A smaller torque, and none
-at all, then has what the larger one leaves running.
-
-*The share l.* The part of older torques beyond l W is convex in l and lies below its chord between l = 0 and l = 1, and
-N <= N_0 + l N_1 as in `group_certificates`, so that all together stay below a parabola a + b l + c l^2, c >= 0, for
-every l up to 1; l is the largest for which it stays in the budget. If even a is not in the budget, the older torques
-were certified before, and l W adds to them its own energy, l W . D - l sum of integral(p_i W_i v_i) with its tail, and
-what older torques give out over the motion that it adds. As long as that is below zero for certain, l W is sent:
-without it no debt would end (`given_in_debt`). The chord of a smaller W is nearer, so that one of the size of the older
-torques is tried as well.
-
-*The hold that ended.* Of that D_i is known, and the way back inside it is no longer than `swing` times
-s (D_i + step_i / 2) (`hold_timing`): `doubt_of_late_group`. By device damping and hand speed it is as of one axis.
+It bounds what `group_certificates` leaves open: lost samples (G10), and torques that come late (G11, G12), by
+`docs/theory/torques_of_a_group.md`, which has the terms too.
 """
 
 from dataclasses import dataclass
@@ -225,7 +168,7 @@ def norms_of(axes: AxisLimits, memory: AccountMemory, under_way: QueuedTorques, 
 
 
 def reach_of(axes: AxisLimits, memory: AccountMemory, i: int, sign: float, hold: int, norm: float) -> float:
-    """Return X of (2): how far an axis may move under older torques in a hold, counted from 1 = next [rad or m]."""
+    """Return X of G12: how far an axis may move under older torques in a hold, counted from 1 = next [rad or m]."""
     timing = axes.timing
     share, step, before = timing.share[i], timing.roots[i] * norm, hold - 1
     start = sign * memory.displacement[i] + axes.counts[i] + memory.position_uncertainty[i]
@@ -241,7 +184,7 @@ def reach_of(axes: AxisLimits, memory: AccountMemory, i: int, sign: float, hold:
 def given_late(
     axes: AxisLimits, memory: AccountMemory, held: Buffer, fixed: float, size: float, hold: int, norms: Norms, end: bool
 ) -> LateShare:
-    """Return a bound on the energy that older torques give out in one hold, beyond that of its own torques; see (1).
+    """Return a bound on the energy that older torques give out in one hold, beyond that of its own torques; see G11.
 
     Args:
         axes: Properties of the motor axes.
