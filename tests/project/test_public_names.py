@@ -1,5 +1,7 @@
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -15,6 +17,13 @@ def test_every_public_name_can_be_imported_and_there_are_at_most_80() -> None:
         for name in module.__all__:
             assert hasattr(module, name)
             assert name in dir(module)
+
+
+def test_every_public_name_is_shown_on_a_page_or_in_an_example_and_not_only_listed() -> None:
+    root = Path(__file__).resolve().parents[2]
+    pages = [path for path in (root / "docs").rglob("*.md") if path.name != "api.md"]
+    text = " ".join(path.read_text(encoding="utf-8") for path in (*pages, *(root / "examples").glob("*.py")))
+    assert [name for name in canhaptic.__all__ if not re.search(rf"\b{name}\b", text)] == []
 
 
 def test_dir_lists_the_public_names_and_the_three_modules_that_hold_more() -> None:
