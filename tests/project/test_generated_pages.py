@@ -11,7 +11,7 @@ from canhaptic.errors import InputError
 from canhaptic.scene.json_schema import scene_schema
 from canhaptic.scene.layout import SECTIONS
 from canhaptic.scene.models import RunParameters
-from tools import accuracy_gallery, make_configuration, make_how_it_works, make_link_policy
+from tools import accuracy_gallery, make_configuration, make_how_it_works, make_link_policy, make_words
 from tools.page_part import with_part
 
 CONFIGURATION = make_configuration.PAGE.read_text(encoding="utf-8")
@@ -20,6 +20,10 @@ CONFIGURATION = make_configuration.PAGE.read_text(encoding="utf-8")
 def test_the_page_of_the_link_policy_is_current() -> None:
     page = make_link_policy.PAGE.read_text(encoding="utf-8")
     assert page == make_link_policy.page(), "run: python -m tools.make_link_policy"
+
+
+def test_the_table_of_quantities_is_current() -> None:
+    assert make_words.PAGE.read_text(encoding="utf-8") == make_words.page(), "run: python -m tools.make_words"
 
 
 def test_the_part_of_a_page_that_shows_what_accuracy_costs_is_current() -> None:
