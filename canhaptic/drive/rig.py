@@ -32,6 +32,13 @@ if TYPE_CHECKING:
     from canhaptic.drive.profile.fitness import Finding
 
 _tuple: Final = tuple.__new__  # makes a record at half the cost of calling its class
+_OF_A_WATCHDOG: Final = (
+    StopReason.EMERGENCY,
+    StopReason.DRIVE_FAULT,
+    StopReason.STATE_LEFT,
+    StopReason.NMT_STATE_LEFT,
+    StopReason.HEARTBEAT_LOST,
+)
 
 
 class _CycleRecord(NamedTuple):
@@ -183,10 +190,25 @@ class Rig:
         for drive in self.drives:
             reason = drive.fault(exchange.heard)
             if reason:
-                raise self._stopped(reason, self._describe(drive, reason), drive.axis.name)
+                raise self._ended_by(drive, reason)
         if periods > 1:  # last: the drive's own report of its watchdog is more specific
             self._count_skips(periods - 1)
         return samples
+
+    def _ended_by(self, drive: "ServoDrive", reason: StopReason) -> RigError:
+        """Stop because of a drive; return the exception.
+
+        Where this computer stood still for longer than the drive's watchdog allows, that is the cause, and the drive's
+        reaction is its result.
+        """
+        away = self._exchange.heard - self._pace.deadline + self.periods * self._period
+        allowed = self.bus.master_silence_ns - self._exchange.beat_cycles * self._period
+        if away <= allowed or reason not in _OF_A_WATCHDOG:
+            return self._stopped(reason, self._describe(drive, reason), drive.axis.name)
+        rule = STOP_TABLE[StopReason.SYNCS_SKIPPED]
+        seen = f"{drive.axis.name} then: {reason.name}, {self.details(drive, reason)}"
+        what = f"{rule.meaning} at SYNC {self.sync_index}: it stood still for {away * 1e-9:.3g} s; {seen}"
+        return self._stopped(StopReason.SYNCS_SKIPPED, f"{what}; torque is zero; {rule.remedy}", drive.axis.name)
 
     def _count_skips(self, skipped: int) -> None:
         """Stop when too many SYNCs were skipped: meanwhile a drive holds its last torque."""

@@ -9,7 +9,8 @@ that the exception carries. `-`: the run went on to its end. Met: torque never b
 drive disabled in the cycles allowed, and both energies within the bound.
 
 The cycles allowed follow from the configuration: `bus.stop_cycles` until a silence is a loss, three more for the SYNC
-that is counted last and the stop, one round of the stop's own escalation where RPDO and SDO are lost together; for
+that is counted last and the stop, for losses by chance twice the mean after which they have used up the budget of
+`bus.loss_limit`, one round of the stop's own escalation where RPDO and SDO are lost together; for
 all that takes the heartbeat of master or drive away, `bus.heartbeat_timeout`. Zero for good is when the simulated drive
 says so, not when a frame tells it.
 """
@@ -46,6 +47,7 @@ FROM_BEGIN = "during: [{begin: 0.5 s, duration: 1000 s}]"
 ON_THE_BUS = {
     "1 % of frames lost": f"drop: 0.01, {FROM_BEGIN}",
     "10 % of frames lost, three in a row": f"drop: 0.1, drop_burst: 3, {FROM_BEGIN}",
+    "half of the TPDOs lost": f"drop: 0.5, ids: [0x181], {FROM_BEGIN}",
     "5 % of frames twice": f"duplicate: 0.05, {FROM_BEGIN}",
     "2 % of TPDOs and RPDOs overtaken": f"reorder: 0.02, ids: [0x181, 0x201], {FROM_BEGIN}",
     "2 % of TPDOs cut short": f"truncate: 0.02, ids: [0x181], {FROM_BEGIN}",
@@ -139,6 +141,8 @@ BY_HEARTBEAT = (
     "bus-off for 50 ms",
     "bus-off for good",
 )
+BY_BUDGET = {"10 % of frames lost, three in a row": 1.0 - 0.9**3, "half of the TPDOs lost": 0.5}
+"""Share of the SYNCs that lose their sample or command, of SYNC, TPDO and RPDO."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,6 +217,9 @@ def _allowed(name: str, experiment: Experiment) -> int:
         return bus.master_silence_ns // PERIOD + 1
     if name in AT_THE_DRIVE:
         return 3
+    if name in BY_BUDGET:
+        most = max(10.0, min(bus.stop_cycles, 0.25 / bus.sample_time))
+        return round(2.0 * most / (BY_BUDGET[name] - bus.loss_limit))  # twice the mean of a random walk
     if name == "host late for 45 of every 50 ms":
         return round(1.0 / bus.sample_time * 50 / 40) + 50  # 40 more skipped than sent in 50
     return bus.stop_cycles + 3 + (_ESCALATION if name == "every RPDO and SDO lost" else 0)
