@@ -107,6 +107,7 @@ def random_scene(seed: int, *, further: bool = True, changes: float | None = Non
     values.update(axes=[axis], simulation=simulation)
     _bus_effects(chance, values, 1.0 / rate)
     outward = _group(chance, group, values) if group else _one_axis(chance, values)
+    _declare_speed(axis, simulation, chance.tags)
     if group == "xy_box" and np.random.default_rng([seed, 21]).random() < _FIVE_BARS:
         chance.tags -= {"group:xy_box"}
         chance.tags.add("group:five_bar")
@@ -123,6 +124,16 @@ def random_scene(seed: int, *, further: bool = True, changes: float | None = Non
         _check_hold(np.random.default_rng([seed, 41]), values, chance.tags)
     chance.tags.add(f"rate:{rate}")
     return TruthScene(seed, values, frozenset(chance.tags), outward, values["duration"])
+
+
+def _declare_speed(axis: dict[str, Any], simulation: dict[str, Any], tags: set[str]) -> None:
+    """Declares the speed above which the supply no longer holds a current, where the torque is measured.
+
+    There the motor brakes by its back-EMF, with a torque that nobody commanded; a rig stops for it, and rightly so.
+    """
+    for effect in simulation.get("effects", ()):
+        if effect["type"] == "voltage_limit" and "drive:read_actual" in tags:
+            axis["speed_limit"] = min(10.0, float(f"{0.9 * effect['supply'] / effect['back_emf']:.3g}"))
 
 
 def _check_hold(random: np.random.Generator, values: dict[str, Any], tags: set[str]) -> None:
