@@ -56,6 +56,7 @@ class Roles(NamedTuple):
     rpdo: Address  # of the first axis
     controlword: struct.Struct  # in that RPDO
     statuswords: dict[Address, struct.Struct]  # TPDO with the statusword -> its place in the frame; one per axis
+    commands: dict[Address, tuple[str, struct.Struct, bool]]  # RPDO -> axis, place of its target; is it a position
 
     def asks_to_leave(self, data: bytes) -> bool:
         """Return whether an RPDO of the first axis revokes OPERATION ENABLED.
@@ -99,9 +100,18 @@ def roles_of(scene: Scene) -> Roles:
             for tpdo in plan.tpdos
             if any(entry.index == od.STATUSWORD for entry in tpdo.entries)
         },
+        {
+            (bus, plan.rpdo.cob_id): (
+                axis.name,
+                codec(plan.rpdo.entries, _TARGETS),
+                any(entry.index == od.TARGET_POSITION for entry in plan.rpdo.entries),
+            )
+            for bus, plan, axis in zip(on, maps, axes, strict=True)
+        },
     )
 
 
+_TARGETS: Final = (od.TARGET_TORQUE, od.TARGET_VELOCITY, od.TARGET_POSITION)
 _UPLOAD: Final = 0x40  # first byte of an SDO request that reads
 _NOTED: Final = (od.POLARITY, od.POSITIVE_TORQUE_LIMIT, od.NEGATIVE_TORQUE_LIMIT)
 _STATUSWORD: Final = struct.pack("<H", od.STATUSWORD)
@@ -167,6 +177,21 @@ class Recording:
         last = max((n for n, address in enumerate(self.addresses) if address == _SYNC), default=0)
         after = range(last, len(self.frames))
         return next((n for n in after if self.is_master[n] and self.frames[n].data[:4] == asks), len(self.frames))
+
+    def commands(self, stop: int) -> dict[str, int]:
+        """Return, for each axis, how many RPDOs had a torque or velocity, or another position than its first.
+
+        Args:
+            stop: Index of the first frame that does not count.
+        """
+        rest, found = dict[str, tuple[int, ...]](), {name: 0 for name, *_ in self._roles.commands.values()}
+        for address, frame in zip(self.addresses[:stop], self.frames, strict=False):
+            if address in self._roles.commands:
+                name, image, is_position = self._roles.commands[address]
+                if len(frame.data) == image.size:
+                    target = image.unpack(frame.data)
+                    found[name] += target != rest.setdefault(name, target if is_position else (0,) * len(target))
+        return found
 
     def operator_cycles(self) -> int | None:
         """Return the number of cycles of a run that the operator stopped, with those of the stop; None without one.
@@ -280,6 +305,11 @@ class RecordedSide:
         if self._next == self.end or self._is_master[self._next] != of_master:
             return NEVER
         return self._frames[self._next].timestamp_ns
+
+    @property
+    def place(self) -> int:
+        """Index of the first recorded frame that was neither played nor compared."""
+        return self._next
 
     @property
     def unsent(self) -> int:
@@ -497,6 +527,8 @@ class ReplayResult(TypedDict):
     elapsed: float
     speed: float
     ended: str
+    stop: str  # "operator", the name of the error that ended the run, or "none": the recording ended before
+    commands: dict[str, int]  # axis -> RPDOs with a torque other than zero; of a display with a velocity or a motion
     difference: FirstDifference | None
     account: RunResult
 
@@ -568,6 +600,7 @@ class OpenReplay:
             for buses in (far_buses, near_buses):
                 buses.append(stack.enter_context(open_bus(scene.bus.model_copy(update=_BUS), channel)))
         self._left_out: list[str] = []
+        self._stop = "none"
         self._wall = WallClock()
         self._side = RecordedSide(far_buses, self._recording, first)
         clock = RecordedClock(self._side, self._start, self._wall if realtime else None)
@@ -630,11 +663,11 @@ class OpenReplay:
 
         try:
             run(self.cycle, None, is_stopped)
-            ended = "at the stop that was recorded"
+            ended, self._stop = "at the stop that was recorded", "operator"
         except ReplayOverError:
             pass
         except RigError as error:
-            ended = f"{type(error).__name__}: {error}"
+            ended, self._stop = f"{type(error).__name__}: {error}", type(error).__name__
         return self.result((self._wall.now() - begin) * 1e-9, ended)
 
     def close(self, _status: str = "completed") -> None:
@@ -672,6 +705,8 @@ class OpenReplay:
             "elapsed": elapsed,
             "speed": duration / elapsed if elapsed else 0.0,
             "ended": "at the first difference" if side.departure is not None else ended,
+            "stop": self._stop,
+            "commands": recording.commands(side.place),
             "difference": difference,
             "account": run_result(self.cycle, status="replayed", config_hash=scene.config_hash(), method=""),
         }

@@ -1,11 +1,15 @@
-"""`canhaptic replay BUSLOG --config CONFIG`: replay the drives of a bus log, and compare every frame of the master."""
+"""`canhaptic replay BUSLOG`: replay the drives of a bus log, compare every frame of the master, say what that tests."""
 
 import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree
 
 from rich.text import Text
 
 from canhaptic.audit.recompute import scene_of as scene_of_log
-from canhaptic.cli.options import scene_of
+from canhaptic.audit.replay_coverage import Covered, covered, scene_next_to
+from canhaptic.cli.options import check_place, scene_of
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.repair import require_readable
@@ -16,12 +20,16 @@ from canhaptic.view.terminal import write_json
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Replay the bus log; return 0 if the master sent the recorded frames, 1 if it did not.
+    """Replay the bus log; return 0 if the master sent the recorded frames and they test the scene, else 1.
 
     Raises:
         InputError: The recording or the scene cannot be used.
     """
+    if arguments.junit is not None:
+        check_place(arguments.junit, force=True)
     dry_run = arguments.no_torque
+    if arguments.config is None and arguments.energy_log is None:
+        arguments.config = scene_next_to(arguments.bus_log)
     if arguments.energy_log is not None:
         require_readable(arguments.energy_log)
         with EnergyLog.open(arguments.energy_log) as log:
@@ -36,15 +44,70 @@ def execute(arguments: argparse.Namespace) -> int:
     result = replay_bus_log(
         arguments.bus_log, scene, realtime=arguments.realtime, from_sync=arguments.from_sync, dry_run=dry_run
     )
+    covers = covered(result, scene, keys=not arguments.quick, dry_run=dry_run)
+    faults = why_failed(result, covers, allow_empty=arguments.allow_empty)
+    if arguments.junit is not None:
+        _write_junit(arguments.junit, result, covers, faults)
     if arguments.json:
-        write_json(result)
+        write_json({**result, "covers": covers})
     else:
         console = make_console()
-        for line in _replay_report(result):
+        for line in [*_replay_report(result), *_coverage_report(covers, quick=arguments.quick)]:
             console.print(line, soft_wrap=True)
+        for fault in faults[result["status"] == "different" :]:
+            console.print(Text(f" {fault}", style="bold red"), soft_wrap=True)
         if arguments.account:
             console.print(energy_report(result["account"]))
-    return 0 if result["status"] == "identical" else 1
+    return 1 if faults else 0
+
+
+def why_failed(result: ReplayResult, covers: Covered, *, allow_empty: bool) -> list[str]:
+    """Return why a replay fails: another frame, and ports that it does not test."""
+    faults = [] if (found := result["difference"]) is None else [f"different at line {found['number']}"]
+    if covers["untested"] and not allow_empty:
+        text = "not tested: no torque was sent, so any environment and algorithm would be identical; record a contact"
+        faults.append(f"{', '.join(covers['untested'])}: {text}, or allow it with --allow-empty")
+    return faults
+
+
+def replay_text(result: ReplayResult, covers: Covered, faults: Sequence[str]) -> str:
+    """Return outcome, coverage and faults of a replay as lines of text."""
+    lines = [line.plain for line in (*_replay_report(result), *_coverage_report(covers, quick=False))]
+    return "\n".join([*lines, *(f" {fault}" for fault in faults)])
+
+
+def _write_junit(path: Path, result: ReplayResult, covers: Covered, faults: Sequence[str]) -> None:
+    """Write one test case as JUnit XML, with its text."""
+    time = f"{result['elapsed']:.3f}"
+    counts = {"tests": "1", "failures": str(int(bool(faults))), "errors": "0", "skipped": "0", "time": time}
+    suite = ElementTree.Element("testsuite", {"name": "canhaptic replay", **counts})
+    case = ElementTree.SubElement(suite, "testcase", classname="canhaptic.replay", name=result["recording"], time=time)
+    text = replay_text(result, covers, faults)
+    if faults:
+        ElementTree.SubElement(case, "failure", message="; ".join(faults)).text = text
+    else:
+        ElementTree.SubElement(case, "system-out").text = text
+    ElementTree.indent(suite)
+    ElementTree.ElementTree(suite).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _coverage_report(covers: Covered, *, quick: bool) -> list[Text]:
+    """Return what the recording covers as lines of text."""
+    lines = [Text(f" stop: {covers['stop']}")]
+    for name, count in covers["commands"].items():
+        lines.append(Text(f" {name}: {count} commands other than zero"))
+    for name, contacts in covers["contacts"].items():
+        branches = ", ".join(f"{kind} {count}" for kind, count in covers["branches"][name].items()) or "none"
+        certificates = ", ".join(covers["certificates"][name]) or "none"
+        lines.append(Text(f" {name}: {contacts} holds in contact; branches: {branches}; certificates: {certificates}"))
+    if covers["untraced"]:
+        keys = ", ".join(covers["untraced"])
+        lines.append(Text(f" no trace in any frame, so not tested: {keys}", style="yellow"))
+    elif not quick and not covers["not_tried"]:
+        lines.append(Text(" every number of environment, algorithm and torque limit left a trace"))
+    if covers["not_tried"]:
+        lines.append(Text(f" not tried, since the scene takes no other value: {', '.join(covers['not_tried'])}"))
+    return lines
 
 
 def _replay_report(result: ReplayResult) -> list[Text]:
