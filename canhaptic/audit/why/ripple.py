@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 WINDOW: Final = 0.25  # [s]
-FELT: Final = 0.07
+FELT: Final = 0.05
 """Rms force from which a ripple counts as felt at a handle [N]; at a knob `FELT` times `KNOB`."""
 KNOB: Final = 0.06  # [m] of handle per radian
 _OF_TORQUE: Final = 0.01
@@ -210,7 +210,7 @@ def _cut(motion: Motion) -> tuple[Array, int, Array]:
 def _forces(motion: Motion, mass: float, starts: Array, size: int) -> Array:
     """Return the rms force of the ripple in each window [N or N*m], of torque and moved mass."""
     forces = np.zeros(len(starts))
-    for span in {1, max(1, round(_LONGEST / motion.period))}:
+    for span in {1, 2, 4, max(1, round(_LONGEST / motion.period))}:
         moved, noise = _accelerations(motion, span)
         if mass * noise <= motion.felt:
             rest = residues(moved, starts, size)
