@@ -147,3 +147,20 @@ def test_frames_without_times_or_maps_say_which_signals_are_missing(tmp_path: Pa
     ]  # fmt: skip
     assert "TPDO 0x18C: 5 frames, 100 % of the SYNCs; its bytes never change: nothing moves in it" in found["said"]
     assert any("0x8220" in text and "5 times" in text for text in found["said"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bus", [{"delay": 1.5e-4, "jitter": 1e-4}, {"delay": 2e-4, "ids": [0x201]}, {"drop": 0.15}])
+def test_frames_that_are_late_or_lost_are_the_cause_where_a_stable_loop_grows_with_them(
+    bus: dict[str, object], tmp_path: Path
+) -> None:
+    scene = buzzing.base(Random(1))
+    scene["bus"] |= {"rate": 1000, "rpdo": "event", "loss_limit": 1.0}
+    lost = scene["simulation"]["plant"]["damping"] + scene["environment"]["damping"]
+    scene["passivity"], scene["environment"]["stiffness"] = {"algorithm": "unprotected"}, 0.9 * lost / 5e-4
+    scene["simulation"]["bus"], scene["simulation"]["user"]["damping"] = bus, 1.0
+    buzzing.simulated(scene, tmp_path / "run")
+    with canhaptic.EnergyLog(tmp_path / "run.h5") as log:
+        first = why(log, scene_of(log))["handle"]["causes"][0]
+    assert first["cause"] == "delay or late frames"
+    assert first["key"].startswith("simulation.bus.")

@@ -27,6 +27,10 @@ _COMPARED: Final = 16
 """Windows on which motion and torque are compared."""
 _KEEPS_DAMPING: Final = ("unprotected", "guarded")
 """Algorithms whose damper is that of the wall; others add one of their own."""
+_HARDLY: Final = 1e-6
+"""Value of a twin's fault without effect: a twin whose bus has no fault at all lacks the section."""
+_LEAST_LATE: Final = 0.1
+"""Part of a hold from which a torque counts as late."""
 _TRIED: Final = 80
 """Steps of the torque that are tried where the drive reports none."""
 
@@ -77,6 +81,9 @@ class Known:
     effects: Mapping[str, tuple[int, Any]] = field(default_factory=dict)  # of a twin: type -> (place, parameters)
     effects_at: str = "simulation.effects"
     algorithm: str = ""
+    frames_late: float = 0.0  # by which a twin's bus delays torques [holds]
+    late_by: tuple[str, float | str] | None = None  # key of a twin that makes frames late, and its value without
+    skipped_by: tuple[str, float | str] | None = None  # the same of skipped SYNCs
     coupled: str = ""  # name of the group in which it is joined to another handle
     coupled_to: tuple[str, ...] = ()
 
@@ -109,9 +116,25 @@ def known_of(scene: Scene, name: str) -> Known:
         given.torque_limit or inf, mass, lost, _path_of(scene, place, axis),
         effects,
         _effects_at(scene, name), scene.passivity_of(axis).name,
+        *_faults_of(scene, axis),
         group.name if group is not None and group.network.name == "coupled_handles" else "",
         tuple(other for other in group.axes if other != name) if group is not None else (),
     )  # fmt: skip
+
+
+def _faults_of(scene: Scene, axis: AxisScene) -> tuple[float, tuple[str, float | str] | None, Any]:
+    """Return by how many holds a twin's bus delays torques, and the keys of its late frames and skipped SYNCs."""
+    bus, drive = scene.bus_effects, axis.simulation.drive if axis.simulation else None
+    if bus is None:
+        return 0.0, ("simulation.drive.syncs_late", 0.0) if drive is not None and drive.syncs_late else None, None
+    late = (bus.delay + 0.5 * bus.jitter) / scene.bus.sample_time if bus.suffers("to_drive") else 0.0
+    worst = next((key for key in ("drop", "reorder", "delay", "jitter") if getattr(bus, key)), "")
+    skipping = next((key for key in ("stall", "freeze") if getattr(bus, key)), "")
+    return (
+        late,
+        (f"simulation.bus.{worst}", _HARDLY) if worst else None,
+        (f"simulation.bus.{skipping}.0.duration", _HARDLY) if skipping else None,
+    )
 
 
 def _path_of(scene: Scene, place: int, axis: AxisScene) -> str:
@@ -255,7 +278,8 @@ def _lateness(known: Known, motion: Motion, buzz: Buzz) -> float:
     best = int(np.argmin(rests))
     if rests[best] > 0.5 * np.abs(applied).mean() or not np.abs(applied).mean():
         return 0.0
-    return float(max(0.0, lags[best] - 1.0 - known.delay))
+    within = max(motion.answer / known.period, known.frames_late) if known.delay == 0 else 0.0
+    return float(max(0.0, lags[best] - 1.0 - known.delay)) + (within if within > _LEAST_LATE else 0.0)
 
 
 def _unexplained(seen: Seen, torque: Array) -> float:
@@ -366,7 +390,16 @@ def _loop(seen: Seen) -> Iterator[Cause]:
         grows = "grows" if mode.growth > 0.0 else "decays"
         text = f"torques act {seen.late:.2g} holds later than declared; with them the loop {grows} at "
         text = f"{text}{mode.frequency:.3g} Hz; {seen.line}"
-        yield seen.cause("delay or late frames", weight, text, *seen.wall(later))
+        yield seen.cause("delay or late frames", weight, text, *(known.late_by or seen.wall(later)))
+
+
+def _lost(seen: Seen) -> Iterator[Cause]:
+    if seen.motion.lost > 0.01:
+        later = seen.loop and replace(seen.loop, delay=seen.loop.delay + 1.0)
+        weight = (0.93 if later is None or later.grows else 0.85) if not seen.grows else 0.5
+        text = f"{100.0 * seen.motion.lost:.3g} % of the positions did not come in time, and the torque before was held"
+        remedy = seen.known.late_by or seen.wall(later)
+        yield seen.cause("delay or late frames", weight, f"{text}; {seen.line}", *remedy)
 
 
 def _skipped(seen: Seen) -> Iterator[Cause]:
@@ -377,7 +410,7 @@ def _skipped(seen: Seen) -> Iterator[Cause]:
     later = seen.loop and replace(seen.loop, delay=seen.loop.delay + longest)
     weight = (0.94 if later is None or later.grows else 0.85) if share > 0.02 else 0.4
     text = f"{100.0 * share:.3g} % of the SYNCs were skipped, one torque held for {longest:.0f} sample times"
-    yield seen.cause("skipped SYNCs", weight, text, *seen.wall(later))
+    yield seen.cause("skipped SYNCs", weight, text, *(seen.known.skipped_by or seen.wall(later)))
 
 
 def _current_loop(seen: Seen) -> Iterator[Cause]:
@@ -499,6 +532,6 @@ def _second_rig(seen: Seen) -> Iterator[Cause]:
 
 
 TESTS: Final = (
-    _encoder, _torque_step, _loop, _skipped, _current_loop, _shaft, _stick_slip, _saturation, _hand, _second_rig,
+    _encoder, _torque_step, _loop, _lost, _skipped, _current_loop, _shaft, _stick_slip, _saturation, _hand, _second_rig,
 )  # fmt: skip
 """Tests of the causes; each yields those for which the log says something."""

@@ -24,6 +24,8 @@ FELT: Final = 0.05
 KNOB: Final = 0.06  # [m] of handle per radian
 _OF_TORQUE: Final = 0.01
 """Least share of the torque that counts as a ripple."""
+_ANSWER: Final = ("sync_to_last_tpdo", "compute", "send")
+"""Durations of a cycle from its SYNC until the torques are handed to the bus."""
 _LONGEST: Final = 0.006
 """Time over which the acceleration is taken from positions [s]."""
 _LEAST: Final = 3.0  # [Hz]
@@ -48,6 +50,8 @@ class Motion:
     touches: Array | None = None  # whether in contact
     gaps: Array | None = None  # lengths of the holds [sample times]
     is_rotary: bool = False
+    lost: float = 0.0  # share of the SYNCs without a new position
+    answer: float = 0.0  # mean time from a SYNC until its torque was handed to the bus [s]
 
     @property
     def count(self) -> float:
@@ -64,7 +68,9 @@ class Motion:
         torque, command, touches, gaps = (
             None if of is None else of[rows] for of in (self.torque, self.command, self.touches, self.gaps)
         )
-        return Motion(self.period, self.position[rows], torque, command, touches, gaps, self.is_rotary)
+        return Motion(
+            self.period, self.position[rows], torque, command, touches, gaps, self.is_rotary, self.lost, self.answer
+        )
 
 
 class Buzz(NamedTuple):
@@ -137,7 +143,19 @@ def motion_of(log: "EnergyLog", name: str, rows: slice | None = None) -> Motion:
         position = _filled(time, deadlines, position)
         command, torque, touches = command[held], torque[held], touches[held]
     is_rotary = port.unit("position") == "rad"
-    return Motion(log.sample_time, position, None if log.dry_run else torque, command, touches, gaps, is_rotary)
+    lost = 1.0 - float(column("fresh").mean()) if len(gaps) else 0.0
+    spent = sum(float(log.timing.read(of, rows.start, rows.stop).mean()) for of in _ANSWER) if len(gaps) else 0.0
+    return Motion(
+        log.sample_time,
+        position,
+        None if log.dry_run else torque,
+        command,
+        touches,
+        gaps,
+        is_rotary,
+        lost,
+        spent * 1e-9,
+    )
 
 
 def _filled(time: Array, known: Array, values: Array) -> Array:
