@@ -4,6 +4,7 @@ Nothing here needs pydantic: the writer process of a log starts without it.
 """
 
 import math
+import re
 from typing import Final, Literal
 
 _PREFIXES: Final = {-15: "f", -12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
@@ -31,6 +32,20 @@ def stiffness_unit(motion: str) -> str:
 def mass_unit(motion: str) -> str:
     """Return the unit of mass or inertia of an axis whose position is in "m" or in "rad"."""
     return "kg" if motion == "m" else "kg*m^2"
+
+
+DEGREE: Final = math.pi / 180.0
+_DEGREES: Final = re.compile(r"^[^#\n]*\d *deg\b", re.MULTILINE)
+
+
+def uses_degrees(scene: str) -> bool:
+    """Return whether the text of a scene gives an angle in degrees."""
+    return _DEGREES.search(scene) is not None
+
+
+def place(value: float, unit: str, digits: int = 4, *, in_degrees: bool = False) -> str:
+    """Return a position [m or rad] with its unit, an angle in degrees if the scene gives angles so."""
+    return f"{value / DEGREE:.{digits}g} deg" if in_degrees and unit == "rad" else si(value, unit, digits)
 
 
 def counted(number: int | str, noun: str) -> str:

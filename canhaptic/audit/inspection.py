@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NotRequired, TypedDict, TypeVar, c
 
 import numpy as np
 
+from canhaptic.axis_units import uses_degrees
 from canhaptic.canopen.objects import StatusBit
 from canhaptic.control import verdict
 from canhaptic.control.balance import OUT_OF_CONTACT, Branch, Certificate
@@ -142,7 +143,7 @@ class PortRecord(PortFigures):
         self._interaction, self._least = np.longdouble(0.0), 0.0
         self._watch = _declared(log, f"{name}.{FRICTION_DECLARED}", lambda of: FrictionWatch(FrictionDeclared(**of)))
         self.felt = _declared(log, f"{name}.mass_asked", lambda of: MassFelt(MassAsked(**of)))
-        self._hold = ""
+        self._hold, self._is_in_degrees = "", name not in log.groups and in_degrees(log, name)
         self._environment, self._algorithm = (
             log.attributes.get(f"{name}.{key}") for key in ("environment", "algorithm")
         )
@@ -267,6 +268,8 @@ class PortRecord(PortFigures):
                 account["active_before"] = True
         if isinstance(self._environment, str):
             account["environment"] = self._environment
+        if self._is_in_degrees:
+            account["in_degrees"] = True
         if isinstance(self._algorithm, str):
             account["algorithm"] = self._algorithm
         if isinstance(self._wall, float):
@@ -274,6 +277,12 @@ class PortRecord(PortFigures):
         if self._is_dry:
             verdict.claim_nothing(account)
         return account
+
+
+def in_degrees(log: EnergyLog, name: str) -> bool:
+    """Return whether the angle of an axis is shown in degrees, as the scene of the log gives angles so."""
+    texts = (str(log.attributes.get(key, "")) for key in ("config", "config_overrides"))
+    return log.ports[name].unit("position") == "rad" and uses_degrees("\n".join(texts))
 
 
 def _is_requested(log: EnergyLog, name: str) -> bool:

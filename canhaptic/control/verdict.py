@@ -156,6 +156,7 @@ class PortResult(_Flows, total=False):
     environment: str  # its type in the scene
     algorithm: str  # its name in the scene
     wall: float  # position at which it begins, where it has one [m or rad]
+    in_degrees: bool  # the scene gives angles in degrees; those of the account are in [rad]
     reach: list[float]  # without a contact: lowest and highest position [m or rad]
     mass: dict[str, float | None]  # of an admittance display: requested, felt (None: not known) [kg or kg*m^2], share
     read_back: str

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
 import can
 
-from canhaptic.axis_units import effort_unit
+from canhaptic.axis_units import effort_unit, uses_degrees
 from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.control.ledger import DEFAULT_LIMIT, EnergyLossMeter
 from canhaptic.control.verdict import GUARANTEEING, PortResult
@@ -459,10 +459,13 @@ def _add_of_axes(experiment: Experiment, ports: Mapping[str, PortResult]) -> Non
     """Add to each port its algorithm, to each axis its environment, and why a wall was not felt."""
     for name, passivity, _ in experiment.scene.ports:
         ports[name]["algorithm"] = passivity.name
+    is_in_degrees = uses_degrees("\n".join((experiment.scene.text, *experiment.scene.overrides)))
     for axis in experiment.scene.axes:
         port = ports[axis.parameters.name]
         if not axis.group:
             port["environment"] = axis.environment.name
+            if axis.parameters.unit == "rad" and is_in_degrees:
+                port["in_degrees"] = True
             if isinstance(wall := getattr(axis.environment.parameters, "position", None), float):
                 port["wall"] = wall
         if port.get("verdict") == "nothing rendered":

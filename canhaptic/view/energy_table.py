@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from canhaptic.axis_units import counted, damping_unit, effort_unit, si
+from canhaptic.axis_units import counted, damping_unit, effort_unit, place, si
 from canhaptic.control.verdict import BY_CONSTRUCTION, PASSIVE_TOLERANCE, Verdict
 from canhaptic.quantities import ACCOUNT, TRUTH
 from canhaptic.view.run_lines import (
@@ -230,7 +231,8 @@ def inspection_tables(result: Result) -> list[Table]:
         for name, contacts in run.get("contacts", {}).items():
             port = run["ports"][name]
             unit = port["unit"]
-            tables.append(_contacts_table(f"{file} {name}", contacts, unit, port.get("state_unit", unit)))
+            depth = partial(place, unit=port.get("state_unit", unit), in_degrees=port.get("in_degrees", False))
+            tables.append(_contacts_table(f"{file} {name}", contacts, unit, depth))
         told = [event for event in run.get("events", []) if event["text"] != BY_CONSTRUCTION]  # of every simulated run
         tables.append(_events_table(told, file))
     tables.append(_checks_table(result.get("checks", [])))
@@ -248,13 +250,13 @@ def _header(result: Result) -> Text:
     return text.append(f"{result['file']}   {span}", style="default")
 
 
-def _contacts_table(name: str, contacts: Sequence[Result], unit: str, depth_unit: str) -> Table:
+def _contacts_table(name: str, contacts: Sequence[Result], unit: str, depth: Callable[[float], str]) -> Table:
     hardest = sorted(enumerate(contacts, 1), key=lambda contact: -contact[1]["peak_torque"])[:_CONTACTS_SHOWN]
     shown = f", the {_CONTACTS_SHOWN} hardest" if len(contacts) > _CONTACTS_SHOWN else ""
     rows: list[list[Cell]] = [
         [
             number, f"{contact['start']:.4f} s", si(contact["duration"], "s"),
-            "not known" if contact["depth"] is None else si(contact["depth"], depth_unit),
+            "not known" if contact["depth"] is None else depth(contact["depth"]),
             si(contact["peak_torque"], effort_unit(unit)), energy(contact["energy"]),
         ]
         for number, contact in sorted(hardest, key=lambda contact: contact[0])

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator, Mapping
+from functools import partial
 from typing import IO, Any, Final
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType
@@ -10,7 +11,7 @@ from rich.segment import Segment
 from rich.table import Table as TerminalTable
 from rich.text import Text
 
-from canhaptic.axis_units import counted, mass_unit, si
+from canhaptic.axis_units import counted, mass_unit, place, si
 from canhaptic.control.verdict import (
     BY_CERTIFICATE,
     EARLY,
@@ -189,9 +190,9 @@ def _reason(port: PortResult) -> str:
     if word == "in doubt":
         return why
     if word == "no contact" and "reach" in port:
-        unit = port.get("unit", "m")
-        wall = f", the wall begins at {si(port['wall'], unit, 3)}" if "wall" in port else ""
-        return f"the handle stayed between {' and '.join(si(at, unit, 3) for at in port['reach'])}{wall}"
+        shown = partial(place, unit=port.get("unit", "m"), digits=3, in_degrees=port.get("in_degrees", False))
+        wall = f", the wall begins at {shown(port['wall'])}" if "wall" in port else ""
+        return f"the handle stayed between {' and '.join(map(shown, port['reach']))}{wall}"
     return port.get("advice", "") if word == "nothing rendered" else ""
 
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from canhaptic.audit.inspection import contacts, rows_between, rows_to_draw, wall_of
-from canhaptic.axis_units import counted, si
+from canhaptic.audit.inspection import contacts, in_degrees, rows_between, rows_to_draw, wall_of
+from canhaptic.axis_units import DEGREE, counted, si
 from canhaptic.control.ledger import without_dust
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.logs.energy_reader import EnergyLog
@@ -163,7 +163,10 @@ class PortPicture:
         if panel == "position" and (wall := wall_of(self._log, self._name)) is not None:
             largest = max(largest, abs(wall))
         self.scales[panel], prefix = scale_of(largest)
-        scale, unit = self.scales[panel], self._movers[0].unit(_COLUMNS[panel])
+        unit = self._movers[0].unit(_COLUMNS[panel])
+        if panel == "position" and in_degrees(self._log, self._name):
+            self.scales[panel], prefix, unit = DEGREE, "", "deg"
+        scale = self.scales[panel]
         if panel == "energy":
             self._draw_energy(axes, scale, *(values for values, _ in common))
         else:

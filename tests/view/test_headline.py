@@ -1,6 +1,7 @@
 """The first line of a port in words."""
 
 import io
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -8,6 +9,7 @@ import pytest
 from rich.console import RenderableType
 from rich.text import Text
 
+from canhaptic.axis_units import uses_degrees
 from canhaptic.control.verdict import LATE, headline
 from canhaptic.view.energy_table import energy_report
 from canhaptic.view.run_lines import advice_lines, brief_report, headline_text, headlines, make_console
@@ -46,6 +48,9 @@ CERTIFIED = {"certificate": "hand_force", "certificates": ["hand_force"]}
           "wall": -0.05}, "no contact: the handle stayed between -12.0 mm and 30.0 mm, the wall begins at -50.0 mm"),
         ({"passive": "yes", "unit": "rad", "contact": {"holds": 0, "without_torque": 0}, "reach": [0.0, 0.5]},
          "no contact: the handle stayed between 0 rad and 0.5 rad"),
+        ({"passive": "yes", "unit": "rad", "contact": {"holds": 0, "without_torque": 0}, "reach": [0.0, math.pi / 6.0],
+          "wall": -math.pi / 4.0, "in_degrees": True},
+         "no contact: the handle stayed between 0 deg and 30 deg, the wall begins at -45 deg"),
         ({"passive": "yes", "rendered": {"stiffness": 1.004, "damping": None}},
          "passive: yes · stiffness as requested"),
         ({"passive": "yes", "rendered": {"stiffness": 0.873, "damping": None}, "environment": "detents"},
@@ -129,3 +134,11 @@ def test_a_first_line_that_is_too_long_goes_on_indented(monkeypatch: pytest.Monk
     assert first.startswith(" handle: passive: in doubt")
     assert rest
     assert all(line.startswith("    word") and len(line) <= 80 for line in rest)
+
+
+@pytest.mark.parametrize(
+    ("scene", "is_in_degrees"),
+    [("pitch: 15 deg  # of a notch", True), ("position: 0.2 rad  # 11 deg", False), ("a: [1deg]", True), ("", False)],
+)
+def test_angles_are_in_degrees_where_the_scene_gives_them_so(scene: str, is_in_degrees: bool) -> None:
+    assert uses_degrees(f"environment:\n  {scene}\n") is is_in_degrees

@@ -102,6 +102,19 @@ def test_a_picture_names_the_least_margin_the_wall_and_the_faults_and_shades_eve
     assert "emcy" not in (tmp_path / "part.svg").read_text()
 
 
+def test_an_angle_is_drawn_in_degrees_where_the_scene_gives_angles_so(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    write_run(path, ports=("handle", "knob"))
+    with EnergyLog.open(path) as log:
+        log.attributes["config"] = "pitch: 15 deg"
+        shown = {axes.get_title(loc="left"): axes for axes in energy_figure(log).axes}
+        position = log.ports["knob"]["position"]
+    assert shown["handle: position"].get_ylabel() == "[mm]"
+    assert shown["knob: position"].get_ylabel() == "[deg]"
+    drawn = shown["knob: position"].get_lines()[0].get_ydata()
+    assert max(drawn) == pytest.approx(np.degrees(position.max()))
+
+
 def test_an_empty_log_is_refused_with_one_message(tmp_path: Path) -> None:
     EnergyLogWriter(tmp_path / "e.h5", [PortDescription("a", "m")], {}, sample_time_ns=1_000_000).close()
     with EnergyLog.open(tmp_path / "e.h5") as log, pytest.raises(InputError, match="nothing to draw"):
