@@ -111,8 +111,8 @@ def test_an_angle_is_drawn_in_degrees_where_the_scene_gives_angles_so(tmp_path: 
         position = log.ports["knob"]["position"]
     assert shown["handle: position"].get_ylabel() == "[mm]"
     assert shown["knob: position"].get_ylabel() == "[deg]"
-    drawn = shown["knob: position"].get_lines()[0].get_ydata()
-    assert max(drawn) == pytest.approx(np.degrees(position.max()))
+    drawn = np.asarray(shown["knob: position"].get_lines()[0].get_ydata(), dtype=float)
+    assert drawn.max() == pytest.approx(np.degrees(position.max()))
 
 
 def test_an_empty_log_is_refused_with_one_message(tmp_path: Path) -> None:
