@@ -17,8 +17,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from canhaptic.canopen.eds import read_dictionary
 from canhaptic.commission.session import OpenLoop, Session, StepVerdict, reversals
 from canhaptic.commission.which_hold import HoldTimes, as_declared, report_hold, time_the_hold
+from canhaptic.drive.can.bus_budget import shortest_answer
+from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.scene import hints
 from canhaptic.scene.first_contact import ALLOWANCES, share_of_wall, with_declared
 from canhaptic.scene.models import AxisScene
@@ -353,7 +356,7 @@ def time_the_torque(
             is_kept = is_kept and not _is_lost(session, axis, declared, known)
             _report(session, axis, late, is_kept=is_kept)
             if late[0] >= -_EARLY * late[1]:
-                _propose(session, axis, None if is_kept else _at_most(late), known)
+                _propose(session, axis, None if is_kept else _at_most(late), known, _at_least(session, axis, late))
             return
         seen = f"+- {SURE * late[1] * 1e6:.2g} us costs too much of the wall" if is_over else "in which hold is unclear"
         session.dialogue.tell(f"  {name}: {_ITEM}: {seen}")
@@ -367,6 +370,21 @@ def _may_be_told(times: HoldTimes, longer: float) -> bool:
 def _at_most(late: tuple[float, float]) -> float:
     """Lag to declare, from a measured one and its standard deviation [s]."""
     return _OVER * (max(0.0, late[0]) + SURE * late[1])
+
+
+def _at_least(session: Session, axis: int, late: tuple[float, float]) -> float | None:
+    """Lower end of the lag to declare [s]; None: 0. The window may take up its largest value of the lateness."""
+    window = session.axes[axis].loop.torque_window or 0.0
+    return max(0.0, (late[0] - SURE * late[1]) / _OVER - window) or None
+
+
+def _earliest(session: Session, axis: int) -> float | None:
+    """Earliest time at which a torque can act on a real bus [s], by its frames on the wire; None: not known."""
+    parameters, bus = session.axes[axis].parameters, session.scene.bus_of(session.axes[axis])
+    if session.experiment.pace == "free" or bus.rpdo != "event":
+        return None
+    dictionary = read_dictionary(parameters.eds, parameters.node_id)
+    return shortest_answer(bus.bitrate, choose_map(dictionary, parameters))
 
 
 def _is_resolved(session: Session, axis: int, late: tuple[float, float], known: Mapping[str, float]) -> bool:
@@ -404,7 +422,7 @@ def _lateness(session: Session, axis: int, law: OpenLoop, half_base: int) -> tup
 def _report(session: Session, axis: int, late: tuple[float, float], *, is_kept: bool) -> None:
     """Report the lateness against the declared values, and whether these are kept."""
     declared = (session.axes[axis].loop.torque_window or 0.0) + (session.axes[axis].loop.current_lag or 0.0)
-    value, error = late[0], SURE * late[1]
+    value, error, timing = late[0], SURE * late[1], session.axes[axis].loop.timing
     configured = f"at most {declared * 1e6:.3g} us" if declared else "none"
     found = f"{value * 1e6:.3g} +- {error * 1e6:.2g} us"
     if value < -_EARLY * late[1]:
@@ -416,11 +434,12 @@ def _report(session: Session, axis: int, late: tuple[float, float], *, is_kept: 
         text = "configured value kept" if is_kept else declares
         session.found(axis, _ITEM, configured, found, StepVerdict.AGREES if is_kept else StepVerdict.MEASURED, text)
     else:
-        text = "declare a larger value, or guarded is not passive"
-        session.judged(axis, _ITEM, configured, found, good=value - error <= declared, text=text)
+        text = "declare the range that this test found, or guarded is not passive"
+        good = value - error <= declared and timing.early <= value + error
+        session.judged(axis, _ITEM, configured, found, good=good, text=text)
 
 
-def _propose(session: Session, axis: int, lag: float | None, known: Mapping[str, float]) -> None:
+def _propose(session: Session, axis: int, lag: float | None, known: Mapping[str, float], least: float | None) -> None:
     """Propose window and lag, and an energy allowance where they would cost too much of the wall.
 
     Args:
@@ -428,14 +447,16 @@ def _propose(session: Session, axis: int, lag: float | None, known: Mapping[str,
         axis: Index of the axis.
         lag: Lag to declare [s]; None: the configured one is right.
         known: Measured values of `passivity`, SI.
+        least: Lower end of the lag [s]; None: 0.
     """
     scene = session.axes[axis]
     if window := scene.loop.torque_window:  # 0 only in a simulation without delay, and never declared of a real drive
         session.propose(
-            axis, "passivity.torque_window", window, "s", "an allowance: the measured lag is in current_lag"
-        )
+            axis, "passivity.torque_window", window, "s", "an allowance: the measured lag is in current_lag",
+            _earliest(session, axis),
+        )  # fmt: skip
     comment = f"{_OVER:g} times the upper confidence limit" if lag is not None else "more than this test resolves"
-    session.propose(axis, "passivity.current_lag", lag, "s", comment)
+    session.propose(axis, "passivity.current_lag", lag, "s", comment, least)
     if lag is None or not _is_lost(session, axis, lag, known):
         return
     without, lagging = ({**known, "current_lag": value} for value in (0.0, lag))

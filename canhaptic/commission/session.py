@@ -115,6 +115,7 @@ class Value(NamedTuple):
     value: float | int | str | None  # SI; None: the one that the scene has is right
     unit: str
     comment: str = ""
+    least: float | None = None  # lower end of a range; None: no range
 
     @property
     def text(self) -> str | None:
@@ -122,7 +123,8 @@ class Value(NamedTuple):
         factor, unit = _SHOWN_IN.get(self.unit, (1.0, self.unit))
         if not isinstance(self.value, float):  # whole where the drive has it
             return None if self.value is None else str(self.value)
-        return f"{self.value * factor:.6g} {unit}".rstrip()
+        largest = f"{self.value * factor:.6g} {unit}".rstrip()
+        return largest if self.least is None else f"[{self.least * factor:.6g} {unit}, {largest}]"
 
 
 _SHOWN_IN: Final = {"s": (1e6, "us"), "1": (100.0, "%")}
@@ -685,9 +687,12 @@ class Session:
         for axis in axes:
             self.found(axis, item, "", "not tried", StepVerdict.UNKNOWN, text)
 
-    def propose(self, axis: int, key: str, value: float | int | str | None, unit: str = "", comment: str = "") -> None:
-        """Propose a value for a key of the scene; None: the key keeps its present value."""
-        self.report.values.append(Value(self.axes[axis].parameters.name, key, value, unit, comment))
+    def propose(
+        self, axis: int, key: str, value: float | int | str | None, unit: str = "", comment: str = "",
+        least: float | None = None,
+    ) -> None:  # fmt: skip
+        """Propose a value for a key of the scene, with its lower end; None: the key keeps its present value."""
+        self.report.values.append(Value(self.axes[axis].parameters.name, key, value, unit, comment, least))
 
 
 def largest_torque(session: Session, axis: int) -> float:

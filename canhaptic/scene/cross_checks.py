@@ -40,7 +40,12 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
         loop = next(section for section in given if isinstance(section, MarkedMapping))
         first = next(other for other in scene.axes if other.group == axis.group)
         known = scene.bus_of(axis), scene.passivity_of(axis), not scene.simulated, bool(scene.mechanisms)
-        maps[axis.bus].append(_check_axis(_Checked(axis, first, entry, loop, *known), faults))
+        least = dict[str, float]()
+        if scene.simulated:
+            from canhaptic.scene.far_side import least_lateness
+
+            least = least_lateness(axis, scene.bus_of(axis), scene.effects_on(axis.bus))
+        maps[axis.bus].append(_check_axis(_Checked(axis, first, entry, loop, *known, least), faults))
     for group in scene.groups:
         try:
             build_group(scene, group)
@@ -69,6 +74,7 @@ class _Checked(NamedTuple):
     passivity: ComponentSpec  # algorithm that renders on it
     is_real: bool
     is_coupled: bool  # whether the scene has simulated mechanisms
+    least: dict[str, float]  # how late its torques act at least, as simulated [s]
 
 
 def _check_axis(of: _Checked, faults: Diagnostics) -> AxisMap | None:
@@ -206,6 +212,9 @@ def _faults_of_loop(of: _Checked, axis_map: AxisMap | None) -> Iterator[tuple[st
     if abs(loop.sample_time - bus.sample_time) > 1e-9:
         text = f"got {loop.sample_time:g} s, but bus.rate of {bus.rate:g} Hz makes it {bus.sample_time:g} s"
         yield "sample_time", f"{text}; leave it out"
+    for key, least in of.least.items():
+        if least > 0.0 and getattr(loop, key) == 0.0:
+            yield key, f"got 0 s, but the simulated drive and bus make it {least:g} s; declare it, or leave it out"
     if axis_map is None or not of.is_real or bus.rpdo != "event" or loop.torque_window is None:
         return
     if loop.torque_window < (least := shortest_answer(bus.bitrate, axis_map)):  # as carried over from a simulation

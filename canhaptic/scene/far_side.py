@@ -25,7 +25,8 @@ from canhaptic.units import Parameters, Unit
 if TYPE_CHECKING:
     from canhaptic.control.axis_meter import Accuracy
     from canhaptic.control.passivity import LoopProperties
-    from canhaptic.sim.bus.faulty_bus import FaultyBus
+    from canhaptic.drive.axis_parameters import BusParameters
+    from canhaptic.sim.bus.faulty_bus import BusEffects, FaultyBus
     from canhaptic.sim.drive.can.drive_node import DriveGroup
     from canhaptic.sim.plant.effects import Effect
     from canhaptic.sim.plant.mechanism import Mechanism, MechanismMotor, MechanismParameters
@@ -194,6 +195,20 @@ def lag_of(axis: AxisScene) -> float:
     if slowest is None:
         return lag
     return min(slowest(lag, axis.parameters.torque_limit or inf, axis.parameters.largest_speed), _NO_LAG)
+
+
+def least_lateness(axis: AxisScene, bus: "BusParameters | None", effects: "BusEffects | None") -> dict[str, float]:
+    """Return the lower ends of `torque_window` and `current_lag` of a simulated axis [s].
+
+    On a bus that delays every frame, the position and the torque that answers it come late one after the other.
+    """
+    named = {of.name: of.parameters for of in axis.simulation.effects} if axis.simulation is not None else {}
+    lag = 0.0 if "voltage_limit" in named else float(getattr(named.get("current_loop"), "time_constant", 0.0))
+    delay = 0.0
+    if effects is not None and bus is not None and bus.rpdo == "event":
+        is_even = effects.direction == "both" and effects.ids is None and not effects.during
+        delay = effects.delay if is_even else 0.0
+    return {"torque_window": 2.0 * delay, "current_lag": lag}
 
 
 def _twin_of(axis: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 
+from canhaptic.control.passivity import RANGES
 from canhaptic.scene.models import LOOP_KEYS, SCALING_KEYS, SIMULATION_PARTS, scene_adapter
 from canhaptic.units import Parameters
 
@@ -135,6 +136,9 @@ def _with_loop(choices: Schema, defined: Schema) -> Schema:
     """Return the schema of algorithms, each with the keys of the loop."""
     loop, taken = defined["LoopProperties"]["properties"], _TEXTS["taken"]
     known = {key: loop[key] | ({"taken": taken[key]} if key in taken else {}) for key in LOOP_KEYS}
+    for key in RANGES:
+        ends = {"type": "array", "items": known[key]["anyOf"][0], "minItems": 2, "maxItems": 2}
+        known[key] = {**known[key], "anyOf": [*known[key]["anyOf"], ends]}
     return _laid_under(choices, known)
 
 

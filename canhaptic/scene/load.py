@@ -199,15 +199,17 @@ def with_loops(scene: Scene) -> Scene:
         passivity, window = scene.passivity_of(axis), windows.get(axis.bus, 0.0)  # an unknown bus was noted before
         needed += [f"{axis.parameters.name}.passivity.{key}" for key in _needed(passivity, axis.loop)]
         found = {**_GUESSES, "torque_window": _GUESSES["torque_window"] + window}
-        bounds: dict[str, float] = {}
+        bounds, ends = dict[str, float](), dict[str, float]()
         if scene.simulation is not None:
-            from canhaptic.scene.far_side import device_bounds, lag_of
+            from canhaptic.scene.far_side import device_bounds, lag_of, least_lateness
 
             if scene.simulated:
                 jitter = jitters.get(axis.bus, 0.0)
                 found = {"sync_jitter": jitter, "torque_window": window, "current_lag": lag_of(axis)}
+                ends = least_lateness(axis, dict(scene.buses).get(axis.bus), effects.get(axis.bus))
             bounds = device_bounds(axis, scene.mechanisms) if rests_on_hand_force(passivity) else {}
         missing = {key: found[key] for key in _undeclared(axis.loop, is_real=not scene.simulated)}
+        missing |= {f"{key}_least": least for key, least in ends.items() if least and key in missing}
         missing |= {key: bound for key, bound in bounds.items() if getattr(axis.loop, key) is None}
         axes.append(replace(axis, loop=axis.loop.model_copy(update=missing)) if missing else axis)
     return replace(scene, axes=tuple(axes), undeclared=tuple(needed))

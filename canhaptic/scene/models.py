@@ -325,7 +325,7 @@ def _known_bus(bus: BusParameters, info: Info[SceneContext]) -> BusParameters:
 
 LATER_LOOP_KEYS: Final = (
     *("device_friction", "device_friction_bound", "sync_jitter", "torque_window", "current_lag"),
-    *("device_cogging_bound", "presliding_stiffness"),
+    *("device_cogging_bound", "presliding_stiffness", "torque_window_least", "current_lag_least"),
     *("torque_rate_limit", "power_limit"),
 )
 """Loop keys that logs of the first release do not have."""

@@ -54,13 +54,13 @@ def least(
     controller: Any, holds: Holds, sample_time: float, delay: int, lag: float, start: tuple[float, float],
     cut: Callable[[float], float] = lambda torque: torque, mass: float = 0.25,
 ) -> tuple[float, float]:  # fmt: skip
-    """Returns the least true sum of h_i after any hold, and the most that was booked beyond it [J]."""
+    """Returns the least true sum of h_i after any hold, and the most that is booked for certain beyond it [J]."""
     plant, held, pending = Late(mass, lag, *start), 0.0, [0.0] * delay
     lowest = booked = beyond = 0.0
     for hand, period, change in zip(*holds, strict=True):
         balance = controller.step(plant.position, held)
         booked += balance.h_i
-        beyond = max(beyond, booked + plant.given)
+        beyond = max(beyond, booked - getattr(controller, "energy_resolution", 0.0) + plant.given)
         pending.append(cut(balance.torque))
         new, begin = pending.pop(0), 0.0
         for part in range(PARTS):

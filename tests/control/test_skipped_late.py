@@ -35,7 +35,7 @@ def beyond(case: str, hand: list[list[float]], late: list[float], first: int, sp
         balance = controller.step(plant.position, held)
         booked += balance.h_i
         true = -plant.given
-        worst = max(worst, booked - true, true - booked - controller.energy_resolution)
+        worst = max(worst, abs(booked - true) - controller.energy_resolution)
         pending.append(balance.torque)
         new, begin, periods = pending.pop(0), 0.0, length if hold >= first and (hold - first) % 6 == 0 else 1
         time = sample_time * periods

@@ -38,7 +38,8 @@ T, MASS, PULL, GAP = 1e-3, 0.25, 5.0, -7.0
 def declared_of(draw: random.Random, **given: float) -> Declared:
     damping = draw.choice([0.0, 0.5, 2.0])
     by_force = draw.random() < 0.7
-    timing = hold_timing(T, draw.choice([0.0, 0.02]), draw.choice([0.0, 2e-4]), draw.choice([0.0, 6e-5]))
+    jitter, window = draw.choice([0.0, 0.02]), draw.choice([0.0, 2e-4])
+    timing = hold_timing(T, jitter, window, draw.choice([0.0, 6e-5]), (0.5 * window, 0.0))
     push = draw.choice([9.0, math.inf])
     response = displacement_response(T, MASS, PULL, damping, 2.0 * damping + 0.4, push, timing)
     known = Declared(
@@ -209,6 +210,27 @@ def test_older_torques_are_left_as_the_timing_says() -> None:
             assert acted(known, bound, sign) == (counted if known.late else sign * bound.torque)
 
 
+def both_ends(known: Declared, before: TorqueBound, out: float, moved: float, torque: float) -> tuple[float, float]:
+    """Returns -L and U of docs/theory/late_torques.md, by trying many times of the change [m]."""
+    ends, timing = [], known.response
+    for way in (out, -out):
+        pushes = before.turns or way == -before.out
+        hand = timing.push if pushes else timing.hand
+        force = hand / (timing.hand / 5.0) + max(
+            0.0, way * torque, way * (before.highest if way > 0 else before.lowest)
+        )
+        least = way * moved - known.encoder_count
+        mean = least / known.sample_time if least > 0.0 else timing.swing * least / timing.shortest
+        if force == math.inf:
+            ends.append(math.inf)
+            continue
+        bend = 0.5 * timing.swing * force / MASS
+        middle = 0.5 * (known.sample_time - mean / bend)
+        times = timing.early, known.late, min(max(middle, timing.early), known.late)
+        ends.append(max(time * (bend * (known.sample_time - time) - mean) for time in times))
+    return ends[0], ends[1]
+
+
 def test_a_late_torque_leaves_in_doubt_what_it_differs_by_over_how_far_it_is_carried() -> None:
     ways = set()
     for seed in range(300):
@@ -239,13 +261,14 @@ def test_a_late_torque_leaves_in_doubt_what_it_differs_by_over_how_far_it_is_car
             up += r.tail_during * strongest + by_hand
             down = r.share * max(0.0, count - out * moved) + r.tail_before * strongest + by_hand
             down *= r.swing
-            rising = out * change > 0.0
+            rising, further = out * change > 0.0, rest * max(up, down)
+            down, up = (min(way) for way in zip((down, up), both_ends(known, before, out, moved, torque), strict=True))
             less, more = (abs(change) * way for way in ((down, up) if rising else (up, down)))
-            less, more = less + rest * max(up, down), more + rest * max(up, down)
+            less, more = less + further, more + further
         elif known.hand_speed:
             less = more = differs * known.hand_speed * known.late
         else:
-            less, more = for_all, for_all if b else 0.0
+            less = more = for_all
         ways.add((known.by_hand_force, bool(known.hand_speed), bool(b)))
         assert close(found, less if differs else 0.0), seed
         assert close(bound.resolution, less + more if differs else 0.0), seed

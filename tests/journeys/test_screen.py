@@ -15,7 +15,7 @@ SPENT = {"passivity.device_damping": 0.0, "passivity.energy_allowance": "20 uJ"}
 def test_a_knob_whose_allowance_is_spent_says_when_its_torque_ended_and_a_share_that_is_not_negative(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    result = canhaptic.simulate("rotary_knob", SPENT, duration=1.0)
+    result = canhaptic.simulate("rotary_knob", {**SPENT, "passivity.current_lag": "500 us"}, duration=1.0)
     port, samples = result.account.raw["ports"]["knob"], result.to_numpy()
     acted = result.time[abs(samples["knob.torque_command"]).nonzero()[0][-1]]
     assert port["contact"]["no_torque_after"] == pytest.approx(acted, abs=2e-3)

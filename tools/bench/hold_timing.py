@@ -63,8 +63,8 @@ def held_at(loop: str, hand_force: float, declared: dict[str, float]) -> tuple[f
     lag = declared.get("current_lag")
     effects: Any = () if lag is None else (CurrentLoop(time_constant=lag),)
     leaning = Leaning(push=PUSH, duration=settling_time(MASS, damping), per_decade=6, fine=0.01)
-    known = {"jitter": declared.get("sync_jitter", 0.0), "window": declared.get("torque_window", 0.0)}
-    timing = hold_timing(1.0 / rate, **known, lag=lag or 0.0)
+    jitter, window = declared.get("sync_jitter", 0.0), declared.get("torque_window", 0.0)
+    timing = hold_timing(1.0 / rate, jitter, window, lag or 0.0)
     ideal = displacement_response(1.0 / rate, MASS, 0.0, 0.0, damping)
     limit = displacement_response(1.0 / rate, MASS, hand_force, 0.0, damping, timing=timing)
     certified = renderable_by_hand_force(limit, delay, PUSH)

@@ -163,13 +163,17 @@ def _declare_falsely(chance: _Chance, values: dict[str, Any]) -> None:
         return
     group = values.get("groups")
     passivity = group[0]["passivity"] if group else values["passivity"]
-    kind = chance.by_weight({"moving_mass": 0.4, "current_lag": 0.3, "counts_per_unit": 0.3})
+    kind = chance.by_weight({"moving_mass": 0.3, "current_lag": 0.3, "torque_window": 0.15, "counts_per_unit": 0.25})
+    effects, bus = values["simulation"].get("effects", ()), values["simulation"].get("bus", {})
+    lag = max((effect["time_constant"] for effect in effects if effect["type"] == "current_loop"), default=0.0)
+    window = 2.0 * bus.get("delay", 0.0) if values["bus"]["rpdo"] == "event" and "ids" not in bus else 0.0
+    late = {"current_lag": lag, "torque_window": window}
     if kind == "moving_mass":
         passivity["moving_mass"] *= 3.0
     elif kind == "counts_per_unit":
         values["simulation"]["drive"]["counts_per_unit"] = 1.2 * values["axes"][0]["counts_per_unit"]
-    elif any(effect["type"] == "current_loop" for effect in values["simulation"].get("effects", ())):
-        passivity["current_lag"] = 0.0
+    elif late.get(kind, 0.0) > 0.0:  # an explicit 0 is refused
+        passivity[kind] = chance.between(0.05, 0.6) * late[kind]
     else:
         return
     chance.tags.add(f"false:{kind}")

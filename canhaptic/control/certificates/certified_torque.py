@@ -92,7 +92,13 @@ from math import inf, isnan, nan, sqrt
 from typing import Annotated, Final, NamedTuple, Protocol
 
 from canhaptic.control.certificates import scalar_bounds
-from canhaptic.control.certificates.scalar_bounds import WINDOW, hand_force_bound, next_displacement, tail_reach
+from canhaptic.control.certificates.scalar_bounds import (
+    WINDOW,
+    end_of_late,
+    hand_force_bound,
+    next_displacement,
+    tail_reach,
+)
 from canhaptic.kernels import OFTEN_ZERO, Buffer, MakeBuffer, new
 
 _WHOLE: Final = 1.0 - 1e-9
@@ -368,14 +374,16 @@ def doubt_of_late(
     if declared.by_hand_force:
         sign = -1.0 if bound.out < 0.0 else 1.0
         up, down = reach_of_late(declared, bound, sign, displacement, torque, lasted)
+        further = rest * max(up, down)
+        if lasted == 1.0:
+            up, down = between_ends(declared, bound, sign, displacement, torque, (up, down))
         change *= sign
         less, more = (change * down, change * up) if change > 0.0 else (-change * up, -change * down)
-        further = rest * max(up, down)
         less, more = less + further, more + further
     elif declared.hand_speed > 0.0:
         less = more = differs * declared.hand_speed * declared.late
     else:
-        bound.resolution += damped if declared.damping == 0.0 else 2.0 * damped
+        bound.resolution += 2.0 * damped
         return damped
     bound.resolution += less + more
     if declared.damping > 0.0:  # a promise to every hand rests on no hand
@@ -412,6 +420,29 @@ def reach_of_late(
         down += response.share * back
     swing = response.swing if lasted == 1.0 else 1.0 + 2.0 * lasted * (response.swing - 1.0)
     return up, swing * down
+
+
+def between_ends(
+    declared: Declared, bound: TorqueBound, sign: float, displacement: float, torque: float,
+    reached: tuple[float, float],
+) -> tuple[float, float]:  # fmt: skip
+    """Return the same as `reach_of_late` for the torque before alone, by both ends of its lateness [m or rad].
+
+    Each is less than 0 where the axis has moved the other way for certain. `reached` is the result of `reach_of_late`;
+    the other arguments are the same.
+    """
+    response, (up, down) = declared.response, reached
+    longest, late, moved, count = declared.sample_time, declared.late, sign * displacement, declared.encoder_count
+    pull, push = hand_along(declared, bound, sign), hand_along(declared, bound, -sign)
+    high, low = max(torque, bound.highest), min(torque, bound.lowest)
+    along, against = (high, -low) if sign > 0.0 else (-low, high)
+    if pull < inf:
+        force = response.per_hand * pull + (along if along > 0.0 else 0.0)
+        down = min(down, -end_of_late(moved - count, longest, late, force, response))
+    if push < inf:
+        force = response.per_hand * push + (against if against > 0.0 else 0.0)
+        up = min(up, -end_of_late(-moved - count, longest, late, force, response))
+    return up, down
 
 
 def end_gap(

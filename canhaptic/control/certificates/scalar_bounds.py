@@ -71,6 +71,14 @@ lies above the solution with equality through the same ends: X >= -s (theta/T ma
 s = y / (1 - e^-y), y = beta T (phi(t)/phi(T) <= s t/T, and the solution from 0 to 0 begins with -s A T / 2m at most).
 This covers a hand without a limit inward, because only its force along the torque is used. See `doubt_of_late`.
 
+*Two ends.* With lo <= integral p dt = theta <= hi, X is a mean of x over the times of the change, and theta (T - theta)
+is concave. So, with the largest forces A_out along the torque and A_in against it (docs/theory/late_torques.md, L1),
+
+    X >= min over theta of theta D/T - s A_out theta (T - theta) / 2m
+    X <= max over theta of theta D/T + s A_in theta (T - theta) / 2m                                        (3)
+
+with s D in place of D where that is wider (`ends_of_late`). Without a limit inward only the lower end is a bound.
+
 **Hand speed.** |X| <= v_max theta. **Device damping**, for every hand: e = f - u, |e| <= d p, and
 integral(e v + b v^2) over motions of sum D is least at e D/T - e^2 / 4b + b D^2 / T, so less than booked by no more
 than d |D| theta / T + d^2 theta / 4b; and integral(u^2) <= sum of f_k^2 (T_k + theta), u being a mean of the torques.
@@ -119,9 +127,12 @@ class HoldTiming:
     longest: float  # hold [s]
     late: float  # theta: window and lag of a new torque together [s]
     left: float  # c: share of the older torques that is felt at the next SYNC at most
+    early: float = 0.0  # least integral of p over a hold [s]
 
 
-def hold_timing(sample_time: float, jitter: float, window: float, lag: float) -> HoldTiming:
+def hold_timing(
+    sample_time: float, jitter: float, window: float, lag: float, least: tuple[float, float] = (0.0, 0.0)
+) -> HoldTiming:
     """Return the shortest and longest hold, and how long and how much older torques act in a hold.
 
     Args:
@@ -129,6 +140,7 @@ def hold_timing(sample_time: float, jitter: float, window: float, lag: float) ->
         jitter: j, as a fraction of T.
         window: w [s].
         lag: tau [s].
+        least: Lower ends of w and tau [s].
 
     Raises:
         ParameterError: The window is as long as a hold.
@@ -140,7 +152,10 @@ def hold_timing(sample_time: float, jitter: float, window: float, lag: float) ->
             f"torque_window: got {window:g} s, expected less than the shortest hold, {shortest:g} s; a torque that "
             "comes later than the next SYNC is a delay: use rpdo: synchronous or a lower bus.rate"
         )
-    return HoldTiming(shortest, sample_time * (1.0 + jitter), window + lag, exp(-rest / lag) if lag > 0.0 else 0.0)
+    begin, follow = least
+    early = begin + (follow * (1.0 - exp((begin - shortest) / follow)) if follow > 0.0 else 0.0)
+    left = exp(-rest / lag) if lag > 0.0 else 0.0
+    return HoldTiming(shortest, sample_time * (1.0 + jitter), window + lag, left, early)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +176,10 @@ class DisplacementResponse:
     tail_hand: float = 0.0  # per displacement by the hand
     swing: float = 1.0  # factor by which friction lengthens the way back inside a hold
     brake: float = 0.0  # part of `hand` and `push` that dry friction does not add to a motion outward, or from rest
+    shortest: float = 0.0  # hold [s]
+    early: float = 0.0  # least integral of p over a hold [s]
+    bend: float = 0.0  # s / 2m of (3) [1/kg or 1/(kg*m^2)]
+    per_hand: float = 0.0  # force per displacement by the hand [N/m or N*m/rad]
 
 
 NO_RESPONSE: Final = DisplacementResponse(1.0, 0.0, 0.0, 0.0)
@@ -201,6 +220,7 @@ def displacement_response(
     fading, (braking, stiffness) = max(damping_most, damping_least) * longest / mass, friction
     given_back = longest / math.sqrt(stiffness * mass)
     retained = math.exp(-fading) * (shortest / longest)
+    swing = fading / -math.expm1(-fading) if fading > 0.0 else 1.0
     return DisplacementResponse(
         retained=retained,
         before=0.5 * whole if y > 0.5 else before,
@@ -214,8 +234,12 @@ def displacement_response(
         tail_before=0.5 * late * longest / mass,
         tail_during=late * late / mass,
         tail_hand=late * (0.5 * longest + late) / mass / both,
-        swing=fading / -math.expm1(-fading) if fading > 0.0 else 1.0,
+        swing=swing,
         brake=braking * max(0.0, both - whole / 8.0 - given_back),
+        shortest=shortest,
+        early=timing.early,
+        bend=0.5 * swing / mass,
+        per_hand=1.0 / both,
     )
 
 
@@ -255,6 +279,28 @@ def tail_reach(
     if torque_before > 0.0:
         reach += response.tail_before * torque_before
     return reach + response.share * displacement if displacement > 0.0 else reach
+
+
+def end_of_late(
+    displacement: float, longest: float, late: float, force: float, response: DisplacementResponse
+) -> float:
+    """Return the least X of equation (3): how far the axis has moved along while older torques acted [m or rad].
+
+    The largest X is minus the least one of the motion in the other direction.
+
+    Args:
+        displacement: Least displacement in the hold [m or rad].
+        longest: Longest hold [s].
+        late: Largest theta [s].
+        force: Largest force along [N or N*m].
+        response: Displacement response of the axis.
+    """
+    mean = displacement / longest if displacement > 0.0 else response.swing * displacement / response.shortest
+    bend = response.bend * force
+    theta, falls = response.early, bend * longest - mean
+    if falls > 2.0 * bend * theta:  # a parabola that opens upwards, least at falls / 2 bend
+        theta = late if falls >= 2.0 * bend * late else falls / (2.0 * bend)
+    return theta * (mean - bend * (longest - theta))
 
 
 def hand_force_bound(budget: float, base: float, gain: float) -> float:

@@ -3,7 +3,10 @@
 `Controller` is their interface, stepped once per SYNC; `LoopProperties` are the properties of the loop around them.
 """
 
-from typing import Annotated, Final, Protocol
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Protocol, Self
+
+from pydantic import model_validator
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.certificates.scalar_bounds import HoldTiming, hold_timing
@@ -40,6 +43,10 @@ _DITHERED: Final = {"guarded": f"{_HERE}.hold_dither:DitheredGuarded"}
 """The same for algorithms that can test in which hold their torques act."""
 
 
+RANGES: Final = ("torque_window", "current_lag")
+"""Keys of the loop that may be given as `[least, largest]`."""
+
+
 class LoopProperties(Parameters):
     """Properties of the loop around a controller; an optional value that is not known is None."""
 
@@ -70,9 +77,14 @@ class LoopProperties(Parameters):
     """Largest relative deviation of a hold from T: from position to position it lasts T (1 +- jitter).
     None: not known, taken as 0 by a controller."""
     torque_window: Annotated[float, quantity("s", ge=0.0, le=1.0)] | None = None
-    """Latest time after a SYNC at which its torque acts (event RPDO, wire time). None: not known, taken as 0."""
+    """Latest time after a SYNC at which its torque acts (event RPDO, wire time), or `[earliest, latest]`. None: not
+    known, taken as 0."""
     current_lag: Annotated[float, quantity("s", ge=0.0, le=1.0)] | None = None
-    """Largest time constant of the motor's torque. None: not known, taken as 0."""
+    """Largest time constant of the motor's torque, or `[least, largest]`. None: not known, taken as 0."""
+    torque_window_least: Annotated[float, quantity("s", ge=0.0, le=1.0)] | None = None
+    """The first number of `torque_window`."""
+    current_lag_least: Annotated[float, quantity("s", ge=0.0, le=1.0)] | None = None
+    """The first number of `current_lag`."""
     encoder_count: Annotated[float, quantity("m", "rad", ge=0.0)] = 0.0
     """Displacement of one encoder count; 0 for an ideal encoder."""
     torque_quantum: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
@@ -83,6 +95,26 @@ class LoopProperties(Parameters):
     """Largest rate of rise of the torque that the limiter permits."""
     power_limit: Annotated[float, quantity("W", gt=0.0)] | None = None
     """Largest power into the user's side that the limiter permits."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_two_ends(cls, section: Any) -> Any:
+        """Take `[least, largest]` of a time apart."""
+        ranges = [key for key in RANGES if isinstance(section, Mapping) and isinstance(section.get(key), list | tuple)]
+        section = dict(section) if ranges else section
+        for key in ranges:
+            if len(section[key]) != 2:
+                raise ValueError(f"{key}: got {len(section[key])} numbers, expected [least, largest], or the largest")
+            section[f"{key}_least"], section[key] = section[key]
+        return section
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        for key in RANGES:
+            least, largest = getattr(self, f"{key}_least"), getattr(self, key)
+            if least is not None and (largest is None or least > largest):
+                raise ValueError(f"{key}: got [{least:g}, {largest}] s, expected [least, largest]; exchange them")
+        return self
 
     @property
     def brakes(self) -> bool:
@@ -96,8 +128,9 @@ class LoopProperties(Parameters):
         Raises:
             ParameterError: The torque window is as long as a hold.
         """
+        least = self.torque_window_least or 0.0, self.current_lag_least or 0.0
         return hold_timing(
-            self.sample_time, self.sync_jitter or 0.0, self.torque_window or 0.0, self.current_lag or 0.0
+            self.sample_time, self.sync_jitter or 0.0, self.torque_window or 0.0, self.current_lag or 0.0, least
         )
 
 

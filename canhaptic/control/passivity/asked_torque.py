@@ -74,8 +74,9 @@ def step(environment: AskedEffort, run: AskedRun, position: float, torque_applie
     axis = state.axis
     if not axis.started:
         return start(run, position)
-    holds, torque = axis.missed + axis.lasted, environment.asked
+    holds, torque, open_before = axis.missed + axis.lasted, environment.asked, state.bound.resolution
     displacement, _, _, uncertainty = end(run, position, torque_applied)
+    reserved = 0.5 * (state.bound.resolution - open_before)
     if settings.turns:  # the program may ask for a torque either way
         look_for_turn(settings.declared, state.bound, memory.bound, displacement, holds)
     h_i = -torque_applied * displacement - uncertainty  # eq. 2
@@ -86,6 +87,8 @@ def step(environment: AskedEffort, run: AskedRun, position: float, torque_applie
     else:
         branch = _EXIT if h_i != 0.0 or leak != 0.0 else _FREE
     axis.oldest = send(memory.axis.commands, axis.oldest, torque, 0.0, 0.0)
+    if reserved:
+        h_i, h_r = h_i + reserved, h_r + reserved
     return new(EnergyBalance, (
         torque, h_i, 0.0, h_i, h_r, state.h_s, axis.h_dis, 0.0, deficit, leak, paid,
         _DEPLETED if deficit > 0.0 else branch, 0.0, certificate, 0.0,

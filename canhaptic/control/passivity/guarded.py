@@ -737,14 +737,19 @@ _EXIT = Branch.EXIT.value
 
 
 def step(environment: Environment, run: GuardedRun, position: float, torque_applied: float) -> EnergyBalance:
-    """Book the hold that ended, and compute the next torque; see `Controller.step`."""
+    """Book the hold that ended, and compute the next torque; see `Controller.step`.
+
+    Of the energies that late torques and lost samples leave possible, the middle is booked, and half of the width is
+    reserved as dissipated: torques are computed from the least energy.
+    """
     settings, state, memory = run.settings, run.state, run.memory
     zone_before, axis = state.zone, state.axis
     state.zone = zone = environment.contact(position)
     if not axis.started:
         return start(run, position)
-    holds, same = axis.missed + axis.lasted, zone == zone_before
+    holds, same, open_before = axis.missed + axis.lasted, zone == zone_before, state.bound.resolution
     displacement, damper, modulated, uncertainty = end(run, position, torque_applied)
+    reserved = 0.5 * (state.bound.resolution - open_before)
     true = environment.true_state(position, displacement, state.true if same else 0.0) if zone else 0.0
     if settings.turns:
         take_stretch(environment, settings, state.bound, position, true)
@@ -771,6 +776,8 @@ def step(environment: Environment, run: GuardedRun, position: float, torque_appl
             torque, certificate = drag(run, displacement / holds)
     axis.oldest = send(memory.axis.commands, axis.oldest, torque, damper, modulated)
     state.true, h_s = true, state.h_s
+    if reserved:
+        h_i, h_r = h_i + reserved, h_r + reserved
     stored = true if h_s >= ceiling else environment.state_of_energy(h_s, true)
     return new(EnergyBalance, (
         torque, h_i, h_pas, h_i - h_pas, h_r, h_s, axis.h_dis, 0.0, deficit, leak, paid,
@@ -842,9 +849,9 @@ class Guarded(stepped.SteppedController):
 
     @property
     def energy_resolution(self) -> float:
-        """Width of the uncertainty of sum(h_i) due to late torques and lost samples [J]; its lower bound is booked."""
+        """Largest error of sum(h_i) due to late torques and lost samples [J]; the middle of the range is booked."""
         resolution: float = self._state.bound.resolution
-        return resolution
+        return 0.5 * resolution
 
     @property
     def releasable(self) -> float:
