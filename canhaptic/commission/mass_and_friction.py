@@ -48,8 +48,9 @@ class Dynamics(NamedTuple):
     damping_error: float
     friction: float  # Coulomb friction [N or N*m]
     friction_error: float
-    offset: float  # constant load, such as weight [N or N*m]
+    offset: float  # constant load, such as weight: the torque that holds it [N or N*m]
     residual: float  # rms of what the four do not explain [N or N*m]
+    offset_error: float = 0.0
 
 
 def estimate(positions: _Array, applied: _Array, sample_time: float, half_base: int) -> Dynamics | None:
@@ -67,8 +68,8 @@ def estimate(positions: _Array, applied: _Array, sample_time: float, half_base: 
     solved = _solve(*_equations(positions, applied, sample_time, half_base, starts))
     if solved is None:
         return None
-    (m, b, c, f), (m_error, b_error, c_error, _), rest = solved
-    return Dynamics(m, m_error, b, b_error, c, c_error, f, rest)
+    (m, b, c, f), (m_error, b_error, c_error, f_error), rest = solved
+    return Dynamics(m, m_error, b, b_error, c, c_error, f, rest, f_error)
 
 
 class FrictionCurve(NamedTuple):

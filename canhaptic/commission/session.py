@@ -512,7 +512,7 @@ class Session:
     ) -> OpenLoop:
         """Play torques of an amplitude as `play` does; where the axis goes too far or too fast, repeat with half of it.
 
-        Where a TPDO was lost, the same amplitude is repeated.
+        Where a TPDO was lost, the same amplitude is repeated. A declared weight is held meanwhile.
 
         Args:
             axis: Index of the axis.
@@ -524,9 +524,11 @@ class Session:
             RigError: Drive or link failed; torque is zero.
         """
         name, unit = self.axes[axis].parameters.name, effort_unit(self.axes[axis].parameters.unit)
+        brake = self.axes[axis].parameters.brake
+        weight = 0.0 if brake is None else brake.holds_weight
         for left in reversed(range(5)):
             self.coast(axis)
-            torques = torques_of(torque)
+            torques = [weight + part for part in torques_of(torque)]
             law = self.play(axis, torques, len(torques) + 2)  # the last one ends as well, or the axis moves on
             if not law.tripped or self.stop_requested() or not left:
                 break

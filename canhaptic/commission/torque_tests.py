@@ -90,6 +90,7 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
     if rigid is not None:
         _report_mass(session, axis, rigid)
     _report_friction(session, axis, found)
+    _report_weight(session, axis, found)
     _report_least_friction(session, axis, found, curve)
     if not session.stop_requested():
         _declare(session, axis, rough_mass, None if rigid is None else declared_of(rigid, curve))
@@ -228,6 +229,23 @@ def _report_friction(session: Session, axis: int, found: Dynamics) -> None:
     session.found(axis, "viscous friction", "", seen, StepVerdict.MEASURED, text)
     text = f"+- {found.friction_error:.2g}; constant load {found.offset:.2g} {unit}, rest {found.residual:.2g} {unit}"
     session.found(axis, "dry friction", "", f"{found.friction:.3g} {unit}", StepVerdict.MEASURED, text)
+
+
+def _report_weight(session: Session, axis: int, found: Dynamics) -> None:
+    """Report the weight of an axis with a brake, and propose that a stop holds it until the brake does."""
+    parameters = session.axes[axis].parameters
+    if parameters.brake is None:
+        return
+    item, unit, declared = "weight", effort_unit(parameters.unit), parameters.brake.holds_weight
+    wide = SURE * found.offset_error
+    seen, text = f"{found.offset:.3g} {unit}", f"+- {wide:.2g}; what holds the axis where it hangs"
+    configured = f"{declared:.4g} {unit}" if declared else ""
+    if abs(found.offset - declared) <= wide:
+        session.found(axis, item, configured, seen, StepVerdict.AGREES, text)
+        return
+    verdict = StepVerdict.DIFFERS if declared else StepVerdict.MEASURED
+    session.found(axis, item, configured, seen, verdict, f"{text}: holds_weight")
+    session.propose(axis, "brake.holds_weight", found.offset, unit, "weight: what a stop holds until the brake does")
 
 
 def _unit_of(session: Session, axis: int, key: str) -> str:

@@ -60,6 +60,20 @@ class Sdo:
         return self._objects[index, subindex]
 
 
+class Nobody:
+    """A bus on which nobody but the configured drives answers."""
+
+    clock = SimpleNamespace(now=lambda: 0)
+
+    def subscribe(self, *_: object) -> None:
+        """As `Link`."""
+
+    send = pump = unsubscribe = subscribe
+
+
+_NOBODY = Nobody()
+
+
 class PlayedSession(Session):
     """Plays on axes of a test, and keeps what was asked for.
 
@@ -103,7 +117,7 @@ class PlayedSession(Session):
     @property
     def rig(self) -> Any:
         """A rig without a bus."""
-        return SimpleNamespace(links=[], drives=self.drives)
+        return SimpleNamespace(drives=self.drives)
 
     @property
     def drives(self) -> Sequence[Any]:
@@ -112,7 +126,12 @@ class PlayedSession(Session):
         dictionary = SimpleNamespace(device_information=information)
         return [
             SimpleNamespace(
-                scaling=scaling, quirks=quirks_of(()), sdo=self._sdo, axis=axis.parameters, dictionary=dictionary
+                link=_NOBODY,
+                scaling=scaling,
+                quirks=quirks_of(()),
+                sdo=self._sdo,
+                axis=axis.parameters,
+                dictionary=dictionary,
             )
             for axis in self.axes
         ]

@@ -244,6 +244,33 @@ def test_a_mass_is_measured_and_compared_with_the_declared_one() -> None:
     assert "must not exceed" in row(wrong, "moving mass").text
 
 
+class HungMass(FreeMass):
+    """A mass of 5.2 N on a drive with 0.1 N of dry friction."""
+
+    def advance(self, command: float) -> float:
+        """As `Axis`."""
+        before, brakes = self._speed, self._time * 0.1 / self._mass
+        speed = before + self._time * (command - 5.2) / self._mass
+        self._speed = max(0.0, speed - brakes) if speed > 0.0 else min(0.0, speed + brakes)
+        self._at += self._time * 0.5 * (before + self._speed)
+        return command
+
+
+@pytest.mark.parametrize(("declared", "verdict"), [(5.2, StepVerdict.AGREES), (5.19, StepVerdict.DIFFERS)])
+def test_the_weight_of_an_axis_with_a_brake_is_measured_and_proposed(
+    monkeypatch: pytest.MonkeyPatch, declared: float, verdict: StepVerdict
+) -> None:
+    brake = f"axes.0.brake={{release_time: 0.03, set_time: 0.05, holds_weight: {declared} N}}"
+    session = played(HungMass(MASS, TIME), brake, refused="Reversals")
+    monkeypatch.setattr(
+        session, "coast", lambda _: None
+    )  # it would sink: nothing holds it but a brake that is not played
+    identify_dynamics(session, 0, MASS)
+    assert row(session, "weight")[3:5] == ("5.2 N", verdict)
+    proposed = [value.value for value in session.report.values if value.key == "brake.holds_weight"]
+    assert proposed == ([] if verdict is StepVerdict.AGREES else [pytest.approx(5.2, abs=0.02)])
+
+
 def test_a_mass_that_nothing_declares_is_measured_alone() -> None:
     session = swept("passivity={algorithm: unprotected}")
     assert row(session, "moving mass").verdict is StepVerdict.MEASURED
