@@ -88,7 +88,7 @@ SWITCHES = [
     ("demo.yaml", "axes.0.passivity.algorithm", ALGORITHMS),
     ("demo.yaml", "environment.type", ENVIRONMENTS),
     ("paper_fig5_100hz.yaml", "passivity.algorithm", ALGORITHMS),
-    ("two_handles.yaml", "groups.0.passivity.algorithm", {"guarded": "", "step_scaling": ""}),
+    ("two_handles.yaml", "groups.0.passivity.algorithm", {"guarded": "", "step_scaling": "", "unprotected": ""}),
     ("admittance/virtual_mass.yaml", "passivity.algorithm", DISPLAY_ALGORITHMS),
     ("admittance/virtual_mass.yaml", "environment.type", DISPLAY_ENVIRONMENTS),
     ("admittance/guided_path.yaml", "groups.0.passivity.algorithm", DISPLAY_GROUP_ALGORITHMS),

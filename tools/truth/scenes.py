@@ -403,7 +403,7 @@ def _group(chance: _Chance, group: str, values: dict[str, Any]) -> tuple[int, ..
     first = values["axes"][0]
     first["name"] = "x"
     values["axes"] = [first, {**first, "name": "y", "node_id": 2}]
-    algorithm = chance.named("algorithm", {"guarded": 0.8, "step_scaling": 0.2})
+    algorithm = chance.named("algorithm", {"guarded": 0.8, "unprotected": 0.08, "step_scaling": 0.12})
     plant, simulation = _plant(chance), values["simulation"]
     if chance.drawn(0.3) and "limit:" not in str(chance.tags):
         simulation["effects"] = [{"type": "current_loop", "time_constant": chance.decades(3e-5, 1e-3)}]

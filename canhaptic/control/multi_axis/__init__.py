@@ -35,6 +35,7 @@ NETWORKS: Final[dict[str, str]] = {
 
 GROUP_ALGORITHMS: Final[dict[str, str]] = {
     "guarded": f"{_HERE}.guarded_group:GuardedGroup",
+    "unprotected": f"{_HERE}.unprotected_group:UnprotectedGroup",
     "step_scaling": f"{_RIVALS}.scaled_group:ScaledGroup",
 }
 """Algorithms: name in a scene -> "module:Class". Every class has `parameters_type`, as in `passivity.ALGORITHMS`."""

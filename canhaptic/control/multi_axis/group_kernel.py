@@ -488,6 +488,26 @@ def torque_held(ended: GroupHolds, hold: int, missed: int, axis: int) -> float:
     return ended.lost[min(hold, len(ended.lost) - 1)][axis]
 
 
+def doubt_of_gap(ended: GroupHolds, previous: Buffer, missed: int) -> float:
+    """Return the largest error of the energy over lost holds, of which only the total displacement is known [J].
+
+    Args:
+        ended: The holds that ended.
+        previous: Displacement of the hold before, (axes,) [rad or m]; changed to that of these.
+        missed: Number of lost samples.
+    """
+    total = 0.0
+    for i in range(len(ended.displacement)):
+        moved, torque, apart = ended.displacement[i], ended.applied[i], 0.0
+        if missed:
+            excursion = abs(moved) + missed * abs(previous[i])
+            for hold in range(missed):
+                apart += abs(torque_held(ended, hold, missed, i) - torque)
+            total += apart * excursion
+        previous[i] = moved
+    return total
+
+
 def send_nothing(commands: GroupCommands, place: int) -> int:
     """Store a command of zero torque at an index of the ring buffers; return the next index."""
     for i in range(len(commands.torques[place])):

@@ -25,13 +25,13 @@ from canhaptic.control.multi_axis.group_kernel import (
     GroupHold,
     GroupModel,
     begin_motion,
+    doubt_of_gap,
     end_holds,
     move,
     next_place,
     norm,
     send_nothing,
     to_motors,
-    torque_held,
 )
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.internal_dissipation import solve_balance
@@ -552,7 +552,7 @@ def step(
         return new(GroupHold, (AT_REST, 0.0, 0.0, 0.0, 0, 0))
     commands = memory.group.commands
     group.oldest = end_holds(commands, ended, loop.largest, group.oldest, missed, positions, torques_applied)
-    place, uncertainty = group.oldest, unsure_of(memory, ended, missed)
+    place, uncertainty = group.oldest, doubt_of_gap(ended, memory.previous, missed)
     move(world, loop.motion, motion, memory.group.motion, positions, ended.displacement, missed + 1)
     h_i = h_pas = damped = supplied = 0.0
     for i in range(len(positions)):
@@ -572,20 +572,6 @@ def step(
         leak, paid, branch, rendered, _NONE, memory.group.motion.network.state[0],
     ))  # fmt: skip
     return new(GroupHold, (balance, supplied, uncertainty, uncertainty, motion.limit, place))
-
-
-def unsure_of(memory: ScaledMemory, ended: group_kernel.GroupHolds, missed: int) -> float:
-    """Return the largest error of the energy over lost holds, of which only the total displacement is known [J]."""
-    total = 0.0
-    for i in range(len(ended.displacement)):
-        moved, torque, apart = ended.displacement[i], ended.applied[i], 0.0
-        if missed:
-            excursion = abs(moved) + missed * abs(memory.previous[i])
-            for hold in range(missed):
-                apart += abs(torque_held(ended, hold, missed, i) - torque)
-            total += apart * excursion
-        memory.previous[i] = moved
-    return total
 
 
 def send(world: GroupModel, run: ScaledRun) -> float:

@@ -6,13 +6,14 @@ from typing import Any
 
 import pytest
 
-from canhaptic.control.balance import Certificate
+from canhaptic.control.balance import Branch, Certificate
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from canhaptic.control.passivity.internal_dissipation import InternalDissipation, StoredModelParameters
+from canhaptic.control.passivity.unprotected import Unprotected
 from canhaptic.control.port_hamiltonian.sampled_network import settle_network
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
 from canhaptic.lab.rivals.scaled_group import ScaledGroupParameters
@@ -78,6 +79,27 @@ def test_the_account_of_a_guarded_group_is_that_of_guarded(delay, stiffness, dam
     allowed = 2e-2 if loop.encoder_count else 1e-9
     assert worst_torque <= allowed * strongest
     assert worst_energy <= allowed * richest
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize(("stiffness", "damping"), [(800.0, 0.0), (3e3, 4.0)])
+def test_an_unprotected_group_is_unprotected_on_one_axis_and_books_what_sampling_creates(delay, stiffness, damping):
+    wall, plane = pair(stiffness, damping)
+    loop = LoopProperties(sample_time=1e-3, delay=delay, moving_mass=0.25)
+    one = Unprotected(wall, Unprotected.parameters_type(), loop)
+    group = build_group_controller(plane, Identity(axes=1), "unprotected", None, [loop])
+    strongest = created = stored = 0.0
+    for q, held, alone in positions(one, 1000, delay):
+        together = group.step([q], [held])
+        account, strongest = together.account, max(strongest, abs(alone.torque))
+        created, before, stored = created + account.gen, stored, account.h_s
+        assert stored == pytest.approx(before + account.h_i - account.h_r + account.gen - account.leak, abs=1e-15)
+        for name in ("h_i", "h_s") if damping else ENERGIES:
+            assert getattr(account, name) == pytest.approx(getattr(alone, name), rel=1e-9, abs=1e-15)
+        if not damping or account.branch != Branch.START.value:  # a damper of a group acts inside the wall alone
+            assert together.torques[0] == pytest.approx(alone.torque, rel=1e-9, abs=1e-12)
+    assert strongest > 1.0
+    assert created > 5e-4  # [J]: what the sampled wall makes of nothing
 
 
 @pytest.mark.slow_but("800*-0")
