@@ -61,7 +61,7 @@ class Sdo:
 
 
 class Nobody:
-    """A bus on which nobody but the configured drives answers."""
+    """A bus on which the configured drives alone answer."""
 
     clock = SimpleNamespace(now=lambda: 0)
 

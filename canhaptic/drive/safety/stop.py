@@ -146,7 +146,7 @@ def hold_unseen(exchange: StoppedExchange) -> None:
     for drive in hung:
         _try(partial(_hold_weight, drive))
         holds = max(holds, drive.axis.brake.holds_until_set(exchange.sample_time_ns))
-    _try(partial(set_brakes, exchange))  # at once: what acts beside the weight is gone long before a brake holds
+    _try(partial(set_brakes, exchange))  # at once: every other torque is gone long before a brake holds
     for _ in range(holds):
         parts = [_try(exchange.sync), _try(partial(_write_zero, others)), _try(exchange.beat)]
         _try_each(partial(_hold_weight, drive) for drive in hung)
