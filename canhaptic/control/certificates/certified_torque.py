@@ -1,90 +1,13 @@
 """Largest torque of one axis that is certified for the next hold, and the energy reserved for the queued torques.
 
 A certificate is a proof that up to some torque the axis generates no energy. All certificates are combined: the
-declared hand bounds the displacement, and the device dissipates energy.
+declared hand bounds the displacement, and the device dissipates energy. The budget is the energy received and the
+device's certain dissipation, S = E + sum((b/T) D_i^2 + f_c |D_i|).
 
-The budget is the energy received and the device's certain dissipation, S = E + sum((b/T) D_i^2 + f_c |D_i|); with
-neither b nor f_c declared it is E. A hold with a torque f >= 0 and a displacement D along it takes from S
-
-    g(f, D) = f D - (b/T) D^2 - f_c |D|,
-
-concave in D. Only D <= R is known, R being the smallest of the reach of the hand force (`next_displacement`, chained
-over the queued holds), v_max T of the hand speed, and infinity. With n = f - f_c the largest value of g is
-
-    R <= 0:                        f R at most: energy certainly comes in
-    n <= 0 < R:                    0: dry friction pays for the whole torque, at any speed of any hand
-    n > 0, R < n T / 2b:           R (n - b R / T)
-    else:                          n^2 T / 4b                                                                     (1)
-
-(`taken`). The sum over the queued holds and the next one is the largest decrease of S in them, because each D_i
-has its own bound. So S stays >= 0 if the sum is <= S before every hold: S after the hold is S - g(f, D) >= the
-sum over the remaining holds. A queued torque in the other direction adds the energy that it may take in its direction.
-
-**Largest torque.** (1) grows with f, by itself and through R = base + gain f, so that the torques with (1) <= S'
-(the budget left by the queued holds) form an interval. For an unknown hand its end is f_c + sqrt(4 b S' / T).
-Otherwise it is the larger of the ends for each reach. The end for the hand force solves a quadratic in f,
-
-    f^2 gain (1 - q) + f (base (1 - 2q) - f_c gain) <= S' + f_c base + (b/T) base^2,   q = (b/T) gain,
-
-if the displacement at its root is below n T / 2b; if not, it is the end for an unknown hand. The quadratic is then (1)
-with a displacement that the hand would not choose, and its root is never the smaller one. q < 1, because `during`
-includes the damping b.
-
-Each certificate alone is the same with the other terms left out, and none has a larger end.
-
-**For every hand no control law can send more.** An unknown hand may move the axis anywhere by each SYNC: it can
-take (1) with R infinite in every queued hold and in the next one, so that for any larger torque some hand brings S
-below 0. With b = 0 the end is f_c: at f > f_c a hand that moves by D > S' / (f - f_c) within the hold takes out more
-than the budget. With b it is f_c + sqrt(4 b S' / T), and the dissipation by friction on the way to the wall is in S'.
-So a wall k is held at a force F for every hand if (1 + delay) (F - f_c)^2 T / 4b is at most F^2 / 2k + f_c F / k
-plus the budget before the contact (`start_energy`). k <= 2 f_c / (v T) (Diolaiti 2006) is for hands up to a speed v,
-and b > k T / 2 with k <= 2 f_c / count (Abbott and Okamura 2005) uses f_c up for the encoder's quantization: neither
-is a promise for every hand by f_c alone. With `hand_speed` v the end is f_c + S' / v T.
-
-**Late torques, uneven holds, lost frames.** Above, each hold has one torque; `scalar_bounds` has the effect of a late
-torque on the displacement. Together: at every instant the device dissipates b v^2 + f_c |v|, so that torques
-u = f (1 - p) + older ones take from S no more than the integral of
-
-    phi = u v - b v^2 - f_c |v|
-
-over the motions v <= v* that the hand allows. phi is concave in v, and with n the part of a torque above f_c,
-(u - f_c)+ <= n_f (1 - p) + n_older p. So a hold takes no more than each of
-
-    A  what the torques give out along v*, as in `scalar_bounds`:   phi <= u v* where v* < 0 or u v* > 0
-    B  the same with n in place of every torque:                    phi <= (u - f_c)+ v*, and u v* <= n v* for v* < 0
-    C  (n_f^2 T + theta max(0, n_g^2 - n_f^2)) / 4b:                phi <= (u - f_c)+^2 / 4b, and squares are convex
-    D  v_max (n_f T + theta max(0, n_g - n_f)):                     phi <= (u - f_c)+ |v|
-
-with g the largest older torque, and the smallest of them counts (`taken_in_hold`). A and B need the hand's force (v* is
-computed with the whole torques), C the device's damping, or torques that are all below f_c, and D the hand's speed.
-Torques in opposite directions are each charged in their own direction. Friction and damping are used only while v is
-along the torque, so that no part of them counts twice. The tail of the last torque is charged as if no torque followed.
-
-If frames may be lost, any of the last torques sent may act in each queued hold: A to D are taken with the largest of
-these torques, received energy with the smallest. A new torque may act in 1, 2, ... holds, and each of A to D is summed
-over them. The functions below write n for the part of a torque above f_c; in bound A, f_c is 0.
-
-**Budget.** S includes the dissipation of the device. The least energy that may have come in is booked: by the hand's
-force or speed, or by the damping for an arbitrary hand (`for_any`). If S is below zero, no torque may satisfy the sum.
-Then a torque is sent only as far as it absorbs energy by itself, its tail included, after any older torques
-(`takes_in`).
-
-**Uncertainty due to an encoder, with dry friction.** A position x_k = p_k + e_k is read as p_k, |e_k| <= c / 2, and
-friction dissipates at least f_c |x_(k+1) - x_k|. Let G_k(e) be the least energy received and dissipated, minus the
-booked energy, over all motions that end at e. With D = p_(k+1) - p_k and the torque f of the hold
-
-    G_(k+1)(e') = min over e of G_k(e) - f (e' - e) + f_c |D + e' - e|.
-
-G_0 is constant. If |D| >= c, the sign of the motion is known, and any G becomes a straight line of slope
--f + f_c sign(D); if D = 0, the slope is limited to -f +- f_c. So G remains a straight line, and one number, its slope
-s, describes it. Its least value is G(0) - |s| c / 2, and each hold changes G(0) by f_c |D| - |s' - s| c / 2. Without
-friction that is |f - f'| c / 2 for each change of torque.
-
-For a spring f = -k p that is rendered in full, dither over one edge costs nothing up to k = 2 f_c / c. A motion over
-many counts costs k c^2 for each of them, of which friction covers f_c c: exactly up to k = f_c / c it is sustained at
-any speed of any hand. A stiffer spring is not, because the same counts result from a hand that rests at every edge and
-crosses the next count within one hold. It takes out k c^2 per count, and its counts do not differ from those of a slow
-hand. For a hand that is always slower than c / 2 T, 2 f_c / c would suffice.
+Statements and proofs: `docs/theory/torques_of_an_axis.md`. A4 is what a hold takes from the budget (`taken`), A5 the
+largest torque, A10 all of them with late torques, uneven holds and lost frames (`taken_in_hold`), A12 the uncertainty
+due to an encoder, with dry friction. The functions below write n for the part of a torque above f_c; in bound A of A10,
+f_c is 0.
 """
 
 from dataclasses import dataclass
@@ -596,7 +519,7 @@ def outward_by_windows(declared: Declared, bound: TorqueBound, memory: BoundMemo
 
 
 def taken(declared: Declared, torque: float, reach: float) -> float:
-    """Return the most that a torque can take from the budget in a hold, net of the device's dissipation in it: (1) [J].
+    """Return the most that a torque can take from the budget in a hold, net of the device's dissipation in it: A4 [J].
 
     Args:
         declared: Declared properties of axis and hand.

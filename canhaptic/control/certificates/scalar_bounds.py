@@ -1,114 +1,13 @@
 """How far one axis can move along a torque in a hold, and how large a torque an energy budget therefore permits.
 
-The certificates (proofs that the axis generates no energy) of `certified_torque` use these bounds. Only the torque of a
-hold and the displacement in it exchange energy (eq. 2), so every step has to bound how far the axis can move OUT (along
-the torque) while the torque cannot be changed. All formulas below are for a torque in the positive direction, and
-displacements are positive along it; for the other direction the caller reverses the signs.
+Only the torque of a hold and the displacement in it exchange energy (eq. 2), so every step bounds how far the axis can
+move OUT (along the torque) while the torque cannot be changed. All formulas are for a torque in the positive direction,
+and displacements are positive along it; for the other direction the caller reverses the signs.
 
-**Hand force.** An axis m v' + b v = f(t) + u(t), f held constant in each hold, outward hand force u <= F_h, inward hand
-force without limit. With D_i the displacement in hold i and K the response of the displacement to a force,
-
-    D_1 = e^(-bT/m) D_0 + integral over both holds of K(s) (f(s) + u(s)) ds,   K >= 0,
-
-so D_1 grows with u, and u = F_h throughout is the worst user after any motion. The integrals have closed forms
-(`DisplacementResponse`); without damping they are T^2/2m for the torque of either hold and T^2/m for the hand.
-If b and m are only bounded, every coefficient is taken at its worst end: e^(-bT/m) <= 1 for D_0 > 0; for D_0 < 0
-its least value, at the upper bound of b and the under-estimate of m; each response is largest at the under-estimates
-of m and b. A torque in the other direction counts as 0, because its help is known only with an over-estimate of m.
-D_1 is bounded by a rising function of D_0, so that bounds chain over the holds whose torque is queued (delay), and
-the energy taken out, sum(f_i D_i) + F D, is largest if every D_i is: a bound D_1 < 0 therefore certifies energy that
-comes IN. The largest F with F (base + gain F) <= budget is the certified torque (`hand_force_bound`).
-Dry friction F_c of the device may push out as well as hold: F_h + F_c takes the place of F_h (`device_friction_bound`).
-
-**Friction that only brakes.** Cogging, weight and the wind-up of a gear can pull. Dry friction opposes the motion, so
-that it pushes outward only during an inward motion and at a reversal, where its bristles give back no more than an
-energy F_c^2 / 2 sigma. F_c is `device_friction_bound` less `device_cogging_bound`, sigma is `presliding_stiffness`. So
-
-    D_1 <= max(D_0, 0) + the terms of both torques and of F_h + F_c (T^2 / 8m + T / sqrt(sigma m))
-
-(docs/theory/dry_friction.md, T1; T2 with unequal holds, T3 with damping), besides the bound above. So friction may be
-any part of F_c in either direction; `brake` is the amount by which it lowers the bound of a motion outward or from
-rest.
-
-**Device damping.** The device itself dissipates at least (b/T) D^2 in a hold of displacement D (Cauchy-Schwarz). For
-every D, -F D + (b/T) D^2 >= -F^2 T / 4b, so F^2 <= 4 b E_d / T, less the squares of the queued torques, keeps
-E_d = E + (b/T) sum(D^2) >= 0 for every user.
-
-**Hand speed.** D <= v_max T, so F <= E / (v_max T), E after the worst of the queued torques.
-
-**Timing of a real hold** (`hold_timing`): jitter and late torques affect every certificate. Declared are: every hold
-lasts T_k with T (1 - j) <= T_k <= T (1 + j); a new torque acts at the latest a time w after its SYNC (event RPDO, wire
-time); and the torque of the motor follows its command with a first-order lag of at most tau.
-With theta = w + tau, f_k the torque of hold k and g >= every older torque still felt at its SYNC, the true torque is
-
-    u(t) = f_k (1 - p(t)) + older torques with weights of sum p(t);  1 >= p >= 0, falling, and in the hold
-    integral p dt <= theta,   integral p t dt <= theta^2                                                          (1)
-
-because p is 1 until the change and exp(-(t - change) / tau) after it. At the end of the hold at most
-c = exp(-(T (1 - j) - w) / tau) of p is left, so that g' = f_k + c max(0, g - f_k): this bounds the tails of ALL earlier
-torques.
-
-**Reach.** With damping b and beta = b/m, D_1 = r D_0 + integral of K F, K >= 0, where
-r = (1 - e^(-beta T_1)) / (e^(beta T_0) - 1). As 1 - e^-x <= x <= e^x - 1, r <= T_1 / T_0 <= (1 + j) / (1 - j):
-`growth`, for D_0 > 0. For D_0 < 0 phi(T) = (1 - e^(-beta T)) / beta is concave and grows, so
-r >= e^(-beta T_0) min(1, T_1 / T_0). K grows with T_0 and T_1, so that each response is largest for T (1 + j): the
-undamped ones by (1 + j)^2. An older torque g > f adds (g - f) p: K falls in the hold and rises in the one before, so by
-(1) it counts as no more than min(1, 2 theta / T) (g - f) held throughout: `late`.
-
-**Energy of the next hold.** Of all motions with the same D_0, the one with the largest force throughout is the fastest
-at every time, v <= v* = D_0/T_0 + (growing part). The torques along f give out integral(u v), at most with v* for v.
-The older ones lie between l p and g p (l = 0 if one of them has the other sign), so that
-
-    integral(u v) <= f D* + max(0, g - f) X + max(0, f - l) min(r, theta/T) max(0, -D_0)
-    X = theta/T max(0, D_0) + (theta T/2m) f_before + (theta^2/m) max(f, g) + (theta (T/2 + theta) / m) F_h       (2)
-
-with X the largest integral of p v (`tail_reach`). A torque is certified together with its tail in the hold after it,
-g' X', as if no torque followed; so if a smaller torque follows, the tail of the larger one is already covered.
-
-**Energy of the hold that ended.** Booked is -f D; true is -f D + (f_k - f_(k-1)) X_k + e Y_k, |e| <= the rest of the
-older torques, X_k and Y_k integrals of p v. Upwards (2) bounds both. Downwards D_k is known and m x'' + b x' <= A, so x
-lies above the solution with equality through the same ends: X >= -s (theta/T max(0, -D_k) + A theta T / 2m), where
-s = y / (1 - e^-y), y = beta T (phi(t)/phi(T) <= s t/T, and the solution from 0 to 0 begins with -s A T / 2m at most).
-This covers a hand without a limit inward, because only its force along the torque is used. See `doubt_of_late`.
-
-*Two ends.* With lo <= integral p dt = theta <= hi, X is a mean of x over the times of the change, and theta (T - theta)
-is concave. So, with the largest forces A_out along the torque and A_in against it (docs/theory/late_torques.md, L1),
-
-    X >= min over theta of theta D/T - s A_out theta (T - theta) / 2m
-    X <= max over theta of theta D/T + s A_in theta (T - theta) / 2m                                        (3)
-
-with s D in place of D where that is wider (`ends_of_late`). Without a limit inward only the lower end is a bound.
-
-**Hand speed.** |X| <= v_max theta. **Device damping**, for every hand: e = f - u, |e| <= d p, and
-integral(e v + b v^2) over motions of sum D is least at e D/T - e^2 / 4b + b D^2 / T, so less than booked by no more
-than d |D| theta / T + d^2 theta / 4b; and integral(u^2) <= sum of f_k^2 (T_k + theta), u being a mean of the torques.
-
-**A measured torque (0x6077)** would not improve these bounds, and is not used for them. A TPDO carries one value u_n of
-it at the SYNC that ends the hold, with an error e (`torque_tolerance`: current sensor, filter, cogging).
-(i) In the hold that ended, -f D + (f_k - f_(k-1)) X_k needs p(t) inside the hold. If p falls at once, or at theta (both
-allowed by (1)), u_n is the same up to c |f_k - f_(k-1)|, but the energies differ by the whole of (f_k - f_(k-1)) X_k.
-So u_n does not reduce the uncertainty of that hold unless c is near 1, with a lag as long as the hold. (ii) In the next
-hold it would bound the older torques still felt by |u_n - f_k| + e in place of c |f_(k-1) - f_k|: less only if
-e < c |f_(k-1) - f_k|. With tau = T / 5 and no window, c is 0.7 %: a sensor of 1 % of the rated torque is better only
-for steps beyond 1.5 times that torque; one of 5 % (the default), for steps of 0.7 of it, only with lags above 0.38 T.
-(iii) Booked with u_n in place of the demand, the error of every hold grows by e |D|, whether the torque changes or not.
-So the demand is read back first (`read_back: auto`).
-
-**Energy before a contact** (`start_energy`), so that the hand-force certificate holds a wall from the first hold on. At
-rest at a force F every hold may give out F D_i while the hand pulls with F_h, and the spring of stiffness k has
-received F^2 / 2k. The missing energy is largest at some force on the way in,
-
-    E = max over F of (sum of F D_i)(F) - F^2 / 2k,
-
-with D_i of the queued holds and the next one. Undamped the sum is h F (F + F_h), h = T^2 / m at delay 0 and 3 T^2 / m
-at delay 1, so that E = (h F_h)^2 / 4 a with a = 1 / 2k - h. A faster contact needs less, because its own inward motion
-brings energy in. A drag f earns f times the distance, but only above the speed of `start_speed`: in a slower motion the
-hand may turn within the queued holds and pull the drag along.
-
-For a hand of any force, the dissipation of the device permits a torque: with b and f_c certain, a torque F at rest
-needs a budget of (1 + delay) (F - f_c)^2 T / 4b (`certified_torque`), of which the wall provides F^2 / 2k and the
-friction on the way in f_c F / k. The rest must be stored before the contact; friction earns it over a motion of
-rest / f_c, without a drag.
+Statements and proofs: `docs/theory/torques_of_an_axis.md`. A1 to A3 are the certificates by the hand's force, the
+device's damping and the hand's speed; A6 to A9 the timing of a real hold (`hold_timing`); A11 the energy before a
+contact (`start_energy`). Friction that only brakes is T1 to T4 of `docs/theory/dry_friction.md`, and late torques with
+two ends L1 of `docs/theory/late_torques.md`.
 """
 
 import math
@@ -178,7 +77,7 @@ class DisplacementResponse:
     brake: float = 0.0  # part of `hand` and `push` that dry friction does not add to a motion outward, or from rest
     shortest: float = 0.0  # hold [s]
     early: float = 0.0  # least integral of p over a hold [s]
-    bend: float = 0.0  # s / 2m of (3) [1/kg or 1/(kg*m^2)]
+    bend: float = 0.0  # s / 2m of L1 [1/kg or 1/(kg*m^2)]
     per_hand: float = 0.0  # force per displacement by the hand [N/m or N*m/rad]
 
 
@@ -273,7 +172,7 @@ def tail_reach(
 ) -> float:
     """Return the largest distance of the next hold over which older, late torques still act [m or rad].
 
-    X of equation (2); arguments as for `next_displacement`, but `torque` is the largest that acts in the hold.
+    X of A8; arguments as for `next_displacement`, but `torque` is the largest that acts in the hold.
     """
     reach = response.tail_hand * hand + response.tail_during * torque
     if torque_before > 0.0:
@@ -284,7 +183,7 @@ def tail_reach(
 def end_of_late(
     displacement: float, longest: float, late: float, force: float, response: DisplacementResponse
 ) -> float:
-    """Return the least X of equation (3): how far the axis has moved along while older torques acted [m or rad].
+    """Return the least X of L1: how far the axis has moved along while older torques acted [m or rad].
 
     The largest X is minus the least one of the motion in the other direction.
 
