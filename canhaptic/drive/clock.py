@@ -38,6 +38,14 @@ class Clock(Protocol):
         """Return the next frame of `bus`, or None when none came until `deadline` [ns]."""
 
 
+class ProcessorClock:
+    """Time that the calling thread has used of a processor, which other programs lengthen little."""
+
+    def now(self) -> int:
+        """Return the processor time of this thread [ns]."""
+        return time.thread_time_ns()
+
+
 class WallClock:
     """Real time; drives simulated in this process run while it waits.
 

@@ -248,10 +248,12 @@ class DisplayModel(_Motors):
         super().__init__((0,), (1,), (4,))
         self._plant, self._display, self._user = plant, display, user or UserParameters()
         begin = (plant.initial_position, plant.initial_velocity)
+        self.evaluations = 0
         self.start, self.breaks = [*begin, *begin, 0.0, 0.0], list[float]()  # q, v, x, w, f_I, E
 
     def rates(self, time: float, state: State, torque: float, modes: Modes) -> Floats:
         """Return the rate of every state; see `SwitchedModel`."""
+        self.evaluations += 1
         q, v, x, w, integral, _ = (float(value) for value in state)
         plant, user, loop, grip = self._plant, self._user, self._display.loop, self._display.grip
         motion = user.sinusoid or SinusoidMotion(amplitude=0.0, frequency=1.0)

@@ -29,6 +29,10 @@ _MOST_CHANGES: Final = 10_000
 _Stop = Callable[[], bool] | None
 
 
+class NotSolvedError(InputError):
+    """Raised if a solver fails, or needs more evaluations than it was allowed."""
+
+
 class SwitchedModel(Protocol):
     """Ordinary differential equations with modes; `torque` is a number, or a sequence with one for each motor.
 
@@ -52,15 +56,26 @@ class SwitchedModel(Protocol):
 
 
 class MovedModel(SwitchedModel, Protocol):
-    """Equations of a plant, or of the motors of a group."""
+    """Equations of a plant, or of the motors of a group.
+
+    Attributes:
+        evaluations: Number of evaluations so far.
+    """
+
+    evaluations: int
 
     def motion(self, states: Sequence[Any]) -> Motion:
         """Return a motion from the states at the ends of the holds."""
 
 
-def reference(model: MovedModel, torques: Sequence[Any], sample_time_ns: int, stop: _Stop = None) -> Motion:
-    """Return the motion under the torques by DOP853 with relative tolerance 1e-12; arguments as for `located`."""
-    return located(model, torques, sample_time_ns, "DOP853", 1e-12, 1e-15, stop)
+def reference(
+    model: MovedModel, torques: Sequence[Any], sample_time_ns: int, stop: _Stop = None, most: float = math.inf
+) -> Motion:
+    """Return the motion by DOP853 with relative tolerance 1e-12, over fewer holds if these take `most` evaluations.
+
+    Arguments as for `located`.
+    """
+    return located(model, torques, sample_time_ns, "DOP853", 1e-12, 1e-15, stop, most)
 
 
 def located(
@@ -71,6 +86,7 @@ def located(
     rtol: float,
     atol: float,
     stop: _Stop = None,
+    most: float = math.inf,
 ) -> Motion:
     """Return the motion under the torques, by a solver of `scipy.integrate.solve_ivp`.
 
@@ -82,14 +98,18 @@ def located(
         rtol: Relative tolerance.
         atol: Absolute tolerance, of each state in its own unit.
         stop: Polled regularly; true aborts.
+        most: Evaluations after which no further hold is begun; at least one hold is solved.
 
     Raises:
-        InputError: scipy is missing, the solver fails, or it was stopped.
+        NotSolvedError: The solver fails.
+        InputError: scipy is missing, or it was stopped.
     """
     period = sample_time_ns * 1e-9
     longest = min(0.25 * period, _LONGEST_STEP) if model.switches else math.inf
     run, states = _Solved(model, method=method, rtol=rtol, atol=atol, max_step=longest), []
     for k, torque in enumerate(torques):
+        if k and model.evaluations > most:
+            break
         if k % 16 == 0:
             _require_running(stop)
         begin, end = k * period, (k + 1) * period
@@ -154,7 +174,7 @@ class _Solved:
             result = self._solve(model.rates, (now, end), state, events=events, args=(torque, modes))
             if result.status < 0:
                 failed = f"the reference failed at {now:g} s ({result.message})"
-                raise InputError(f"{failed}; shorten the study or the scene")
+                raise NotSolvedError(f"{failed}; shorten the study or the scene")
             read(result)
             state, now = result.y[:, -1].tolist(), float(result.t[-1])
             if result.status == 0:
@@ -163,7 +183,7 @@ class _Solved:
             fired = next(way for way, times in zip(ways, result.t_events, strict=True) if len(times))
             state, modes = through(fired, state, modes)
         often = f"the reference changed its mode {_MOST_CHANGES} times in one hold at {now:g} s"
-        raise InputError(f"{often}; damp the contact")
+        raise NotSolvedError(f"{often}; damp the contact")
 
 
 def _require_running(stop: _Stop) -> None:

@@ -24,7 +24,7 @@ from canhaptic.control.ledger import Ledger, LedgerSummary
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.passivity import ALGORITHMS, Controller, LoopProperties, build_controller
 from canhaptic.drive.axis_parameters import BusParameters
-from canhaptic.drive.clock import WallClock
+from canhaptic.drive.clock import ProcessorClock
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.kernels import new
 from canhaptic.registry import load
@@ -468,7 +468,7 @@ def microseconds_per_step(cases: Mapping[str, tuple[Any, LoopRun]], repeats: int
     """
     pairs = {name: _middle_of(run) for name, (_, run) in cases.items() if run.position.size}
     best = {name: [float("inf")] * -(-len(of_run) // _BLOCK) for name, of_run in pairs.items()}
-    clock = WallClock()
+    clock = ProcessorClock()
     for _ in range(repeats):
         for name, of_run in pairs.items():
             step = cases[name][0].controller().step

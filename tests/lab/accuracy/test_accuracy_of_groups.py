@@ -25,7 +25,8 @@ from canhaptic.lab.loop.axis_loop import at_rate
 from canhaptic.lab.reference import continuous_motion, group_model
 from canhaptic.lab.studies.accuracy.loop_sensitivity import engines_of, variants
 from canhaptic.lab.studies.accuracy.plant_solvers import OURS, plants_of
-from canhaptic.lab.studies.accuracy.study import AccuracyStudy, WallTime
+from canhaptic.lab.studies.accuracy.study import AccuracyStudy
+from canhaptic.lab.studies.accuracy.timing import ProcessorTime
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant import AccuracyParameters
@@ -204,7 +205,7 @@ def test_an_effect_of_one_plant_of_a_group_is_priced_against_that_plant() -> Non
         f"{second}: coulomb_friction": 7.0,
     }
     assert set(plants.without) == set(seconds)
-    study._times = {f"without {name}": WallTime(time, 0.0, 1) for name, time in seconds.items()}
+    study._times = {f"without {name}": ProcessorTime(time, 0.01, 3) for name, time in seconds.items()}
     saved = [row["us_saved_per_period"] * study.holds * 1e-6 for row in study._effect_rows(plants)]
     assert saved == pytest.approx([1.0, 2.0])
 

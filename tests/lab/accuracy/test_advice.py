@@ -7,6 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canhaptic.lab.studies.accuracy.accuracy_table import (
+    _loop_advice,
+    _loop_price,
     advice,
     cheapest,
     error_per_microsecond,
@@ -15,7 +17,7 @@ from canhaptic.lab.studies.accuracy.accuracy_table import (
     rank_agreement,
 )
 from canhaptic.lab.studies.accuracy.plant_solvers import fitted_order
-from canhaptic.lab.studies.accuracy.study import interleaved
+from canhaptic.lab.studies.accuracy.timing import ProcessorTime, interleaved, saving
 from tests.executed_bytecodes import executed_bytecodes
 
 errors = st.sampled_from([1e-16, 1e-12, 1e-9, 2e-9, 1e-6, 1e-3])
@@ -140,10 +142,12 @@ def test_the_line_is_what_a_scene_takes():
 def test_repeats_are_interleaved_and_a_stop_keeps_what_was_measured():
     order, parts = [], []
     jobs = {name: (lambda name=name: order.append(name)) for name in "abc"}
-    found = interleaved(jobs, 1e-9, lambda: False, parts.append)
-    assert order[:6] == list("abcabc")
+    found = interleaved(jobs, 1.0, lambda: False, parts.append)
+    assert order == list("abc" * 15)
     assert parts[-1] == 1.0
-    assert all(time.least >= 0.0 and time.spread >= 0.0 and time.repeats >= 2 for time in found.values())
+    assert all(time.least >= 0.0 and time.spread >= 0.0 and time.repeats == 15 for time in found.values())
+    order.clear()
+    assert list(interleaved(jobs, 1e-12, lambda: False, parts.append)) == ["a"]  # the budget binds after the first
     order.clear()
     found = interleaved(jobs, 1.0, lambda: len(order) == 2, lambda _: None)
     assert (list(found), order) == (["a", "b"], ["a", "b"])
@@ -154,3 +158,31 @@ def test_bytecodes_are_the_same_in_every_run():
         return sum(math.sqrt(i) for i in range(50))
 
     assert executed_bytecodes(work) == executed_bytecodes(work) > 100
+
+
+@pytest.mark.parametrize(
+    ("whole", "part", "repeats", "expected"),
+    [(10.0, 8.0, 3, 2.0), (10.0, 9.5, 3, None), (8.0, 10.0, 3, -2.0), (10.0, 8.0, 2, None)],
+)
+def test_a_saving_inside_the_spread_is_none(whole: float, part: float, repeats: int, expected: float | None) -> None:
+    one, other = (ProcessorTime(time, 0.05, repeats) for time in (whole, part))
+    assert saving(one, other) == expected
+    assert saving(None, other) is None
+
+
+def test_what_sends_no_torque_or_does_nothing_is_no_advice() -> None:
+    like = {
+        "status": "ok", "group": "algorithm", "is_scene": False, "largest_torque": 2.0, "force_error": 1.0,
+        "energy_error": 1.0, "energy_given_out": 0.0, "fineness": None, "bus_fits": True, "bus_load": 0.1,
+    }  # fmt: skip
+    loop = [
+        {**like, "group": "as it is", "is_scene": True, "setting": "guarded", "position_error": 1e-3},
+        {**like, "setting": "unprotected", "position_error": 1e-4},
+        {**like, "setting": "passivity_observer", "position_error": 1e-4},  # to the last digit
+        {**like, "setting": "energy_bounding", "position_error": 2e-4},
+        {**like, "setting": "a_priori_dissipation", "position_error": 3e-4, "largest_torque": 0.0},
+    ]
+    result = {"loop": loop, "advice": {"most_exact": None}, "unit": "m", "reference": None, "now": {}}
+    said = _loop_advice(result)
+    assert said.endswith("closer: algorithm: energy_bounding (200 um, bus 10 %, leaves guarded and its guarantee)")
+    assert _loop_price(loop[-1], result, "algorithm") == "sends no torque"

@@ -37,9 +37,9 @@ LEAST_ORDER: Final = 0.5
 _NEARER: Final = 0.8
 """Fraction of the scene's present error: only changes with an error below it are named."""
 _SHOWN: Final = 4
-_CLOCK: Final = 0.1
-"""Difference of two cycle times that is not distinguished from zero [us]."""
-_WIDE_HEADS: Final = ("wall time per simulated s", "median over least")
+_WIDE_HEADS: Final = ("processor time per simulated s", "largest over least")
+_KEPT_BY: Final = "guarded"
+_IDLE: Final = "sends no torque"
 
 
 def accuracy_report(result: Row, *, tables: bool = False) -> RenderableType:
@@ -71,10 +71,14 @@ def wrapped(line: str) -> list[str]:
 def price_lines(result: Row) -> list[str]:
     """Return one line with time and error for each relevant setting, that of the scene first."""
     plant = {**_plant_prices(result), "other methods": _method_prices(result), "left out": _effect_prices(result)}
-    measured, loop = "computing time" if result["workload"] else "evaluations", _loop_prices(result)
+    measured = "processor time (its spread) of a run with its modes" if result["workload"] else "evaluations"
+    loop = _loop_prices(result)
     said = [f"plant: {measured} per period, and largest position error", *_price_lines(plant)]
     if loop:
         said.append("loop: time of the control thread per cycle, and largest distance from the continuous-time loop")
+    if result.get("run_us") is not None:
+        share = f"{100.0 * result['run_share']:.2g} % of real time"
+        said.append(f"whole run: {_time(result['run_us'])} a cycle on one processor, drives and plants too: {share}")
     return [*said, *_price_lines(loop)]
 
 
@@ -115,7 +119,7 @@ def _effect_prices(result: Row) -> list[str]:
     for row in (result["advice"] or {"effects": ()})["effects"]:
         if row.get("position_error") is not None:
             saved, spent = row["us_saved_per_period"], row["evaluations_saved_per_period"]
-            price = f"{spent:.3g} evaluations" if saved is None else _time(max(saved, 0.0))
+            price = f"{spent:.3g} evaluations" if saved is None or saved <= 0.0 else _time(saved)
             entries.append(f"{row['effect']}: error {length(row['position_error'], result['unit'])}, saves {price}")
     return entries
 
@@ -143,18 +147,30 @@ def _price(row: Row, result: Row) -> str:
     if row["status"] != "ok":
         return str(row["status"]).partition(":")[0]
     spent = row.get("us_per_period")
-    cost = f"{row['evaluations_per_period']:.3g} evaluations" if spent is None else _time(spent)
+    cost = f"{row['evaluations_per_period']:.3g} evaluations" if spent is None else f"{_time(spent)}{_spread(row)}"
     return f"{cost}, {length(max(row['position_error'], _floor(result)), result['unit'])}"
+
+
+def _spread(row: Row) -> str:
+    """Return the spread of the repeats, " (+7 %)", or that there was a single one."""
+    repeats = row.get("repeats", 0)  # an earlier release does not tell
+    return f" (+{100.0 * row['spread']:.0f} %)" if repeats > 1 else " (once)" if repeats else ""
 
 
 def _loop_price(row: Row, result: Row, group: str) -> str:
     """Return the time of the control thread, the bus load if it differs, and the distance from the continuous axis."""
+    if _renders_nothing(row):
+        return _IDLE
     spent = row.get("control_thread_us")
     parts = [] if spent is None else [_time(spent)]
     if group == "sample rate":
         parts.append(f"bus {100.0 * row['bus_load']:.0f} %{'' if row['bus_fits'] else ', cycle too long'}")
     stable = row["status"] == "ok"
     return ", ".join([*parts, length(row["position_error"], result["unit"]) if stable else str(row["status"])])
+
+
+def _renders_nothing(row: Row) -> bool:
+    return row["status"] == "ok" and not row["largest_torque"]
 
 
 def _time(microseconds: float) -> str:
@@ -192,7 +208,7 @@ def heading(result: Row) -> list[str]:
         work = result["workload"]
         lines.append(f"fixed workload of this run: {si(work['seconds'], 's', 3)} ({work['what']})")
     if result["log_us"] is not None:
-        cost = f"{result['log_us']:.1f} us" if result["log_us"] >= _CLOCK else f"less than {_CLOCK} us"
+        cost = f"{result['log_us']:.1f} us" if result["log_us"] else "less than the spread of its measurement"
         lines.append(f"the energy log costs the control thread {cost} a cycle")
     engines = {row["engine"].partition(":")[0] for row in result["loop"] if "engine" in row}
     if engines:
@@ -209,7 +225,8 @@ def advice_lines(result: Row) -> list[str]:
     """Return the answer, the line to put into the scene, and further advice."""
     advice, unit = result["advice"], result["unit"]
     if advice is None:
-        return ["no advice: the study was stopped before its end"]
+        why = "the study was stopped before its end" if result["status"] == "stopped" else "nothing was compared"
+        return [f"no advice: {why}"]
     within = f"within {length(advice['tolerance'], unit)}"
     chosen, best = advice["chosen"], advice["most_exact"]
     if chosen is None:
@@ -241,8 +258,13 @@ def _loop_advice(result: Row) -> str:
         time = si(result["holds"] / result["rate"], "s", 3)
         return f"loop: the hand does not reach the wall within {time}; try a longer --duration"
 
+    same = _without_effect(result)
+
     def is_nearer(row: Row) -> bool:
-        return bool(row["status"] == "ok" and row["position_error"] < _NEARER * base["position_error"] - floor)
+        is_idle = _renders_nothing(row) or row["setting"] in same
+        return bool(
+            row["status"] == "ok" and not is_idle and row["position_error"] < _NEARER * base["position_error"] - floor
+        )
 
     def lasts(row: Row) -> bool:
         """Whether it is no coarser than the scene, and every finer one is nearer too: one motion may be luck."""
@@ -258,6 +280,8 @@ def _loop_advice(result: Row) -> str:
         given = max(0.0, row["energy_given_out"])
         out = f", gives out {si(given, 'J', 2)}" if given > PASSIVE_TOLERANCE else ""
         load = f"bus {100.0 * row['bus_load']:.0f} %"
+        if row["group"] == "algorithm" and base["setting"] == _KEPT_BY:
+            out = f"{out}, leaves {_KEPT_BY} and its guarantee"
         nearer.append(f"{row['group']}: {row['setting']} ({length(row['position_error'], unit)}, {load}{out})")
     if not nearer:
         none = "no single change that fits the bus brings it clearly closer to the continuous-time loop"
@@ -266,6 +290,14 @@ def _loop_advice(result: Row) -> str:
     distance = length(base["position_error"], unit)
     best_first = "; ".join(nearer[:_SHOWN])
     return f"loop: {said}{distance} from the continuous-time loop. Changes that bring it closer: {best_first}"
+
+
+def _without_effect(result: Row) -> set[str]:
+    """Return the algorithms whose run is that without protection to the last digit: they did nothing."""
+    rows = [row for row in result["loop"] if row["status"] == "ok" and (row["group"] == "algorithm" or row["is_scene"])]
+    plain = next((row for row in rows if row["setting"] == "unprotected"), None)
+    keys = ("position_error", "force_error", "energy_error", "largest_torque", "energy_given_out")
+    return {row["setting"] for row in rows if plain and all(row[key] == plain[key] for key in keys)}
 
 
 def _error(row: Row) -> float:
@@ -312,10 +344,10 @@ def _floor(result: Row) -> float:
 
 
 def _wall(row: Row) -> list[str]:
-    """Return wall time per simulated second, and its spread."""
-    if row.get("wall_per_second") is None:
+    """Return processor time per simulated second, and its spread."""
+    if row.get("cpu_per_second") is None:
         return ["", ""]
-    return [si(row["wall_per_second"], "s", 3), f"+{100.0 * row['spread']:.0f} %"]
+    return [si(row["cpu_per_second"], "s", 3), f"+{100.0 * row['spread']:.0f} %"]
 
 
 def _position(row: Row, unit: str, floor: float) -> str:
@@ -348,6 +380,7 @@ def _loop_cells(row: Row, unit: str) -> list[str]:
     thread = row.get("control_thread_us")
     load = f"{100.0 * row['bus_load']:.0f} %{'' if row['bus_fits'] else ' !'}"
     errors = _error_cells(row, unit) if row["status"] == "ok" else [row["status"].partition(":")[0], "", ""]
+    errors = [_IDLE, "", ""] if _renders_nothing(row) else errors
     return [
         row["group"], row["setting"], *errors, si(row["energy_uncertainty"], "J", 3),
         "" if thread is None else f"{thread:.1f} us",

@@ -25,7 +25,7 @@ from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.passivity import ALGORITHMS, LITERATURE
 from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.drive.can.pdo_map import choose_map
-from canhaptic.drive.clock import WallClock
+from canhaptic.drive.clock import ProcessorClock
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
 from canhaptic.errors import CanHapticError, InputError, ParameterError
 from canhaptic.lab.batch import WORTH_COMPILING, WORTH_COMPILING_GROUPS, ChosenEngine, Engine, chosen_engine
@@ -142,7 +142,7 @@ class LoopRow:
     variant: Variant
     run: axis_loop.LoopRun
     errors: MotionError  # the largest over the run, infinite where it ended early
-    seconds: float  # wall time of the run, plant and recording included
+    seconds: float  # processor time of the run, plant and recording included
 
 
 def variants(alone: Scene, whole: Scene) -> list[Variant]:
@@ -325,7 +325,7 @@ def loop_row(
         tick: Called once a cycle; may raise to abort.
         engine: Engine of the axis's loop.
     """
-    period, clock = variant.sample_time_ns, WallClock()
+    period, clock = variant.sample_time_ns, ProcessorClock()
     begin = clock.now()
     run = variant.render(duration_ns // period + 1, exact.position, tick, engine)
     seconds = (clock.now() - begin) * 1e-9
@@ -447,7 +447,7 @@ def _apart(run: AdmittanceRun, ideal: AdmittanceRun, steps: int) -> tuple[float,
 
 def _display_row(variant: Variant, ideal: AdmittanceRun, steps: int, whole: int) -> Row:
     """Return the row of a variant; `steps` of the `whole` holds of the ideal display make one hold of the variant."""
-    row, clock = Row(changed=variant.group, to=variant.setting), WallClock()
+    row, clock = Row(changed=variant.group, to=variant.setting), ProcessorClock()
     begin = clock.now()
     try:
         run = run_display(variant.scene, whole // steps)

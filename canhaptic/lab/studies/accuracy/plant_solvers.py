@@ -9,6 +9,7 @@ In a group, motors with separate plants are compared one by one, and a setting i
 mechanism is compared with its equations of motion, solved by DOP853.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -54,6 +55,12 @@ _ABSOLUTE: Final = 1e-3
 """Ratio of the absolute to the relative tolerance."""
 _MOST_WORK: Final = 130_000
 """Largest number of evaluations of a fixed-step method in one run; finer settings are left out."""
+_MOST_OF_REFERENCE: Final = 200_000
+"""Evaluations of the reference, 2 to 5 s, after which it is computed for no further hold."""
+_TIMES_OURS: Final = 100
+"""A method of a textbook is cut when it needs so many times the evaluations of the package's own solver."""
+LEFT_OUT: Final = "left out"
+"""Status of a candidate for which no time was left."""
 _WORK: Final = {"semi-implicit Euler": 1, "implicit midpoint": 8, "RK4": 4}
 """Approximate number of right-hand sides per step."""
 
@@ -116,12 +123,15 @@ def ours(
     solved = replace(simulation, accuracy=accuracy)
     kept = build_plant(solved, sample_time_ns)
 
+    def spend() -> None:  # with the computing of its modes
+        stepped(build_plant(solved, sample_time_ns), torques)
+
     def observe() -> tuple[Motion, int, int]:
         plant = build_plant(solved, sample_time_ns)
         return observed(plant, torques), plant.products, plant.events
 
     size, order, setting = 1.0 / accuracy.substeps, declared_order(simulation), _setting_of(accuracy, kept)
-    return Candidate(OURS, setting, size, order, accuracy, observe, partial(stepped, kept, torques))
+    return Candidate(OURS, setting, size, order, accuracy, observe, spend)
 
 
 def _setting_of(accuracy: AccuracyParameters, plant: Plant) -> str:
@@ -136,7 +146,6 @@ def _setting_of(accuracy: AccuracyParameters, plant: Plant) -> str:
 
 def stepped(plant: Plant, torques: Sequence[float]) -> None:
     """Move a plant from its start by one call per hold, like a drive."""
-    plant.reset()
     plant.begin(0)
     move, period, now = plant.advance_to, plant.sample_time_ns, 0
     for torque in torques:
@@ -156,6 +165,7 @@ class Plants:
         rows: Results so far, one per candidate.
         effects: Results so far, one per effect of the scene.
         without: Plants without one effect each, and the unchanged plants, by name.
+        cut: Evaluations after which an adaptive method is cut.
     """
 
     torques: Any
@@ -168,12 +178,22 @@ class Plants:
         self.rows: list[Row] = []
         self.effects: list[Row] = []
         self.without: dict[str, Candidate] = {}
+        self.cut = math.inf
 
-    def measure(self) -> Iterator[str]:
-        """Run every candidate once for its errors and evaluations; yield the name of each before it is run."""
+    def measure(self, is_over: Callable[[bool], bool] = lambda _is_own: False) -> Iterator[str]:
+        """Run every candidate once for its errors and evaluations; yield the name of each before it is run.
+
+        Args:
+            is_over: Asked before each run, with whether it is one of the package's own; true leaves it out.
+        """
         for candidate in self.candidates:
             yield candidate.name
-            self.rows.append(_row_of(candidate, self._judged, self.travel, len(self.torques)))
+            if is_over(candidate.method == OURS):
+                self.rows.append({**_named(candidate), "status": LEFT_OUT, "evaluations": None})
+            else:
+                self.rows.append(_row_of(candidate, self._judged, self.travel, len(self.torques)))
+            spent = [row["evaluations"] for row in self.rows if row["method"] == OURS and row["evaluations"]]
+            self.cut = _TIMES_OURS * max(spent, default=len(self.torques))
 
     def measure_effects(self, accuracy: AccuracyParameters) -> Iterator[str]:
         """Run the plant without each effect at the chosen accuracy; yield the name of each before it is run.
@@ -228,14 +248,17 @@ class _Solved(Plants):
         torques: Torque of each hold [N or N*m]; of a mechanism one for each motor.
         period: Length of a hold [ns].
         stop: Polled regularly; true aborts.
+        most: Evaluations of the reference after which it is computed for no further hold.
     """
 
     def __init__(
-        self, make: Callable[[], Model | ReferenceMechanism], torques: Sequence[Any], period: int, stop: Stop
-    ) -> None:
+        self, make: Callable[[], Model | ReferenceMechanism], torques: Sequence[Any], period: int, stop: Stop,
+        most: float,
+    ) -> None:  # fmt: skip
         super().__init__()
-        self.torques, self._make, self._period, model = torques, make, period, make()
-        self.exact: Motion = solvers.reference(model, torques, period, stop)
+        self._make, self._period, model = make, period, make()
+        self.exact: Motion = solvers.reference(model, torques, period, stop, most)
+        self.torques = torques[: len(self.exact.position)]
         self.evaluations, self._switches = model.evaluations, model.switches
         self.travel = max(float(np.ptp(self.exact.position, axis=0).max()), 1e-9)
         works = (self.exact.motor, self.exact.user, self._kinetic(self.exact))
@@ -266,7 +289,11 @@ class _Solved(Plants):
 
     def _adaptive(self) -> list[Candidate]:
         def solve(tolerance: float, model: solvers.MovedModel) -> Motion:
-            return solvers.located(model, self.torques, self._period, "LSODA", tolerance, tolerance * _ABSOLUTE)
+            asked = self._period, "LSODA", tolerance, tolerance * _ABSOLUTE
+            motion = solvers.located(model, self.torques, *asked, most=self.cut)
+            if len(motion.position) < len(self.torques):
+                raise InputError(f"needs more than {_TIMES_OURS} times our evaluations")
+            return motion
 
         return [self._textbook(LSODA, f"tolerance {t:.0e}", partial(solve, t)) for t in _TOLERANCES]
 
@@ -281,16 +308,17 @@ class PlantSide(_Solved):
         stop: Polled regularly; true aborts.
         torques: Torque of each hold [N or N*m]; None: from the scene's own controller.
         settings: Settings to try; None: every one that makes a difference for this plant.
+        most: Evaluations of the reference after which it is computed for no further hold.
     """
 
     def __init__(
         self, axis: AxisScene, scene: Scene, holds: int, stop: Stop, *, torques: Sequence[float] | None = None,
-        settings: Sequence[AccuracyParameters] | None = None,
+        settings: Sequence[AccuracyParameters] | None = None, most: float = math.inf,
     ) -> None:  # fmt: skip
         self._simulation, period = simulation_of(axis), scene.bus.sample_time_ns
         held = torque_history(axis, scene, holds) if torques is None else torques
-        super().__init__(partial(textbook_model, self._simulation), held, period, stop)
-        settings = settings or own_ladder(self._simulation, period)
+        super().__init__(partial(textbook_model, self._simulation), held, period, stop, most)
+        settings, held = settings or own_ladder(self._simulation, period), self.torques
         self.candidates = [ours(self._simulation, of, held, period) for of in settings]
         for method in solvers.METHODS:
             work = _WORK[method] * len(held)
@@ -384,13 +412,14 @@ def plants_of(scene: Scene, holds: int, stop: Stop) -> Plants:
     """Return the plants of the only axis or group of a scene, under its recorded torques; arguments as for `PlantSide`.
 
     Raises:
-        InputError: The loop of the scene ends early, or the group has no equations to compare with.
+        NotSolvedError: The loop of the scene ends early, or a solver fails.
+        InputError: The group has no equations to compare with.
     """
     if not scene.groups:
-        return PlantSide(scene.axes[0], scene, holds, stop)
+        return PlantSide(scene.axes[0], scene, holds, stop, most=_MOST_OF_REFERENCE)
     run = render_group("python", finely_solved(scene), holds + 1)
     if run.ended:
-        raise InputError(f"{scene.source}: the loop {run.ended} before its end ({run.reason}); nothing can be compared")
+        raise solvers.NotSolvedError(f"the loop {run.ended} before its end ({run.reason})")
     return (_Mechanism if scene.mechanisms else _OwnPlants)(scene, run.torque[1:], stop)
 
 
@@ -404,9 +433,21 @@ class _OwnPlants(Plants):
         lead = max(range(len(axes)), key=lambda place: len(ladders[place]))  # names the settings
         self._names, self.torques = [axis.parameters.name for axis in axes], torques
         self._sides = [
-            PlantSide(axis, scene, len(torques), stop, torques=column.tolist(), settings=ladders[lead])
+            PlantSide(
+                axis,
+                scene,
+                len(torques),
+                stop,
+                torques=column.tolist(),
+                settings=ladders[lead],
+                most=_MOST_OF_REFERENCE / len(axes),
+            )
             for axis, column in zip(axes, torques.T, strict=True)
         ]
+        shown = min(len(side.torques) for side in self._sides)
+        if shown < len(torques):  # all of them over the same holds
+            self.__init__(scene, torques[:shown], stop)  # type: ignore[misc]
+            return
         rungs = [{_rung(candidate): candidate for candidate in side.candidates} for side in self._sides]
         self.candidates = []
         for rung, candidate in rungs[lead].items():
@@ -417,11 +458,11 @@ class _OwnPlants(Plants):
         self.travel, self.energy = (max(getattr(side, name) for side in self._sides) for name in ("travel", "energy"))
         self.evaluations = sum(side.evaluations for side in self._sides)
 
-    def measure(self) -> Iterator[str]:
-        """Run every candidate once on every plant; yield the name of each before it is run."""
+    def measure(self, is_over: Callable[[bool], bool] = lambda _is_own: False) -> Iterator[str]:
+        """Run every candidate once on every plant; see `Plants.measure`."""
         rows: list[dict[object, Row]] = []
         for axis, side in zip(self._names, self._sides, strict=True):
-            for name in side.measure():
+            for name in side.measure(is_over):
                 yield f"{axis}: {name}"
             rows.append({_rung(of): row for of, row in zip(side.candidates, side.rows, strict=True)})
         for candidate in self.candidates:
@@ -461,7 +502,9 @@ class _Mechanism(_Solved):
 
     def __init__(self, scene: Scene, torques: Array, stop: Stop) -> None:
         self._scene, order = scene, getattr(scene.mechanisms[0].mechanism.parameters, "order", None)
-        super().__init__(partial(mechanism_of, scene), torques.tolist(), scene.bus.sample_time_ns, stop)
+        super().__init__(
+            partial(mechanism_of, scene), torques.tolist(), scene.bus.sample_time_ns, stop, _MOST_OF_REFERENCE
+        )
         self.candidates = [self._ours(n, order) for n in (_OUR_SUBSTEPS if order else (1,))]
         self.candidates += [*(self._fixed("RK4", n) for n in _RUNGE_KUTTA), *self._adaptive()]
 

@@ -3,10 +3,8 @@
 torques of the scene's own controller -> every method, every setting, every effect left out   against DOP853
 every rate, delay, algorithm, filter and resolution                                           against the continuous run
 
-A stopped study keeps its rows. `exchange_time` measures a cycle of the control thread without the algorithm: frames,
-checks and accounts. The rig runs in one thread with its simulated drives, whose time is measured and subtracted.
-`interleaved` measures wall times that a busy machine disturbs little, as the minimum of interleaved repeats with their
-spread. A fixed workload is timed with them, so that the ratios of a table hold on another machine.
+A stopped study keeps its rows. A study takes a limited time of the processor: what is left when a part has used its
+share is a row that says so, and a reference that is too dear is computed for fewer holds. See `timing` for the times.
 
 `with_chosen_accuracy` is `accuracy: auto`: the cheapest accuracy of a simulated plant that keeps its position within
 a tolerance. The controller of the scene is run once on a finely solved plant. Under the torques of that run, settings
@@ -15,189 +13,28 @@ setting with the fewest matrix-vector products wins; their number is the same on
 """
 
 import itertools
-import math
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, dataclass, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from functools import partial
+from operator import itemgetter
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.control.balance import AT_REST, EnergyBalance
-from canhaptic.cycle import Cycle, run
-from canhaptic.drive.can.bus_cycle import can_buses
-from canhaptic.drive.can.link import Link
-from canhaptic.drive.clock import VirtualClock, WallClock
-from canhaptic.drive.rig import Rig
-from canhaptic.errors import InputError
+from canhaptic.drive.clock import ProcessorClock
+from canhaptic.errors import CanHapticError, InputError
 from canhaptic.lab.batch import Engine
+from canhaptic.lab.judge.solvers import NotSolvedError
 from canhaptic.lab.loop.axis_loop import able_under, microseconds_per_step, parts_of
 from canhaptic.lab.reference import continuous_motion
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.accuracy import loop_sensitivity, plant_solvers
+from canhaptic.lab.studies.accuracy import loop_sensitivity, plant_solvers, timing
 from canhaptic.lab.studies.accuracy.accuracy_table import advice, error_per_microsecond, length, pareto, rank_agreement
-from canhaptic.scene.build import build, open_bus, private_channel
-from canhaptic.scene.far_side import build_drive_group, build_plant
+from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.method import simulation_of, torque_history
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.scene.parts import build_servo_drive
-from canhaptic.signals import SimulatedPeer
 from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import observed
-
-_CYCLES: Final = 600
-_TURNS: Final = 3
-_BLOCK: Final = 50
-"""Cycles between two readings of the clock; only the fastest block counts, so that interruptions do not."""
-_NS_PER_US: Final = 1e3
-
-
-def exchange_time(scene: Scene) -> float | None:
-    """Return the time of a cycle in the control thread without its algorithms [us].
-
-    None if the scene has real drives, effects on its bus or several buses.
-    """
-    if not scene.simulated or scene.bus_effects is not None or len(scene.buses) != 1:
-        return None
-    with ExitStack() as stack:
-        channel = private_channel()
-        ends = [open_bus(scene.bus, channel) for _ in range(2)]
-        for end in ends:
-            stack.callback(end.shutdown)
-        far_side = _TimedFarSide(build_drive_group(scene, ends[0]))
-        link = Link(ends[1], VirtualClock([far_side]))
-        drives = [build_servo_drive(axis, link, scene.bus) for axis in scene.axes]
-        rig = Rig(can_buses(link, drives, scene.bus), drives, scene.bus)
-        cycle = Cycle(rig, [_Idle() for _ in scene.axes])
-        return _fastest_block(cycle, _CYCLES, lambda: far_side.clock.now() - far_side.spent)
-
-
-def _fastest_block(cycle: Cycle, cycles: int, clock: Callable[[], int]) -> float:
-    """Return the time of a cycle in the fastest block of a run [us]."""
-    readings: list[int] = []
-
-    def read(done: int) -> None:
-        if done % _BLOCK == 0:
-            readings.append(clock())
-
-    run(cycle, cycles, progress=read)
-    return min(after - before for before, after in itertools.pairwise(readings)) / _BLOCK / _NS_PER_US
-
-
-def log_time(scene: Scene) -> float | None:
-    """Return the time that writing the energy log takes in a cycle [us]; None if the scene cannot be run here.
-
-    It is the fastest block with the log minus the fastest block without it; the two run alternately.
-    """
-    if not scene.simulated or scene.bus_effects is not None:
-        return None
-    least = [math.inf, math.inf]
-    with TemporaryDirectory() as folder:
-        for turn in range(2 * _TURNS):
-            log = Path(folder) / f"{turn}.h5" if turn % 2 else None
-            with build(replace(scene, auto_accuracy=None), energy_log=log) as experiment:
-                block = _fastest_block(experiment.cycle, _CYCLES // 2, WallClock().now)
-            least[turn % 2] = min(least[turn % 2], block)
-    return max(0.0, least[1] - least[0])
-
-
-class _TimedFarSide:
-    """The simulated drives, and the time that they took [ns]."""
-
-    def __init__(self, far_side: SimulatedPeer) -> None:
-        self.clock, self.spent = WallClock(), 0
-        self._far_side = far_side
-
-    def process(self, now: int) -> None:
-        """Handle everything that is due."""
-        begin = self.clock.now()
-        self._far_side.process(now)
-        self.spent += self.clock.now() - begin
-
-    def next_due(self) -> int:
-        """Return the time of the next timer [ns]."""
-        begin = self.clock.now()
-        due = self._far_side.next_due()
-        self.spent += self.clock.now() - begin
-        return due
-
-
-class _Idle:
-    """A controller that does nothing."""
-
-    def reset(self) -> None:
-        """Reset nothing."""
-
-    def sample_lost(self) -> EnergyBalance:
-        """Return the balance at rest."""
-        return AT_REST
-
-    def step(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Return the balance at rest."""
-        return AT_REST
-
-
-_LEAST_REPEATS: Final = 2
-_MOST_REPEATS: Final = 15
-_LONG: Final = 1_000_000_000  # [ns]; what takes longer is timed once
-_PRODUCTS: Final = 20_000
-WORKLOAD: Final = f"{_PRODUCTS} products of a 6 x 6 matrix with a vector, called from Python"
-
-
-class WallTime(NamedTuple):
-    """Wall-clock time of one candidate."""
-
-    least: float  # [s]
-    spread: float  # median over least, less one
-    repeats: int
-
-
-def interleaved(
-    candidates: Mapping[str, Callable[[], object]],
-    budget: float,
-    stop: Callable[[], bool],
-    progress: Callable[[float], None],
-) -> dict[str, WallTime]:
-    """Return the wall time of each candidate; they run in turn, A B C A B C, and fast ones are repeated more often.
-
-    Args:
-        candidates: Candidates by name.
-        budget: Total time, shared equally [s]; a candidate that exceeds its share is run twice, a long one once.
-        stop: Polled before each run; true aborts, and the results so far are returned.
-        progress: Called with the completed fraction.
-    """
-    clock = WallClock()
-    share = round(budget * 1e9 / max(1, len(candidates)))
-    done = 0
-    times: dict[str, list[int]] = {name: [] for name in candidates}
-    for repeat in range(_MOST_REPEATS):
-        for name, candidate in candidates.items():
-            taken = times[name]
-            enough = repeat >= _LEAST_REPEATS and sum(taken) > share
-            if stop() or enough or (taken and min(taken) > _LONG):
-                continue
-            start = clock.now()
-            candidate()
-            taken.append(clock.now() - start)
-            done += 1
-            progress(min(1.0, done / (_LEAST_REPEATS * len(candidates))))
-    progress(1.0)
-    return {name: _wall_time(of_one) for name, of_one in times.items() if of_one}
-
-
-def _wall_time(times: list[int]) -> WallTime:
-    least = min(times)
-    return WallTime(least * 1e-9, float(np.median(times)) / max(least, 1) - 1.0, len(times))
-
-
-def workload() -> None:
-    """Run the fixed workload that every time is compared with."""
-    matrix, state = np.eye(6) * 0.999, np.ones(6)
-    product = matrix.dot
-    for _ in range(_PRODUCTS):
-        state = product(state)
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,21 +50,19 @@ class StudiedPart:
     scene: Scene
 
     def first_rows(self, holds: int) -> Iterator[str]:
-        """Yield a line for each plant setting of an axis: its cost, and its difference from the finest setting."""
+        """Yield a line for each plant setting: its evaluations, and its difference from the finest setting."""
         if self.scene.groups:
             return
         (axis,), period = self.scene.axes, self.scene.bus.sample_time_ns
-        simulation, clock = simulation_of(axis), WallClock()
+        simulation = simulation_of(axis)
         torques = torque_history(axis, self.scene, holds, simulation.accuracy)
         settings = plant_solvers.own_ladder(simulation, period)
         best = observed(build_plant(replace(simulation, accuracy=settings[-1]), period), torques).position
         for accuracy in dict.fromkeys((plant_solvers.own_setting(simulation, period), *settings)):
             rung = plant_solvers.ours(simulation, accuracy, torques, period)
-            begin = clock.now()
-            rung.spend()
-            spent = (clock.now() - begin) / holds / _NS_PER_US
-            apart = length(float(np.abs(rung.observe()[0].position - best).max()), axis.parameters.unit)
-            yield f"{rung.setting}: {spent:.3g} us per period, {apart} from the finest setting"
+            motion, evaluations, _ = rung.observe()
+            apart = length(float(np.abs(motion.position - best).max()), axis.parameters.unit)
+            yield f"{rung.setting}: {evaluations / holds:.3g} evaluations per period, {apart} from the finest setting"
 
     def now(self) -> Row:
         """Return the scene's own values of the settings that variants change, by kind of change, and its accuracy."""
@@ -302,7 +137,9 @@ def _contacts(axis: AxisScene, scene: Scene, holds: int) -> list[int]:
 
 
 DEFAULT_BUDGET: Final = 4.0
-"""Time for the timings of plants [s], in addition to the runs for errors."""
+"""Time of the processor for the timings of plants [s], in addition to the runs for errors."""
+_ENDS: Final = {"others": 5.0, "own": 7.5, "effects": 8.0, "continuous": 11.0, "loops": 13.0}
+"""Time of the processor after which a part of the study ends, with the default budget [s]; a larger one has more."""
 UNITS: Final = 1000
 """Units of progress in the whole study."""
 _SHARES: Final = {"references": 200, "ladder": 250, "loops": 250, "times": 300}
@@ -310,7 +147,6 @@ _BEFORE: Final = 0.5
 """Part of the references' share of the progress bar that a single reference may fill."""
 _TENTH: Final = 0.1
 _REPEATS: Final = 3
-_WORKLOAD: Final = "workload"
 _IDEAL: Final = 1e9
 """Number that represents in JSON the infinite fineness of a method without a step."""
 
@@ -360,7 +196,7 @@ class AccuracyStudy:
             else a tenth of an encoder count.
         duration: Length of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter; see
             `length_of`.
-        budget: Time for timings [s]; 0 for none.
+        budget: Time of the processor for timings [s]; 0 for none.
         engine: Engine of the loops; "auto" compiles them where that is worthwhile.
         progress: Called with the number of units done, of `UNITS`.
         stop: Polled often; true stops the study.
@@ -388,9 +224,12 @@ class AccuracyStudy:
         self._plant: plant_solvers.Plants | None = None
         self._loops: list[loop_sensitivity.LoopRow] = []
         self._loop_rows: list[Row] = []
-        self._times: dict[str, WallTime] = {}
+        self._times: dict[str, timing.ProcessorTime] = {}
         self._status = "stopped"
-        self._log_us: float | None = None
+        self._run_price: timing.RunPrice | None = None
+        self._remarks: list[str] = []
+        self._clock = ProcessorClock()
+        self._begin = self._clock.now()
 
     def run(self) -> Row:
         """Return the result; `status` is "completed", or "stopped" with all results so far."""
@@ -407,26 +246,71 @@ class AccuracyStudy:
             for row in self.part.first_rows(self.holds):
                 self._check()
                 self.say(row)
-        self._plant = plant = plant_solvers.plants_of(self.part.scene, self.holds, self._counted_stop("references"))
-        for number, _name in enumerate(plant.measure()):
+        try:
+            self._measure_plant()
+        except NotSolvedError as error:
+            self._remark(f"the plant is compared with nothing: {error}")
+        try:
+            self._measure_loops()
+        except NotSolvedError as error:
+            self._remark(f"the loop is compared with nothing: {error}")
+        if self.budget > 0.0:
+            self._time()
+
+    def _measure_plant(self) -> None:
+        """Run the ladder of settings and methods, and the plant without each effect."""
+        plant = plant_solvers.plants_of(self.part.scene, self.holds, self._counted_stop("references"))
+        if len(plant.torques) < self.holds:
+            self._remark(
+                f"left out: all but the first {len(plant.torques)} of {self.holds} sample times, whose reference took "
+                f"{plant.evaluations} evaluations"
+            )
+            self.holds = len(plant.torques)
+        self._plant = plant
+        for number, _name in enumerate(plant.measure(lambda is_own: self._is_over("own" if is_own else "others"))):
             self._check()
             self._advance("ladder", min(1.0, number / len(plant.candidates)))  # every plant of a group runs each
+        if skipped := sum(row["status"] == plant_solvers.LEFT_OUT for row in plant.rows):
+            self._remark(f"left out: {skipped} of {len(plant.rows)} settings and methods of the plant, for their time")
         found = advice(plant.rows, [], self._tolerance)
         chosen = found["chosen"] or found["most_exact"] or {"accuracy": {}}  # the advised one, else the most exact
-        for _name in plant.measure_effects(AccuracyParameters(**chosen["accuracy"])):
+        for name in plant.measure_effects(AccuracyParameters(**chosen["accuracy"])):
             self._check()
+            if self._is_over("effects"):
+                self._remark(f"left out: the plant {name}, and what follows, for their time")
+                break
+
+    def _measure_loops(self) -> None:
+        """Run the loop with each change."""
         period = self.scene.bus.sample_time_ns
         step, steps = period // loop_sensitivity.FINEST, self.holds * loop_sensitivity.FINEST
-        exact = continuous_motion(self.part.scene, step, steps, self._counted_stop("loops"))
+        asked = self._counted_stop("loops")
+
+        def stop() -> bool:
+            if self._is_over("continuous"):
+                raise NotSolvedError("its reference takes too long; left out (a larger --budget includes it)")
+            return asked()
+
+        exact = continuous_motion(self.part.scene, step, steps, stop)
         every = loop_sensitivity.variants(self.part.scene, self.scene)
         engines = loop_sensitivity.engines_of(every, self.holds * period, self.engine)
         for number, (variant, engine) in enumerate(zip(every, engines, strict=True)):
+            if number and self._is_over("loops"):
+                self._remark(f"left out: {len(every) - number} of {len(every)} changes of the loop, for their time")
+                return
             rendered = loop_sensitivity.loop_row(variant, exact, step, self.holds * period, self._check, engine)
             self._loops.append(rendered)
             self._loop_rows.append(self._loop_row(rendered))
             self._advance("loops", (number + 1) / len(every))
-        if self.budget > 0.0:
-            self._time(plant)
+
+    def _is_over(self, part: str) -> bool:
+        """Return whether a part has used its time of the processor."""
+        return (self._clock.now() - self._begin) * 1e-9 > _ENDS[part] * max(1.0, self.budget / DEFAULT_BUDGET)
+
+    def _remark(self, text: str) -> None:
+        self._remarks.append(text)
+        if self.say is not None:
+            self.say(text)
 
     def _counted_stop(self, part: str) -> loop_sensitivity.Stop:
         """Return a `stop` that also advances the bar by ever smaller steps, for a reference without progress."""
@@ -443,24 +327,36 @@ class AccuracyStudy:
         if self.stop():
             raise InputError("stopped")
 
-    def _advance(self, part: str, share: float) -> None:
+    def _advance(self, part: str, share: float, begin: float = 0.0) -> None:
         names = list(_SHARES)
         before = sum(_SHARES[name] for name in names[: names.index(part)])
-        self._done = max(self._done, min(UNITS, round(before + _SHARES[part] * share)))
+        self._done = max(self._done, min(UNITS, round(before + _SHARES[part] * min(1.0, begin + share))))
         if self.progress is not None:
             self.progress(self._done)
 
-    def _time(self, plant: plant_solvers.Plants) -> None:
-        stable = [c for c, row in zip(plant.candidates, plant.rows, strict=True) if row["status"] == "ok"]
-        jobs: dict[str, Callable[[], object]] = {_WORKLOAD: workload}
-        jobs |= {f"without {name}": candidate.spend for name, candidate in plant.without.items()}
-        jobs |= {candidate.name: candidate.spend for candidate in stable}
-        self._times = interleaved(jobs, self.budget, self.stop, lambda share: self._advance("times", 0.9 * share))
+    def _time(self) -> None:
+        own: dict[str, Callable[[], object]] = {timing.WORKLOAD: timing.workload}
+        others: dict[str, Callable[[], object]] = {}
+        if plant := self._plant:
+            pairs = zip(plant.candidates, plant.rows, strict=False)
+            stable = sorted(
+                ((row["evaluations"], of.name, of) for of, row in pairs if row["status"] == "ok"), key=itemgetter(0)
+            )
+            own |= {name: of.spend for _, name, of in stable if of.method == plant_solvers.OURS}
+            own |= {f"without {name}": candidate.spend for name, candidate in plant.without.items()}
+            others = {name: of.spend for _, name, of in stable if of.method != plant_solvers.OURS}
+        for begin, jobs in ((0.0, own), (0.45, others)):  # a method that takes long leaves ours their repeats
+            advance = partial(self._advance, "times", begin=begin)
+            self._times |= timing.interleaved(jobs, 0.5 * self.budget, self.stop, advance)
         self._check()
-        cases = {str(i): (row.variant, row.run) for i, row in enumerate(self._loops) if len(row.run.position) > 1}
+        cases = {str(i): (row.variant, row.run) for i, row in enumerate(self._loops) if row.run.torque.any()}
         each = microseconds_per_step(cases, _REPEATS)
-        exchange = exchange_time(self.scene)
-        self._log_us = log_time(self.scene)
+        try:
+            exchange = timing.exchange_time(self.scene, self.holds)
+            self._run_price = timing.run_price(self.scene, self.holds)
+        except CanHapticError as error:
+            exchange = None
+            self._remark(f"the cycle was not timed: {error}")
         for index, row in enumerate(self._loop_rows):
             step = each.get(str(index))
             row["controller_us"] = step
@@ -482,7 +378,7 @@ class AccuracyStudy:
             **{f"{name}_error": value if stable else None for name, value in row.errors._asdict().items()},
             "energy_uncertainty": run.believed_error,
             "energy_given_out": -run.least_interaction,
-            "wall_per_second": row.seconds / (self.holds * self.scene.bus.sample_time),
+            "cpu_per_second": row.seconds / (self.holds * self.scene.bus.sample_time),
             "rate": variant.scene.bus.rate,
             **loop_sensitivity.bus_figures(variant, self.scene),
         }
@@ -491,7 +387,7 @@ class AccuracyStudy:
         """Return all results so far, as plain values."""
         bus, plant, is_group = self.scene.bus, self._plant, bool(self.part.scene.groups)
         moved = (of.mechanism.name for of in self.part.scene.mechanisms)
-        work = self._times.get(_WORKLOAD)
+        work = self._times.get(timing.WORKLOAD)
         rows, orders = ([], []) if plant is None else (self._plant_rows(plant), plant.orders())
         return {
             "scene": self.scene.source,
@@ -506,9 +402,14 @@ class AccuracyStudy:
             "tolerance": self._tolerance,
             "now": self.part.now(),
             "judged": self.judged,
-            "workload": work and {"what": WORKLOAD, "seconds": work.least, "spread": work.spread},
-            "log_us": self._log_us,
-            "remarks": [f"Euler and midpoint methods: not run on a {name}" for name in moved if plant],
+            "workload": work and {"what": timing.WORKLOAD, "seconds": work.least, "spread": work.spread},
+            "log_us": self._run_price and self._run_price.log,
+            "run_us": self._run_price and self._run_price.cycle,
+            "run_share": self._run_price and self._run_price.cycle * 1e-6 / bus.sample_time,
+            "remarks": [
+                *self._remarks,
+                *(f"Euler and midpoint methods: not run on a {name}" for name in moved if plant),
+            ],
             "reference": plant and self._reference(plant, rows),
             "plant": rows,
             "orders": orders,
@@ -542,12 +443,12 @@ class AccuracyStudy:
 
     def _wall(self, name: str) -> Row:
         """Return the time columns of one candidate; None where it was not timed."""
-        time, fixed = self._times.get(name), self._times.get(_WORKLOAD)
+        time, fixed = self._times.get(name), self._times.get(timing.WORKLOAD)
         if time is None:
-            return dict.fromkeys(("us_per_period", "wall_per_second", "spread", "repeats", "ratio"))
+            return dict.fromkeys(("us_per_period", "cpu_per_second", "spread", "repeats", "ratio"))
         return {
             "us_per_period": time.least / self.holds * 1e6,
-            "wall_per_second": time.least / (self.holds * self.scene.bus.sample_time),
+            "cpu_per_second": time.least / (self.holds * self.scene.bus.sample_time),
             "spread": time.spread,
             "repeats": time.repeats,
             "ratio": time.least / fixed.least if fixed else None,
@@ -558,8 +459,9 @@ class AccuracyStudy:
         rows = []
         for row in plant.effects:
             whole, _, _ = row["effect"].rpartition(" ")
-            base, mine = (self._wall(f"without {name}")["us_per_period"] for name in (whole, row["effect"]))
-            saved = None if base is None or mine is None else base - mine
+            base, mine = (self._times.get(f"without {name}") for name in (whole, row["effect"]))
+            saved = timing.saving(base, mine)
+            saved = saved if saved is None else saved / self.holds * 1e6
             error = row.get("position_error")
             worth = None if error is None else error_per_microsecond(error, saved)
             rows.append({**row, "us_saved_per_period": saved, "error_per_microsecond": worth})
