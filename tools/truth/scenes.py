@@ -129,7 +129,7 @@ def random_scene(seed: int, *, further: bool = True, changes: float | None = Non
 def _declare_speed(axis: dict[str, Any], simulation: dict[str, Any], tags: set[str]) -> None:
     """Declares the speed above which the supply no longer holds a current, where the torque is measured.
 
-    There the motor brakes by its back-EMF, with a torque that nobody commanded; a rig stops for it, and rightly so.
+    There the motor brakes by its back-EMF, with a torque that was not commanded; a rig stops for it, and rightly so.
     """
     for effect in simulation.get("effects", ()):
         if effect["type"] == "voltage_limit" and "drive:read_actual" in tags:
