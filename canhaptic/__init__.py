@@ -53,6 +53,10 @@ def __dir__() -> list[str]:
 
 def __getattr__(name: str) -> Any:
     """Import a public name on its first use (PEP 562)."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version(__name__)
     if name not in _PUBLIC:
         raise AttributeError(f"module 'canhaptic' has no attribute {name!r}")
     if _PUBLIC[name] == __name__:

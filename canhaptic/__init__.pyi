@@ -46,5 +46,6 @@ from canhaptic.simulation import SimulationResult as SimulationResult
 from canhaptic.simulation import simulate as simulate
 
 __all__: list[str]
+__version__: str
 
 def listed(file: str) -> dict[str, str]: ...

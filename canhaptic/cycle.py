@@ -123,6 +123,9 @@ class Cycle:
         self._least_jitter = min(self._jitters or [0])
         self._frozen_after = max(_FEWEST_UNCHANGED, round(1.0 / rig.bus.sample_time))
 
+    def __repr__(self) -> str:
+        return f"<Cycle: {self.cycles} cycles run, {self.rig!r}>"
+
     def step(self) -> None:
         """Run one cycle.
 

@@ -8,6 +8,7 @@
     |  |- DictionaryError                    2   an EDS or DCF file
     |  |- BusBudgetError                     2   the frames of one cycle do not fit the bus
     |  `- LogFormatError                     2   an energy log or bus log that cannot be read
+    |     `- LogMissingError                 2   there is no file of this name (FileNotFoundError)
     |- LogWriteError (OSError)              2   a log that cannot be written where it was asked for
     |  `- LogStoppedError                   3   a log that ended before its run: a full disk, a file that was deleted
     |- CheckFailedError                      1   a comparison or check the user asked for failed
@@ -138,6 +139,10 @@ class BusBudgetError(InputError):
 
 class LogFormatError(InputError):
     """A log that is empty, truncated, foreign or of a newer version."""
+
+
+class LogMissingError(LogFormatError, FileNotFoundError):
+    """No file has the name of the log."""
 
 
 class LogWriteError(CanHapticError, OSError):

@@ -111,6 +111,8 @@ class PortAccount:
 class Account(Mapping[str, PortAccount]):
     """The accounts of all ports by name; `raw` is the whole account as `canhaptic run --json` prints it.
 
+    `account.handle` is `account["handle"]`, for a name that is no attribute already.
+
     Example:
         >>> {name: port.margin for name, port in result.account.items()}  # doctest: +SKIP
     """
@@ -127,6 +129,15 @@ class Account(Mapping[str, PortAccount]):
 
     def __len__(self) -> int:
         return len(self._ports)
+
+    def __getattr__(self, name: str) -> PortAccount:
+        if (found := self.__dict__.get("_ports", {}).get(name)) is None:
+            ports = ", ".join(self.__dict__.get("_ports", {}))
+            raise AttributeError(f"got {name!r}, expected a name of a port: {ports}")
+        return cast("PortAccount", found)
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self._ports]
 
     @property
     def passive(self) -> Verdict:

@@ -207,6 +207,7 @@ def _samples(text: str) -> int:
 _rate: Final = partial(_positive_number, units=("Hz", "Hz"), name="rate", most=1e6)
 _READERS: Final[dict[str, Callable[[str], object]]] = {
     "path": Path,
+    "word": str,
     "float": float,
     "int": int,
     "integer": partial(int, base=0),
@@ -221,3 +222,22 @@ _READERS: Final[dict[str, Callable[[str], object]]] = {
     "samples": _samples,
 }
 """`type` of an argument in `options.toml` -> parser of its text."""
+
+
+def read(kind: str, value: object, name: str) -> Any:
+    """Return what the command line makes of a text; a value that is no text as it is.
+
+    Args:
+        kind: Key of `_READERS`.
+        value: Text, such as "10 s" or "guarded,unprotected", or a value.
+        name: Name of the argument, for the message.
+
+    Raises:
+        InputError: The text has another form.
+    """
+    if not isinstance(value, str):
+        return value
+    try:
+        return _READERS[kind](value)
+    except (argparse.ArgumentTypeError, ValueError) as error:
+        raise InputError(f"{name}: {error}") from error

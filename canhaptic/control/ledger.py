@@ -164,6 +164,10 @@ class Ledger:
         self._certificates = 0  # one bit each
         self._damping_least, self._damping_most = float("inf"), 0.0
 
+    def __repr__(self) -> str:
+        sums = self.summary()
+        return f"<Ledger: {sums.energy_in:.4g} J in, {sums.energy_out:.4g} J out, margin {sums.margin_value:.4g} J>"
+
     def add(self, balance: EnergyBalance, cycle: int, deadline: int | None = None) -> None:
         """Add the account of the hold that ended at SYNC `cycle`.
 

@@ -93,6 +93,10 @@ class Rig:
         self.realtime = Realtime(RealtimeParameters() if isinstance(self.clock, VirtualClock) else bus.realtime)
         self._reset()
 
+    def __repr__(self) -> str:
+        state = "running" if self.is_running else "not running"
+        return f"<Rig of {', '.join(drive.axis.name for drive in self.drives)}: {state}, SYNC {self.sync_index}>"
+
     def _reset(self) -> None:
         self.sync_index = -1
         self.deadline_index = self._first_deadline = 0

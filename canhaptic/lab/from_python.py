@@ -1,5 +1,7 @@
 """Studies of a scene as Python calls: each takes a scene file, a mapping or a loaded scene, as `simulate` does.
 
+A text means what it means on the command line: `"guarded,unprotected"`, `"1e2:1e6:log:40"`, `"10 s"`, `"1 kHz"`.
+
 found = canhaptic.sweep("demo", {"environment.stiffness": [100, 1000, 10000]}, duration=2.0)
 print(found["handle.least_interaction"])     # [J], one value per scene
 """
@@ -8,8 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
+from canhaptic.cli.options import read
+from canhaptic.errors import InputError
 from canhaptic.lab.batch import Engine
 from canhaptic.lab.studies.compare import Comparison
 from canhaptic.lab.studies.compare import compare as compare_algorithms
@@ -20,6 +24,11 @@ from canhaptic.simulation import load_any
 if TYPE_CHECKING:
     from canhaptic.lab.studies.vary import Column
 
+_SWEEP_OPTIONS: Final = {
+    "controllers": "names", "metrics": "names", "samples": "samples", "seed": "int", "duration": "seconds",
+    "cycles": "int", "engine": "word", "chunk": "int", "beyond_bus": "word", "resume": "word", "force": "word",
+}  # fmt: skip
+"""Option of a sweep -> reader of its text."""
 _SceneLike = str | PathLike[str] | Mapping[str, object] | Scene
 _Changes = Mapping[str, object]
 _Plain = Mapping[str, Any]
@@ -27,11 +36,11 @@ _Plain = Mapping[str, Any]
 
 def compare(
     scene: _SceneLike,
-    algorithms: Sequence[str] | None = None,
+    algorithms: Sequence[str] | str | None = None,
     changes: _Changes | None = None,
     *,
-    duration: float | None = None,
-    rate: float | None = None,
+    duration: float | str | None = None,
+    rate: float | str | None = None,
     over_can: bool = False,
     engine: Engine = "python",
     repeats: int = 5,
@@ -42,7 +51,7 @@ def compare(
 
     Args:
         scene: A scene file, a mapping with its keys, or a loaded scene; with simulated drives.
-        algorithms: Names of algorithms; all of them by default.
+        algorithms: Names of algorithms, as a list or separated by commas; all of them by default.
         changes: Values of the scene to replace, as for `simulate`.
         duration: Duration [s]; by default the scene's.
         rate: Rate that replaces the scene's [Hz], possibly beyond its bus; for single axes, not over CAN.
@@ -60,14 +69,15 @@ def compare(
         >>> canhaptic.compare("demo", ["unprotected", "guarded"]).result["axes"]["handle"]  # doctest: +SKIP
     """
     return compare_algorithms(
-        load_any(scene, changes or {}, allow_code), algorithms, duration=duration, rate=rate, over_can=over_can,
+        load_any(scene, changes or {}, allow_code), read("names", algorithms, "algorithms"),
+        duration=read("seconds", duration, "duration"), rate=read("rate", rate, "rate"), over_can=over_can,
         engine=engine, repeats=repeats, progress=progress,
     )  # fmt: skip
 
 
 def sweep(
     scene: _SceneLike,
-    vary: Mapping[str, Sequence[float | str]] | Sequence[str],
+    vary: Mapping[str, object] | Sequence[str] | str,
     out: str | PathLike[str] | None = None,
     *,
     changes: _Changes | None = None,
@@ -81,14 +91,16 @@ def sweep(
 
     Args:
         scene: A scene file, a mapping with its keys, or a loaded scene; with simulated drives.
-        vary: Values of each key by its path, in SI or as texts; or texts as for `canhaptic sweep --vary`.
+        vary: Values of each key by its path: a number in SI, a text as after `--vary KEY=` ("1e2:1e6:log:40",
+            "100 N/m,1 kN/m"), or a list or array of numbers and texts. Or one or several texts as for `--vary`.
         out: Folder that keeps the sweep, for `canhaptic map` or for `resume=True`; None: it is not kept.
         changes: Values of the scene to replace, as for `simulate`.
         allow_code: Whether program files that the scene names may run.
-        options: As for the command: controllers, samples, seed, duration, cycles, metrics, engine, resume, force.
+        options: As for the command: controllers, samples, seed, duration, cycles, metrics, engine, chunk, beyond_bus,
+            resume, force.
 
     Raises:
-        InputError: Bad input, or a folder with a sweep.
+        InputError: Bad input, an unknown option, or a folder with a sweep.
 
     Examples:
         >>> canhaptic.sweep("demo", {"environment.damping": [0, 5, 10]}, duration=2.0)  # doctest: +SKIP
@@ -98,7 +110,13 @@ def sweep(
     from canhaptic.lab.studies.vary import listed
 
     loaded = load_any(scene, changes or {}, allow_code)
-    varied = [listed(key, values) for key, values in vary.items()] if isinstance(vary, Mapping) else list(vary)
+    if isinstance(vary, Mapping):
+        varied: list[Any] = [listed(key, values) for key, values in vary.items()]
+    else:
+        varied = [vary] if isinstance(vary, str) else list(vary)
+    if unknown := options.keys() - _SWEEP_OPTIONS.keys():
+        raise InputError(f"sweep: got {min(unknown)}, expected options among {', '.join(_SWEEP_OPTIONS)}")
+    options = {name: read(_SWEEP_OPTIONS[name], value, name) for name, value in options.items()}
     with TemporaryDirectory(prefix="canhaptic-sweep-") as folder:
         path = Path(folder) / "sweep" if out is None else Path(out)
         run_sweep(loaded, varied, path, allow_code=allow_code, **options)
@@ -165,9 +183,9 @@ def accuracy(
     changes: _Changes | None = None,
     *,
     axis: str | None = None,
-    tolerance: float | None = None,
-    duration: float | None = None,
-    budget: float | None = None,
+    tolerance: float | str | None = None,
+    duration: float | str | None = None,
+    budget: float | str | None = None,
     allow_code: bool = False,
 ) -> _Plain:
     """Return what accuracy costs in time, for the simulated plant and for the loop, as plain values.
@@ -189,7 +207,11 @@ def accuracy(
     """
     from canhaptic.lab.studies.accuracy.study import study_accuracy
 
-    options = _given(tolerance=tolerance, duration=duration, budget=budget)
+    options = _given(
+        tolerance=read("length", tolerance, "tolerance"),
+        duration=read("seconds", duration, "duration"),
+        budget=read("budget", budget, "budget"),
+    )
     return study_accuracy(load_any(scene, changes or {}, allow_code), axis, **options)
 
 

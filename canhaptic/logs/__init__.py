@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from canhaptic.errors import LogFormatError
+from canhaptic.errors import LogFormatError, LogMissingError
 from canhaptic.files import require_regular
 
 
@@ -16,7 +16,8 @@ def log_file(path: str | Path) -> Path:
     try:
         found = require_regular(path)
     except OSError as error:
-        raise LogFormatError(f"{path}: {error.strerror}, expected a log of a run") from error
+        kind = LogMissingError if isinstance(error, FileNotFoundError) else LogFormatError
+        raise kind(f"{path}: {error.strerror}, expected a log of a run") from error
     if found.st_size == 0:
         raise LogFormatError(f"{path}: the file is empty, expected a log of a run")
     return path

@@ -214,6 +214,9 @@ class EnergyLog:
         """Open a log: the same as `EnergyLog(path)`."""
         return cls(path)
 
+    def __repr__(self) -> str:
+        return f"<EnergyLog {self.path}: {self.status}, {', '.join(self.ports)}>"
+
     def __enter__(self) -> Self:
         return self
 

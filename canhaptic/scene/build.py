@@ -223,6 +223,9 @@ class Experiment:
                 self.cycle.fail_log(self._log_failure)
             self._stack = stack.pop_all()
 
+    def __repr__(self) -> str:
+        return f"<Experiment {self.scene.source}: {self.pace}, {self.cycle!r}>"
+
     def _open_logs(
         self, energy_log: Path | None, bus_log: Path | None, meters: Sequence[AxisMeter], stack: ExitStack, *,
         dry_run: bool,

@@ -385,6 +385,10 @@ class Scene:
     unread: tuple[str, ...] = ()  # own code that was named and left unread; nothing is built from such a scene
     undeclared: tuple[str, ...] = ()  # keys of holds and dry friction that real drives need and nothing declares
 
+    def __repr__(self) -> str:
+        axes = ", ".join(axis.parameters.name for axis in self.axes)
+        return f"<Scene {self.source}: {axes}; {self.bus.rate:g} Hz on {self.bus.interface}>"
+
     @property
     def accuracy_tolerance(self) -> float | None:
         """Tolerance of `accuracy: {auto: ...}` [m or rad]; None where accuracy is given."""

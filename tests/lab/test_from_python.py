@@ -1,13 +1,16 @@
 """The studies as Python calls: each takes the name of a scene, and returns what its command prints."""
 
 import json
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import canhaptic
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError, SceneError
+from canhaptic.lab.studies.vary import listed
 
 
 def _printed(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
@@ -77,3 +80,55 @@ def test_accuracy_and_design_take_a_name() -> None:
 def test_a_scene_that_does_not_exist_is_named() -> None:
     with pytest.raises(SceneError, match=r"demmo.*did you mean 'demo'"):
         canhaptic.sweep("demmo", {"environment.stiffness": [1.0]})
+
+
+def test_python_takes_the_texts_of_the_command_line() -> None:
+    """A text of three digits was three values, and the name of an algorithm was its letters."""
+    table = canhaptic.sweep("demo", {"environment.stiffness": "100"}, cycles="5", engine="python", metrics="margin")
+    assert list(table["environment.stiffness"]) == [100.0]
+    found = canhaptic.compare("demo", "guarded,unprotected", duration="10 ms", repeats=0)
+    assert list(found.result["axes"]["handle"]["algorithms"]) == ["guarded", "unprotected"]
+
+
+@pytest.mark.parametrize(
+    "values",
+    ["100 N/m,200 N/m", ["100 N/m", "0.2 kN/m"], (100, 200.0), np.array([100, 200]), "100:200:2", range(100, 201, 100)],
+)
+def test_values_in_every_form_are_the_same_numbers(values: object) -> None:
+    assert listed("environment.stiffness", values).values == (100.0, 200.0)
+
+
+@pytest.mark.parametrize("values", [[], None, {"a": 1}, [None], [[1]], float("nan"), True, ["1", ""]])
+def test_a_wrong_form_is_an_error(values: object) -> None:
+    with pytest.raises(InputError, match=r"environment\.stiffness"):
+        listed("environment.stiffness", values)
+
+
+def test_an_unknown_option_of_a_sweep_and_a_wrong_text_are_errors() -> None:
+    with pytest.raises(InputError, match="sweep: got sample, expected"):
+        canhaptic.sweep("demo", "environment.stiffness=1,2", sample=3)
+    with pytest.raises(InputError, match="duration: got '10 N'"):
+        canhaptic.compare("demo", "guarded", duration="10 N")
+
+
+def test_a_missing_log_is_a_missing_file(tmp_path: Path) -> None:
+    for read in (canhaptic.EnergyLog, lambda path: canhaptic.replay_bus_log(path, canhaptic.load_scene("demo"))):
+        with pytest.raises(FileNotFoundError, match="no such file") as caught:
+            read(tmp_path / "none.log")
+        assert isinstance(caught.value, InputError)
+
+
+def test_an_account_has_its_ports_as_attributes_and_the_package_its_version() -> None:
+    account = canhaptic.simulate("demo", duration="3 ms", progress=False).account
+    assert account.handle is account["handle"]
+    assert "handle" in dir(account)
+    assert not hasattr(account, "elbow")
+    assert canhaptic.__version__.count(".") >= 2
+
+
+def test_every_public_object_shows_what_it_is() -> None:
+    run = canhaptic.simulate("demo", duration="3 ms", progress=False)
+    with run.log() as log, canhaptic.build(run.scene) as experiment:
+        for shown in (run, run.account, run.scene, log, experiment, experiment.rig, experiment.cycle):
+            assert " object at 0x" not in repr(shown)
+            assert 20 < len(repr(shown)) < 200

@@ -67,6 +67,9 @@ class BackgroundSdo:
     def __init__(self, drive: ServoDrive, line: "SdoLine") -> None:
         self._drive, self._line = drive, line
 
+    def __repr__(self) -> str:
+        return f"<BackgroundSdo of {self._drive.axis.name}, node {self._drive.axis.node_id}>"
+
     def upload(self, index: int, subindex: int = 0) -> "Future[bytes]":
         """Read an object and return the future of its bytes.
 

@@ -15,7 +15,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,10 +120,30 @@ def ranged(key: str, low: float, high: float, count: int, spacing: Literal["lin"
     return Varied(key, _spaced(f"{key}={low:g}:{high:g}", low, high, count, spacing), "", spacing)
 
 
-def listed(key: str, values: Sequence[float | int | str]) -> Varied:
-    """Return a key with exactly these values: numbers in SI, or YAML text."""
-    kept: list[Value] = [value if isinstance(value, str) else float(value) for value in values]
-    return Varied(key, tuple(dict.fromkeys(kept)), "", "list")
+def listed(key: str, values: object) -> Varied:
+    """Return a key with values given in Python: a number in SI, a text as after `KEY=`, or a list or array of them.
+
+    Raises:
+        InputError: The values have none of these forms, or there are none.
+    """
+    if isinstance(values, str):
+        return parse_vary(f"{key}={values}")
+    given = values.tolist() if isinstance(values, np.ndarray | np.generic) else values
+    items = list(given) if isinstance(given, list | tuple | range) else [given]
+    if not items or not all(_is_value(item) for item in items):
+        text = f"{values!r}"[:80]
+        raise _refused(f"{key}=...", f"got {text}", "expected a number, a text such as '1:10:5', or a list of them")
+    if any(isinstance(item, str) for item in items):
+        return _list(key, key, [str(item) for item in items])
+    numbers: list[Any] = items
+    return Varied(key, tuple(dict.fromkeys(float(item) for item in numbers)), "", "list")
+
+
+def _is_value(item: object) -> bool:
+    """Return whether a value of Python is a finite number or a text that is not empty."""
+    if isinstance(item, str):
+        return bool(item.strip())
+    return isinstance(item, int | float | np.number) and not isinstance(item, bool) and math.isfinite(item)
 
 
 def _refused(text: str, seen: str, remedy: str) -> InputError:

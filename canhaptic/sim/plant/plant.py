@@ -133,6 +133,10 @@ class Plant(AutomatonClock):
         self.state_names = (*self.scene.names, *kept)
         self.reset()
 
+    def __repr__(self) -> str:
+        effects = ", ".join(type(effect).__name__ for effect in self.effects) or "no effects"
+        return f"<{type(self).__name__}: {self.parameters.mass:g} kg or kg*m^2, {effects}>"
+
     def _chosen_hold(self) -> Callable[[int, float], None]:
         """Function that moves this plant by a hold, specialised to its effects."""
         scene, machine = self.scene, self._machine
