@@ -132,7 +132,7 @@ def energy_log_case(chance: random.Random, folder: Path, run: Session) -> str:
 
 
 def bus_log_case(chance: random.Random, folder: Path, run: Session) -> str:
-    """A bus log, as `decode`, `replay` and `inspect` take it."""
+    """A bus log, as `inspect --frames`, `replay` and `inspect` take it."""
     whole, path = folder / "run.log", folder / "damaged.log"
     path.write_bytes(mutated_frames(chance, whole.read_bytes()))
     run("decode", path)

@@ -127,7 +127,7 @@ GALLERY: Final[tuple[Entry, ...]] = (
         (
             "canhaptic sweep configs/demo.yaml --vary environment.stiffness=100:1e5:log:16 "
             "--vary bus.rate=100:3200:log:6 --controllers unprotected,guarded --duration 4 --beyond-bus --out walls",
-            "canhaptic map walls --png map.png",
+            "canhaptic sweep --map walls --png map.png",
         ),
         ("--duration 0.1", ""),
     ),
@@ -140,7 +140,7 @@ GALLERY: Final[tuple[Entry, ...]] = (
             "--set simulation.effects='[{type: coulomb_friction, kinetic: 0.3 N, static: 0.5 N}]' "
             "--vary environment.stiffness=100:1e5:log:16 --vary bus.rate=100:3200:log:6 "
             "--controllers unprotected,guarded --duration 4 --beyond-bus --out walls_stiction",
-            "canhaptic map walls_stiction --png map_stiction.png",
+            "canhaptic sweep --map walls_stiction --png map_stiction.png",
         ),
         ("--duration 0.1", ""),
     ),

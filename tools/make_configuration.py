@@ -1,6 +1,6 @@
 """Writes docs/configuration.md from the schema of a scene: `python -m tools.make_configuration`.
 
-Keys, units, ranges, defaults and words are those of the models, as `canhaptic schema` prints them.
+Keys, units, ranges, defaults and words are those of the models, as `canhaptic configs --schema` prints them.
 """
 
 import json
@@ -41,7 +41,7 @@ names the nearest one. Any value can be replaced from the command line: `--set e
 `passivity.algorithm=`, `environment.type=`) choose another type: keys that only the old one has are dropped and named,
 and keys that the new one needs are listed with an example. With real drives nothing is dropped: it is an error.
 
-`canhaptic schema` prints the same as JSON Schema, for editors.
+`canhaptic configs --schema` prints the same as JSON Schema, for editors.
 """
 _HEAD: Final = "| key | value; default | |\n|---|---|---|"
 _LAST: Final = ("groups", "simulation")

@@ -1,4 +1,4 @@
-"""`canhaptic decode BUSLOG`: every frame of a bus log as text, one line each."""
+"""`canhaptic inspect --frames BUSLOG`: every frame of a bus log as text, one line each."""
 
 import argparse
 import json

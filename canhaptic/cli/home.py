@@ -1,4 +1,4 @@
-"""`canhaptic home CONFIG`: home one drive with its own homing mode, asking before it moves."""
+"""`canhaptic commission --home CONFIG`: home one drive with its own homing mode, asking before it moves."""
 
 import argparse
 from dataclasses import replace

@@ -199,6 +199,10 @@ def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
 
     if arguments.why:
         return _why_of_frames(arguments)
+    if arguments.config is None and not _asks_for_account(arguments):
+        from canhaptic.cli.decode import execute as print_frames
+
+        return print_frames(argparse.Namespace(**{**vars(arguments), "bus_log": arguments.log, "only": None}))
     if arguments.config is None:
         raise InputError(f"{arguments.log}: is a bus log; name the scene of the run with --config")
     result = rederive(arguments.log, load_scene(arguments.config, allow_code=arguments.allow_code))
@@ -206,6 +210,11 @@ def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
     result["checks"] = _checks(result, arguments)
     _show(result, console, as_json=arguments.json)
     return 0 if all(outcome["holds"] for outcome in result["checks"]) else 1
+
+
+def _asks_for_account(arguments: argparse.Namespace) -> bool:
+    """Return whether options need more of a bus log than its frames."""
+    return any(getattr(arguments, name) for name in ("check", "overlay", "png", "svg", "html", *_OF_ONE_LOG))
 
 
 def _why_of_frames(arguments: argparse.Namespace) -> int:

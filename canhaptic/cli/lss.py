@@ -1,4 +1,4 @@
-"""`canhaptic lss CONFIG NODE`: set the node ID of one node on a bus of the scene (LSS), asking before each step."""
+"""`canhaptic commission CONFIG --node-id NODE`: set the node ID of one node on a bus (LSS), asking before each step."""
 
 import argparse
 
@@ -16,6 +16,10 @@ _LARGEST_NODE_ID = 127
 def execute(arguments: argparse.Namespace) -> int:
     """Set the node ID; return 0 if the node booted with it, 1 if it did not or the person declined."""
     scene = scene_of(arguments)
+    nodes = [node for node in (arguments.node, arguments.node_id) if node is not None]
+    if len(nodes) != 1:
+        raise InputError("--node-id: got no number or two, expected the node ID to give, 1 to 127")
+    [arguments.node] = nodes
     if not 1 <= arguments.node <= _LARGEST_NODE_ID:
         raise InputError(f"NODE: got {arguments.node}, expected 1 to {_LARGEST_NODE_ID}")
     buses = [bus.parameters for bus in scene.buses if arguments.bus in (None, bus.name)]

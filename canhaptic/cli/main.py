@@ -23,8 +23,8 @@ from canhaptic.errors import CanHapticError, InputError, OverrideWarning
 from canhaptic.registry import nearest
 from canhaptic.view.terminal import failure, leave_closed_terminal, write_failure, write_json, write_note
 
-COMMANDS: Final = {name: of["about"] for name, of in table().items()}
-"""Subcommand -> its description."""
+COMMANDS: Final = {name: of["about"] for name, of in table().items() if "group" in of}
+"""Subcommand -> its description; old names are left out."""
 _BROKEN_PIPE: Final = 1
 INTERRUPTED: Final = 130
 _PATIENCE: Final = 0.7
@@ -44,7 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         words = list(sys.argv[1:] if arguments is None else arguments)
-        name = next((word for word in words if not word.startswith("-")), "")
+        typed = next((word for word in words if not word.startswith("-")), "")
+        words, name = in_mode(words, typed)
         if table().get(name, {}).get("stops_in_order"):
             return _run(words, name)
         with PromptEnd():
@@ -54,28 +55,67 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
+def in_mode(words: list[str], name: str) -> tuple[list[str], str]:
+    """Return the words with the section of `options.toml` in place of the command, and the section's name."""
+    for flag, section in table().get(name, {}).get("modes", {}).items():
+        if any(word == flag or word.startswith(f"{flag}=") for word in words):
+            place, keeps = words.index(name), flag in table()[section]["arguments"]
+            rest = [word for word in words[place + 1 :] if keeps or word != flag]
+            return [*words[:place], section, *rest], section
+    if "now" in table().get(name, {}):
+        write_note(f"canhaptic: {name} is now: canhaptic {table()[name]['now']}; the old name works in this release")
+    return words, name
+
+
 def _run(words: list[str], name: str) -> int:
-    parser = argparse.ArgumentParser(prog="canhaptic", description="Passive haptic rendering on CiA 402 servo drives.")
+    parser = argparse.ArgumentParser(
+        prog="canhaptic", description="Passive haptic rendering on CiA 402 servo drives.", epilog=_overview(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
     parser.add_argument("--version", action=_ShowVersion)
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     completes = _COMPLETION in os.environ
-    for known, text in COMMANDS.items():
-        subparser = subparsers.add_parser(known, help=text, description=f"{text[:1].upper()}{text[1:]}.")
-        if known == name or completes:
+    for known, of in table().items():
+        subparser = subparsers.add_parser(
+            known, prog=f"canhaptic {of.get('now', known)}", description=f"{of['about'][:1].upper()}{of['about'][1:]}.",
+            epilog=f"Example: {of['example']}    Exit status: {_exits(of)}.",
+        )  # fmt: skip
+        if known == name or (completes and known in COMMANDS):
             add_arguments(known, subparser)
     if completes:
         _complete(parser)
     if not words:
         parser.print_help()
         return 0
-    if name and name not in COMMANDS:
+    if name and name not in table():
         parser.error(f"{name}: no such command{nearest(name, COMMANDS, 2) or '; see --help'}")
     with warnings.catch_warnings():
         _show_warnings()
         arguments, unknown = parser.parse_known_args(words)
         if unknown:
             parser.error(f"unrecognized arguments: {' '.join(unknown)}{_meant(unknown[0], name)}")
+        for flag in table().get(name, {}).get("modes", {}):  # an abbreviation would run the command without the mode
+            if getattr(arguments, flag.lstrip("-").replace("-", "_")):
+                parser.error(f"{flag}: write the option in full")
         return _execute(arguments)
+
+
+def _exits(of: dict[str, Any]) -> str:
+    """Return the exit statuses of a command in words."""
+    return "; ".join(filter(None, ("0 success", of.get("exits", ""), "2 bad input")))
+
+
+def _overview() -> str:
+    """Return the commands in their groups, with an example of each."""
+    lines = list[str]()
+    for group in dict.fromkeys(of["group"] for of in table().values() if "group" in of):
+        lines += [f"{group}:"]
+        for name, of in table().items():
+            if of.get("group") == group:
+                lines += [f"  {name:<11} {of['about']}", f"{'':<16}{of['example']}"]
+    return "\n".join(
+        [*lines, "", "exit status: 0 success, 1 a check failed, 2 bad input, 3 drive or link, 128 + n signal n"]
+    )
 
 
 def _meant(unknown: str, command: str) -> str:

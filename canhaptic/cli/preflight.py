@@ -1,4 +1,4 @@
-"""`canhaptic preflight CONFIG`: check the SocketCAN interfaces of a scene, as `run` does; time its drives."""
+"""`canhaptic check --host CONFIG`: check the SocketCAN interfaces of a scene, as `run` does; time its drives."""
 
 import argparse
 from typing import Final

@@ -1,4 +1,4 @@
-"""`canhaptic schema`: print the JSON Schema of scene files, for completion and checks in an editor."""
+"""`canhaptic configs --schema`: print the JSON Schema of scene files, for completion and checks in an editor."""
 
 import argparse
 

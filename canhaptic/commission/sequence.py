@@ -321,7 +321,7 @@ def time_the_cycle(session: Session, seconds: float) -> None:
     lost |= {name: statistics[name] - before[name] for name in ("missed_tpdos", "late", "error_frames")}
     words = ", ".join(f"{name.replace('_', ' ')} {count:g}" for name, count in lost.items() if count)
     clean, found = not words, f"{cycle.cycles} cycles, {words or 'no frame lost'}"
-    text = "see `canhaptic check` (bus load, host) and `canhaptic preflight`; try bus.realtime"
+    text = "see `canhaptic check` (bus load, host) and `canhaptic check --host`; try bus.realtime"
     session.judged(0, "cycle", f"{1.0 / session.sample_time:g} Hz", found, good=clean, text=text)
     _propose_jitter(session, cycle.timing["wakeup_lateness"].maximum * 1e-9 / session.sample_time)
     if session.experiment.pace == "free":

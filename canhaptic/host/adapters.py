@@ -1,7 +1,7 @@
 """What a CAN adapter at USB can keep up with, before it was measured.
 
 Full-speed USB moves data once per frame of 1 ms: a SYNC waits up to 1 ms, and so do the TPDOs that answer it. The times
-are over-estimates for a quiet host; `canhaptic preflight --bus` measures the real ones.
+are over-estimates for a quiet host; `canhaptic check --host --bus` measures the real ones.
 """
 
 from typing import Final, NamedTuple

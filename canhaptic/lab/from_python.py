@@ -93,7 +93,7 @@ def sweep(
         scene: A scene file, a mapping with its keys, or a loaded scene; with simulated drives.
         vary: Values of each key by its path: a number in SI, a text as after `--vary KEY=` ("1e2:1e6:log:40",
             "100 N/m,1 kN/m"), or a list or array of numbers and texts. Or one or several texts as for `--vary`.
-        out: Folder that keeps the sweep, for `canhaptic map` or for `resume=True`; None: it is not kept.
+        out: Folder that keeps the sweep, for `canhaptic sweep --map` or for `resume=True`; None: it is not kept.
         changes: Values of the scene to replace, as for `simulate`.
         allow_code: Whether program files that the scene names may run.
         options: As for the command: controllers, samples, seed, duration, cycles, metrics, engine, chunk, beyond_bus,

@@ -60,7 +60,9 @@ def test_a_name_that_no_scene_has_is_answered_by_near_ones(
 def test_the_command_alone_prints_help_in_the_order_of_a_user(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     shown = capsys.readouterr().out
-    places = [shown.index(f"\n    {name}") for name in ("configs", "new", "check ", "commission", "run", "inspect")]
+    places = [
+        shown.index(f"\n  {name}") for name in ("configs", "check ", "run", "new", "commission", "inspect", "design")
+    ]
     assert places == sorted(places)
 
 

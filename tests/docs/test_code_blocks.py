@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from canhaptic.cli.main import COMMANDS, main
-from canhaptic.cli.options import add_arguments
+from canhaptic.cli.main import COMMANDS, in_mode, main
+from canhaptic.cli.options import add_arguments, table
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.sim.plant.effects import EFFECTS
@@ -100,7 +100,11 @@ def test_a_command_in_a_sentence_is_one_that_the_parser_takes(page: Path, capsys
         name, *rest = shlex.split(text.replace("...", ""))
         if name not in ("COMMAND", *COMMANDS) or text in REFUSED.get(page.name, ()):
             assert text in REFUSED.get(page.name, ()), f"{page.name}:{line}: no command {name}"
-        elif rest and name != "COMMAND":
+            continue
+        if modes := [word for word in rest if word in table().get(name, {}).get("modes", {})]:
+            (_, *rest), name = in_mode([name, *rest], name)
+            rest = [] if rest == modes else rest  # named alone
+        if rest and name != "COMMAND":
             is_parsed = parses(name, ["5" if word == "NODE" else word for word in rest])
             assert is_parsed, f"{page.name}:{line}: canhaptic {text}: {capsys.readouterr().err}"
 

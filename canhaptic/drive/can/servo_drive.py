@@ -385,7 +385,10 @@ class CanBringUp(BringUp):
         from canhaptic.drive.can.lss import LssMaster
 
         if LssMaster(self._drive.link).has_unconfigured():
-            wanted, remedy = f"node {self._drive.axis.node_id}", "give it its node ID (canhaptic lss, or the vendor's "
+            wanted, remedy = (
+                f"node {self._drive.axis.node_id}",
+                "give it its node ID (canhaptic commission --node-id, or the vendor's ",
+            )
             raise self.refusal("presence", "a node without a node ID (LSS)", wanted, f"{remedy}tool), and store it")
 
     def _monitor(self) -> None:

@@ -70,9 +70,9 @@ class TorqueAxisParameters(Parameters):
     """How the scale of the torque was verified: by a weight on an arm, a spring balance, or the known mass
     (`canhaptic commission`). Needed on real drives; with `no` they are sent a hundredth of `torque_limit` at most."""
     position_reference: Literal["absolute", "index_home", "at_start", "sensor"] | None = None
-    """Origin of the counts: an absolute encoder, the index that `canhaptic home` or the vendor's tool homed to, the
-    place where power came on, or a sensor of the rig. Needed on real drives; with `at_start` a run shows where its
-    walls lie."""
+    """Origin of the counts: an absolute encoder, the index that `canhaptic commission --home` or the vendor's tool
+    homed to, the place where power came on, or a sensor of the rig. Needed on real drives; with `at_start` a run shows
+    where its walls lie."""
     torque_rate_limit: Annotated[float, quantity("N/s", "N*m/s", gt=0.0)] | None = None
     """Largest rise of the torque per second, on either side of zero; a fall to zero is never slowed."""
     power_limit: Annotated[float, quantity("W", gt=0.0)] | None = None

@@ -1,4 +1,4 @@
-"""`canhaptic map FOLDER`: the largest wall stiffness, its rendered share, and the borders that theory predicts."""
+"""`canhaptic sweep --map FOLDER`: the largest wall stiffness, its rendered share, and borders from theory."""
 
 import argparse
 from math import isnan

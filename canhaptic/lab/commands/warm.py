@@ -1,4 +1,4 @@
-"""`canhaptic warm CONFIG`: compile the loops of a scene in advance of the first sweep, as for the image of a CI."""
+"""`canhaptic sweep --warm CONFIG`: compile the loops of a scene before the first sweep, as for the image of a CI."""
 
 import argparse
 from dataclasses import replace

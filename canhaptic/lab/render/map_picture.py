@@ -1,4 +1,4 @@
-"""Picture and page of `canhaptic map`: one column of panels per algorithm, with the same scales along a row."""
+"""Picture and page of `canhaptic sweep --map`: one column of panels per algorithm, with the same scales along a row."""
 
 import textwrap
 from collections.abc import Sequence
