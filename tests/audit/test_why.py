@@ -16,7 +16,9 @@ from canhaptic.audit.why.frames import why_of_frames
 from canhaptic.audit.why.ripple import Buzz, Motion, buzz_of, to_and_fro, variation
 from canhaptic.audit.why.sampled_loop import SampledLoop
 from canhaptic.cli.main import main
+from canhaptic.cli.why import trial
 from canhaptic.control.damping import largest_stable_damping
+from canhaptic.scene.load import load_scene
 from tools import buzzing
 
 _PERIOD, _MASS = 1e-3, 0.25
@@ -164,3 +166,33 @@ def test_frames_that_are_late_or_lost_are_the_cause_where_a_stable_loop_grows_wi
         first = why(log, scene_of(log))["handle"]["causes"][0]
     assert first["cause"] == "delay or late frames"
     assert first["key"].startswith("simulation.bus.")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "in_model"), [("damping", True), ("current loop", False)])
+def test_the_hand_of_a_real_log_is_found_through_the_grip_and_tried_in_a_twin(
+    kind: str, in_model: bool, tmp_path: Path
+) -> None:
+    _, scene = buzzing.pair(kind, Random(5))
+    scene["duration"] = 1.5
+    buzzing.simulated(scene, tmp_path / "run")
+    real = {key: of for key, of in scene.items() if key != "simulation"}
+    real["bus"] = {**scene["bus"], "interface": "socketcan", "channel": "can0"}
+    real["passivity"] = {"algorithm": "unprotected", "moving_mass": scene["simulation"]["plant"]["mass"]}
+    (tmp_path / "real.yaml").write_text(yaml.safe_dump(real))
+    with canhaptic.EnergyLog(tmp_path / "run.h5") as log:
+        value = 0.2 * scene["environment"]["damping"]
+        found = trial(log, load_scene(tmp_path / "real.yaml"), "handle", "environment.damping", value)
+    assert found["in_model"] == in_model
+    assert ("not in the model" in found["text"]) != in_model
+    if in_model:
+        assert found["changed"] < 0.5 * found["twin"]
+
+
+def test_a_touch_that_rings_once_is_no_buzz() -> None:
+    still = swinging(43.0, 0.0, 0.0)
+    time = np.arange(3000) * _PERIOD
+    swing = 1e-4 * np.exp(-time / 0.04) * np.sin(2.0 * np.pi * 43.0 * time)
+    force = -_MASS * (2.0 * np.pi * 43.0) ** 2 * swing
+    touch = replace(still, position=still.position + swing, torque=np.asarray(still.torque) + force)
+    assert buzz_of(touch, _MASS) is None

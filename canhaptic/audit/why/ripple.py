@@ -29,6 +29,10 @@ _ANSWER: Final = ("sync_to_last_tpdo", "compute", "send")
 _LONGEST: Final = 0.006
 """Time over which the acceleration is taken from positions [s]."""
 _LEAST: Final = 3.0  # [Hz]
+_SETTLING: Final = 3
+"""Windows after a touch, or after the handle left the wall, in which what swings may die away."""
+_BRIEF: Final = 0.3
+"""Quantile of the windows that counts where no contact lasts longer: a touch alone is no ripple."""
 _IN_CONTACT: Final = 0.1
 """Share of a window from which it counts as in contact."""
 _FEWEST: Final = 16
@@ -176,7 +180,7 @@ def _accelerations(motion: Motion, span: int) -> tuple[Array, float]:
     found = np.zeros_like(smooth)
     time = span * motion.period
     found[2 * span : -2 * span] = _second(smooth, span) / time**2
-    return found, 0.7 * motion.count / time**2 / np.sqrt(span)
+    return found, 0.7 * motion.count / time**2
 
 
 def _second(values: Array, span: int) -> Array:
@@ -198,13 +202,25 @@ def buzz_of(motion: Motion, mass: float) -> Buzz | None:
     for chosen in (touching >= _IN_CONTACT, touching < _IN_CONTACT):
         if chosen.sum() < 2:
             continue
-        typical = float(np.median(forces[chosen]))
+        settled = chosen & ~_after_a_change(touching >= _IN_CONTACT)
+        lasting = np.median(forces[settled]) if settled.sum() > 1 else np.quantile(forces[chosen], _BRIEF)
+        typical = float(lasting)
         if typical >= motion.felt:
             trembling = starts[chosen & (forces >= 0.5 * typical)]
             found = _described(motion, mass, trembling, size, bool(touching[chosen][0] >= _IN_CONTACT))
             if found is not None:
                 return found
     return None
+
+
+def _after_a_change(touching: Array) -> Array:
+    """Return which windows are shortly after a contact began or ended that lasted for two windows."""
+    is_new = np.zeros(len(touching), bool)
+    for row in np.flatnonzero(touching[1:] != touching[:-1]) + 1:
+        before = touching[max(0, row - 2) : row]
+        if (before == before[0]).all():
+            is_new[row : row + _SETTLING] = True
+    return is_new | (np.arange(len(touching)) < 2)
 
 
 def ripple_force(motion: Motion, mass: float) -> float:
