@@ -145,7 +145,8 @@ def advice_lines(port: PortResult) -> list[str]:
     if port["verdict"] in ("no contact", "dry run"):
         return found
     if "none" in port.get("certificates", ()) and port.get("algorithm", "guarded") not in GUARANTEEING:
-        found.append(f"no guarantee: {port['algorithm']} has none, so this holds for this run alone")
+        alone = ", so this holds for this run alone" * (port["verdict"] == "yes")
+        found.append(f"no guarantee: {port['algorithm']} has none{alone}")
     contact, share = port.get("contact", {}), port.get("mass", {}).get("share")
     if (ended := contact.get("no_torque_after")) is not None:
         found.append(f"no torque after {ended:.4g} s: no energy left for one; {_MORE_ENERGY}")
