@@ -31,6 +31,9 @@ WORTH_COMPILING: Final = 1e6
 """Scenes times cycles from which compiling pays. Python takes 5 us (`unprotected`) to 60 us (`guarded`, a stop and
 friction) a cycle, compiled code at most 0.5 us; compiling takes 3 to 8 s, once for a kind of scene."""
 
+WORTH_COMPILING_EVENTS: Final = 1e5
+"""The same for plants with events, 60 to 90 us a cycle in Python; the first scenes of a sweep are timed."""
+
 WORTH_COMPILING_GROUPS: Final = 3e5
 """The same for groups: Python takes some 150 us a cycle, and compiling 10 s."""
 _FOREIGN: Final = ".numba_config.yaml"

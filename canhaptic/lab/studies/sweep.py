@@ -24,6 +24,7 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError
 from canhaptic.lab.batch import (
     WORTH_COMPILING,
+    WORTH_COMPILING_EVENTS,
     WORTH_COMPILING_GROUPS,
     Engine,
     chosen_engine,
@@ -51,6 +52,7 @@ from canhaptic.lab.studies.runner import Count, Job, Progress, pool_of, run_jobs
 from canhaptic.lab.studies.store import SweepTable, create
 from canhaptic.lab.studies.vary import Column, Points, Varied, make_points, parse_vary, short
 from canhaptic.quantities import figure_name
+from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
 
@@ -206,7 +208,9 @@ def _pays(scene: Scene, scenes: int, cycles: int) -> bool:
     if scene.groups:
         parts = [part for part in parts_of(scene).values() if part.groups]
         return scenes * cycles >= WORTH_COMPILING_GROUPS and any(not group_case(part).why_not for part in parts)
-    return scenes * cycles >= WORTH_COMPILING
+    plants = (build_plant(of.simulation, scene.bus.sample_time_ns) for of in scene.axes if of.simulation)
+    has_events = not scene.unread and any(not plant.is_linear for plant in plants)
+    return scenes * cycles >= (WORTH_COMPILING_EVENTS if has_events else WORTH_COMPILING)
 
 
 def _is_long(asked: Asked) -> bool:
@@ -297,8 +301,8 @@ _FIRST: Final = 2
 """Scenes that Python runs to measure the time of one."""
 _SLICE: Final = 0.5
 """Time that Python spends on further scenes before it is asked again whether compiling pays [s]."""
-_COMPILING: Final = 8.0
-"""Approximate time of compiling [s]."""
+_COMPILING: Final = 5.0
+"""Approximate time of compiling [s]; the code is kept, so that the next sweep of the kind has it too."""
 
 
 class FirstUse:

@@ -8,6 +8,7 @@ k whole sample times are exactly k steps.
 """
 
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 
 _tuple: Final = tuple.__new__  # makes the energies at half the cost of calling their class
+_LARGEST: Final = sys.float_info.max
 _WORTH_LOOKING: Final = 8  # holds without events ahead: a look costs as much as two that are judged
 _TIDY: Final = TICKS << 10
 """Ticks between two calls of `HybridAutomaton.tidy`: 1024 sample times, independent of reads in between."""
@@ -126,7 +128,7 @@ class Plant(AutomatonClock):
         self._moves = self._hold  # until own code fails: then the body stays, so that the drives can be stopped
         self.is_linear = self._hold == self._linear_hold
         self._is_flat = self.is_linear or self._hold == self._commanded_hold
-        self._passing = min((command.passes for command in self.scene.commands), default=math.inf)
+        self._passing = min((command.passes for command in self.scene.commands), default=_LARGEST)
         self._looks_ahead = self._passing >= 0.0 and not (self._is_flat or self.scene.efforts)
         kept = [name for command in self.scene.commands for name in command.state_names]
         kept += [name for effort in self.scene.efforts for name in effort.state_names]
@@ -199,7 +201,13 @@ class Plant(AutomatonClock):
 
         Args:
             values: New values by the name of the state, for a `GuidedHand` or a `PointerHand`.
+
+        Raises:
+            ParameterError: A value is not finite; no state is changed.
         """
+        for name, value in values.items():
+            if not math.isfinite(value):
+                raise self._not_finite(name, value)
         self._machine.set_states(values)
         if self._looks_ahead:
             self._free_torque = -1.0  # the look-ahead rested on the old place
@@ -227,7 +235,7 @@ class Plant(AutomatonClock):
             torque: Torque held by the actuator since the last call [N or N*m].
 
         Raises:
-            ParameterError: `now` lies before the last call.
+            ParameterError: `now` lies before the last call, or the torque is not finite.
             EventLimitError: One sample time has more events than `accuracy.max_events`.
         """
         if now == self._next_period:
@@ -236,16 +244,26 @@ class Plant(AutomatonClock):
             free = self._free_torque
             if -free <= torque <= free:
                 self.position = self._machine.period(torque)
-            else:
+            elif -_LARGEST <= torque <= _LARGEST:
                 self._hold(TICKS, torque)
+            else:
+                raise self._not_finite("torque", torque)
             if tick >= self._pause:
                 self._look()
         elif ticks := self.pass_until(now):
+            if not -_LARGEST <= torque <= _LARGEST:
+                raise self._not_finite("torque", torque)
             whole, inside = divmod(self.tick, TICKS)
             self._next_period = -1 if inside else (self._epoch or 0) + (whole + 1) * self.sample_time_ns
             self._hold(ticks, torque)
             if self.tick >= self._pause:
                 self._look()
+
+    def _not_finite(self, name: str, value: float) -> ParameterError:
+        now = self.tick * self.tick_time
+        return ParameterError(
+            f"plant at {now:.6g} s: got {name} {value}, expected a finite number; see what computed it"
+        )
 
     def _look(self) -> None:
         """Tidy when due, and look ahead for holds that no guard can end."""

@@ -215,3 +215,9 @@ def test_the_margin_of_guarded_is_short_by_no_more_than_the_counts_of_the_encode
 @pytest.mark.parametrize(("scenes", "cycles", "pays"), [(8, 10_000, False), (2000, 400, False), (1000, 1000, True)])
 def test_only_the_cycles_of_all_scenes_together_decide_whether_compiling_pays(scenes, cycles, pays):
     assert _pays(load_scene(DEMO), scenes, cycles) is pays
+
+
+@pytest.mark.parametrize(("scenes", "pays"), [(400, True), (200, False)])
+def test_a_small_sweep_of_scenes_with_events_compiles_too(scenes, pays):
+    stop = "simulation.effects=[{type: hard_stop, side: upper, position: 0.02, stiffness: 1e5, damping: 50}]"
+    assert _pays(load_scene(DEMO, [stop]), scenes, 400) is pays
