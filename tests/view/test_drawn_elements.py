@@ -12,6 +12,7 @@ from canhaptic.control.balance import AT_REST, Branch
 from canhaptic.cycle import run
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.writer_process import EnergyLogWriter
+from canhaptic.quantities import ALARM, GREY
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.signals import CycleTiming, Sample
@@ -121,12 +122,13 @@ def test_axes_and_pointer_carry_units_with_a_prefix(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_negative_margin_is_an_area_of_its_own_in_red(scope: Any) -> None:
+def test_a_negative_margin_is_an_area_of_its_own_and_no_alarm(scope: Any) -> None:
     panel = panel_of(scope, "energy")
     areas = {glyph.fill_color: glyph for glyph in glyphs(panel) if type(glyph).__name__ == "VArea"}
     data = {name: np.asarray(v) for r in panel.renderers for name, v in r.data_source.data.items()}
-    red, green = areas["#D55E00"], areas["#009E73"]
-    assert np.abs(data[red.y2] - data[red.y1]).max() == pytest.approx(1.0, rel=1e-6)
+    below, green = areas[GREY], areas["#009E73"]
+    assert ALARM not in areas
+    assert np.abs(data[below.y2] - data[below.y1]).max() == pytest.approx(1.0, rel=1e-6)
     assert np.abs(data[green.y2] - data[green.y1]).max() == 0.0
 
 
