@@ -162,3 +162,63 @@ def test_check_says_the_most_that_a_stop_gives_out(capsys: pytest.CaptureFixture
     assert main(["check", str(DEMO), "--json", "--set", "bus.rate=40"]) in (0, 1)
     [hint] = [of for of in json.loads(capsys.readouterr().out)["stability"] if of["what"] == "energy out at a stop"]
     assert hint["limit"] == pytest.approx(0.5 * (20.0 * 2 / 40.0) ** 2 / 0.2)  # [J] of one hold and that under way
+
+
+@pytest.mark.parametrize(("name", "lost"), [("two_handles", 0), ("xy_box", 2), ("admittance/two_link_arm", 0)])
+def test_a_group_stops_and_its_account_ends_with_what_its_plants_gave(name: str, lost: int) -> None:
+    with build(load_scene(DEMO.parent / f"{name}.yaml"), "free") as experiment:
+        cycle, judge = experiment.cycle, experiment.cycle.judge
+        drives: Any = experiment.rig.drives
+        for drive in drives:
+            whole = drive.sample
+
+            def sample(sync: int, periods: int = 1, *, is_whole: bool = True, whole: Any = whole) -> Any:
+                return whole(sync, periods, is_whole=is_whole and (not lost or cycle.holds_of_stop != lost))
+
+            drive.sample = sample
+        run(cycle, 120)
+        sent = [record.torques_per_mille for record in experiment.rig.records]
+        assert any(any(torques) for torques in sent[: -cycle.holds_of_stop])
+        assert not any(sent[-1])
+        assert name.startswith("admittance") or not any(any(torques) for torques in sent[-cycle.holds_of_stop :])
+        assert judge is not None
+        assert judge.believed_error[-1] <= cycle.meters.ports[-1].measured().energy_resolution + 1e-9
+
+
+def test_a_sample_lost_on_a_ramp_holds_its_torque_once_and_no_ramp_goes_on() -> None:
+    with build(load_scene(DEMO, WORDS), "free") as experiment:
+        cycle: Any = experiment.cycle
+        answer = cycle.answer
+
+        def lose(samples: Any) -> Any:
+            lost = [sample._replace(fresh=cycle.holds_of_stop != 6) for sample in samples]
+            return answer(lost)
+
+        cycle.answer = lose
+        run(cycle, 30)
+        sent = [torque for record in experiment.rig.records for torque in record.torques_per_mille][30:]
+    assert 0 > sent[4] > sent[3]  # it falls
+    assert sent[5] == sent[4]
+    assert set(sent[6:]) == {0}
+
+
+@pytest.mark.parametrize("by", [0, 1], ids=["by the drive", "by the host"])
+def test_a_weight_is_held_in_time_though_no_sync_can_be_sent_any_more(tmp_path: Path, by: int) -> None:
+    brake, values = brakes(tmp_path)[by]
+    b = hung(make_bench, brake, **values)
+    b.rig.start()
+    b.run(50, WEIGHT)
+    b.tampered.drop(0x185)
+    exchange: Any = b.rig._exchange
+    begin = b.clock.now()
+
+    def refused() -> None:
+        if not b.rig.is_running:
+            raise LinkError("no buffer")
+        type(exchange).sync(exchange)
+
+    exchange.sync = refused
+    with pytest.raises(LinkError, match="TPDO_LOST"):
+        b.run(100, WEIGHT)
+    held = [time for time, can_id, data, is_rx in b.frames if can_id == 0x205 and not is_rx and data[2:4] != b"\0\0"]
+    assert 1_000_000 * (20 + 50) <= held[-1] - begin <= 1_000_000 * (20 + 50 + 2 + 1)

@@ -1,6 +1,7 @@
 """Every way out of a run: zero torque in the very next RPDO, then disabled, as the recorded frames show."""
 
 import math
+from functools import partial
 
 import can
 import pytest
@@ -9,7 +10,7 @@ from canhaptic.canopen.objects import NmtState
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import ControlError, DriveFaultError, LinkError, RigError
 from canhaptic.sim.drive.profile.state_machine import DriveState
-from tests.drive.drive_bench import Bench, MakeBench, axis
+from tests.drive.drive_bench import Bench, MakeBench, axis, started
 
 
 def running(make: MakeBench, **values: object) -> tuple[Bench, int]:
@@ -368,3 +369,20 @@ def test_axes_that_are_disabled_leave_operational_before_another_is_waited_for(b
         b.run(60, torque=1.0)
     assert [drive.torque for drive in b.drives] == [0.0, 0.0]
     assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED, "its watchdog missed the heartbeat"
+
+
+def test_a_second_signal_shortens_the_wait_for_a_confirmation_and_no_step(
+    bench: MakeBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lasted = []
+    for is_urgent in (False, True):
+        monkeypatch.setattr("canhaptic.drive.exchange.is_urgent", partial(bool, is_urgent))
+        b = started(bench)
+        b.run(5, torque=1.0)
+        b.tampered.drop(0x185)
+        begin = b.clock.now()
+        b.rig.stop(ramp=False)  # confirmed by SDO
+        lasted.append(b.clock.now() - begin)
+        assert b.torques_sent()[-1] == 0
+        assert b.drives[0].servo.torque == 0.0
+    assert lasted[1] < lasted[0]
