@@ -271,6 +271,18 @@ def test_the_weight_of_an_axis_with_a_brake_is_measured_and_proposed(
     assert proposed == ([] if verdict is StepVerdict.AGREES else [pytest.approx(5.2, abs=0.02)])
 
 
+@pytest.mark.parametrize(("declared", "verdict"), [(0.05, StepVerdict.AGREES), (0.2, StepVerdict.FAILED)])
+def test_a_dry_friction_that_is_declared_above_the_real_one_is_a_failure(
+    monkeypatch: pytest.MonkeyPatch, declared: float, verdict: StepVerdict
+) -> None:
+    words = (f"passivity.device_friction={declared}", "passivity.device_friction_bound=0.3")
+    brake = "axes.0.brake={release_time: 0.03, set_time: 0.05, holds_weight: 5.2 N}"
+    session = played(HungMass(MASS, TIME), brake, *words, refused="Reversals")
+    monkeypatch.setattr(session, "coast", lambda _: None)
+    identify_dynamics(session, 0, MASS)
+    assert row(session, "dry friction, least").verdict is verdict
+
+
 def test_a_mass_that_nothing_declares_is_measured_alone() -> None:
     session = swept("passivity={algorithm: unprotected}")
     assert row(session, "moving mass").verdict is StepVerdict.MEASURED
