@@ -88,10 +88,26 @@ def test_units_stand_in_the_heading_and_time_counts_from_the_first_row(tmp_path:
 
 
 @pytest.mark.parametrize(
+    ("text", "column"),
+    {
+        "semicolons": ("time [ms];position [mm]\n0;10,5\n100;30\n", "position"),
+        "tabs": ("time\tposition\n0\t0.0105\n0.1\t0.03\n", "position"),
+        "no heading": ("0,0.0105\n0.1,0.03\n", "position"),
+        "no heading, with a unit": ("0;10,5\n0,1;30\n", "position [mm]"),
+        "other names": ("t,x\n0,10.5\n0.1,30\n", "x [mm]"),
+        "of a camera": ("frame,timestamp,y,x\n1,5,9,1.05\n2,5.1,9,3\n", "x [cm]"),
+    }.values(),
+)
+def test_a_table_of_another_program_is_read(tmp_path: Path, text: str, column: str) -> None:
+    motion = RecordedMotion(file=_table(tmp_path, text), column=column)
+    assert np.array(motion.rows) == pytest.approx(np.array([[0.0, 0.0105], [0.1, 0.03]]))
+
+
+@pytest.mark.parametrize(
     ("text", "says"),
     {
         "no column": ("time,place\n0,1\n1,2\n", "the heading has: time, place; name another by `column`"),
-        "semicolons": ("time [ms];position [mm]\n0;0,5\n1;1\n", "a semicolon separates the columns, expected a comma"),
+        "both points": ("time;position\n0;0.5\n1;1,5\n", "line 3: got '1;1,5', expected numbers"),
         "two columns": ("time,a.position,b.position\n0,1,1\n1,2,2\n", "a.position, b.position: name one by `column`"),
         "a word": ("time,position\n0,1\n1,x\n", "line 3: got '1,x', expected numbers"),
         "back in time": ("time,position\n1,0\n0.5,1\n", "line 3: got time 0.5 s, expected one after 1 s"),

@@ -58,6 +58,8 @@ class SinusoidMotion(Parameters):
         return self.offset + self.amplitude * math.sin(2.0 * math.pi * self.frequency * time + self.phase)
 
 
+_TIMES: Final = ("time", "t", "timestamp")
+"""Headings of the time."""
 _TRUE: Final = "true."
 """Start of a column of the simulated plant, next to the measured one."""
 
@@ -70,13 +72,15 @@ class RecordedMotion(Parameters):
 
     type: Literal["recorded"] = "recorded"
     file: PrintablePath
-    """CSV table in the folder of the scene: a heading with `time` and `position`, each in SI or with its unit as in
-    `time [ms]`, and at least two rows, as `inspect --csv` writes it. After the last row the hand stays. The table is
+    """CSV table in the folder of the scene: a heading with `time` (or `t`, `timestamp`) and `position`, each in SI or
+    with its unit as in `time [ms]`, and at least two rows, as `inspect --csv` writes it. Two columns of numbers need no
+    heading. A semicolon or tab may separate columns; then, if no number has a point, a comma is
+    the decimal point. After the last row the hand stays. The table is
     where the hand wants to be, with its grip between it and the handle: a record of the handle does not repeat the
     run it was recorded in."""
     column: PrintableText = "position"
     """Heading of the position column, or its end: `position` also finds `handle.position`, the measured one, rather
-    than `true.handle.position`."""
+    than `true.handle.position`. With a unit, as in `x [mm]`, for a heading without one."""
 
     _rows: tuple[tuple[float, float], ...] = ()
     _digest: str = ""
@@ -153,17 +157,23 @@ def _rows_of(text: str, column: str, motion: Any) -> tuple[tuple[float, float], 
     Raises:
         ValueError: A column is missing, or a row is not numeric, out of range or not later than the row before.
     """
-    lines = csv.reader(text.splitlines())
+    given = [line for line in text.splitlines() if line.strip()]
+    separator = next((letter for letter in "\t;" if given and letter in given[0]), ",")
+    point = "," if separator != "," and not any("." in line for line in given[1:]) else "."
+    lines = csv.reader(text.splitlines(), delimiter=separator)
     heads = next(lines, [])
-    (at, seconds), (of, places) = _column(heads, "time", _SECONDS, None), _column(heads, column, _PLACES, motion)
+    first = 2
+    if len(heads) == 2 and all(_is_number(head.replace(point, ".")) for head in heads):
+        lines, heads, first = csv.reader(text.splitlines(), delimiter=separator), ["time", column.partition("[")[0]], 1
+    (at, seconds), (of, places) = _time_column(heads), _column(heads, column, _PLACES, motion)
     rows: list[tuple[float, float]] = []
-    for number, cells in enumerate(lines, 2):
+    for number, cells in enumerate(lines, first):
         if not cells:
             continue
         try:
-            time, place = float(cells[at]) * seconds, float(cells[of]) * places
+            time, place = float(cells[at].replace(point, ".")) * seconds, float(cells[of].replace(point, ".")) * places
         except (ValueError, IndexError) as error:
-            raise ValueError(f"line {number}: got {','.join(cells)[:60]!r}, expected numbers") from error
+            raise ValueError(f"line {number}: got {separator.join(cells)[:60]!r}, expected numbers") from error
         if not math.isfinite(time) or not abs(place) <= _FARTHEST:
             raise ValueError(f"line {number}: got {place:g} at {time:g} s, expected at most {_FARTHEST:g} m or rad")
         if rows and time <= rows[-1][0]:
@@ -174,10 +184,22 @@ def _rows_of(text: str, column: str, motion: Any) -> tuple[tuple[float, float], 
     return tuple((time - rows[0][0], place) for time, place in rows)
 
 
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def _time_column(heads: list[str]) -> tuple[int, float]:
+    """Return the number of the column of the time, and the factor from its unit to SI."""
+    titles = {head.replace("(", "[").partition("[")[0].strip().lower() for head in heads}
+    return _column(heads, next((name for name in _TIMES if name in titles), _TIMES[0]), _SECONDS, None)
+
+
 def _column(heads: list[str], name: str, unit: Unit, motion: Any) -> tuple[int, float]:
     """Return the number of a column, and the factor from its unit to SI."""
-    if len(heads) == 1 and ";" in heads[0]:
-        raise ValueError("a semicolon separates the columns, expected a comma (and a point in decimal numbers)")
+    name, _, own_unit = (part.strip(" ]") for part in name.partition("["))
     parts = [head.replace("(", "[").rstrip(" ])").partition("[") for head in heads]
     titles = [title.strip().lower() for title, _, _ in parts]
     wanted = name.lower()
@@ -189,7 +211,7 @@ def _column(heads: list[str], name: str, unit: Unit, motion: Any) -> tuple[int, 
         why = f"{', '.join(titles[place] for place in found)}: name one by `column`" if found else f"no column {name!r}"
         remedy = "" if found or name == "time" else "; name another by `column`"
         raise ValueError(f"{why}; the heading has: {', '.join(heads)[:200] or 'nothing'}{remedy}")
-    _, _, written = parts[found[0]]
+    written = own_unit or parts[found[0]][2]
     factor = unit.read(f"1 {written}", motion) if written.strip() else 1.0
     return found[0], float(str(factor))
 
