@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _PICTURES: Final = (".png", ".svg", ".pdf")
 """Suffixes of a picture."""
+_MADE_ANEW: Final = (*_PICTURES, ".html", ".htm")
+"""Suffixes of what may be written again without `--force`: the recording that it is made from is kept."""
 
 
 @cache
@@ -72,7 +74,7 @@ def check_picture(path: Path, force: bool) -> None:
         force: Whether it may replace an existing file.
 
     Raises:
-        InputError: The suffix is unknown, the folder is missing, the file exists, or matplotlib is not installed.
+        InputError: The suffix is unknown, the folder is missing, or matplotlib is not installed.
     """
     if path.suffix not in _PICTURES:
         raise InputError(f"{path}: expected a name that ends in {', '.join(_PICTURES[:-1])} or {_PICTURES[-1]}")
@@ -87,11 +89,11 @@ def check_page(path: Path, force: bool) -> None:
         force: Whether it may replace an existing file.
 
     Raises:
-        InputError: The folder is missing, the file exists, or matplotlib is not installed.
+        InputError: The folder is missing, a file exists that is no page or picture, or matplotlib is not installed.
     """
     from canhaptic.view.picture_style import require_matplotlib
 
-    check_place(path, force)
+    check_place(path, force or path.suffix.lower() in _MADE_ANEW)
     require_matplotlib()
 
 

@@ -67,8 +67,8 @@ def uses(file: Path, log: Path) -> list[Sequence[str]]:
     return [
         ["check-eds", f"{file}"],
         ["new", f"{file}"],
-        ["decode", f"{file}"],
-        ["decode", f"{RECORDING}", "--config", f"{file}"],
+        ["inspect", "--frames", f"{file}"],
+        ["inspect", "--frames", f"{RECORDING}", "--config", f"{file}"],
         ["replay", f"{file}", "--config", f"{DEMO}"],
         ["replay", f"{RECORDING}", "--config", f"{file}"],
         ["replay", f"{RECORDING}", "--config", f"{DEMO}", "--energy-log", f"{file}"],
@@ -78,8 +78,9 @@ def uses(file: Path, log: Path) -> list[Sequence[str]]:
         ["inspect", f"{log}", "--bus-log", f"{file}"],
         ["inspect", f"{log}", "--overlay", f"{file}", "--html", f"{log.with_suffix('.html')}"],
         ["inspect", f"{file}", "--repair", f"{log.with_name('repaired.h5')}"],
-        ["map", f"{file}"],
-        *([command, f"{file}"] for command in ("check", "run", "compare", "accuracy", "design", "touch", "preflight")),
+        ["sweep", "--map", f"{file}"],
+        *([command, f"{file}"] for command in ("check", "run", "compare", "accuracy", "design", "touch")),
+        ["check", "--host", f"{file}"],
         ["check", f"{DEMO}", "--set", f"axes.0.eds={file}"],
         ["check", f"{DEMO}", "--set", f"axes.0.drive={file.with_suffix('.yaml')}"],
         ["run", f"{DEMO}", "--allow-code", "--set", f"axes.0.environment.type={file.with_suffix('.py')}:Wall"],
@@ -105,7 +106,7 @@ def test_what_is_no_regular_file_is_refused_at_once_in_every_place(
         assert main(words) == 2, words
         assert "\n" not in capsys.readouterr().err.strip().removeprefix("canhaptic: errors:\n"), words
     for suffix in (".blf", ".trc", ".asc"):
-        assert main(["decode", f"{made(tmp_path / f'bus{suffix}')}"]) == 2
+        assert main(["inspect", "--frames", f"{made(tmp_path / f'bus{suffix}')}"]) == 2
 
 
 def outside(name: str, pipe: Path, log: Path) -> None:
@@ -156,7 +157,7 @@ def test_a_container_that_unpacks_to_gigabytes_is_refused(
     path = tmp_path / "bus.blf"
     header = struct.pack("<4sL136x", b"LOGG", 144)
     path.write_bytes(header + struct.pack("<4sHHLL", b"LOBJ", 16, 1, 16 + len(content), 10) + content)
-    assert main(["decode", f"{path}"]) == 2
+    assert main(["inspect", "--frames", f"{path}"]) == 2
     assert "unpacks to 1048576 bytes or more" in capsys.readouterr().err
 
 
@@ -202,7 +203,9 @@ def own_megabytes() -> float:
 def test_a_file_of_gigabytes_takes_neither_memory_nor_time(log: Path, tmp_path: Path) -> None:
     for suffix in (".yaml", ".py"):
         endless(tmp_path / f"file{suffix}")
-    buses = [["decode", f"{endless(tmp_path / f'bus{suffix}')}"] for suffix in (".log", ".blf", ".trc", ".asc")]
+    buses = [
+        ["inspect", "--frames", f"{endless(tmp_path / f'bus{suffix}')}"] for suffix in (".log", ".blf", ".trc", ".asc")
+    ]
     for words in (*uses(endless(tmp_path / "file"), log), *buses):
         found = outcome_of(words, tmp_path / "output")
         assert found.status == 2, (words, found)
@@ -321,8 +324,8 @@ def test_names_of_others_are_shown_and_do_not_steer_the_terminal(
         ["check-eds", f"{dictionary}"],
         ["check-eds", f"{dictionary}", "--json"],
         ["new", f"{dictionary}"],
-        ["decode", f"{bus}"],
-        ["decode", f"{bus}", "--json"],
+        ["inspect", "--frames", f"{bus}"],
+        ["inspect", "--frames", f"{bus}", "--json"],
         ["inspect", f"{path}", "--check", "in >= 0"],
         ["inspect", f"{path}", "--check", "\x1b >= 0"],
         ["inspect", f"{path}", "--compare", f"{log}"],

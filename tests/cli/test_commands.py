@@ -302,13 +302,13 @@ def test_decode_names_the_frames_that_run_wrote(capsys: Captured, tmp_path: Path
     log = str(tmp_path / "a.log")
     assert main(["run", *SHORT, "--json", "--bus-log", log]) == 0
     capsys.readouterr()
-    assert main(["decode", log, "--config", DEMO]) == 0
+    assert main(["inspect", "--frames", log, "--config", DEMO]) == 0
     assert "SYNC" in capsys.readouterr().out
 
 
 @pytest.mark.slow
 def test_the_schema_knows_every_key_of_every_shipped_configuration(capsys: Captured) -> None:
-    assert main(["schema"]) == 0
+    assert main(["configs", "--schema"]) == 0
     schema = json.loads(capsys.readouterr().out)
     for path in CONFIGS.glob("*.yaml"):
         scene = load_scene(path)

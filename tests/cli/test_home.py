@@ -49,7 +49,7 @@ class Person:
 
 
 def test_home_prints_the_position_before_and_after(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["home", scene(tmp_path), *WORDS, "--yes"]) == 0
+    assert main(["commission", "--home", scene(tmp_path), *WORDS, "--yes"]) == 0
     out, err = capsys.readouterr()
     assert out.splitlines()[0] == "handle: home found by method 34; the drive is disabled"
     assert out.splitlines()[1] == "  position before: 0 counts (0x6064), 0 m"
@@ -65,7 +65,7 @@ def test_a_no_to_any_question_sends_nothing(
 ) -> None:
     person = Person(no)
     monkeypatch.setattr(command, "dialogue_of", lambda *_, **__: person)
-    assert main(["home", scene(tmp_path, without="6072"), *WORDS]) == 1
+    assert main(["commission", "--home", scene(tmp_path, without="6072"), *WORDS]) == 1
     assert len(person.questions) == no + 1
     assert sent == []
     wanted = ("takes no torque limit from the bus (0x6072)", "Is 0x6099 in counts/s?", "emergency stop at hand?")
@@ -85,7 +85,7 @@ def test_a_signal_in_the_middle_ends_with_its_status_and_zero_torque(
         return cycle(rig)
 
     monkeypatch.setattr(homing, "_cycle", interrupted)
-    assert main(["home", scene(tmp_path), *WORDS, "--yes"]) == 130
+    assert main(["commission", "--home", scene(tmp_path), *WORDS, "--yes"]) == 130
     images = [data for can_id, data in sent if can_id == 0x201]
     assert {data[2:4] for data in images} == {b"\0\0"}
     words = [int.from_bytes(data[:2], "little") for data in images]
@@ -107,7 +107,7 @@ def test_an_order_that_is_not_safe_is_refused_in_one_line(
     tmp_path: Path, words: Sequence[str], message: str, sent: list[tuple[int, bytes]],
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    assert main(["home", scene(tmp_path), *WORDS, *words, "--yes"]) == 2
+    assert main(["commission", "--home", scene(tmp_path), *WORDS, *words, "--yes"]) == 2
     assert message in capsys.readouterr().err
     assert sent == []
 
@@ -118,12 +118,12 @@ def test_method_speeds_and_torque_must_be_named(missing: str, capsys: pytest.Cap
     place = words.index(missing)
     del words[place : place + (3 if missing == "--speed" else 2)]
     with pytest.raises(SystemExit):
-        main(["home", str(DEMO), *words, "--yes"])
+        main(["commission", "--home", str(DEMO), *words, "--yes"])
     assert f"required: {missing}" in capsys.readouterr().err
 
 
 def test_yes_is_for_simulated_drives_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     real = ("bus.interface=udp_multicast", "bus.channel=239.74.163.99")
     words = [word for value in real for word in ("--set", value)]
-    assert main(["home", scene(tmp_path), *words, *WORDS, "--yes"]) == 2
+    assert main(["commission", "--home", scene(tmp_path), *words, *WORDS, "--yes"]) == 2
     assert "for a real drive a person at the machine must answer" in capsys.readouterr().err

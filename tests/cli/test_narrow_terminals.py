@@ -78,7 +78,7 @@ COMMANDS = {
     "check a marked scene": ["check", "interfaces/pcan.yaml"],
     "check-eds": ["check-eds", str(ROOT / "eds" / "cia402_servo.eds")],
     "configs": ["configs"],
-    "preflight": ["preflight", "socketcan_example.yaml"],
+    "preflight": ["check", "--host", "socketcan_example.yaml"],
 }  # fmt: skip
 
 

@@ -106,7 +106,7 @@ sys.exit(main(sys.argv[2:]))
             for row in (
                 ("matplotlib", "plot", ["compare", DEMO, "--duration", "1000000", "--png", "a.png"]),
                 ("matplotlib", "plot", ["accuracy", DEMO, "--budget", "100000", "--html", "a.html"]),
-                ("matplotlib", "plot", ["map", "absent.h5", "--html", "a.html"]),
+                ("matplotlib", "plot", ["sweep", "--map", "absent.h5", "--html", "a.html"]),
                 ("bokeh", "report", ["scope", "absent.h5"]),
             )
         ),

@@ -144,8 +144,8 @@ def test_the_command_gives_a_node_its_id(capsys: pytest.CaptureFixture[str], tmp
         thread.start()
         try:
             scene[0] = str(REPOSITORY / scene[0])
-            assert main(["lss", *scene, "7", "--identity", *map(hex, FIRST), "--yes"]) == 0
-            assert main(["lss", *scene, "128", "--yes"]) == 2
+            assert main(["commission", *scene, "--node-id", "7", "--identity", *map(hex, FIRST), "--yes"]) == 0
+            assert main(["commission", *scene, "--node-id", "128", "--yes"]) == 2
         finally:
             is_over.set()
             thread.join()

@@ -303,11 +303,7 @@ def test_a_log_that_exists_is_kept_and_nothing_is_started(
 @pytest.mark.parametrize(
     "words",
     [
-        ["run", DEMO, "--png"],
-        ["compare", DEMO, "--png"],
-        ["map", "walls", "--html"],
         ["accuracy", DEMO, "--markdown"],
-        ["inspect", "run.h5", "--svg"],
         ["inspect", "run.h5", "--csv"],
         ["inspect", "run.h5", "--repair"],
         ["new", str(Path(DEMO).parents[1] / "eds" / "cia402_servo.eds"), "--out"],
@@ -324,6 +320,20 @@ def test_every_output_of_a_command_that_exists_is_kept(
         f"canhaptic: error: {taken} already exists; --force replaces it, or name another file\n"
     )
     assert taken.read_text() == "mine"
+
+
+def test_a_picture_is_written_again_and_a_file_that_is_none_is_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture, log, mine = tmp_path / "run.png", tmp_path / "run.h5", tmp_path / "mine.yaml"
+    words = ["run", DEMO, "--duration", "0.02", "--pace", "free", "--log", str(log)]
+    assert main(words) == 0
+    picture.write_text("old")
+    for target, status in ((picture, 0), (mine, 2)):
+        mine.write_text("mine")
+        assert main(["inspect", str(log), "--png" if target is picture else "--html", str(target)]) == status
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert mine.read_text() == "mine"
 
 
 def test_what_a_killed_run_left_of_a_log_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -163,7 +163,7 @@ def test_a_pasted_log_is_replayed_and_rederived_as_the_file_is_if_it_has_times(
     for use in (replay_bus_log, rederive):
         with pytest.raises(LogFormatError, match=r"no time.*candump -L"):
             use(path, scene)
-    assert main(["decode", str(path), "--only", "sync"]) == 0
+    assert main(["inspect", "--frames", str(path), "--only", "sync"]) == 0
     printed = capsys.readouterr()
     assert printed.out.startswith("             - can0 R 080                  SYNC\n")
     assert "frames have no time, as in candump without -t" in printed.err
@@ -171,5 +171,5 @@ def test_a_pasted_log_is_replayed_and_rederived_as_the_file_is_if_it_has_times(
 
 def test_a_span_of_a_log_without_times_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "a.txt").write_text("  can0  080   [0]\n")
-    assert main(["decode", str(tmp_path / "a.txt"), "--from", "1"]) == 2
+    assert main(["inspect", "--frames", str(tmp_path / "a.txt"), "--from", "1"]) == 2
     assert "has no time; leave --from and --to out" in capsys.readouterr().err

@@ -359,7 +359,7 @@ def test_can_fd_error_and_remote_frames_are_left_out_and_counted(
     path.write_text("".join([*lines[:101], *odd, odd[1], *lines[101:]]))
     assert main(["replay", str(path), "--config", str(ROOT / "configs" / "demo.yaml")]) == 0
     assert "frames left out: 1 CAN FD, 2 error, 1 remote" in " ".join(capsys.readouterr().out.split())
-    assert main(["decode", str(path)]) == 0
+    assert main(["inspect", "--frames", str(path)]) == 0
     captured = capsys.readouterr()
     assert captured.out.count("\n") == len(lines)
     assert "frames left out: 1 CAN FD, 2 error, 1 remote" in captured.err

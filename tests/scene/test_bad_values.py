@@ -103,7 +103,7 @@ def test_a_name_that_no_file_can_have_is_an_error_and_no_traceback(capsys: pytes
 @pytest.mark.parametrize(
     "words",
     [
-        ["decode", "x.log", "--from", "nan"],
+        ["inspect", "--frames", "x.log", "--from", "nan"],
         ["scope", "run.h5", "--port", "80000"],
         ["sweep", "x.yaml", "--workers", "0"],
         ["sweep", "x.yaml", "--chunk", "0"],

@@ -87,7 +87,7 @@ def test_figures_of_a_plant_that_is_not_exact_come_with_its_error(tmp_path: Path
         assert f"with environment.stiffness={stiffness}: plant of handle: not exact, estimated error" in captured.err
     assert "environment.stiffness=150" not in captured.err
     assert "of 1 other scenes ERROR NOT KNOWN" in captured.err
-    assert main(["map", table, "--json"]) in (0, 2)
+    assert main(["sweep", "--map", table, "--json"]) in (0, 2)
     assert "with environment.stiffness=200: plant of handle: not exact, estimated error" in capfd.readouterr().err
 
 

@@ -187,12 +187,12 @@ def test_check_and_readers_leave_own_code_unread(folder: Path, capsys: pytest.Ca
     assert found["config_hash"] is None
     assert main(["check", str(scene)]) == 0
     assert "not run, so its parameters are not checked" in " ".join(capsys.readouterr().out.split())
-    assert main(["preflight", str(scene)]) == 0
+    assert main(["check", "--host", str(scene)]) == 0
     (folder / "bus.log").write_text("(0.000000) vcan0 080#\n")
-    assert main(["decode", str(folder / "bus.log"), "--config", str(scene)]) == 0
+    assert main(["inspect", "--frames", str(folder / "bus.log"), "--config", str(scene)]) == 0
     assert main(["scope", "--config", str(scene)]) == 2  # the scene names no log, and is read so far
     assert "has no log.energy" in capsys.readouterr().err
-    assert main(["schema"]) == 0
+    assert main(["configs", "--schema"]) == 0
     assert not ran(folder)
 
 

@@ -48,7 +48,7 @@ def test_a_scene_without_a_contact_counts_neither_as_passive_nor_as_active(capsy
     assert result["status"] == {"completed": 3, "no contact": 6, "nothing rendered": 3}  # guarded begins in the wall
     for entry, counts in zip(result["figures"]["handle"].values(), ((3, 3), (0, 3)), strict=True):
         assert (entry["scenes"], entry["no_contact"]) == counts
-    assert main(["map", str(tmp_path / "a"), "--json"]) == 0
+    assert main(["sweep", "--map", str(tmp_path / "a"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["no_contact"] == {"unprotected": 0.5, "guarded": 0.5}
     with SweepTable(tmp_path / "a") as table:
         field = fields_of(table)[0]
@@ -71,7 +71,7 @@ def test_a_wall_of_which_nothing_is_rendered_is_no_pass_as_a_run_of_the_same_sce
     assert result["status"] == {"completed": 2, "nothing rendered": 2}
     assert [entry["scenes"] for entry in result["figures"]["handle"].values()] == [2, 0]
     assert result["figures"]["handle"]["guarded"]["nothing_rendered"] == 2
-    assert main(["map", str(tmp_path / "a")]) == 0
+    assert main(["sweep", "--map", str(tmp_path / "a")]) == 0
     shown = capsys.readouterr().out
     assert " guarded: 0 % of the scenes with a contact pass (judged by: passive; net energy into the plant" in shown
     assert " at the motor, as `run` judges it), 100 % rendered nothing" in shown
@@ -116,14 +116,14 @@ def test_a_map_of_a_sweep(capsys: Captured, tmp_path: Path) -> None:
     words = ["--vary", "bus.rate=100,200", "--controllers", "unprotected", "--set", "environment.damping=0"]
     main([*SMALL, *words, "--out", str(out)])
     capsys.readouterr()
-    assert main(["map", str(out), "--png", str(picture)]) == 0
+    assert main(["sweep", "--map", str(out), "--png", str(picture)]) == 0
     assert "Colgate" in capsys.readouterr().out
     assert picture.stat().st_size > 10_000
-    assert main(["map", str(out), "--json"]) == 0
+    assert main(["sweep", "--map", str(out), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["passing"].keys() == {"unprotected"}
-    assert main(["map", DEMO]) == 2
-    assert main(["map", str(out), "--png", "map.bmp"]) == 2
-    assert main(["map", str(out), "--axis", "elbow"]) == 2
+    assert main(["sweep", "--map", DEMO]) == 2
+    assert main(["sweep", "--map", str(out), "--png", "map.bmp"]) == 2
+    assert main(["sweep", "--map", str(out), "--axis", "elbow"]) == 2
 
 
 def test_a_design_that_cannot_be_made_says_why(capsys: Captured) -> None:
@@ -163,7 +163,7 @@ def test_warm_compiles_what_a_sweep_needs_and_says_what_python_runs(
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     compiled_loops.cache_clear()
-    assert main(["warm", DEMO, "--controllers", "unprotected", "--json"]) == 0
+    assert main(["sweep", "--warm", DEMO, "--controllers", "unprotected", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["loops"] == {"unprotected": {"engine": "numba", "remark": ""}}
     compiled_loops.cache_clear()
     out = tmp_path / "swept"
@@ -176,5 +176,5 @@ def test_warm_compiles_what_a_sweep_needs_and_says_what_python_runs(
 
 def test_warm_fails_where_python_runs_a_scene(capsys: Captured) -> None:
     pytest.importorskip("numba", reason="needs numba (the extra fast)")
-    assert main(["warm", str(REPOSITORY / "configs/admittance/virtual_mass.yaml"), "--json"]) == 1
+    assert main(["sweep", "--warm", str(REPOSITORY / "configs/admittance/virtual_mass.yaml"), "--json"]) == 1
     assert "not compiled: algorithm of the scene" in capsys.readouterr().out
