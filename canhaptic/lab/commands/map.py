@@ -79,7 +79,7 @@ def _share(name: str, share: float, by: str, untouched: float, unrendered: float
 def _value(value: float, floor: float | None) -> str:
     if isnan(value):
         return "none"
-    return f"{'<= ' * (value == floor)}{value:.4g}"
+    return f"{'<= ' * bool(value == floor)}{value:.4g}"
 
 
 def _print(columns: list[list[Panel | None]], first: list[str]) -> None:
