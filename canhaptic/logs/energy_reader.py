@@ -152,6 +152,8 @@ class Quantities(Mapping[str, Array]):
     def read(self, name: str, start: int = 0, stop: int | None = None) -> Array:
         """Return rows `start` to `stop` of one quantity without keeping them in memory."""
         path = f"{self._group}/{self._stored.get(name, name)}"
+        if self._file.is_closed:
+            raise InputError(f"{path}: the log is closed; read its arrays before `close`, or within its `with` block")
         with read_safely(path, "the data is damaged", _SAVES):
             return self._file[path].read(start, self._rows if stop is None else min(stop, self._rows))
 

@@ -129,6 +129,11 @@ class Hdf5File:
         self._file.close()
 
     @property
+    def is_closed(self) -> bool:
+        """Whether the file was closed."""
+        return not self._file
+
+    @property
     def attributes(self) -> dict[str, Attribute]:
         """Attributes of the root; bytes that are not valid UTF-8 are replaced."""
         with _bounded_memory():

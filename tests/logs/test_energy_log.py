@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.errors import LogFormatError, LogWriteError
+from canhaptic.errors import InputError, LogFormatError, LogWriteError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.repair import repair
 from canhaptic.logs.ring import RingShape, SharedArea, allocate, size_of
@@ -271,3 +271,10 @@ def test_flipped_bytes_anywhere_are_an_error_or_a_part_never_a_crash(tmp_path: P
         path.write_bytes(content)
         with contextlib.suppress(LogFormatError):
             read_all(path)
+
+
+def test_a_closed_log_says_so_and_not_that_it_is_damaged(finished: Path) -> None:
+    with EnergyLog(finished) as log:
+        quantities = next(iter(log.ports.values()))
+    with pytest.raises(InputError, match="the log is closed; read its arrays before"):
+        quantities.read("h_i")
