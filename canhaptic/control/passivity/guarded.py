@@ -530,7 +530,8 @@ def render(
         if same:
             inside = mover_motion
     lead = environment.effort(environment.admissible(true + ahead, true)) - spring
-    velocity = inside / settings.sample_time
+    velocity, softer = inside / settings.sample_time, softened(settings, spring, true)
+    spring, lead = spring * softer, lead * softer
     spring, lead, damper, covered = efforts(run, true, spring, lead, ahead, velocity, energy, ceiling)
     rendered = damper / velocity if velocity != 0.0 else settings.damping
     modulated = 0.0
@@ -548,7 +549,7 @@ def render(
     if size < asked:
         share = size / asked
         torque, damper, modulated, rendered = torque * share, damper * share, modulated * share, rendered * share
-    elif covered:
+    elif covered & (softer == 1.0):
         certificate = _NOT_BOUND
     if settings.quantum > 0.0:
         torque = towards_zero(torque, settings.quantum)
@@ -615,6 +616,17 @@ def within_limits(settings: GuardedSettings, newest: float, sign: float, moved: 
         if power < most:
             most = power
     return most
+
+
+_DITHERED: Final = 2.0
+"""Stiffness requested at most with a coarse encoder, over the one that friction sustains: up to it dither over one edge
+costs nothing (`certified_torque`). A stiffer one loses at the impact what would hold it, and is felt softer."""
+
+
+def softened(settings: GuardedSettings, spring: float, true: float) -> float:
+    """Return the share of a spring's effort [N or N*m] at its true state [m or rad] that is requested."""
+    size, most = abs(spring), _DITHERED * settings.sustained * abs(true)
+    return most / size if 0.0 < most < size else 1.0
 
 
 def efforts(
