@@ -369,7 +369,8 @@ def simulate(
 
     Args:
         scene: A scene file, a mapping with its keys, or a loaded scene.
-        changes: Values of the scene to replace, by path: {"environment.stiffness": "500 N/m"}. Not for a loaded scene.
+        changes: Values of the scene to replace, by path: {"environment.stiffness": "500 N/m"}; an environment, hand,
+            algorithm or effect may be a class or an instance of your own. Not for a loaded scene.
         duration: Length of the run [s], or a text with a unit; by default the scene's.
         progress: Whether a progress bar is shown in a terminal or a notebook.
         allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.
@@ -460,12 +461,19 @@ def _override(path: str, value: object) -> str:
         return f"{path}={json.dumps(value, default=_plain)}"
     except (TypeError, ValueError) as error:
         text = f"changes: {path}"
-        raise InputError(f"{text}: got {shown(value)}, expected a number, a text, a list or a mapping") from error
+        expected = "expected a number, a text, a list, a mapping, or a class or instance of your own"
+        raise InputError(f"{text}: got {shown(value)}, {expected} ({error})") from error
 
 
 def _plain(value: object) -> object:
-    """Return a number or array of NumPy, or a path, as a plain value."""
-    return value.tolist() if isinstance(value, np.generic | np.ndarray) else fspath(cast("PathLike[str]", value))
+    """Return a number or array of NumPy, a path, or a class or instance of the user's own, as a plain value."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, PathLike):
+        return fspath(value)
+    from canhaptic.scene.own_code import section_of
+
+    return section_of(value)
 
 
 def _port_account(name: str, raw: "RunResult | Inspection") -> PortAccount:

@@ -15,6 +15,7 @@ are late or stop.
 """
 
 import hashlib
+import inspect
 import json
 import mmap
 import os
@@ -65,6 +66,34 @@ ENTRY_POINT_GROUPS: Final[Mapping[str, str]] = {
     "hand": "canhaptic.hands",
 }
 """Kind of user-defined part -> entry point group of its plug-ins."""
+
+_GIVEN: Final[dict[str, type]] = {}  # reference -> class that a Python program gave to a scene of this process
+_FROM_PYTHON: Final = "python:"  # of such a reference
+
+
+def section_of(given: object) -> dict[str, object]:
+    """Return the section of a scene for a class or an instance that a Python program gives.
+
+    Its `type` (`algorithm` of an algorithm) refers to the class in this process, and has a hash of its source.
+
+    Raises:
+        TypeError: It is neither a class with parameters nor an instance of `Parameters`, or its source is not at hand.
+    """
+    own = given if isinstance(given, type) else type(given)
+    is_algorithm = hasattr(own, "parameters_type")
+    if not (is_algorithm and own is given) and not issubclass(own, Parameters):
+        raise TypeError(f"{own.__name__}: is no class with parameters, and no instance of `Parameters`")
+    try:
+        digest = hashlib.sha256(inspect.getsource(own).encode()).hexdigest()
+    except (OSError, TypeError) as error:
+        text = f"{own.__name__}: its source is not at hand, so that no log could identify it"
+        raise TypeError(f"{text}; define it in a file or a notebook") from error
+    name, number = f"{_FROM_PYTHON}{own.__name__}:{digest}", 1
+    while _GIVEN.setdefault(name, own) is not own:  # the same source around other values
+        number += 1
+        name = f"{_FROM_PYTHON}{own.__name__}:{digest}:{number}"
+    values = given.model_dump(mode="json") if isinstance(given, Parameters) else {}
+    return {"algorithm" if is_algorithm else "type": name, **values}
 
 
 def own_model(section: MarkedMapping, reading: SceneContext, model: type[Parameters], kind: str) -> object:
@@ -122,7 +151,8 @@ class OwnCode:
 
     def is_left(self, reference: str, kind: str) -> bool:
         """Whether a name refers to user code that is left unread; if so, add it to `left`."""
-        if self._use != "left" or not (_MARK in reference or reference in installed(kind)):
+        is_program = _MARK in reference or reference.startswith(_FROM_PYTHON)
+        if self._use != "left" or not (is_program or reference in installed(kind)):
             return False
         self.left.append(reference)
         return True
@@ -133,10 +163,22 @@ class OwnCode:
         Raises:
             ParameterError: Not allowed, not a file of the scene's folder, or the code fails.
         """
+        if reference.startswith(_FROM_PYTHON):
+            return self._given(reference, kind)
         if _MARK in reference:
             return self.load(reference, kind)
         found = installed(kind).get(reference)
         return None if found is None else self._plug_in(found, kind)
+
+    def _given(self, reference: str, kind: str) -> type:
+        name, digest, *_ = reference.removeprefix(_FROM_PYTHON).split(":")
+        own = _GIVEN.get(reference)
+        if own is None:
+            text = f"{name}: is a class of a Python program, which another process does not have"
+            raise ParameterError(f"{text}; put it into a file beside the scene and name it FILE.py:{name}")
+        self.hashes[reference] = digest
+        watch(own, _RETURN_NUMBERS.get(kind, ()))
+        return own
 
     def _plug_in(self, found: EntryPoint, kind: str) -> Any:
         package = f"{found.dist.name} {found.dist.version}" if found.dist is not None else found.value
