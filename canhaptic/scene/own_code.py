@@ -175,7 +175,7 @@ class OwnCode:
         own = _GIVEN.get(reference)
         if own is None:
             text = f"{name}: is a class of a Python program, which another process does not have"
-            raise ParameterError(f"{text}; put it into a file beside the scene and name it FILE.py:{name}")
+            raise ParameterError(f"{text}; put it into a file in the folder of the scene and name it FILE.py:{name}")
         self.hashes[reference] = digest
         watch(own, _RETURN_NUMBERS.get(kind, ()))
         return own
