@@ -117,7 +117,8 @@ class Overbelief:
             return
         account = self.cycle.ledgers[0].summary()
         true = -self.drive.truth().energy.motor
-        within = getattr(self.inner, "energy_resolution", 0.0)  # of what lost samples leave possible, the middle is booked
+        # of what lost samples leave possible, the middle is booked
+        within = getattr(self.inner, "energy_resolution", 0.0)
         self.most = max(self.most, account.energy_in - account.energy_out - within - true)
 
 
