@@ -13,7 +13,7 @@ import yaml
 
 from canhaptic.audit.inspection import Inspection, rows_between
 from canhaptic.audit.recompute import scene_of
-from canhaptic.audit.why.causes import Known, Why, known_of, why
+from canhaptic.audit.why.causes import Known, Why, is_worth_a_line, known_of, why
 from canhaptic.audit.why.ripple import motion_of, ripple_force
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.logs.energy_reader import EnergyLog
@@ -66,6 +66,8 @@ def note_buzz(path: Path, scene: Scene) -> None:
     with suppress(CanHapticError, OSError), EnergyLog.open(path) as log:
         last = max(0, log.rows - round(_LONGEST / log.sample_time))
         for name, of in why(log, scene, slice(last, log.rows)).items():
+            if not is_worth_a_line(of):
+                continue
             text = buzz_line(name, of, log.ports[name].unit("position"))
             write_note(f"  {text}; `canhaptic inspect {path} --why` says why")
 

@@ -31,6 +31,12 @@ _HARDLY: Final = 1e-6
 """Value of a twin's fault without effect: a twin whose bus has no fault at all lacks the section."""
 _LEAST_LATE: Final = 0.1
 """Part of a hold from which a torque counts as late."""
+_UNTESTED: Final = 0.1
+"""Weight of a hand that trembles where no test speaks for it."""
+_LIKELY: Final = 0.5
+"""Weight of a cause from which a run names its ripple unasked."""
+_FELT: Final = 0.05
+"""Share of the torque from which it does."""
 _TRIED: Final = 80
 """Steps of the torque that are tried where the drive reports none."""
 
@@ -212,11 +218,19 @@ def why(log: EnergyLog, scene: Scene | None, rows: slice | None = None) -> dict[
             motion = motion_of(log, name, rows)
             found[name] = known, motion, buzz_of(motion, known.weight)
     buzzes = {name: buzz for name, (_, _, buzz) in found.items()}
-    return {
-        name: explained(known, motion, buzz, buzzes)
-        for name, (known, motion, buzz) in found.items()
-        if buzz is not None
-    }
+    seen = {n: explained(known, motion, buzz, buzzes) for n, (known, motion, buzz) in found.items() if buzz is not None}
+    return {name: one for name, one in seen.items() if not _is_the_hand(one)}
+
+
+def _is_the_hand(found: Why) -> bool:
+    """Whether every cause was tested and none was found: what moves is the hand that plays."""
+    return bool(found["causes"]) and found["causes"][0]["weight"] <= _UNTESTED
+
+
+def is_worth_a_line(found: Why) -> bool:
+    """Whether a run says unasked that it buzzes: a part of the torque that is felt, by a cause that the log shows."""
+    causes = found["causes"]
+    return bool(causes) and causes[0]["weight"] >= _LIKELY and found["share"] >= _FELT
 
 
 def explained(known: Known, motion: Motion, buzz: Buzz, others: Mapping[str, Buzz | None]) -> Why:
@@ -504,7 +518,7 @@ def _hand(seen: Seen) -> Iterator[Cause]:
         near = abs(buzz.frequency / tremor[1].frequency - 1.0) < 0.25
         weight = 0.95 if near and not seen.grows else 0.6 if near else 0.2
     else:
-        weight = (0.75 if takes and 3.0 < buzz.frequency < 15.0 and buzz.purity > 0.5 else 0.1) * (
+        weight = (0.75 if takes and 3.0 < buzz.frequency < 15.0 and buzz.purity > 0.5 else _UNTESTED) * (
             0.4 if seen.grows else 1
         )
     key, value = f"{known.wall}.damping", None
