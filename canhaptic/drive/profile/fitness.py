@@ -74,7 +74,7 @@ def _of_value(variable: Variable, value: int) -> str | None:
     low = low if variable.min is None else max(low, variable.min)
     high = high if variable.max is None else min(high, variable.max)
     plain = without_flags(variable.index, variable.subindex, value)
-    if value.bit_length() > _INTEGERS[DataType(variable.data_type or 0)][0]:  # the flags too have their bits
+    if plain != value and value.bit_length() > _INTEGERS[DataType(variable.data_type or 0)][0]:  # flags have bits too
         return f"of type {_type_name(variable.data_type)}, which cannot hold {value:#x}"
     return None if low <= plain <= high else f"limited to {low}..{high}, but the scene needs {plain}"
 
