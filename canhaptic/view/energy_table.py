@@ -233,7 +233,8 @@ def inspection_tables(result: Result) -> list[Table]:
             unit = port["unit"]
             depth = partial(place, unit=port.get("state_unit", unit), in_degrees=port.get("in_degrees", False))
             tables.append(_contacts_table(f"{file} {name}", contacts, unit, depth))
-        told = [event for event in run.get("events", []) if event["text"] != BY_CONSTRUCTION]  # of every simulated run
+        left = "unrestored" if run.get("truth") else ""  # in a simulated drive, which is gone
+        told = [e for e in run.get("events", []) if e["text"] != BY_CONSTRUCTION and e["kind"] != left]
         tables.append(_events_table(told, file))
     tables.append(_checks_table(result.get("checks", [])))
     return [table for table in tables if table.rows]
