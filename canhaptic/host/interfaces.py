@@ -7,6 +7,7 @@ known options are therefore read from the source code of the backend, which need
 import ast
 import importlib.util
 import logging
+import re
 import tomllib
 from collections.abc import Iterator
 from functools import cache
@@ -95,11 +96,16 @@ def _read_from(function: ast.FunctionDef, kwargs: str) -> Iterator[str]:
                 yield key
 
 
+_LINUX: Final = re.compile(r"v?s?l?can[0-9]+")
+"""What Linux calls its CAN interfaces: a channel of `socketcan`."""
+
+
 def interface_faults(bus: BusSettings) -> list[tuple[str, str]]:
     """Return (key of `bus`, text) for each interface or option that python-can would refuse or ignore."""
     if bus.interface not in BACKENDS:
-        known = ", ".join(sorted(BACKENDS))
-        return [("interface", f"got {bus.interface!r}, expected one of: {known}{nearest(bus.interface, BACKENDS)}")]
+        known, given = ", ".join(sorted(BACKENDS)), bus.interface
+        hint = f"; for Linux's {given} set interface: socketcan and channel: {given}" if _LINUX.fullmatch(given) else ""
+        return [("interface", f"got {given!r}, expected one of: {known}{hint or nearest(given, BACKENDS)}")]
     accepted = _accepted_options(bus.interface)
     faults = []
     for key in bus.options:

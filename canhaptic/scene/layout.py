@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, get_args
 from canhaptic.axis_units import Motion
 from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
 from canhaptic.files import shipped
-from canhaptic.registry import nearest
+from canhaptic.registry import nearest, unknown_key
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.document import NOTED, Diagnostics, MarkedList, MarkedMapping
 from canhaptic.scene.models import LOOP_KEYS, SIMULATION_PARTS, FurtherBus, GroupMembership, RunParameters
@@ -64,7 +64,9 @@ OWN_SECTIONS: Final = ("environment", "passivity")
 
 def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence[str], faults: Diagnostics) -> Any:
     """Return a scene file in the form of `Scene`, every value with its location, and note faults of the layout."""
-    faults.unknown_keys(written, SECTIONS)
+    for key in written:
+        if key not in SECTIONS:
+            faults.add(written.keys_at[key], _of_a_section(key, written) or unknown_key(key, SECTIONS))
     scene = MarkedMapping(written.mark)
     scene.update(source=source, text=text, overrides=tuple(overrides), simulation=None)
     scene.set("run", written.only(RunParameters.model_fields))
@@ -87,6 +89,14 @@ def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence
     scene.set("groups", [group.as_group(units) for group in groups])
     scene.set("mechanisms", [mechanism.as_mechanism() for mechanism in mechanisms])
     return scene
+
+
+def _of_a_section(key: str, written: MarkedMapping) -> str:
+    """Return the message about a key that belongs into a section of the scene; empty if no section has it."""
+    axes = written.get("axes")
+    sections = dict(written) | ({"axes.0": axes[0]} if isinstance(axes, MarkedList) and axes else {})
+    places = [name for name, section in sections.items() if isinstance(section, MarkedMapping) and key in section]
+    return f"unknown key; did you mean {' or '.join(f'{place}.{key}' for place in places)}?" if places else ""
 
 
 def _members(written: MarkedMapping, simulation: MarkedMapping | None, faults: Diagnostics) -> "_Joined":
