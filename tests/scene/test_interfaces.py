@@ -95,6 +95,8 @@ def test_an_unknown_interface_is_refused_with_the_nearest() -> None:
     [(key, message)] = interface_faults(bus(interface="socketcna"))
     assert key == "interface"
     assert "did you mean 'socketcan'?" in message
+    [(_, message)] = interface_faults(bus(interface="can0"))
+    assert message.endswith("; for Linux's can0 set interface: socketcan and channel: can0")
 
 
 @pytest.mark.parametrize("name", sorted(set(BACKENDS) - {"virtual", "udp_multicast"}))
