@@ -45,7 +45,7 @@ def execute(arguments: argparse.Namespace) -> int:
         arguments.bus_log, scene, realtime=arguments.realtime, from_sync=arguments.from_sync, dry_run=dry_run
     )
     covers = covered(result, scene, keys=not arguments.quick, dry_run=dry_run)
-    faults = why_failed(result, covers, allow_empty=arguments.allow_empty)
+    faults = why_failed(result, covers, allow_empty=arguments.allow_empty or dry_run)
     if arguments.junit is not None:
         _write_junit(arguments.junit, result, covers, faults)
     if arguments.json:

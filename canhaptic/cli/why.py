@@ -55,7 +55,10 @@ def add_why(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) -
     except CanHapticError:
         if arguments.try_:
             raise
-    found = why(log, scene, rows_between(log, arguments.start, arguments.stop))
+    rows = rows_between(log, arguments.start, arguments.stop)
+    if not (arguments.why or arguments.try_):  # a page shows it unasked: of a long log its end
+        rows = slice(max(rows.start, rows.stop - round(_LONGEST / log.sample_time)), rows.stop)
+    found = why(log, scene, rows)
     result["why"] = found
     if arguments.try_ and scene is not None:
         result["trials"] = trials(log, scene, found, allow_code=arguments.allow_code)

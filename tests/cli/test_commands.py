@@ -347,11 +347,9 @@ def test_a_strict_run_exits_with_one_unless_it_was_passive(capsys):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("words", "needed"), [(["--json"], set()), ([], {"rich"}), (["--json", "--log", "run.h5"], set())]
+    ("words", "needed"), [(["--json"], {"rich"}), ([], {"rich"}), (["--json", "--log", "run.h5"], {"rich", "h5py"})]
 )
-def test_run_imports_rich_for_its_table_only_and_h5py_in_the_process_of_the_log(
-    tmp_path: Path, words: list[str], needed: set[str]
-) -> None:
+def test_run_reads_hdf5_only_where_it_has_a_log_to_look_at(tmp_path: Path, words: list[str], needed: set[str]) -> None:
     code = (
         "import sys; from canhaptic.cli.main import main; "
         "main(['run', sys.argv[1], '--duration', '0.01 s', '--pace', 'free', *sys.argv[2:]]); "

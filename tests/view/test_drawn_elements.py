@@ -101,7 +101,7 @@ def test_panels_that_hold_only_zeros_are_left_out_and_named(tmp_path: Path) -> N
     assert drawn == ["position", "force", "energy"]
     assert "<!-- handle: damping rendered -->" in page
     assert "zero throughout, not drawn: timing, lost" in page
-    expected = [f"handle: {name}" for name in ("position", "force", "energy", "damping")]
+    expected = [f"handle: {name}" for name in ("position", "force", "energy", "damping", "states", "spectrum")]
     assert sorted(titles(scope_of(tmp_path / "run.h5"))) == sorted(expected)
 
 
@@ -109,7 +109,7 @@ def test_panels_that_hold_only_zeros_are_left_out_and_named(tmp_path: Path) -> N
 def test_axes_and_pointer_carry_units_with_a_prefix(tmp_path: Path) -> None:
     write_run(tmp_path / "run.h5", cycles=1500, ports=("handle", "knob"))
     live = figures(scope_of(tmp_path / "run.h5"))
-    units = {panel.yaxis[0].axis_label: panel.yaxis[0].formatter.args for panel in live}
+    units = {panel.yaxis[0].axis_label: getattr(panel.yaxis[0].formatter, "args", {}) for panel in live}
     assert units["handle: position"]["unit"] == "m"
     assert (1e-3, "m") in units["handle: position"]["prefixes"]
     assert units["handle: force"]["unit"] == "N"

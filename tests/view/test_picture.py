@@ -87,7 +87,7 @@ def test_a_picture_names_the_least_margin_the_wall_and_the_faults_and_shades_eve
     least = 1e6 * float(margin.min())
     for words in (
         f"smallest margin {least:.3g} uJ",
-        "net (in - out)",
+        "net energy (in - out)",
         "margin below 0",
         "wall",
         "1.5 s: emcy 0x8130 heartbeat lost",
