@@ -110,7 +110,7 @@ def test_the_same_scene_gives_the_same_frames_and_every_reader_agrees(
         logs.append(bus_log.read_bytes())
     assert logs[0] == logs[1]
     overrides = ["--set", "duration=0.6"]
-    assert main(["replay", "--config", str(SCENE), *overrides, str(tmp_path / "first.log")]) == 0
+    assert main(["replay", "--quick", "--config", str(SCENE), *overrides, str(tmp_path / "first.log")]) == 0
     assert main(["inspect", str(tmp_path / "first.h5"), "--recompute", "--bus-log", str(tmp_path / "first.log")]) == 0
     capsys.readouterr()
 
@@ -148,7 +148,7 @@ def test_two_displays_on_a_path_have_one_account_and_every_reader_agrees(
     assert found["ports"]["stage"]["certificate"] in ("velocity_loop", "exact")
     assert found["ports"]["x"]["out"] > 0.05  # what came in along y went out along x
     assert found["truth"]["stage"]["least_interaction"] >= -1e-3
-    assert main(["replay", "--config", scene, *overrides, str(bus_log)]) == 0
+    assert main(["replay", "--quick", "--config", scene, *overrides, str(bus_log)]) == 0
     assert main(["inspect", str(log), "--recompute", "--bus-log", str(bus_log)]) == 0
     path = load_scene(Path(scene)).groups[0].network.parameters
     assert isinstance(path, PathMass)
@@ -208,7 +208,7 @@ def test_a_running_impulse_of_a_node_of_its_own_survives_lost_frames(
     assert port["longest_hold"] > 1
     assert truth["interaction"] > 0.5
     assert 0.9 * truth["interaction"] < port["in"] - port["out"] <= truth["interaction"] + 1e-9
-    assert main(["replay", "--config", str(_NODE), *overrides, str(bus_log)]) == 0
+    assert main(["replay", "--quick", "--config", str(_NODE), *overrides, str(bus_log)]) == 0
     assert main(["inspect", str(log), "--recompute", "--bus-log", str(bus_log)]) == 0
     capsys.readouterr()
 

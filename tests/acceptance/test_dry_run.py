@@ -130,9 +130,9 @@ def test_a_replay_takes_from_the_energy_log_that_the_run_was_dry(
 ) -> None:
     ran = DryRun(ONE, tmp_path)
     config = ["--config", str(DEMO), "--set", "environment.side=above"]
-    assert main(["replay", str(ran.bus), *config, "--energy-log", str(ran.log)]) == 0
-    assert main(["replay", str(ran.bus), *config, "--no-torque"]) == 0
-    assert main(["replay", str(ran.bus), *config]) == 1
+    assert main(["replay", "--quick", str(ran.bus), *config, "--energy-log", str(ran.log)]) == 0
+    assert main(["replay", "--quick", str(ran.bus), *config, "--no-torque"]) == 0
+    assert main(["replay", "--quick", str(ran.bus), *config]) == 1
     capsys.readouterr()
 
 

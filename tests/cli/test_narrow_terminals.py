@@ -104,7 +104,7 @@ def test_no_table_of_an_inspected_log_loses_anything(log: Path, printed: list[An
 @pytest.mark.slow
 def test_a_replay_is_shown_whole(log: Path, printed: list[Any]) -> None:
     scene = ["--config", str(CONFIGS / "demo.yaml"), "--set", f"axes.0.name={LONG}"]
-    main(["replay", str(log.with_suffix(".log")), *scene])
+    main(["replay", "--quick", str(log.with_suffix(".log")), *scene])
     assert_whole(printed)
 
 

@@ -266,7 +266,7 @@ def test_in_real_time_a_replay_takes_as_long_as_the_recording() -> None:
 
 
 def test_another_wall_is_found_and_shown_decoded_on_both_sides(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["replay", str(FOLDER / "demo.log"), "--config", str(ROOT / "configs" / "demo.yaml")]
+    words = ["replay", str(FOLDER / "demo.log"), "--config", str(ROOT / "configs" / "demo.yaml"), "--quick"]
     assert main(words) == 0
     assert "identical" in capsys.readouterr().out
     assert main([*words, "--set", "environment.stiffness=101"]) == 1
@@ -332,7 +332,7 @@ def test_a_gap_in_a_recording_is_named_as_such(shift: int, tmp_path: Path, capsy
     plan = RECORDINGS["paper_fig8_100hz"]
     path = tmp_path / "gap.log"
     path.write_text("".join(lines[:begin] + lines[begin + 90 :]))
-    words = ["replay", str(path), "--config", str(ROOT / plan.config)]
+    words = ["replay", str(path), "--config", str(ROOT / plan.config), "--quick"]
     for override in plan.overrides:
         words += ["--set", override]
     assert main(words) == 1
@@ -357,7 +357,7 @@ def test_can_fd_error_and_remote_frames_are_left_out_and_counted(
     odd = [f"{time} can0 181##1AABB R\n", f"{time} can0 20000080#0000000000000000 R\n", f"{time} can0 181#R\n"]
     path = tmp_path / "odd.log"
     path.write_text("".join([*lines[:101], *odd, odd[1], *lines[101:]]))
-    assert main(["replay", str(path), "--config", str(ROOT / "configs" / "demo.yaml")]) == 0
+    assert main(["replay", str(path), "--config", str(ROOT / "configs" / "demo.yaml"), "--quick"]) == 0
     assert "frames left out: 1 CAN FD, 2 error, 1 remote" in " ".join(capsys.readouterr().out.split())
     assert main(["inspect", "--frames", str(path)]) == 0
     captured = capsys.readouterr()

@@ -318,7 +318,7 @@ def test_a_replay_takes_the_code_of_the_run_and_no_other(folder: Path, capsys: p
     path, energy, frames = (str(folder / name) for name in ("scene.yaml", "run.h5", "run.log"))
     words = ["run", path, "--set", ENVIRONMENT, "--duration", "0.2", "--pace", "free", "--allow-code"]
     assert main([*words, "--log", energy, "--bus-log", frames]) == 0
-    replay = ["replay", frames, "--config", path]
+    replay = ["replay", "--quick", frames, "--config", path]
     (folder / "ran").unlink()
     assert main([*replay, "--energy-log", energy]) == 2
     assert not ran(folder)
