@@ -37,8 +37,6 @@ class Exchange:
         self.now, self.wait_until = self.clock.now, self.clock.wait_until
         self.sample_time_ns, self.silence = bus.sample_time_ns, bus.master_silence_ns
         self.pace = Pace(bus.sample_time_ns)
-        self._sent, self._is_met = self.pace.sent, self.pace.is_met
-        self._ask, self._take = tuple(bus.ask for bus in self.buses), tuple(bus.take for bus in self.buses)
         self._window_ns = self._first.window_ns
         self.beat_cycles = bus.heartbeat_cycles
         self._beat_due = 0  # [ns], while no cycle runs
@@ -77,15 +75,15 @@ class Exchange:
         """
         failure: LinkError | None = None
         synced = self.woken = self._wait()
-        for ask in self._ask:
+        for bus in self.buses:
             try:
-                synced = ask(synced)
+                synced = bus.ask(synced)
             except LinkError as error:
                 failure = error
-        self._sent(synced)
+        self.pace.sent(synced)
         end, was_whole, is_whole = synced + self._window_ns, self._is_whole, True
-        for take in self._take:
-            if not take(end):
+        for bus in self.buses:
+            if not bus.take(end):
                 is_whole = False
         self._is_whole = is_whole
         self.heard = heard = self.now()
@@ -107,7 +105,7 @@ class Exchange:
             self._first.pump(pace.due)
             for bus in self._others:
                 bus.drain()
-            if self._is_met(woken := self.now()):
+            if pace.is_met(woken := self.now()):
                 return woken
 
     def write_zero(self) -> None:
