@@ -589,6 +589,16 @@ def group_memory(world: GroupModel, loop: GroupLoop, ports: int) -> GroupMemory:
     )
 
 
+def begin_group(
+    world: GroupModel, settings: MotionSettings, group: Group, memory: GroupMemory, positions: Buffer
+) -> None:
+    """Start a run of a group at its first positions, at rest."""
+    group.started = True
+    for i in range(len(positions)):
+        memory.ended.position[i] = positions[i]
+    begin_motion(world, settings, group.motion, memory.motion, positions)
+
+
 _HELD = Branch.HELD.value
 
 

@@ -31,7 +31,7 @@ from canhaptic.control.multi_axis.group_certificates import inward_first, taken_
 from canhaptic.control.multi_axis.group_kernel import (
     GroupHold,
     MotionAhead,
-    begin_motion,
+    begin_group,
     end_holds,
     follow,
     next_place,
@@ -233,10 +233,7 @@ def begin(world: group_kernel.GroupModel, run: GuardedRun, positions: Buffer) ->
     """Start a run at the first positions, at rest."""
     settings, state, memory = run
     group, motion, loop = state.group, memory.group.motion, settings.loop.motion
-    group.started = True
-    for i in range(len(positions)):
-        memory.group.ended.position[i] = positions[i]
-    begin_motion(world, loop, group.motion, motion, positions)
+    begin_group(world, loop, group, memory.group, positions)
     if loop.moves:
         for hold in range(settings.account.apart.holds):
             write_carried(world, loop, group.motion, motion, hold, memory.account.mover_motion[hold])

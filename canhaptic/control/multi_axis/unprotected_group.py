@@ -12,7 +12,7 @@ from canhaptic.control.multi_axis import group_kernel
 from canhaptic.control.multi_axis.group_kernel import (
     GroupHold,
     MotionAhead,
-    begin_motion,
+    begin_group,
     doubt_of_gap,
     end_holds,
     follow,
@@ -90,10 +90,7 @@ def step(
     group, motion, ended, commands = state.group, state.group.motion, memory.group.ended, memory.group.commands
     run = Run(settings, state, memory)  # not by `new`: compiled, no function returns a record
     if not group.started:
-        group.started = True
-        for i in range(len(positions)):
-            ended.position[i] = positions[i]
-        begin_motion(world, settings.loop.motion, motion, memory.group.motion, positions)
+        begin_group(world, settings.loop.motion, group, memory.group, positions)
         state.h_s = motion.energy
         return new(GroupHold, (AT_REST, 0.0, 0.0, 0.0, 0, 0))
     group.oldest = end_holds(commands, ended, settings.loop.largest, group.oldest, missed, positions, torques_applied)

@@ -24,7 +24,7 @@ from canhaptic.control.multi_axis import group_kernel
 from canhaptic.control.multi_axis.group_kernel import (
     GroupHold,
     GroupModel,
-    begin_motion,
+    begin_group,
     doubt_of_gap,
     end_holds,
     move,
@@ -544,10 +544,7 @@ def step(
     group, motion, ended, loop = state.group, state.group.motion, memory.group.ended, settings.loop
     run = Run(settings, state, memory)  # not by `new`: compiled, no function returns a record
     if not group.started:
-        group.started = True
-        for i in range(len(positions)):
-            ended.position[i] = positions[i]
-        begin_motion(world, loop.motion, motion, memory.group.motion, positions)
+        begin_group(world, loop.motion, group, memory.group, positions)
         begin_state(world, run)
         return new(GroupHold, (AT_REST, 0.0, 0.0, 0.0, 0, 0))
     commands = memory.group.commands
