@@ -1,0 +1,1 @@
+"""Servo drives on EtherCAT (CoE, CiA 402) with distributed clocks."""

@@ -1,0 +1,160 @@
+"""What a rig asks of one EtherCAT line: scan, single objects, states, and the frames of the cycle.
+
+A drive is named by its position on the line, from 0. What serves the protocol is a master (thin, of this package, or a
+foreign one); the order of the start, the phase lock and the judgement of lost frames lie above it.
+"""
+
+import tomllib
+from collections.abc import Sequence
+from enum import IntEnum
+from pathlib import Path
+from typing import Final, NamedTuple, Protocol
+
+from canhaptic.errors import RigError
+
+_ERROR: Final = 0x10  # bit of AL status: the drive refused, or left its state by itself
+_TEXTS: Final[dict[str, dict[int, str]]] = {
+    kind: {int(code, 16): text for code, text in texts.items()}
+    for kind, texts in tomllib.loads(Path(__file__).with_name("al_codes.toml").read_text(encoding="utf-8")).items()
+}
+_NO_REMEDY: Final = "see the drive's manual for this AL status code"
+_SILENT: Final = "the drive waits for something that it does not name, usually SYNC0 or valid outputs"
+
+
+class AlState(IntEnum):
+    """State of the application layer of a drive (ETG.1000.6); AL status adds 0x10 for an error."""
+
+    INIT = 1
+    PRE_OP = 2
+    BOOT = 3
+    SAFE_OP = 4
+    OP = 8
+
+
+class FrameKind(IntEnum):
+    """What a frame of the cycle does with the process image; the value is its EtherCAT command."""
+
+    READ = 10  # LRD: the inputs come back
+    WRITE = 11  # LWR: the outputs go out
+    BOTH = 12  # LRW: outputs go out, and inputs latched before them come back
+
+
+class Identity(NamedTuple):
+    """A drive as its EEPROM tells it (SII words 8 to 15)."""
+
+    vendor: int
+    product: int
+    revision: int
+    serial: int
+
+
+class ImageSlice(NamedTuple):
+    """Place of one drive in the images: outputs[output:output + output_size], inputs likewise [bytes]."""
+
+    output: int
+    output_size: int
+    input: int
+    input_size: int
+
+
+class Emergency(NamedTuple):
+    """An emergency from the mailbox (ETG.1000.6, 5.6.4)."""
+
+    code: int
+    register: int
+    vendor: bytes
+
+
+class Cycle(NamedTuple):
+    """Answer to one frame of the cycle.
+
+    Attributes:
+        is_whole: Whether every working counter of the frame is the expected one.
+        counter, expected: Working counter of the datagram of the process image, and of a line of which nothing is lost.
+        dc_time: System time of the reference clock when the frame passed it [ns].
+        inputs: Image of all inputs; not to be used unless `is_whole`. Empty after WRITE.
+        states: AL status registers (0x0130, low byte) of all drives, OR-ed: `AlState.OP` where all are in OP.
+    """
+
+    is_whole: bool
+    counter: int
+    expected: int
+    dc_time: int
+    inputs: bytes
+    states: int
+
+
+class AlError(RigError):
+    """A drive refused a state of the application layer, or left it by itself.
+
+    Attributes:
+        drive: Position of the drive.
+        status: AL status (0x0130).
+        code: AL status code (0x0134).
+    """
+
+    def __init__(self, drive: int, wanted: AlState, status: int, code: int) -> None:
+        self.drive, self.status, self.code = drive, status, code
+        self.remedy = al_remedy(code) if status & _ERROR else _SILENT
+        seen = f"AL status {status:#04x} ({state_name(status)})"
+        reason = f", code {code:#06x}: {al_text(code)}" if status & _ERROR else ""
+        super().__init__(f"drive {drive}: got {seen}{reason}, expected {wanted.name}; {self.remedy}")
+
+
+def state_name(status: int) -> str:
+    """Return the name of the state in an AL status; of several OR-ed ones, their bits."""
+    state = status & 0x0F
+    return AlState(state).name if state in AlState.__members__.values() else f"{state:#x}"
+
+
+def al_text(code: int) -> str:
+    """Return the text of an AL status code."""
+    return _TEXTS["text"].get(code, "code of the vendor" if code >= 0x8000 else "unknown code")
+
+
+def al_remedy(code: int) -> str:
+    """Return what to do about an AL status code."""
+    return _TEXTS["remedy"].get(code, _NO_REMEDY)
+
+
+class Segment(Protocol):
+    """One EtherCAT line. Every method but `exchange` raises LinkError where no frame comes back or a counter is low.
+
+    Attributes:
+        outputs: Image of all outputs, sent with the next frame that writes; made by `map`, and empty before.
+    """
+
+    outputs: bytearray
+
+    def scan(self) -> Sequence[Identity]:
+        """Take all drives to INIT, switch SYNC0 off (0x0981 = 0), set addresses and mailboxes; return who they are."""
+
+    def read(self, drive: int, index: int, subindex: int) -> bytes:
+        """Return the value of an object; raise SdoError."""
+
+    def write(self, drive: int, index: int, subindex: int, data: bytes) -> None:
+        """Write an object; raise SdoError."""
+
+    def register(self, drive: int, address: int, data: bytes | None = None, size: int = 0) -> bytes:
+        """Write `data` to registers of a drive, or with None read `size` bytes; return what was read or written."""
+
+    def request(self, drive: int, state: AlState, timeout_ns: int = 1_000_000_000) -> None:
+        """Ask a drive for a state and return once it is there; raise AlError where it refuses or stays away."""
+
+    def map(self, sizes: Sequence[tuple[int, int]]) -> Sequence[ImageSlice]:
+        """Set sync managers 2 and 3 and the FMMUs for the bytes of outputs and inputs of each drive.
+
+        The image of outputs is zero afterwards.
+        """
+
+    def align_clocks(self) -> None:
+        """Measure the propagation delays and set the offsets: the first drive with a clock leads the others."""
+
+    def exchange(self, kind: FrameKind, deadline: int) -> Cycle | None:
+        """Send one frame of the cycle; return its answer, or None where none came until `deadline` [ns].
+
+        An answer to an older frame is dropped: it is never taken for that of this one.
+        """
+
+    def mail(self, drive: int) -> Emergency | None:
+        """Return the emergency that waits in the mailbox of a drive; None without one."""
