@@ -7,6 +7,7 @@ from canhaptic.audit.recompute import recompute as recompute
 from canhaptic.control.balance import Branch as Branch
 from canhaptic.control.balance import Certificate as Certificate
 from canhaptic.control.balance import EnergyBalance as EnergyBalance
+from canhaptic.control.environments.own_environment import Environment as Environment
 from canhaptic.control.ledger import Ledger as Ledger
 from canhaptic.control.ledger import LedgerSummary as LedgerSummary
 from canhaptic.control.multi_axis import build_group_controller as build_group_controller

@@ -2,7 +2,7 @@
 
 from canhaptic.control.balance import AT_REST as AT_REST
 from canhaptic.control.environments import ENVIRONMENTS as ENVIRONMENTS
-from canhaptic.control.environments import Environment as Environment
+from canhaptic.control.environments.own_environment import Environment as Environment
 from canhaptic.control.environments.own_environment import OwnEnvironment as OwnEnvironment
 from canhaptic.control.mechanisms import KINEMATICS as KINEMATICS
 from canhaptic.control.mechanisms.kinematics import Kinematics as Kinematics

@@ -9,11 +9,12 @@ DEMO = Path(__file__).resolve().parents[1] / "configs" / "demo.yaml"
 LAW = """
 import time
 from typing import Annotated
-from canhaptic.extending import OwnEnvironment, quantity
+from canhaptic import Environment
+from canhaptic.extending import quantity
 
 CALLS = []
 
-class Dreamer(OwnEnvironment):
+class Dreamer(Environment):
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0)] = 300.0
 
     def effort(self, state: float) -> float:

@@ -5,12 +5,13 @@ from pathlib import Path
 from typing import Annotated
 
 import canhaptic
-from canhaptic.extending import ENVIRONMENTS, OwnEnvironment, quantity
+from canhaptic import Environment
+from canhaptic.extending import ENVIRONMENTS, quantity
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 
 
-class StiffCentre(OwnEnvironment):
+class StiffCentre(Environment):
     """A spring that gets stiffer on both sides of its centre."""
 
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0, le=1e6)] = 200.0

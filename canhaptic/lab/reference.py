@@ -113,7 +113,7 @@ def surfaces(environment: Environment) -> list[float]:
         known = ", ".join(kind.__name__ for kind in _SURFACES)
         raise InputError(
             f"environment: got {type(environment).__name__}, for which there is no continuous run, expected one of: "
-            f"{known}, or an OwnEnvironment with `surfaces` of its `contact`; other figures are still measured"
+            f"{known}, or an Environment with `surfaces` of its `contact`; other figures are still measured"
         )
     return [float(getattr(environment, name)) for name in names]
 

@@ -8,14 +8,14 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canhaptic.control.environments.hardening_wall import HardeningWall
-from canhaptic.control.environments.own_environment import OwnEnvironment, integral, state_of
+from canhaptic.control.environments.own_environment import Environment, integral, state_of
 from canhaptic.errors import OwnCodeError, ParameterError
 from canhaptic.units import quantity
 
 STATES = st.floats(-0.1, 0.1)
 
 
-class Hardening(OwnEnvironment):
+class Hardening(Environment):
     """The force of `HardeningWall`."""
 
     stiffness: Annotated[float, quantity("N/m", ge=0.0)] = 300.0
@@ -25,7 +25,7 @@ class Hardening(OwnEnvironment):
         return self.stiffness * state + self.hardening * state**3
 
 
-class Potential(OwnEnvironment):
+class Potential(Environment):
     """The potential of `HardeningWall`."""
 
     def potential(self, state: float) -> float:
@@ -87,7 +87,7 @@ def test_it_is_felt_where_its_side_says(side: Literal["both", "below", "above"],
     assert wall.admissible(-0.01, 0.01) == (-0.01 if side == "both" else 0.0)
 
 
-class Kinked(OwnEnvironment):
+class Kinked(Environment):
     """A spring that gives way at `most`."""
 
     most: float = 3.0
@@ -123,26 +123,26 @@ def test_a_kink_costs_no_more_calls_than_a_smooth_force_once_it_was_found() -> N
     assert calls["n"] <= 100 * 30
 
 
-class Notches(OwnEnvironment):
+class Notches(Environment):
     """24 notches in a revolution, as one contact."""
 
     def effort(self, state: float) -> float:
         return 2.0 * math.sin(24.0 * state)
 
 
-class NotchesByEnergy(OwnEnvironment):
+class NotchesByEnergy(Environment):
     def potential(self, state: float) -> float:
         return 2.0 / 24.0 * (1.0 - math.cos(24.0 * state))
 
 
 @pytest.mark.parametrize("kind", [Notches, NotchesByEnergy])
-def test_a_force_that_points_away_is_refused_with_its_place_and_the_remedy(kind: type[OwnEnvironment]) -> None:
+def test_a_force_that_points_away_is_refused_with_its_place_and_the_remedy(kind: type[Environment]) -> None:
     with pytest.raises(ParameterError, match=r"effort\(0\.1\d+\) is -.*the sign of the state.*use `detents`"):
         kind()
 
 
 def test_a_force_that_turns_between_the_places_looked_at_ends_the_run_there() -> None:
-    class Narrow(OwnEnvironment):
+    class Narrow(Environment):
         def effort(self, state: float) -> float:
             return -5.0 if 0.0209 < state < 0.0213 else 100.0 * state
 
@@ -161,7 +161,7 @@ def test_an_environment_with_zones_of_its_own_may_turn() -> None:
 
 
 def test_only_the_solid_side_of_a_wall_is_looked_at() -> None:
-    class OneSided(OwnEnvironment):
+    class OneSided(Environment):
         side: Literal["both", "below", "above"] = "below"
 
         def effort(self, state: float) -> float:

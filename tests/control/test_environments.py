@@ -11,7 +11,7 @@ from canhaptic.control.environments import ENVIRONMENTS, knows_turns, outside_of
 from canhaptic.control.environments.coulomb_surface import CoulombSurface
 from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.hardening_wall import HardeningWall
-from canhaptic.control.environments.own_environment import OwnEnvironment
+from canhaptic.control.environments.own_environment import Environment
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.errors import ParameterError
@@ -156,7 +156,7 @@ def test_the_stretches_of_detents_end_at_rests_and_crests_and_those_of_a_slot_at
     assert slot.one_way(0.0) == (0.0, 0.0)
 
 
-class Centre(OwnEnvironment):
+class Centre(Environment):
     def effort(self, state):
         return 200.0 * state
 

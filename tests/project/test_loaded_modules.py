@@ -49,10 +49,10 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
 GUARDED: Final = frozenset({"simulation", "impedance algorithm"})
 WALL: Final = """
 from typing import Annotated
-from canhaptic.extending import OwnEnvironment, quantity
+from canhaptic.extending import Environment, quantity
 
 
-class Spring(OwnEnvironment):
+class Spring(Environment):
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0)] = 200.0
 
     def effort(self, state: float) -> float:

@@ -32,13 +32,13 @@ ROOT = Path(__file__).resolve().parents[2]
 WALL = """
 import math, os, resource, sys
 from typing import Annotated
-from canhaptic.extending import OwnEnvironment, quantity
+from canhaptic.extending import Environment, quantity
 
 
 CALLS = []
 
 
-class Wall(OwnEnvironment):
+class Wall(Environment):
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0)] = 200.0
 
     def effort(self, state: float) -> float:

@@ -30,10 +30,10 @@ class Mine(OwnHand):
     "environment": (
         "environment={type: mine.py:Mine}",
         """
-from canhaptic.extending import OwnEnvironment
+from canhaptic.extending import Environment
 
 
-class Mine(OwnEnvironment):
+class Mine(Environment):
     def effort(self, state):
         return VALUE if abs(state) > 0.002 else 200.0 * state
 """,

@@ -5,13 +5,14 @@ from typing import Annotated
 import pytest
 
 import canhaptic
+from canhaptic import Environment, extending
 from canhaptic.errors import InputError, SceneError
-from canhaptic.extending import OwnEnvironment, quantity
+from canhaptic.extending import quantity
 from canhaptic.scene import own_code
 from canhaptic.scene.load import load_scene
 
 
-class MyWall(OwnEnvironment):
+class MyWall(Environment):
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0)] = 200.0
 
     def effort(self, state: float) -> float:
@@ -25,6 +26,10 @@ def test_a_class_or_an_instance_is_an_environment(wall: object, stiffness: float
     assert isinstance(axis.environment.parameters, MyWall)
     assert axis.environment.parameters.stiffness == stiffness
     assert [name.split(":")[1] for name in result.scene.own_code] == ["MyWall"]
+
+
+def test_an_environment_has_one_class_under_all_its_names() -> None:
+    assert canhaptic.Environment is extending.Environment is extending.OwnEnvironment
 
 
 def test_another_process_says_that_it_lacks_the_class(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -68,9 +68,9 @@ def now_and_then():
 """
 LAW: Final = """
 from typing import Annotated
-from canhaptic.extending import OwnEnvironment, quantity
+from canhaptic.extending import Environment, quantity
 
-class Law(OwnEnvironment):
+class Law(Environment):
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0)] = 100.0
 
     def stored_energy(self, state: float) -> float:

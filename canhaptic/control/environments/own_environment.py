@@ -1,6 +1,6 @@
 """Base class of a user-defined environment, which needs only its force or its potential.
 
-    class CenteringSpring(OwnEnvironment):
+    class CenteringSpring(Environment):
         stiffness: Annotated[float, quantity("N/m", "N*m/rad", ge=0.0)] = 200.0
 
         def effort(self, state: float) -> float:
@@ -50,7 +50,7 @@ _NODES: Final = (
 _MIDDLE: Final = (0.209482141084727828012999174891714, 0.417959183673469387755102040816327)
 
 
-class OwnEnvironment(Everywhere, Parameters):
+class Environment(Everywhere, Parameters):
     """A storage with a damper, given by `effort` or by `potential`; it acts on both sides of `position`, or on one.
 
     The torque, minus `effort`, must point back to state 0, where nothing is stored: effort(x) x >= 0. A scene that
@@ -70,7 +70,7 @@ class OwnEnvironment(Everywhere, Parameters):
     @model_validator(mode="after")
     def _points_back(self) -> Self:
         kind = type(self)
-        if (kind.contact, kind.state_of_energy) != (OwnEnvironment.contact, OwnEnvironment.state_of_energy):
+        if (kind.contact, kind.state_of_energy) != (Environment.contact, Environment.state_of_energy):
             return self  # it has zones of its own
         for size in _TRIED:
             for state in (size, -size) if self.side == "both" else (-size if self.side == "below" else size,):
@@ -134,6 +134,10 @@ class OwnEnvironment(Everywhere, Parameters):
         return state_of(self.stored_energy, self.effort, energy, like)
 
 
+OwnEnvironment = Environment
+"""The former name, for one release."""
+
+
 def _words_of(state: float, force: float) -> str:
     return (
         f"effort({state:.4g}) is {force:.4g}, expected the sign of the state: it is the force that holds the handle "
@@ -184,7 +188,7 @@ class _Work:
         return force
 
 
-_WORKS: Final[WeakKeyDictionary[OwnEnvironment, tuple[_Work, _Work]]] = WeakKeyDictionary()
+_WORKS: Final[WeakKeyDictionary[Environment, tuple[_Work, _Work]]] = WeakKeyDictionary()
 
 
 def integral(
