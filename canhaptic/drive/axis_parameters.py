@@ -1,6 +1,6 @@
 """Parameters of the bus and of each axis in a scene: every value in SI, with its unit and range."""
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -26,27 +26,11 @@ def _number_of(key: object) -> object:
 _Index = Annotated[int, BeforeValidator(_number_of)]
 
 
-class BusParameters(Parameters):
-    """One CAN bus, its rate of SYNC, and its reaction to missing frames."""
+class CycleParameters(Parameters):
+    """The cycle of a rig on any bus: its rate, and its reaction to missing frames."""
 
-    interface: PrintableText = "virtual"
-    """python-can interface (`virtual`, `socketcan`, `udp_multicast`, ...)."""
-    channel: PrintableText | int | None = None
-    """Channel of the interface; None: the default of python-can, for `virtual` a private channel."""
-    bitrate: Annotated[int, quantity("bit/s", ge=10_000, le=1_000_000)] = 1_000_000
-    """Bit rate of classic CAN; the bus budget is computed from it."""
-    options: dict[str, Any] = Field(default_factory=dict)
-    """Further keyword arguments of `can.Bus` for this interface."""
     rate: Annotated[float, quantity("Hz", ge=1.0, le=20_000.0)]
     """SYNCs per second."""
-    rpdo: Literal["synchronous", "event"] = "synchronous"
-    """When a torque acts: at the SYNC after its RPDO (exact energy, one sample late), or when the RPDO arrives."""
-    master_id: _NodeId = 126
-    """Node ID of the master's heartbeat."""
-    heartbeat_period: Annotated[float, quantity("s", ge=1e-3, le=10.0)] = 0.02
-    """Period of the heartbeats of drives and master; the master sends at the nearest SYNC."""
-    heartbeat_timeout: Annotated[float, quantity("s", ge=5e-3, le=30.0)] = 0.1
-    """Heartbeat silence after which drive or master counts the other as lost; never less than three periods."""
     hold_cycles: Annotated[int, quantity("count", ge=0, le=1000)] = 2
     """Missed cycles for which the last torque is held."""
     stop_cycles: Annotated[int, quantity("count", ge=1, le=10_000)] = 20
@@ -54,23 +38,16 @@ class BusParameters(Parameters):
     loss_limit: Annotated[float, quantity("1", ge=0.0, le=1.0)] = 0.1
     """Share of the SYNCs that may lose their sample or torque for ever, or that the computer may skip. Losses beyond it
     add up; `stop_cycles` end the run, or a quarter of the SYNCs of 1 s if that is less, at least 10. 1: unlimited."""
-    tpdo_timeout: Annotated[float, quantity("1", gt=0.0, le=0.95)] = 0.5
-    """Fraction of the sample time within which the TPDOs must arrive after SYNC; later ones count as late."""
-    compute_latency: Annotated[float, quantity("s", ge=0.0, le=0.1)] = 20e-6
-    """Time between the last TPDO and the first RPDO that the bus budget reserves for the host."""
-    emcy_reserve: Annotated[int, quantity("count", ge=0, le=128)] = 1
-    """EMCY frames in one cycle that the bus budget reserves."""
     stop_ramp: Annotated[float, quantity("s", ge=0.0, le=0.05)] = 0.02
     """Longest ramp of an operator's stop. It is tried where a certificate bounds the energy that may still come out by
     `energy_loss_limit`; otherwise the torque falls to zero in one hold."""
     spin_margin: Annotated[float, quantity("s", ge=0.0, le=0.01)] = 200e-6
     """Time before a deadline from which the clock spins instead of sleeping."""
-
     realtime: RealtimeParameters = RealtimeParameters()
     """Real-time settings that the thread of the cycle asks of the operating system."""
 
     @model_validator(mode="after")
-    def _check(self) -> "BusParameters":
+    def _check(self) -> Self:
         if self.stop_cycles <= self.hold_cycles:
             raise ValueError(f"stop_cycles is {self.stop_cycles}, expected more than hold_cycles ({self.hold_cycles})")
         return self
@@ -84,6 +61,53 @@ class BusParameters(Parameters):
     def sample_time(self) -> float:
         """Sample time [s], equal to `sample_time_ns`."""
         return self.sample_time_ns * 1e-9
+
+    @property
+    def delay(self) -> int:
+        """Whole holds from the computation of a torque to the hold in which it acts."""
+        raise NotImplementedError
+
+    @property
+    def heartbeat_cycles(self) -> int:
+        """Sample times between the master's signs of life."""
+        raise NotImplementedError
+
+    @property
+    def master_silence_ns(self) -> int:
+        """Silence [ns] of the master that a drive tolerates."""
+        raise NotImplementedError
+
+    @property
+    def drive_silence_ns(self) -> int:
+        """Longest silence of a drive that the master tolerates [ns]."""
+        raise NotImplementedError
+
+
+class CanBusParameters(CycleParameters):
+    """One CAN bus: interface, PDOs and heartbeats."""
+
+    interface: PrintableText = "virtual"
+    """python-can interface (`virtual`, `socketcan`, `udp_multicast`, ...)."""
+    channel: PrintableText | int | None = None
+    """Channel of the interface; None: the default of python-can, for `virtual` a private channel."""
+    bitrate: Annotated[int, quantity("bit/s", ge=10_000, le=1_000_000)] = 1_000_000
+    """Bit rate of classic CAN; the bus budget is computed from it."""
+    options: dict[str, Any] = Field(default_factory=dict)
+    """Further keyword arguments of `can.Bus` for this interface."""
+    rpdo: Literal["synchronous", "event"] = "synchronous"
+    """When a torque acts: at the SYNC after its RPDO (exact energy, one sample late), or when the RPDO arrives."""
+    master_id: _NodeId = 126
+    """Node ID of the master's heartbeat."""
+    heartbeat_period: Annotated[float, quantity("s", ge=1e-3, le=10.0)] = 0.02
+    """Period of the heartbeats of drives and master; the master sends at the nearest SYNC."""
+    heartbeat_timeout: Annotated[float, quantity("s", ge=5e-3, le=30.0)] = 0.1
+    """Heartbeat silence after which drive or master counts the other as lost; never less than three periods."""
+    tpdo_timeout: Annotated[float, quantity("1", gt=0.0, le=0.95)] = 0.5
+    """Fraction of the sample time within which the TPDOs must arrive after SYNC; later ones count as late."""
+    compute_latency: Annotated[float, quantity("s", ge=0.0, le=0.1)] = 20e-6
+    """Time between the last TPDO and the first RPDO that the bus budget reserves for the host."""
+    emcy_reserve: Annotated[int, quantity("count", ge=0, le=128)] = 1
+    """EMCY frames in one cycle that the bus budget reserves."""
 
     @property
     def delay(self) -> int:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CycleParameters
 from canhaptic.drive.bus_cycle import BusCycle
 from canhaptic.drive.pace import Pace
 from canhaptic.drive.profile.torque_axis import TorqueAxis
@@ -29,7 +29,7 @@ class Exchange:
         heard: Time at which the last answer arrived, or the window closed [ns].
     """
 
-    def __init__(self, buses: Sequence[BusCycle], drives: Sequence[TorqueAxis], bus: BusParameters) -> None:
+    def __init__(self, buses: Sequence[BusCycle], drives: Sequence[TorqueAxis], bus: CycleParameters) -> None:
         self.buses = tuple(buses)
         self._first, self._others = self.buses[0], self.buses[1:]
         self.drives = tuple(drives)

@@ -11,7 +11,7 @@ from canopen import ObjectDictionary
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import StatusBit, is_writable
-from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import CanBringUp, ServoDrive
@@ -55,7 +55,7 @@ class HomingDrive(ServoDrive):
     """
 
     def __init__(
-        self, link: Link, axis: AxisParameters, dictionary: ObjectDictionary, bus: BusParameters, order: HomingOrder
+        self, link: Link, axis: AxisParameters, dictionary: ObjectDictionary, bus: CanBusParameters, order: HomingOrder
     ) -> None:
         self.order = order
         require_homing(axis, dictionary, order)

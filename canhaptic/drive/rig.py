@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CycleParameters
 from canhaptic.drive.bus_cycle import BackgroundLine, BusCycle
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.exchange import Exchange
@@ -74,7 +74,7 @@ class Rig:
         self,
         buses: Sequence[BusCycle],
         drives: "Sequence[ServoDrive]",
-        bus: BusParameters,
+        bus: CycleParameters,
         groups: Sequence[Sequence[int]] = (),
     ) -> None:
         self.buses = tuple(buses)

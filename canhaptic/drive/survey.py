@@ -20,7 +20,7 @@ from canopen.objectdictionary import ODVariable
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.attached_devices import ForceNode
 from canhaptic.canopen.objects import DataType, is_writable
-from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.drive.can.pdo_map import (
     WATCHDOGS,
@@ -94,7 +94,7 @@ RATES: Final = (100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
 """Rates of SYNC for which the bus load is computed [Hz]."""
 MOST_AXES: Final = 16
 """Largest number of axes for which the bus load is computed."""
-_BUS: Final = BusParameters(rate=1000.0)  # of values that depend on it: the defaults
+_BUS: Final = CanBusParameters(rate=1000.0)  # of values that depend on it: the defaults
 
 Group = Literal["identity", "torque", "motion", "read-back", "force", "limits", "resolution", "watchdog", "PDO"]
 
@@ -417,7 +417,7 @@ def _manual_keys(dictionary: ObjectDictionary, axis: AxisParameters, axis_map: A
 
 
 def _load(axis_map: AxisMap, bitrate: int, rate: float) -> LoadRow:
-    bus = BusParameters(rate=rate, bitrate=bitrate)
+    bus = CanBusParameters(rate=rate, bitrate=bitrate)
     one = bus_budget(bus, [axis_map])
     axes = next((n for n in range(MOST_AXES) if not bus_budget(bus, [axis_map] * (n + 1)).fits), MOST_AXES)
     return LoadRow(rate, one.periodic_load, one.worst_cycle, one.fits, axes)

@@ -22,7 +22,7 @@ from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.control.ledger import DEFAULT_LIMIT, EnergyLossMeter
 from canhaptic.control.verdict import GUARANTEEING, PortResult
 from canhaptic.cycle import Cycle, run
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
@@ -56,17 +56,17 @@ def private_channel() -> str:
     return f"canhaptic-{os.getpid()}-{next(_PRIVATE)}"
 
 
-def _with_channel(bus: BusParameters) -> BusParameters:
+def _with_channel(bus: CanBusParameters) -> CanBusParameters:
     is_complete = bus.channel is not None or bus.interface != "virtual"
     return bus if is_complete else bus.model_copy(update={"channel": private_channel()})
 
 
-def echoes(bus: BusParameters) -> bool:
+def echoes(bus: CanBusParameters) -> bool:
     """Return whether the interface returns the frames sent through it."""
     return bus.interface in _ECHOING or bool(bus.options.get("receive_own_messages"))
 
 
-def open_bus(bus: BusParameters, channel: str | int | None) -> can.BusABC:
+def open_bus(bus: CanBusParameters, channel: str | int | None) -> can.BusABC:
     """Return one connection to the bus.
 
     Raises:
@@ -140,7 +140,7 @@ def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
     return notes
 
 
-def _opened(named: Sequence[BusParameters], stack: ExitStack) -> list[can.BusABC]:
+def _opened(named: Sequence[CanBusParameters], stack: ExitStack) -> list[can.BusABC]:
     """Return one connection to each bus, closed with the stack."""
     buses = []
     for of in named:
@@ -150,7 +150,7 @@ def _opened(named: Sequence[BusParameters], stack: ExitStack) -> list[can.BusABC
 
 
 def _simulated_side(
-    scene: Scene, named: Sequence[BusParameters], stack: ExitStack
+    scene: Scene, named: Sequence[CanBusParameters], stack: ExitStack
 ) -> "tuple[list[DriveGroup], Drives | None]":
     """Return the simulated drives of each bus, and of all buses in the order of the axes; none with real drives."""
     if not scene.simulated:

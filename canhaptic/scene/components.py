@@ -9,7 +9,7 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
 from canhaptic.scene.document import MarkedMapping
@@ -35,7 +35,7 @@ OWN_MODULE: Final = "_canhaptic_own_"
 class SceneContext(UnitContext):
     """Context of the validation of a scene."""
 
-    bus: BusParameters | None = None  # once it is validated
+    bus: CanBusParameters | None = None  # once it is validated
     simulated: bool = False  # as that of `Scene`, once the bus is validated
     folder: Path = Path()  # of the scene
     use: CodeUse = "refused"

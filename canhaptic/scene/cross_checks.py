@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.bus_budget import require_budget, shortest_answer
 from canhaptic.drive.can.pdo_map import AxisMap, check_dictionary, choose_map
 from canhaptic.drive.profile.fitness import Verdict, limit_objection
@@ -70,7 +70,7 @@ class _Checked(NamedTuple):
     first: AxisScene  # of its group
     entry: MarkedMapping  # its section as written
     loop: MarkedMapping  # section `passivity` with its loop: its own, the group's or the shared one
-    bus: BusParameters
+    bus: CanBusParameters
     passivity: ComponentSpec  # algorithm that renders on it
     is_real: bool
     is_coupled: bool  # whether the scene has simulated mechanisms

@@ -25,7 +25,7 @@ from canhaptic.units import Parameters, Unit
 if TYPE_CHECKING:
     from canhaptic.control.axis_meter import Accuracy
     from canhaptic.control.passivity import LoopProperties
-    from canhaptic.drive.axis_parameters import BusParameters
+    from canhaptic.drive.axis_parameters import CanBusParameters
     from canhaptic.sim.bus.faulty_bus import BusEffects, FaultyBus
     from canhaptic.sim.drive.can.drive_node import DriveGroup
     from canhaptic.sim.plant.effects import Effect
@@ -197,7 +197,7 @@ def lag_of(axis: AxisScene) -> float:
     return min(slowest(lag, axis.parameters.torque_limit or inf, axis.parameters.largest_speed), _NO_LAG)
 
 
-def least_lateness(axis: AxisScene, bus: "BusParameters | None", effects: "BusEffects | None") -> dict[str, float]:
+def least_lateness(axis: AxisScene, bus: "CanBusParameters | None", effects: "BusEffects | None") -> dict[str, float]:
     """Return the lower ends of `torque_window` and `current_lag` of a simulated axis [s].
 
     On a bus that delays every frame, the position and the torque that answers it come late one after the other.

@@ -144,7 +144,7 @@ def _with_loop(choices: Schema, defined: Schema) -> Schema:
 
 def _bus(scene: Schema, defined: Schema) -> Schema:
     """Return the schema of one bus, or of a list of buses whose first entry has the common values."""
-    one = {**defined["BusParameters"], "title": "the only one, or the first"}
+    one = {**defined["CanBusParameters"], "title": "the only one, or the first"}
     further = {**defined["FurtherBus"], "title": "the second and those behind it"}
     name = further["properties"]["name"]
     first = {**one, "properties": {"name": name, **one["properties"]}, "required": ["name", *one["required"]]}

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args
 
 from canhaptic.axis_units import Motion
-from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.files import shipped
 from canhaptic.registry import nearest, unknown_key
 from canhaptic.scene.components import ComponentSpec
@@ -181,7 +181,7 @@ def _put_buses(scene: MarkedMapping, written: MarkedMapping, faults: Diagnostics
 
 
 def _further_bus(entry: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
-    common = [key for key in entry if key in BusParameters.model_fields and key not in FurtherBus.model_fields]
+    common = [key for key in entry if key in CanBusParameters.model_fields and key not in FurtherBus.model_fields]
     for key in common:
         faults.add(entry.keys_at[key], "applies to all buses of the rig; give it in the first")
     return entry.without(*common)

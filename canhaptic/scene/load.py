@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
 from canhaptic.control.passivity import ALGORITHMS, LoopProperties
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.bus_budget import torque_latency, worst_frame
 from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.errors import CanHapticError, InputError, SceneConflictError, SceneError
@@ -235,7 +235,7 @@ def _late(effects: "BusEffects", cob_id: int | None) -> float:
     return late + (effects.reorder_delay if effects.reorder else 0.0)
 
 
-def _jitter(effects: "BusEffects | None", bus: BusParameters) -> float:
+def _jitter(effects: "BusEffects | None", bus: CanBusParameters) -> float:
     """Return the largest deviation of a hold from the sample time due to a late SYNC, as a fraction of it."""
     if effects is None:
         return 0.0
@@ -245,7 +245,7 @@ def _jitter(effects: "BusEffects | None", bus: BusParameters) -> float:
     return min(_MOST_JITTER, late / bus.sample_time)
 
 
-def _window(effects: "BusEffects | None", bus: BusParameters, axes: Sequence[AxisScene]) -> float:
+def _window(effects: "BusEffects | None", bus: CanBusParameters, axes: Sequence[AxisScene]) -> float:
     """Return the latest time after its SYNC at which a torque acts [s]."""
     if bus.rpdo == "synchronous":
         return 0.0

@@ -26,7 +26,7 @@ from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
 from canhaptic.control.passivity import ALGORITHMS, LoopProperties
 from canhaptic.control.verdict import BY_CONSTRUCTION, NOT_CHECKED
-from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import InputError
 from canhaptic.scene.components import READY, ComponentOf, ComponentSpec, OwnModel, SceneContext
@@ -53,7 +53,7 @@ class FurtherBus(Parameters):
     options: dict[str, Any] | None = None
     """Further keyword arguments of `can.Bus`; None: as the first bus."""
 
-    def over(self, first: BusParameters) -> BusParameters:
+    def over(self, first: CanBusParameters) -> CanBusParameters:
         """Return all parameters of this bus; those that it lacks are the first bus's."""
         own = {key: value for key, value in self.model_dump(exclude={"name"}).items() if value is not None}
         return first.model_copy(update={"channel": None, **own})
@@ -63,7 +63,7 @@ class NamedBus(NamedTuple):
     """One bus with the parameters in effect on it."""
 
     name: str  # empty where the scene has one bus without a name
-    parameters: BusParameters
+    parameters: CanBusParameters
 
 
 class Port(NamedTuple):
@@ -317,7 +317,7 @@ class MechanismScene:
     substeps: int = 1
 
 
-def _known_bus(bus: BusParameters, info: Info[SceneContext]) -> BusParameters:
+def _known_bus(bus: CanBusParameters, info: Info[SceneContext]) -> CanBusParameters:
     info.context.bus = bus
     info.context.simulated = info.context.simulated and bus.interface == "virtual"
     return bus
@@ -370,7 +370,7 @@ class Scene:
     overrides: tuple[str, ...]
     run: RunParameters
     log: LogParameters
-    bus: Annotated[BusParameters, AfterValidator(_known_bus)]
+    bus: Annotated[CanBusParameters, AfterValidator(_known_bus)]
     axes: tuple[Annotated[AxisScene, WrapValidator(_axis)], ...]
     simulation: SimulationParameters | None
     bus_effects: Annotated[BusEffects | None, OnDemand("canhaptic.sim.bus.faulty_bus:BusEffects")] = None
@@ -395,7 +395,7 @@ class Scene:
         return self.auto_accuracy.auto if self.auto_accuracy else None
 
     @property
-    def loaded_buses(self) -> list[tuple[BusParameters, int]]:
+    def loaded_buses(self) -> list[tuple[CanBusParameters, int]]:
         """The parameters of each bus, and the number of drives on it."""
         return [(bus.parameters, sum(axis.bus == bus.name for axis in self.axes)) for bus in self.buses]
 
@@ -426,7 +426,7 @@ class Scene:
         """Return the axes on one bus, by its name."""
         return tuple(axis for axis in self.axes if axis.bus == bus)
 
-    def bus_of(self, axis: AxisScene) -> BusParameters:
+    def bus_of(self, axis: AxisScene) -> CanBusParameters:
         """Return the bus that an axis is on."""
         return next(bus.parameters for bus in self.buses if bus.name == axis.bus)
 

@@ -10,7 +10,7 @@ from canhaptic.control.axis_meter import Accuracy, AxisMeter, SilentMeter
 from canhaptic.control.environments import Environment, plain
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.passivity import Controller, LoopProperties, build_controller
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.errors import InputError, ParameterError
@@ -197,7 +197,7 @@ def check_group(group: GroupScene) -> None:
         raise ParameterError(f"{text}, expected the {len(group.axes)} of the group: {', '.join(group.axes)}")
 
 
-def build_servo_drive(axis: AxisScene, link: Link, bus: BusParameters, *, dry_run: bool = False) -> ServoDrive:
+def build_servo_drive(axis: AxisScene, link: Link, bus: CanBusParameters, *, dry_run: bool = False) -> ServoDrive:
     """Return the master's image of the drive of one axis.
 
     Raises:

@@ -10,7 +10,7 @@ import can
 from canopen import ObjectDictionary
 
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
@@ -177,7 +177,7 @@ def make_bench(
         dry_run: Builds the master's drives for a run without torque.
     """
     axes = axes or [axis()]
-    parameters = BusParameters(**{"rate": 1000.0, **(bus or {})})
+    parameters = CanBusParameters(**{"rate": 1000.0, **(bus or {})})
     channel = private_channel()
     buses = [can.Bus(interface="virtual", channel=channel, preserve_timestamps=True) for _ in range(len(axes) + 1)]
     simulated = [

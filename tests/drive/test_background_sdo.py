@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can import sdo as sdo_transfer
 from canhaptic.drive.can.bus_budget import bus_budget, has_room_for_sdo
 from canhaptic.drive.can.sdo import ProtocolError
@@ -329,14 +329,14 @@ def test_the_room_is_that_of_a_request_behind_the_worst_cycle_or_in_place_of_an_
     """One axis: SYNC 55, TPDO 135, RPDO 95, blocking 135, heartbeats 130, host 20: 570 us; a request 135."""
     plan = [bench().rig.drives[0].map]
     for rate, reserve, room in ((1754.0, 0, False), (1418.0, 0, True), (1419.0, 0, False), (1418.0, 1, True)):
-        parameters = BusParameters(rate=rate, emcy_reserve=reserve)
+        parameters = CanBusParameters(rate=rate, emcy_reserve=reserve)
         budget = bus_budget(parameters, plan)
         assert budget.fits
         assert has_room_for_sdo(budget, parameters) is room
 
 
 def test_a_cycle_that_is_too_long_by_half_a_bit_has_no_room_for_a_request_either(bench: MakeBench) -> None:
-    parameters = BusParameters(rate=1000.0, emcy_reserve=1)
+    parameters = CanBusParameters(rate=1000.0, emcy_reserve=1)
     budget = bus_budget(parameters, [bench().rig.drives[0].map])
     for bits, room in ((0.0, True), (0.5, False)):
         full = replace(budget, sample_time=budget.worst_cycle - bits / budget.bitrate)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.bus_budget import _worst_case_bits, bus_budget, require_budget
 from canhaptic.drive.can.pdo_map import AxisMap, choose_map
 from canhaptic.errors import BusBudgetError
@@ -39,12 +39,12 @@ def test_the_worst_bit_pattern_takes_exactly_the_worst_case(length: int) -> None
 
 @pytest.mark.parametrize(("axes", "periodic"), [(1, 285), (2, 515), (3, 745), (4, 975)])
 def test_the_periodic_frames_are_summed(axes: int, periodic: int) -> None:
-    budget = bus_budget(BusParameters(rate=1000.0), maps(axes))
+    budget = bus_budget(CanBusParameters(rate=1000.0), maps(axes))
     assert budget.periodic_load == pytest.approx(periodic / 1000.0)
 
 
 def test_the_worst_cycle_of_three_axes_is_1275_bits_and_the_host() -> None:
-    budget = bus_budget(BusParameters(rate=500.0), maps(3))
+    budget = bus_budget(CanBusParameters(rate=500.0), maps(3))
     assert sum(row.bits for row in budget.rows) == 1275
     assert budget.worst_cycle == pytest.approx(1295e-6)
     assert budget.fits
@@ -52,7 +52,7 @@ def test_the_worst_cycle_of_three_axes_is_1275_bits_and_the_host() -> None:
 
 def test_what_does_not_fit_is_refused_with_arithmetic_and_ways_out() -> None:
     with pytest.raises(BusBudgetError) as caught:
-        require_budget(BusParameters(rate=1000.0), maps(3))
+        require_budget(CanBusParameters(rate=1000.0), maps(3))
     message = str(caught.value)
     first, then = "1 SYNC x 55 + 3 TPDO x 135 + 3 RPDO x 95", "4 heartbeat x 65 + 1 EMCY x 135"
     assert f"{first} + 1 frame already on the bus x 135 + {then}" in message
@@ -62,7 +62,7 @@ def test_what_does_not_fit_is_refused_with_arithmetic_and_ways_out() -> None:
 
 
 def test_a_map_without_read_back_is_offered_when_it_alone_fits() -> None:
-    bus = BusParameters(rate=1000.0, compute_latency=60e-6)
+    bus = CanBusParameters(rate=1000.0, compute_latency=60e-6)
     without = bus_budget(bus, maps(2, read_back="none")).worst_cycle
     with pytest.raises(BusBudgetError, match=rf"read_back: none on every axis \({1e6 * without:.0f} us;"):
         require_budget(bus, maps(2))
@@ -70,7 +70,7 @@ def test_a_map_without_read_back_is_offered_when_it_alone_fits() -> None:
 
 
 def test_what_is_not_read_back_is_not_offered_to_be_left_out() -> None:
-    bus = BusParameters(rate=1000.0, compute_latency=60e-6)
+    bus = CanBusParameters(rate=1000.0, compute_latency=60e-6)
     least = bus_budget(bus, maps(2, read_back="none")).worst_cycle
     with pytest.raises(BusBudgetError) as refused:
         require_budget(bus.model_copy(update={"rate": 1.0 / (least - 1e-6)}), maps(2, read_back="none"))
@@ -80,7 +80,7 @@ def test_what_is_not_read_back_is_not_offered_to_be_left_out() -> None:
 @pytest.mark.parametrize("bitrate", [125_000, 250_000, 500_000, 800_000, 1_000_000])
 @pytest.mark.parametrize("axes", [1, 2, 3, 6])
 def test_the_offered_rate_fits(bitrate: int, axes: int) -> None:
-    bus = BusParameters(rate=20_000.0, bitrate=bitrate)
+    bus = CanBusParameters(rate=20_000.0, bitrate=bitrate)
     with pytest.raises(BusBudgetError) as caught:
         require_budget(bus, maps(axes))
     rate = float(str(caught.value).partition("rate: ")[2].partition(" ")[0])
@@ -88,7 +88,7 @@ def test_the_offered_rate_fits(bitrate: int, axes: int) -> None:
 
 
 def test_the_longest_frames_come_first_in_the_arithmetic() -> None:
-    budget = bus_budget(BusParameters(rate=500.0), [*maps(1), *maps(2, "none")[1:]])
+    budget = bus_budget(CanBusParameters(rate=500.0), [*maps(1), *maps(2, "none")[1:]])
     assert [(row.what, row.frames, row.bits_each) for row in budget.rows[1:4]] == [
         ("TPDO", 1, 135),
         ("TPDO", 1, 115),

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import can
 import pytest
 
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
@@ -197,7 +197,10 @@ def test_the_lateness_of_a_wakeup_ends_before_the_sync_is_sent() -> None:
 
 
 def test_a_rig_in_real_time_never_sends_syncs_in_a_burst(pair: tuple[can.BusABC, can.BusABC]) -> None:
-    parameters, of_axis = BusParameters(rate=200.0, heartbeat_timeout=10.0), axis()  # a busy machine may sleep for long
+    parameters, of_axis = (
+        CanBusParameters(rate=200.0, heartbeat_timeout=10.0),
+        axis(),
+    )  # a busy machine may sleep for long
     drive = SimulatedDrive(
         pair[1],
         of_axis.node_id,

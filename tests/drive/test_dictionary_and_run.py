@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.pdo_map import check_dictionary
 from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.drive.survey import Suitability, survey
@@ -85,7 +85,7 @@ def test_verdict_and_run_agree_on_every_change_of_an_object(
         path.write_text(changed(name, key, value), encoding="utf-8")
         parameters = axis(eds=path)
         listed = dictionary(parameters)
-        findings = check_dictionary(listed, parameters, BusParameters(rate=1000.0))
+        findings = check_dictionary(listed, parameters, CanBusParameters(rate=1000.0))
         refusals = [f"{f.item}: {f.text}" for f in findings if f.verdict is Verdict.REFUSED]
         seen = comes_up(partial(bench, [parameters], keeps_objects=True))
         is_strict = key == "DataType" and refusals  # a type that CiA 402 has not may pass unseen in the run

@@ -9,7 +9,7 @@ import pytest
 
 from canhaptic.canopen.attached_devices import ForceNode
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.drive.can.admittance_drive import AdmittanceDrive
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.pdo_map import choose_map
@@ -47,7 +47,7 @@ def test_a_drive_that_brakes_is_given_the_declared_time() -> None:
     with can.Bus(interface="virtual", channel=private_channel()) as bus:
         of = display(stop_time=0.25)
         drive = AdmittanceDrive(
-            Link(bus, VirtualClock()), of, read_dictionary(EDS, of.node_id), BusParameters(rate=1000.0)
+            Link(bus, VirtualClock()), of, read_dictionary(EDS, of.node_id), CanBusParameters(rate=1000.0)
         )
         assert drive.stop_time == 250_000_000
 
@@ -79,7 +79,7 @@ class OnTheBus:
         self.far, of = buses[1], display(**values)
         self.clock = VirtualClock()
         self.link = Link(buses[0], self.clock)
-        self.drive = AdmittanceDrive(self.link, of, read_dictionary(EDS, of.node_id), BusParameters(rate=1000.0))
+        self.drive = AdmittanceDrive(self.link, of, read_dictionary(EDS, of.node_id), CanBusParameters(rate=1000.0))
         self.sync_index = -1
 
     def sample(self, position: int, force: int) -> Sample:

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.profile.quirks import Quirks, quirks_of
 from canhaptic.errors import ParameterError
 from tests.drive.drive_bench import axis
@@ -14,7 +14,7 @@ from tests.drive.drive_bench import axis
     ("rate", "sample_time_ns"), [(1000.0, 1_000_000), ("40 Hz", 25_000_000), ("3 kHz", 333_333), (10_000, 100_000)]
 )
 def test_the_sample_time_is_a_whole_number_of_nanoseconds(rate: Any, sample_time_ns: int) -> None:
-    bus = BusParameters(rate=rate)
+    bus = CanBusParameters(rate=rate)
     assert bus.sample_time_ns == sample_time_ns
     assert bus.sample_time == sample_time_ns * 1e-9
 
@@ -25,7 +25,7 @@ def test_the_sample_time_is_a_whole_number_of_nanoseconds(rate: Any, sample_time
 def test_the_heartbeat_is_counted_in_syncs_and_three_are_always_granted(
     rate: float, cycles: int, silence_ms: int
 ) -> None:
-    bus = BusParameters(rate=rate)
+    bus = CanBusParameters(rate=rate)
     assert (bus.heartbeat_cycles, bus.master_silence_ns) == (cycles, silence_ms * 1_000_000)
 
 
@@ -42,7 +42,7 @@ def test_the_heartbeat_is_counted_in_syncs_and_three_are_always_granted(
 )
 def test_bad_bus_parameters_are_refused_by_name(values: dict[str, Any], text: str) -> None:
     with pytest.raises(ParameterError, match=text):
-        BusParameters(**values)
+        CanBusParameters(**values)
 
 
 @pytest.mark.parametrize(
@@ -77,6 +77,6 @@ def test_quirks_add_up_and_those_that_are_unknown_or_contradict_are_refused() ->
 
 
 def test_what_is_not_given_has_the_value_of_the_manual() -> None:
-    bus, of = BusParameters(rate=1000.0), axis()
+    bus, of = CanBusParameters(rate=1000.0), axis()
     assert (bus.hold_cycles, bus.stop_cycles, bus.rpdo) == (2, 20, "synchronous")
     assert (of.sdo_timeout, of.step_timeout, of.demand_reported, of.watchdog) == (0.3, 1.0, "before", True)

@@ -49,7 +49,7 @@ def homed(
     parameters = axis(eds=with_homing(folder, **eds), **{"torque_limit": 2.0, **(values or {})})
     b = make([parameters])
     dictionary = read_dictionary(parameters.eds, parameters.node_id)
-    return b, HomingDrive(b.links[0], parameters, dictionary, b.rig.bus, order)
+    return b, HomingDrive(b.links[0], parameters, dictionary, b.rig.drives[0].bus, order)
 
 
 def controlwords(b: Bench) -> list[int]:
@@ -92,7 +92,7 @@ def test_a_brake_of_the_host_opens_before_the_homing_and_is_set_before_the_drive
     parameters = axis(eds=path, torque_limit=2.0, brake=brake)
     b = bench([parameters], drive_values={"brake": brake})
     dictionary = read_dictionary(parameters.eds, parameters.node_id)
-    assert home(HomingDrive(b.links[0], parameters, dictionary, b.rig.bus, HERE), NEVER) is not None
+    assert home(HomingDrive(b.links[0], parameters, dictionary, b.rig.drives[0].bus, HERE), NEVER) is not None
     steps: list[tuple[int, int, int]] = []
     for time, can_id, data, is_rx in b.frames:
         if not is_rx and (can_id == 0x205 or (can_id == 0x605 and data[:4] == bytes.fromhex("23 fe 60 01"))):
@@ -264,7 +264,7 @@ def test_a_drive_without_a_homing_over_the_bus_is_refused(bench: MakeBench) -> N
     b = bench()
     parameters = axis()
     with pytest.raises(InputError, match="lists no writable 0x6098:00"):
-        HomingDrive(b.links[0], parameters, read_dictionary(parameters.eds, 5), b.rig.bus, UP)
+        HomingDrive(b.links[0], parameters, read_dictionary(parameters.eds, 5), b.rig.drives[0].bus, UP)
     assert b.frames == []
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from canhaptic.canopen.attached_devices import ForceNode
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.drive.can.admittance_drive import AdmittanceDrive
 from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
@@ -47,7 +47,7 @@ class OddBench:
         self.slave = slave
         self.sent: list[tuple[int, bytes]] = []
         link = Link(bus, VirtualClock([slave]), self.record)
-        parameters = BusParameters(rate=RATE)
+        parameters = CanBusParameters(rate=RATE)
         if kind == "torque":
             one = axis(NODE, name="handle", vendor_id=0xF00D, product_code=1, **values)
             drive = ServoDrive(link, one, read_dictionary(one.eds, NODE), parameters)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.pdo_map import AxisMap, MappedObject, choose_map, codec, decode_entry
 from canhaptic.drive.can.servo_drive import ServoDrive
@@ -152,7 +152,7 @@ SPLIT = {  # TPDO 1 has the statusword and the position, TPDO 2 the torque, and 
 def test_the_tpdos_of_a_sample_are_named_by_the_bits_of_those_that_are_missing(tmp_path: Path) -> None:
     of = axis(eds=edited(tmp_path, SPLIT))
     with can.Bus(interface="virtual", channel=private_channel()) as bus:
-        drive = ServoDrive(Link(bus, VirtualClock()), of, dictionary(of), BusParameters(rate=1000.0))
+        drive = ServoDrive(Link(bus, VirtualClock()), of, dictionary(of), CanBusParameters(rate=1000.0))
         names = [drive.part(bits) for bits in range(4)]
     assert names == ["", "TPDO 0x185", "TPDO 0x285", "TPDO 0x185, TPDO 0x285"]
 

@@ -120,6 +120,6 @@ def test_only_a_rig_in_real_time_asks(bench: MakeBench, calls: Calls) -> None:
     b.rig.start()
     assert calls == []
     link = Link(b.buses[0], WallClock())
-    drives = [ServoDrive(link, axis(), dictionary(axis()), b.rig.bus)]
-    Rig(can_buses(link, drives, b.rig.bus), drives, b.rig.bus).realtime.begin()
+    drives = [ServoDrive(link, axis(), dictionary(axis()), b.rig.drives[0].bus)]
+    Rig(can_buses(link, drives, b.rig.drives[0].bus), drives, b.rig.bus).realtime.begin()
     assert calls == ASKED

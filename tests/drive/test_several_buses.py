@@ -5,7 +5,7 @@ import itertools
 import can
 import pytest
 
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
@@ -28,7 +28,7 @@ class Buses:
     """
 
     def __init__(self, count: int = 2, per_bus: int = 2, rate: float = 1000.0) -> None:
-        parameters = BusParameters(rate=rate)
+        parameters = CanBusParameters(rate=rate)
         axes = [axis(node, name=f"{side}{node}") for side in "abc"[:count] for node in range(5, 5 + per_bus)]
         channels = [private_channel() for _ in range(count)]
         self.buses: list[can.BusABC] = []

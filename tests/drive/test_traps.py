@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canhaptic.cycle import run
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.errors import CanHapticError
 from canhaptic.scene.build import build, open_bus
 from canhaptic.scene.load import load_scene
@@ -154,7 +154,10 @@ def test_nothing_of_canopen_that_reads_or_writes_by_itself_is_used() -> None:
 
 
 def test_a_connection_that_nobody_reads_blocks_nobody() -> None:
-    with open_bus(BusParameters(rate=1000.0), "unread") as bus, open_bus(BusParameters(rate=1000.0), "unread") as other:
+    with (
+        open_bus(CanBusParameters(rate=1000.0), "unread") as bus,
+        open_bus(CanBusParameters(rate=1000.0), "unread") as other,
+    ):
         for number in range(20_000):
             other.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=number.to_bytes(4, "little")))
         received = [bus.recv(0.0) for _ in range(20_000)]

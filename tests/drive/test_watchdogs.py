@@ -8,7 +8,7 @@ import can
 import pytest
 
 from canhaptic.canopen.eds import read_dictionary
-from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.drive.can.pdo_map import check_dictionary, choose_map
 from canhaptic.drive.profile.fitness import Verdict
@@ -182,7 +182,7 @@ def test_timers_of_the_process_data_are_cleared_and_put_back(bench: MakeBench) -
 
 
 def judged(parameters: AxisParameters) -> tuple[Verdict, str]:
-    found = check_dictionary(read_dictionary(parameters.eds, 5), parameters, BusParameters(rate=1000.0))
+    found = check_dictionary(read_dictionary(parameters.eds, 5), parameters, CanBusParameters(rate=1000.0))
     return next((one.verdict, one.text) for one in found if one.item.startswith("0x1016"))
 
 
@@ -211,7 +211,7 @@ def test_a_means_that_the_drive_lacks_names_one_that_it_has(bench: MakeBench) ->
 
 
 def test_guard_requests_are_part_of_the_budget(tmp_path: Path) -> None:
-    bus = BusParameters(rate=1000.0)
+    bus = CanBusParameters(rate=1000.0)
     maps = [choose_map(read_dictionary(p.eds, 5), p) for p in (axis(), of(tmp_path, "life_guarding"))]
     beaten, guarded = (bus_budget(bus, [one]) for one in maps)
     assert guarded.worst_cycle - beaten.worst_cycle == pytest.approx(55e-6)  # a frame without data at 1 Mbit/s

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from canhaptic.cycle import run
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.clock import VirtualClock, WallClock
 from canhaptic.errors import InputError, LinkError, ParameterError, RigError
 from canhaptic.logs.energy_reader import EnergyLog
@@ -138,7 +138,7 @@ def test_a_wrong_rated_torque_is_found_at_the_start(tmp_path: Path) -> None:
 
 def test_a_bus_that_cannot_be_used_is_one_clear_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="bus 'telepathy', channel 'x': python-can cannot use it"):
-        open_bus(BusParameters(interface="telepathy", rate=1000.0), "x")
+        open_bus(CanBusParameters(interface="telepathy", rate=1000.0), "x")
 
     def refuse(*_: object) -> None:
         raise OSError(19, "No such device")

@@ -9,7 +9,7 @@ import can
 import pytest
 from can.interfaces import BACKENDS
 
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.errors import CanHapticError, InputError, LinkError
 from canhaptic.host.interfaces import _REMEDIES, _accepted_options, interface_faults, opening_error
 from canhaptic.scene.load import load_scene
@@ -19,8 +19,8 @@ EXAMPLES = sorted((REPOSITORY / "configs" / "interfaces").glob("*.yaml"))
 BACKEND_OF = {"candlelight": "gs_usb"}
 
 
-def bus(**values: Any) -> BusParameters:
-    return BusParameters(rate=1000.0, **values)
+def bus(**values: Any) -> CanBusParameters:
+    return CanBusParameters(rate=1000.0, **values)
 
 
 def test_there_is_an_example_for_every_interface_of_the_list() -> None:

@@ -12,7 +12,7 @@ from canopen import ObjectDictionary
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import is_writable
-from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.sdo import SdoChannel
 from canhaptic.drive.can.servo_drive import CanBringUp, ServoDrive
@@ -47,7 +47,7 @@ class AdmittanceDrive(ServoDrive):
 
     stop_word = od.Controlword.QUICK_STOP
 
-    def __init__(self, link: Link, axis: AxisParameters, dictionary: ObjectDictionary, bus: BusParameters) -> None:
+    def __init__(self, link: Link, axis: AxisParameters, dictionary: ObjectDictionary, bus: CanBusParameters) -> None:
         display = axis.admittance
         if display is None:
             raise ParameterError(f"{axis.name}: has no `admittance`; expected an admittance display")
@@ -203,7 +203,7 @@ class AdmittanceDrive(ServoDrive):
         return abs((target - self.position_counts + _WRAP // 2) % _WRAP - _WRAP // 2) <= (1 << 10)
 
 
-def speed_quantum(axis: AxisParameters, bus: BusParameters) -> float:
+def speed_quantum(axis: AxisParameters, bus: CanBusParameters) -> float:
     """Return the smallest step of the velocity that can be commanded [m/s or rad/s]."""
     display = axis.admittance
     if display is None or display.mode == "position":

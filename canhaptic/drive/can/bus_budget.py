@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from canhaptic.canopen import objects as od
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.pdo_map import TORQUE_DEMAND, AxisMap
 from canhaptic.drive.can.servo_drive import ServoDrive
@@ -78,7 +78,7 @@ class BusBudget:
         return f"{terms} = {on_wire}, + {self.compute_latency * 1e6:.0f} us host = {worst}"
 
 
-def bus_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
+def bus_budget(bus: CanBusParameters, maps: Sequence[AxisMap]) -> BusBudget:
     """Return the worst cycle of a bus that carries these axes."""
     rows = [_BudgetRow("SYNC", 1, _worst_case_bits(0))]
     answers = [length for axis in maps for length in (*axis.awaited, *(tpdo.length for tpdo in axis.tpdos))]
@@ -92,7 +92,7 @@ def bus_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
     return BusBudget(tuple(rows), bus.bitrate, bus.compute_latency, bus.sample_time)
 
 
-def torque_latency(bus: BusParameters, maps: Sequence[AxisMap]) -> float:
+def torque_latency(bus: CanBusParameters, maps: Sequence[AxisMap]) -> float:
     """Longest time [s] from a SYNC until the torques that answer it have arrived.
 
     It holds every TPDO and RPDO, the host in between, and one blocking frame before the TPDOs and before the RPDOs.
@@ -116,7 +116,7 @@ def round_rate(limit: float) -> float:
     return float(max((rate for rate in rates if rate <= limit), default=1))
 
 
-def has_room_for_sdo(budget: BusBudget, bus: BusParameters) -> bool:
+def has_room_for_sdo(budget: BusBudget, bus: CanBusParameters) -> bool:
     """Whether each cycle has room for one SDO request after its RPDOs, and the next cycle for the answer.
 
     The request takes the place of one EMCY, which would end the run, or needs room of its own. The answer has a lower
@@ -126,7 +126,7 @@ def has_room_for_sdo(budget: BusBudget, bus: BusParameters) -> bool:
     return budget.worst_cycle + request / budget.bitrate <= budget.sample_time * (1.0 + 1e-12)
 
 
-def require_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
+def require_budget(bus: CanBusParameters, maps: Sequence[AxisMap]) -> BusBudget:
     """Return the budget of a bus, or raise if its cycle does not fit.
 
     Raises:
@@ -139,7 +139,7 @@ def require_budget(bus: BusParameters, maps: Sequence[AxisMap]) -> BusBudget:
     return budget
 
 
-def _ways_out(bus: BusParameters, maps: Sequence[AxisMap]) -> list[str]:
+def _ways_out(bus: CanBusParameters, maps: Sequence[AxisMap]) -> list[str]:
     """Return the remedies for a cycle that does not fit, nearest first."""
     budget = bus_budget(bus, maps)
     most = 1.0 / budget.worst_cycle
@@ -169,7 +169,7 @@ def _without_read_back(budget: BusBudget, maps: Sequence[AxisMap]) -> float | No
     return budget.worst_cycle - saved / budget.bitrate if saved else None
 
 
-def own_frames(link: Link, drives: Sequence[ServoDrive], bus: BusParameters) -> dict[int, str]:
+def own_frames(link: Link, drives: Sequence[ServoDrive], bus: CanBusParameters) -> dict[int, str]:
     """Return the COB-IDs that only this master may send on a bus, with their names.
 
     Args:
@@ -189,7 +189,7 @@ def own_frames(link: Link, drives: Sequence[ServoDrive], bus: BusParameters) -> 
     return names
 
 
-def budget_of(drives: Sequence[ServoDrive], bus: BusParameters) -> BusBudget:
+def budget_of(drives: Sequence[ServoDrive], bus: CanBusParameters) -> BusBudget:
     """Return the budget of one bus at its own bit rate.
 
     Args:

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from canhaptic.canopen.objects import HEARTBEAT_BASE, SYNC_FRAME_COB_ID, NmtState
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.bus_budget import budget_of, has_room_for_sdo, own_frames
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive, SyncWindow
@@ -34,7 +34,7 @@ class CanBusCycle:
         BusBudgetError: The frames of one cycle do not fit.
     """
 
-    def __init__(self, link: Link, drives: Sequence[ServoDrive], bus: BusParameters) -> None:
+    def __init__(self, link: Link, drives: Sequence[ServoDrive], bus: CanBusParameters) -> None:
         self.link, self.drives, self._bus = link, tuple(drives), bus
         self.clock, self.seen = link.clock, link
         self.pump, self.drain, self._poll, self._send = link.pump, link.drain, link.poll, link.send
@@ -145,7 +145,7 @@ class CanBusCycle:
 
 
 def can_buses(
-    links: Link | Sequence[Link], drives: Sequence[ServoDrive], bus: BusParameters
+    links: Link | Sequence[Link], drives: Sequence[ServoDrive], bus: CanBusParameters
 ) -> "tuple[CanBusCycle, ...]":
     """Return the buses of a rig in the cycle.
 

@@ -24,7 +24,7 @@ from canopen.objectdictionary import ODVariable, datatypes
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.eds import left_out
 from canhaptic.canopen.objects import COB_ID_INVALID, SYNCHRONOUS_EVERY_SYNC, DataType, is_writable
-from canhaptic.drive.axis_parameters import AxisParameters, BusParameters
+from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.drive.can.sdo import SdoChannel
 from canhaptic.drive.profile import fitness
 from canhaptic.drive.profile.fitness import Finding, ObjectUse, Verdict, judged, listed, mapping_objection, objection
@@ -370,7 +370,7 @@ _Expect = Callable[[str, int, int], None]
 """Called as expect(object, seen, expected); raises when they differ."""
 
 
-def rpdo_transmission_type(bus: BusParameters, axis: AxisParameters) -> int:
+def rpdo_transmission_type(bus: CanBusParameters, axis: AxisParameters) -> int:
     """Return the transmission type of the RPDO of an axis."""
     return SYNCHRONOUS_EVERY_SYNC if bus.rpdo == "synchronous" else quirks_of(axis.quirks).event_transmission_type
 
@@ -467,7 +467,7 @@ def _compare_pdo(sdo: SdoChannel, plan: PdoPlan, transmission_type: int, expect:
 
 
 def check_dictionary(
-    dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None = None
+    dictionary: ObjectDictionary, axis: AxisParameters, bus: CanBusParameters | None = None
 ) -> list[Finding]:
     """Return the findings on a dictionary's fitness for cyclic torque, refusals included.
 
@@ -486,7 +486,7 @@ def check_dictionary(
     ]
 
 
-def require_fit(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None = None) -> None:
+def require_fit(dictionary: ObjectDictionary, axis: AxisParameters, bus: CanBusParameters | None = None) -> None:
     """Refuse a dictionary that is not fit for cyclic torque.
 
     Raises:
@@ -499,7 +499,7 @@ def require_fit(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusPara
         raise DictionaryError(f"{axis.name}: {axis.eds} is not fit for {kind}: {lines}")
 
 
-def _heartbeat(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None) -> Finding:
+def _heartbeat(dictionary: ObjectDictionary, axis: AxisParameters, bus: CanBusParameters | None) -> Finding:
     item = "0x1017 producer heartbeat"
     if watchdog_of(dictionary, axis) == "life_guarding":
         return Finding(item, Verdict.FIT, "not used: the answers to guard requests show the NMT state")
@@ -516,7 +516,7 @@ WATCHDOGS: Final[dict[Watchdog, str]] = {
 """By what a drive notices a dead master, in words."""
 
 
-def lacking(dictionary: ObjectDictionary, rpdo: int, bus: BusParameters | None = None) -> dict[Watchdog, str]:
+def lacking(dictionary: ObjectDictionary, rpdo: int, bus: CanBusParameters | None = None) -> dict[Watchdog, str]:
     """Return why a drive cannot use each standard means of noticing a dead master; "" where it can.
 
     Args:
@@ -568,7 +568,7 @@ def watchdog_of(dictionary: ObjectDictionary, axis: AxisParameters) -> Watchdog:
         return "none"
 
 
-def _watchdog(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None) -> Finding:
+def _watchdog(dictionary: ObjectDictionary, axis: AxisParameters, bus: CanBusParameters | None) -> Finding:
     item = "0x1016 consumer heartbeat"
     if not axis.watchdog:
         return Finding(item, Verdict.UNKNOWN, "not armed (watchdog: false); a killed master leaves the torque on")
@@ -607,7 +607,7 @@ def _unseen(dictionary: ObjectDictionary, axis: AxisParameters) -> list[Finding]
     return []
 
 
-def _map(dictionary: ObjectDictionary, axis: AxisParameters, bus: BusParameters | None) -> Finding:
+def _map(dictionary: ObjectDictionary, axis: AxisParameters, bus: CanBusParameters | None) -> Finding:
     try:
         chosen = choose_map(dictionary, axis)
     except DictionaryError as error:

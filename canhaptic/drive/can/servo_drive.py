@@ -12,7 +12,7 @@ from canopen import ObjectDictionary
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import is_writable
-from canhaptic.drive.axis_parameters import LARGEST_U16, AxisParameters, BusParameters
+from canhaptic.drive.axis_parameters import LARGEST_U16, AxisParameters, CanBusParameters
 from canhaptic.drive.can import pdo_map
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan, codec, require_fit
@@ -69,7 +69,7 @@ class ServoDrive(TorqueAxis):
     sdo: SdoChannel
 
     def __init__(
-        self, link: Link, axis: AxisParameters, dictionary: ObjectDictionary, bus: BusParameters, *,
+        self, link: Link, axis: AxisParameters, dictionary: ObjectDictionary, bus: CanBusParameters, *,
         dry_run: bool = False, lateness: float = 0.0,
     ) -> None:  # fmt: skip
         require_fit(dictionary, axis, bus)

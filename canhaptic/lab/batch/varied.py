@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
-from canhaptic.drive.axis_parameters import BusParameters
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.errors import ParameterError
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
@@ -42,9 +42,9 @@ def scene_with(scene: Scene, values: Mapping[str, float]) -> Scene:
     for key, value in values.items():
         section, name = split_key(key)
         if section == "bus":
-            bus = BusParameters(**{**bus.model_dump(), name: value})
+            bus = CanBusParameters(**{**bus.model_dump(), name: value})
         elif section == "loop":
-            bus = BusParameters(**{**bus.model_dump(), "rpdo": "synchronous" if value else "event"})
+            bus = CanBusParameters(**{**bus.model_dump(), "rpdo": "synchronous" if value else "event"})
         elif section == "passivity" and name in _LOOP:
             axis = _changed(axis, ("loop", name), value, key)
         elif section == "axes.0":
