@@ -8,7 +8,7 @@ import can
 
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.sim.bus.faulty_bus import BusEffects, FaultyBus
-from canhaptic.sim.drive.can.nmt_slave import NEVER
+from canhaptic.sim.drive.profile.timers import NEVER
 
 _channels = itertools.count()
 US, MS = 1_000, 1_000_000  # [ns]

@@ -29,8 +29,8 @@ from canhaptic.drive.clock import VirtualClock
 from canhaptic.errors import RigError
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene
-from canhaptic.sim.drive.can.nmt_slave import NEVER
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from canhaptic.sim.drive.profile.timers import NEVER
 from tools.bench.demo import CONFIG, IN_CONTACT, PERIOD, AccountWatch, drive_of
 from tools.bench.report import out_folder, write_result
 from tools.truth.faults import JumpingBus

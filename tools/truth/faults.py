@@ -15,7 +15,7 @@ import numpy as np
 
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.scene.build import Experiment
-from canhaptic.sim.drive.can.nmt_slave import NEVER
+from canhaptic.sim.drive.profile.timers import NEVER
 from tools.truth.scenes import TruthScene
 
 _LATE: Final = 0.3  # share of a run before which no fault begins

@@ -24,7 +24,7 @@ from pydantic import model_validator
 
 from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
 from canhaptic.signals import SimulatedPeer
-from canhaptic.sim.drive.can.nmt_slave import NEVER
+from canhaptic.sim.drive.profile.timers import NEVER
 from canhaptic.units import Parameters, quantity
 
 Direction = Literal["to_drive", "to_master"]

@@ -22,20 +22,19 @@ from canhaptic.canopen.eds import read_dictionary
 from canhaptic.canopen.objects import DataType, NmtCommand, NmtState
 from canhaptic.signals import Truth
 from canhaptic.sim.drive import SimulatedDriveParameters
-from canhaptic.sim.drive.can import nmt_slave as emcy
 from canhaptic.sim.drive.can.nmt_slave import (
-    NEVER,
     HeartbeatConsumer,
     HeartbeatProducer,
     LifeGuard,
-    Timers,
     command_for,
 )
 from canhaptic.sim.drive.can.process_data import Content, Handler, ProcessData
 from canhaptic.sim.drive.can.sdo_server import SdoServer
+from canhaptic.sim.drive.profile import emergency as emcy
 from canhaptic.sim.drive.profile.object_store import ObjectStore
 from canhaptic.sim.drive.profile.servo import Motor, Servo
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from canhaptic.sim.drive.profile.timers import NEVER, Timers
 
 if TYPE_CHECKING:
     from canhaptic.sim.drive.can.sensor_node import SensorNode
@@ -95,7 +94,8 @@ class SimulatedDrive:
         self.servo, self._sensor = self._servo_and_sensor(motor, parameters)
         self.timers = timers = Timers()
         self.on_routes_changed: Callable[[], None] = lambda: None
-        self._emergency = emcy.EmergencyProducer(store, node_id, self._send_emergency)
+        self._emergency_cob_id = store.optional(objects.EMCY_COB_ID, DataType.UNSIGNED32)
+        self._emergency = emcy.EmergencyProducer(store, self._send_emergency)
         self._sdo = SdoServer(store, parameters.sdo_size_indicated)
         self._producer = HeartbeatProducer(store, timers, self._send_heartbeat, self._now)
         self._consumer = HeartbeatConsumer(
@@ -176,9 +176,11 @@ class SimulatedDrive:
         except can.CanError:
             self.frames_lost += 1
 
-    def _send_emergency(self, cob_id: int, content: Content) -> None:
-        if self.nmt_state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL):
-            self._send(cob_id, content)
+    def _send_emergency(self, content: Content) -> None:
+        cob_id = self._emergency_cob_id.number or objects.EMCY_BASE + self.node_id
+        may_send = self.nmt_state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
+        if may_send and not cob_id & objects.COB_ID_INVALID:
+            self._send(cob_id & 0x7FF, content)
 
     def _send_heartbeat(self) -> None:
         self._send_state(0)

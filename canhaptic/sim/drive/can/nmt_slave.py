@@ -1,7 +1,4 @@
-"""NMT, heartbeat and EMCY of a simulated node (CiA 301, 7.2.7 and 7.2.8), with error register, history and timers.
-
-Its time is in integer nanoseconds of a clock that the owner supplies.
-"""
+"""NMT commands, heartbeat and life guarding of a simulated node (CiA 301, 7.2.8)."""
 
 from collections.abc import Callable
 from functools import partial
@@ -9,151 +6,12 @@ from typing import Final
 
 from canhaptic.canopen import objects
 from canhaptic.canopen.objects import DataType, NmtCommand, SdoAbort
-from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore, refuse_unless
-
-NEVER: Final = 1 << 62  # [ns], later than any clock
-_ERROR_HISTORY: Final = 0x1003
-
-HEARTBEAT_LOST: Final = 0x8130
-PDO_TOO_SHORT: Final = 0x8210
-SYNC_LENGTH: Final = 0x8240
-RPDO_TIMEOUT: Final = 0x8250
-COMMUNICATION: Final = 0x8100
-SYNC_LOST: Final = 0x8700
-
-# Bit of the error register (0x1001) by the leading digits of the error code; bit 0 (generic) is always set.
-_REGISTER_BITS: Final = {0x2: 1 << 1, 0x3: 1 << 2, 0x4: 1 << 3, 0x8: 1 << 4, 0xF: 1 << 7}
-
-
-class Timers:
-    """Timers of one node, each with a due time and an action.
-
-    Restarting a timer costs one or two comparisons: a deadline that every cycle postpones is examined only when its
-    earliest value has passed.
-
-    Attributes:
-        earliest: No timer is due before this [ns].
-    """
-
-    def __init__(self) -> None:
-        self._due: list[int] = []
-        self._actions: list[Callable[[int], None]] = []
-        self.earliest = NEVER
-        self._is_exact = True  # a timer is due at `earliest`, or none is set
-
-    def add(self, action: Callable[[int], None]) -> int:
-        """Add a stopped timer and return its number; `action` is called with the due time [ns]."""
-        self._due.append(NEVER)
-        self._actions.append(action)
-        return len(self._due) - 1
-
-    def start(self, timer: int, due: int) -> None:
-        """Set a timer to `due` [ns], replacing its former time."""
-        if due <= self.earliest:
-            self.earliest, self._is_exact = due, True
-        elif self._due[timer] == self.earliest:
-            self._is_exact = False
-        self._due[timer] = due
-
-    def stop(self, timer: int) -> None:
-        """Stop a timer, which is then never due."""
-        self._due[timer] = NEVER
-        self._is_exact = False
-
-    def stop_all(self) -> None:
-        """Stop every timer."""
-        self._due[:] = [NEVER] * len(self._due)
-        self.earliest, self._is_exact = NEVER, True
-
-    def is_running(self, timer: int) -> bool:
-        """Return whether the timer is set."""
-        return self._due[timer] != NEVER
-
-    def next_due(self) -> int:
-        """Return when the next timer is due [ns]; `NEVER` when none is set."""
-        if not self._is_exact:
-            self.earliest, self._is_exact = min(self._due, default=NEVER), True
-        return self.earliest
-
-    def fire(self, now: int) -> None:
-        """Call the action of every timer due up to `now` [ns], in order of time; each timer is stopped first."""
-        times = self._due
-        while (due := self.next_due()) <= now:
-            timer = times.index(due)
-            times[timer], self._is_exact = NEVER, False
-            self._actions[timer](due)
-
-
-class EmergencyProducer:
-    """Keeps the present errors; sends one EMCY when an error appears, and EMCY 0x0000 when errors disappear.
-
-    Args:
-        store: Object store (0x1001, 0x1003, 0x1014, 0x603F are used).
-        node_id: Node ID of the drive.
-        send: Called with COB-ID and content of a frame.
-    """
-
-    def __init__(self, store: ObjectStore, node_id: int, send: Callable[[int, bytes], None]) -> None:
-        self._register = store.optional(objects.ERROR_REGISTER, DataType.UNSIGNED8)
-        self._error_code = store.optional(objects.ERROR_CODE, DataType.UNSIGNED16)
-        self._cob_id = store.optional(objects.EMCY_COB_ID, DataType.UNSIGNED32)
-        self._default_cob_id = objects.EMCY_BASE + node_id
-        self._send = send
-        self._count = store.find(_ERROR_HISTORY) or Entry(_ERROR_HISTORY, 0, DataType.UNSIGNED8)
-        self._history: list[Entry] = []
-        while (field := store.find(_ERROR_HISTORY, len(self._history) + 1)) is not None:
-            self._history.append(field)
-        self._count.check, self._count.changed = refuse_unless(lambda value: value == 0), self._clear_history
-        self.reset()
-
-    def reset(self) -> None:
-        """Clear the present errors without an EMCY."""
-        self._present: list[int] = []
-        self.show()
-
-    def show(self) -> None:
-        """Write the present errors to the error objects and clear the history."""
-        self._show_present()
-        self._clear_history()
-
-    def announce(self, code: int) -> None:
-        """Record an error and send its EMCY, unless it is present already."""
-        if code not in self._present:
-            self._present.append(code)
-            for field, value in zip(self._history, [code, *(field.value for field in self._history)], strict=False):
-                field.value = value
-            self._count.value = min(self._count.number + 1, len(self._history))
-            self._transmit(code)
-
-    def withdraw(self, *codes: int) -> None:
-        """Remove errors (all when none is named) and send EMCY 0x0000 if one was present."""
-        remaining = [code for code in self._present if codes and code not in codes]
-        if len(remaining) < len(self._present):
-            self._present = remaining
-            self._transmit(0)
-
-    def _show_present(self) -> None:
-        self._error_code.value = self._present[-1] if self._present else 0
-        register = 0
-        for code in self._present:
-            register |= 1 | _REGISTER_BITS.get(code >> 12, 0)
-        self._register.value = register
-
-    def _transmit(self, code: int) -> None:
-        """Update the error objects and send an EMCY: the code of a new error, or 0 when errors disappeared."""
-        self._show_present()
-        cob_id = self._cob_id.number or self._default_cob_id
-        if not cob_id & objects.COB_ID_INVALID:
-            self._send(cob_id & 0x7FF, bytes((code & 0xFF, code >> 8, self._register.number)) + bytes(5))
-
-    def _clear_history(self) -> None:
-        for field in self._history:
-            field.value = None
-        self._count.value = 0
-
+from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
+from canhaptic.sim.drive.profile.timers import Timers
 
 _Call = Callable[[], None]
 _Now = Callable[[], int]
+
 _NS_PER_MS: Final = 1_000_000
 
 

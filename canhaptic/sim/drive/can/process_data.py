@@ -14,11 +14,11 @@ from typing import Final, cast
 from canhaptic.canopen import objects
 from canhaptic.canopen.objects import DataType, SdoAbort
 from canhaptic.sim.drive import SimulatedDriveParameters
-from canhaptic.sim.drive.can import nmt_slave as emcy
-from canhaptic.sim.drive.can.nmt_slave import Timers
+from canhaptic.sim.drive.profile import emergency as emcy
 from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore, refuse_unless
 from canhaptic.sim.drive.profile.servo import Servo
 from canhaptic.sim.drive.profile.state_machine import DriveState
+from canhaptic.sim.drive.profile.timers import Timers
 
 _PDOS: Final = 512
 _EXTENDED_FRAME: Final = 1 << 29
