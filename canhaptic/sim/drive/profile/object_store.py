@@ -174,6 +174,14 @@ class ObjectStore:
         """Return an object of the dictionary, or None."""
         return self._entries.get((index, subindex))
 
+    def indices(self) -> list[int]:
+        """Return the indices of all objects of the dictionary, in order."""
+        return sorted(self._indices)
+
+    def subindices(self, index: int) -> list[int]:
+        """Return the subindices of an object of the dictionary, in order."""
+        return sorted(subindex for at, subindex in self._entries if at == index)
+
     def reset(self, indices: range = range(0x10000)) -> None:
         """Set the objects of a range of indices to their initial values."""
         for entry in (*self._entries.values(), *self._hidden.values()):
