@@ -10,7 +10,7 @@ SOURCES := canhaptic tests tools
 # The tests start hundreds of processes: none compiles the package anew, even where this variable is set.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test test-all test-socketcan format bench docs docs-version clean
+.PHONY: demo test test-all test-campaigns test-socketcan format bench docs docs-version clean
 
 # One stamp per set of extras: a changed pyproject.toml installs again.
 $(VENV)/bin/pip:
@@ -35,9 +35,11 @@ FAST := $(BIN)/pytest -q -n $(JOBS) --dist worksteal -m "not slow"
 test: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/ruff check $(SOURCES)
-	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(FAST) --assert=plain || { $(FAST) --last-failed; exit 1; }
+	@echo "mypy works at the same time as the tests; what it finds stands after them"
+	@$(BIN)/mypy > $(VENV)/types.txt 2>&1 & types=$$!; \
+	$(FAST) --assert=plain || { $(FAST) --last-failed; false; }; tests=$$?; \
+	wait $$types; typed=$$?; cat $(VENV)/types.txt; exit $$((tests || typed))
 
 # Tests that need Debian's `chromium` or `tshark` skip, visibly, where those are absent; so does the machine of
 # test-socketcan, which is built in one folder and so not by two workers at once.
@@ -47,7 +49,15 @@ test-all: test $(VENV)/.installed-report,export,docs,release
 	$(BIN)/python tools/record.py --check
 	$(SLOW) tests/lab  # apart: numba gives the memory of compiled loops back only when a process ends
 	$(SLOW) --ignore tests/lab --ignore tests/socketcan_vm
+
+# What takes hours, a browser, or a machine of its own; each line can be run alone.
+test-campaigns: $(VENV)/.installed-dev $(VENV)/.installed-report,export
 	$(MAKE) test-socketcan
+	$(BIN)/pytest -q -n 0 -m slow tests/view tests/cli/test_pages.py tests/lab/touch
+	$(BIN)/python -m tools.numba_minors
+	$(BIN)/python tools/bench/truth.py
+	$(BIN)/python tools/bench/truth.py --faults
+	$(BIN)/python tools/bench/truth.py --stops
 
 # Linux's own CAN stack in a virtual machine; the packages it needs are named in tests/socketcan_vm/README.md.
 test-socketcan: $(VENV)/.installed-dev

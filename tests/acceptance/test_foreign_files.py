@@ -95,7 +95,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.slow_but("a_pipe")
+@pytest.mark.slow
 @pytest.mark.parametrize("made", [a_pipe, a_folder, a_device, nothing])
 def test_what_is_no_regular_file_is_refused_at_once_in_every_place(
     made: Callable[[Path], Path], log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

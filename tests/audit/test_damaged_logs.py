@@ -112,7 +112,7 @@ USES: tuple[Callable[[Path, Path], object], ...] = (
 EVERY_THIRTEENTH_OR_ALL = [13, pytest.param(1, marks=pytest.mark.slow)]  # all of them take 15 s of a processor
 
 
-@pytest.mark.slow_but("missing-13")
+@pytest.mark.slow
 @pytest.mark.parametrize("step", EVERY_THIRTEENTH_OR_ALL)
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
 def test_a_damaged_column_is_one_error_that_names_it(

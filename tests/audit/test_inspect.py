@@ -348,6 +348,7 @@ def test_a_run_without_protection_names_its_algorithm_everywhere(tmp_path: Path,
     assert re.search(r"<td[^>]*>algorithm</td><td[^>]*>unprotected *</td><td[^>]*>guarded", page.read_text())
 
 
+@pytest.mark.slow
 def test_every_log_is_checked_and_a_failing_one_is_named(log: Path, tmp_path: Path, capsys: Captured) -> None:
     write_run(short := tmp_path / "short.h5", 3000)
     assert typed.inspect(log, short, "--check", "cycles >= 4000", "--json") == 1
@@ -360,6 +361,7 @@ def test_every_log_is_checked_and_a_failing_one_is_named(log: Path, tmp_path: Pa
         typed.inspect(log, short, "--check", "foo>0")
 
 
+@pytest.mark.slow
 def test_a_damaged_further_log_fails_and_is_named(log: Path, tmp_path: Path, capsys: Captured) -> None:
     assert typed.inspect(log, changed(log, tmp_path / "changed.h5")) == 1
     assert re.search(r"changed\.h5 .*: 1 row is not as the run wrote it", capsys.readouterr().out)

@@ -58,7 +58,7 @@ def verified_by(report: Report) -> list[object]:
     return [value.value for value in report.values if value.key == "torque_verified"]
 
 
-@pytest.mark.slow_but("balance")
+@pytest.mark.slow
 @pytest.mark.parametrize("means", ["mass", "balance"])
 def test_a_wrong_rated_torque_is_caught_with_one_per_cent_of_the_true_one(means: str) -> None:
     report, sent, _ = report_of(*NAME_PLATE, means=means)

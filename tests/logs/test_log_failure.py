@@ -13,6 +13,7 @@ from canhaptic.logs.ring import cause_of
 DEMO = str(Path(__file__).parents[2] / "configs" / "demo.yaml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["stop", pytest.param("continue", marks=pytest.mark.slow)])
 def test_a_run_stops_or_goes_on_when_its_disk_is_full_with_one_message(
     mode: str, tmp_path: Path, limit_files: Callable[[int], None], capsys: pytest.CaptureFixture[str]

@@ -45,7 +45,7 @@ def test_a_scene_keeps_its_hash_and_its_log_has_the_substeps(tmp_path: Path) -> 
     assert axis["simulation"]["accuracy"]["substeps"] == 4
 
 
-@pytest.mark.slow_but("0.02")
+@pytest.mark.slow
 @pytest.mark.parametrize("mass", [0.02, 0.25])
 def test_by_default_a_bristle_errs_by_less_than_a_thousandth_of_its_travel(tmp_path: Path, mass: float) -> None:
     path = scene_file(tmp_path)

@@ -62,6 +62,7 @@ def test_the_speed_is_that_from_which_a_run_feels_the_wall() -> None:
         assert result.account["handle"].verdict == word, factor
 
 
+@pytest.mark.slow
 def test_no_wall_names_the_declaration_that_keeps_it_away_and_a_value_that_does_not() -> None:
     late = axis(*LATE)
     assert felt_from(late) == inf

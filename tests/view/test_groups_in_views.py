@@ -58,6 +58,7 @@ def test_the_truths_of_the_parts_of_a_run_add_up_to_that_of_the_whole(path: Path
     assert max(part["accounted_error"] for part in (first, second)) <= 2.0 * whole["accounted_error"]
 
 
+@pytest.mark.slow
 def test_only_what_a_port_has_is_drawn(path: Path) -> None:
     with EnergyLog.open(path) as log:
         stage, x = (port_facts(log, name) for name in ("stage", "x"))

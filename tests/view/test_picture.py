@@ -213,6 +213,7 @@ def test_a_surplus_of_rounding_has_no_panel_and_a_real_one_has(tmp_path: Path) -
             assert ("surplus" in PortPicture(log, "handle", slice(0, 20)).draws()) == shown
 
 
+@pytest.mark.slow
 def test_four_axes_are_drawn_two_by_two(tmp_path: Path) -> None:
     write_run(tmp_path / "run.h5", cycles=60, ports=("a", "b", "c", "d"))
     with EnergyLog(tmp_path / "run.h5") as log:

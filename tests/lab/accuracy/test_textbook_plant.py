@@ -93,6 +93,7 @@ def test_a_fixed_step_method_falls_to_order_1_where_modes_change(method):
     assert 4.0 < errors[0] / errors[1] < 256.0  # 16 at order 1; 256 at order 2, 65536 at order 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effects",
     [

@@ -221,6 +221,7 @@ def test_without_a_stiffness_the_largest_detent_is_searched_over_the_rate(tmp_pa
     assert top.title.startswith("largest peak that is passive")
 
 
+@pytest.mark.slow
 def test_on_top_are_all_algorithms_in_one_panel_with_theory(two_controllers):
     with SweepTable(two_controllers) as table:
         fields = fields_of(table)

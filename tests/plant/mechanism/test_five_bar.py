@@ -152,6 +152,7 @@ def test_a_mechanism_flung_about_at_coarse_steps_keeps_its_energy_and_converges_
     assert 1.8 < np.log(errors[1] / errors[2]) / np.log(4.0) < 2.2
 
 
+@pytest.mark.slow
 def test_any_force_moves_the_links_or_is_told_the_singular_pose_it_drove_them_into():
     told = []
     for seed in range(30, 60):  # among them light links at 20 ms with 20 N at the handle, and no stop
