@@ -1,6 +1,7 @@
 """`canhaptic new EDS --out rig.yaml`: write a commented scene to start from."""
 
 import argparse
+from typing import Final
 
 from can.interfaces import BACKENDS
 
@@ -8,8 +9,13 @@ from canhaptic.cli.check_eds import survey_of, warnings_of
 from canhaptic.cli.options import check_place
 from canhaptic.errors import InputError
 from canhaptic.registry import nearest
+from canhaptic.scene.first_contact import FELT, can_be_tried, rendered_share
+from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.scene_text import starter_scene
 from canhaptic.view.terminal import note_file, write_file, write_line, write_note
+
+_TRIED: Final = (0.5, 0.05)
+"""Speeds of a handle that meets the wall of the new scene, as fractions of its largest."""
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -37,4 +43,20 @@ def execute(arguments: argparse.Namespace) -> int:
     else:
         write_file(out, text)
         note_file("scene", out)
+    if warning := _unmeasured(text, str(found.axis.eds if out is None else out)):
+        write_note(f"  warning: {warning}")
     return 0
+
+
+def _unmeasured(text: str, place: str) -> str:
+    """Return what the guesses of a scene keep from being rendered, and the cure; "" where its wall is felt."""
+    axis = scene_from_text(text, place).axes[0]
+    if not can_be_tried(axis):
+        return ""
+    most = max(rendered_share(axis, part * axis.parameters.largest_speed) for part in _TRIED)
+    if most >= FELT:
+        return ""
+    return (
+        f"nothing of this rig is measured yet: with these guesses {100.0 * most:.0f} % of the wall is rendered at most"
+        "; canhaptic commission measures mass, friction, damping and timing, with which it is"
+    )

@@ -14,6 +14,8 @@ certified, nothing refutes the certificates, and R at the end is at most a tenth
 because a certificate relies on the positions too. For a spring pressed to a depth, R over the energy received is 2
 counts over the depth. Both need a hold that a test has found: a torque booked in a neighbouring hold makes any sum.
 A simulated drive that is configured as its scene declares needs no test.
+An admittance display books no more than came in. If lost samples or commands leave 20 times that in doubt, its account
+says nothing of the run.
 
 **Otherwise "in doubt"**, with the reason. A dry run sends no torque and proves nothing about the controller.
 """
@@ -56,6 +58,8 @@ _LARGEST_DOUBT: Final = 0.1
 """Largest energy uncertainty, as a share of the energy received, for a "yes" by certificate."""
 _SMALLEST_DOUBT: Final = 1e-5
 """Energy uncertainty that permits a "yes" by certificate however little energy was received [J]."""
+_MOST_UNBOOKED: Final = 20.0
+"""Energy uncertainty over the energy received, above which the account of a display carries too little for a "yes"."""
 _LEAST_RENDERED: Final = 0.1
 """Part of the requested torque in contact below which nothing counts as rendered."""
 RESTS_ON: Final[Mapping[str, tuple[str, ...]]] = {
@@ -218,14 +222,19 @@ def passive_verdict(
         certain = least
     certain = least - resolution if certain is None else certain
     if certain >= floor and not has_open_hold and not is_estimated:
+        if books_least and resolution > max(_SMALLEST_DOUBT, allowance, _MOST_UNBOOKED * energy_in):
+            return "in doubt", f"{energy_in:.2g} J is certain to have come in, and up to {resolution:.2g} J is not"
         return "yes", "measured"
     is_small = books_least or resolution <= max(_SMALLEST_DOUBT, allowance, _LARGEST_DOUBT * energy_in)
     if is_promised:
         return ("yes", BY_CERTIFICATE) if is_small else ("in doubt", _too_coarse(resolution, energy_in))
-    if has_open_hold:
-        return "in doubt", "the run ended in holds without a position"
-    if is_estimated:
-        return "in doubt", "the resolution of its energy is an estimate"
+    if has_open_hold or is_estimated:
+        why = (
+            "the run ended in holds without a position"
+            if has_open_hold
+            else "the resolution of its energy is an estimate"
+        )
+        return "in doubt", why
     return "in doubt", f"without a certificate, and as low as {certain:.3g} J within its resolution"
 
 

@@ -4,6 +4,7 @@ Only a scene with an admittance display loads this module.
 """
 
 from collections.abc import Iterator
+from math import pi
 from typing import TYPE_CHECKING, Any, cast
 
 from canhaptic.control.admittance import build_display_group
@@ -32,6 +33,7 @@ def display_properties(axis: AxisScene) -> AdmittanceProperties:
     if missing or display.acceleration_limit is None:
         raise ParameterError(f"{given.name}: {', '.join(missing)}: missing; every admittance display needs it, add it")
     force, time = display.force, axis.loop.sample_time
+    bend = {"force_bend": 2.0 * pi * force.corner * force.slew} if force.corner else {}
     counts = given.counts_per_unit
     quantum = 1.0 / (counts * time) if display.mode == "position" else 1.0 / (display.velocity_counts or counts)
     room = {key: getattr(display, key) for key in ("position_low", "position_high")}
@@ -40,7 +42,7 @@ def display_properties(axis: AxisScene) -> AdmittanceProperties:
         delay=axis.loop.delay, sampling=force.sampling, latency=force.latency, filter=force.filter,
         force_slew=force.slew, handle_acceleration=display.handle_acceleration, force_error=force.error,
         encoder_count=1.0 / counts, speed_quantum=quantum, speed_limit=given.speed_limit,
-        acceleration_limit=display.acceleration_limit, torque_limit=given.torque_limit,
+        acceleration_limit=display.acceleration_limit, torque_limit=given.torque_limit, **bend,
         **{key: limit for key, limit in room.items() if limit is not None},
     )  # fmt: skip
 

@@ -349,6 +349,7 @@ _LATER: Final[Mapping[str, tuple[object, ...]]] = {
     "simulation.drive.fault": ((), []),
     "simulation.drive.brake": (None,),
     "simulation.drive.mode_when_enabled": (False,),
+    "admittance.force.corner": (0.0,),
     "admittance.force.node.real": (False,),
     "admittance.force.node.device_type": (None,),
     "simulation.drive.display.force_node.real": (False,),

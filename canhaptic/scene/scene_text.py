@@ -111,6 +111,8 @@ _ACCELERATION: Final = 50.0  # commanded at most [rad/s^2]
 _SENSOR: Final = {"range": 2.0, "per_count": 2.0 / 16384, "error": 4e-4, "slew": 25.0}
 """Force sensor of an admittance display, as multiples of the torque limit."""
 
+_MEAN: Final = re.compile(r"\b(mean|averaged?)\b", re.IGNORECASE)
+
 _SCALED: Final = {
     "stiffness": 5.0,
     "damping": 0.05,
@@ -188,7 +190,9 @@ def starter_scene(
         rated=_rated_lines(dictionary, rated if stated else None),
         limit=f"{limit:g}",
         limit_note=_text("limit_written" if is_writable(dictionary, od.MAX_TORQUE, 0) else "limit_not_written"),
-        read_back=_read_back(found) if found.axis.admittance is None else _display(found, found.axis.admittance, limit),
+        read_back=_read_back(found)
+        if found.axis.admittance is None
+        else _display(found, found.axis.admittance, limit, has_mean=simulate),
         watchdog="" if standard_watchdog(dictionary, found.axis_map)[0] != "none" else _text("no_watchdog"),
         rendered=_rendered(found, limit, 1.0 / rate, None if simulate else jitter),
         simulation=_simulation(found, rated, limit, resolution, 1.0 / rate) if simulate else "",
@@ -242,11 +246,12 @@ def _display_rendered(display: AdmittanceParameters, limit: float, sample_time: 
     )
 
 
-def _display(found: Survey, display: AdmittanceParameters, limit: float) -> str:
-    """Return the keys of an axis that make it an admittance display."""
+def _display(found: Survey, display: AdmittanceParameters, limit: float, *, has_mean: bool) -> str:
+    """Return the keys of an axis that make it an admittance display; `has_mean`: of a sensor that shows means."""
     counts, dictionary = _counts(found.dictionary), found.dictionary
     unlimited, steepest = fitness.max_torque_unwritten(dictionary, found.axis), fitness.steepest_ramp(dictionary)
     named, is_velocity = display.force.object, display.mode == "velocity"
+    has_mean = has_mean or (display.force.place is not None and _is_mean(dictionary, *display.force.place))
     return _text(
         "display",
         mode=display.mode,
@@ -255,8 +260,15 @@ def _display(found: Survey, display: AdmittanceParameters, limit: float) -> str:
         acceleration=min(_ACCELERATION, 0.99 * steepest / counts) if is_velocity else _ACCELERATION,
         limited=_text("limit_in_drive", unlimited=unlimited) if unlimited else "",
         source=_text("force_of_node") if named is None else _text("force_of_object", object=named),
+        sampling="mean" if has_mean else _text("point"),
         **{key: part * limit for key, part in _SENSOR.items()},
     )
+
+
+def _is_mean(dictionary: ObjectDictionary, index: int, subindex: int) -> bool:
+    """Return whether a dictionary names an object as the mean of what its sensor shows."""
+    variable = dictionary.get_variable(index, subindex)
+    return variable is not None and _MEAN.search(variable.name) is not None
 
 
 def _gain(limit: float) -> float:

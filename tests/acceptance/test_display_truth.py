@@ -15,6 +15,7 @@ from tools.displays.group import (
     with_true_group_bounds,
 )
 from tools.displays.judge import false_claims
+from tools.displays.mass import judged
 from tools.displays.random_display import random_display, with_true_bounds
 
 _CYCLES = 300
@@ -122,3 +123,11 @@ def test_no_account_of_a_spring_or_of_balls_on_several_displays_claims_what_thei
             kinds.add(type(group.environment).__name__)
     assert moved >= 2
     assert batch or len(kinds) > 1
+
+
+@pytest.mark.parametrize("seeds", [1, pytest.param(200, marks=[pytest.mark.slow, pytest.mark.timeout(300)])])
+def test_the_mass_over_a_run_is_the_one_promised(seeds: int) -> None:
+    found = [one for one in map(judged, range(seeds)) if one is not None]
+    assert len(found) == seeds
+    assert sum(one.is_inside for one in found) >= 0.95 * seeds
+    assert all(one.most <= 1.5 * one.least for one in found)

@@ -140,3 +140,23 @@ def test_the_remedy_of_a_torque_limit_that_is_too_low_does_not_say_lower(
     assert "written too low" in err
     assert "raise torque_limit" in err
     assert "lower torque_limit" not in err
+
+
+def test_a_scene_of_guesses_says_what_it_does_not_render_and_what_helps(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    eds = REPOSITORY / "eds" / "cia402_servo.eds"
+    for words, is_said in (([], True), (["--simulate"], False)):
+        assert main(["new", str(eds), *words, "--out", str(tmp_path / f"{len(words)}.yaml")]) == 0
+        said = capsys.readouterr().err
+        assert ("% of the wall is rendered at most; canhaptic commission measures" in said) == is_said
+
+
+@pytest.mark.parametrize("name", ["Analog input", "Force, mean since SYNC"])
+def test_a_sensor_that_shows_means_is_declared_so(name: str, tmp_path: Path) -> None:
+    text = (REPOSITORY / "eds" / "cia402_admittance.eds").read_text()
+    (tmp_path / "drive.eds").write_text(with_entry(text, "2205sub1", "ParameterName", name))
+    for words, is_mean in (([], "mean" in name), (["--simulate"], True)):
+        scene = tmp_path / f"{len(words)}.yaml"
+        assert main(["new", str(tmp_path / "drive.eds"), "--display", "velocity", *words, "--out", str(scene)]) == 0
+        assert re.search(r"sampling: (\w+)", scene.read_text())[1] == ("mean" if is_mean else "point")

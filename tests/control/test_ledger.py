@@ -162,6 +162,8 @@ def test_a_run_ends_with_an_open_hold_where_the_last_was_held_on(branch: Branch)
         ("hand_force", {"energy_resolution": 1.1e-5, "in": 1e-6},
          ("in doubt", "the contact acts as if 0.18 counts deep, 20 needed")),
         ("hand_force", {"energy_resolution": 5.0, "books_least": True, "least_interaction": 0.0}, ("yes", "measured")),
+        ("none", {"energy_resolution": 0.266, "in": 2e-3, "books_least": True},
+         ("in doubt", "0.002 J is certain to have come in, and up to 0.27 J is not")),
         ("none", {"least_certain": -1e-9}, ("yes", "measured")),
         ("none", {"least_certain": -1e-9, "resolution_is_estimated": True},
          ("in doubt", "the resolution of its energy is an estimate")),

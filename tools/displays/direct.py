@@ -11,6 +11,7 @@ from canhaptic.control.admittance import build_display_controller
 from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.balance import Branch, Certificate
+from canhaptic.control.motion_checks import MassFelt
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
@@ -66,6 +67,7 @@ class Outcome:
     travel: float = 0.0  # [m]
     slew: float = 0.0  # largest seen [N/s]
     acceleration: float = 0.0  # largest seen [m/s^2]
+    bend: float = 0.0  # largest change of the slew seen inside a hold [N/s^2]
     speed: float = 0.0  # largest seen [m/s]
     force: float = 0.0  # largest seen [N]
     far_speed: float = 0.0  # largest seen behind the grip [m/s]
@@ -79,13 +81,14 @@ class Outcome:
         return self.least_believed >= -1e-6
 
 
-def run(display: Display, cycles: int, *, keeps: bool = False) -> Outcome:
+def run(display: Display, cycles: int, *, keeps: bool = False, felt: MassFelt | None = None) -> Outcome:
     """Returns what so many SYNCs came to.
 
     Args:
         display: What runs.
         cycles: How many.
         keeps: Whether forces and velocities are kept.
+        felt: Estimator of the mass felt, which takes every sample that comes.
     """
     properties, period = display.properties, round(display.properties.sample_time * 1e9)
     plant = AdmittancePlant(display.plant, display.simulation, display.user, display.effects, period, display.seed)
@@ -103,9 +106,13 @@ def run(display: Display, cycles: int, *, keeps: bool = False) -> Outcome:
             else:
                 row, acting = 0, command
             begin, length = times[k - 1], times[k] - times[k - 1]
+            slope: float | None = None
             for part in range(1, _PARTS + 1):
                 plant.advance_to(begin + part * length // _PARTS, acting)
-                before = watch(found, plant, before, length * 1e-9 / _PARTS)
+                force, step = before[0], length * 1e-9 / _PARTS
+                before = watch(found, plant, before, step)
+                risen, slope = slope, (before[0] - force) / step
+                found.bend = found.bend if risen is None else max(found.bend, abs(slope - risen) / step)
         shown = plant.read_force()
         position = plant.encoder_position
         if count:
@@ -115,6 +122,8 @@ def run(display: Display, cycles: int, *, keeps: bool = False) -> Outcome:
             counts = round(shown / _IMPULSE) * _IMPULSE
             shown = (counts - heard[1]) / ((k - heard[0]) * properties.sample_time) if k else 0.0
             heard = k, counts
+        if felt is not None and not lost:
+            felt.take(position, -shown, k)
         balance = controller.sample_lost() if lost else controller.step(position, -shown)
         queue.append(balance.torque)
         _take(found, plant, balance, properties)

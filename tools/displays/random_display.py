@@ -99,10 +99,12 @@ def with_true_bounds(display: Display, cycles: int, *, keeps: bool = False) -> t
         if (
             found.slew <= properties.force_slew
             and found.acceleration <= properties.handle_acceleration
+            and (not _has_corner(display) or found.bend <= properties.force_bend)
             and is_hand_true
         ):
             return display, found
         bounds = {"force_slew": 1.5 * found.slew, "handle_acceleration": 1.5 * found.acceleration}
+        bounds |= {"force_bend": 1.5 * found.bend} if _has_corner(display) else {}
         display = replace(display, properties=properties.model_copy(update=bounds))
         if _hand_force(display) and display.parameters is not None:
             force = {"largest_hand_force": 1.5 * found.force}
@@ -111,6 +113,11 @@ def with_true_bounds(display: Display, cycles: int, *, keeps: bool = False) -> t
             hand = {"hand_speed": 1.5 * found.far_speed}
             display = replace(display, parameters=display.parameters.model_copy(update=hand))
     return None
+
+
+def _has_corner(display: Display) -> bool:
+    """Returns whether the bend of the force between two samples is declared: every other time with points."""
+    return display.properties.sampling == "point" and display.seed % 2 == 1
 
 
 def _has_declared_hand(display: Display) -> bool:

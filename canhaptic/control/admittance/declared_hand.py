@@ -152,7 +152,8 @@ class DeclaredHand:
             mean, doubt = heard.force - 0.5 * heard.change, rise * bend * time * time / 12.0
             room = port.force_slew * port.force_slew * time * time - rise * rise
             if room > 0.0:
-                doubt += max(abs(begin), abs(end)) * room / (4.0 * port.force_slew)
+                off_line = min(room / (4.0 * port.force_slew), port.force_bend * time * time * time / 12.0)
+                doubt += max(abs(begin), abs(end)) * off_line
         added = max(0.0, abs(heard.moved - way) - port.encoder_count)
         top = max(abs(begin), abs(end))
         friction = self.friction + 0.25 * self.given.drive_damping * top

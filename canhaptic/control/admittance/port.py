@@ -44,6 +44,8 @@ class AdmittanceProperties(Parameters):
     """Corner frequency of the sensor's first-order filter; 0: no filter."""
     force_slew: Annotated[float, quantity("N/s", "N*m/s", gt=0.0)]
     """Upper bound of the rate of change of the force."""
+    force_bend: Annotated[float, quantity("N/s^2", "N*m/s^2", gt=0.0)] = 1e15
+    """Upper bound of the rate at which that changes inside a hold: the second derivative of the force."""
     handle_acceleration: Annotated[float, quantity("m/s^2", "rad/s^2", gt=0.0)]
     """Upper bound of the acceleration of the mass to which the encoder is fixed."""
     force_error: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
@@ -162,8 +164,8 @@ class Port:
             fastest = (way + count) / shortest + 0.5 * acceleration * length
             room = slew * slew * length * length - rise * rise
             doubt = rise * acceleration * length * length / 12.0
-            if room > 0.0:
-                doubt += fastest * room / (4.0 * slew)
+            if room > 0.0:  # between two samples the force leaves their line by the slew, or by what bends it
+                doubt += fastest * min(room / (4.0 * slew), settings.force_bend * length * length * length / 12.0)
         elif samples == 1 or settings.is_impulse:
             mean = force
             doubt = slew * acceleration * length * length * length / 12.0

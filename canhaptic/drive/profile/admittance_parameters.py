@@ -44,6 +44,9 @@ class ForceParameters(Parameters):
     """Corner of a first-order filter before the sample; 0: none."""
     slew: Annotated[float, quantity("N/s", "N*m/s", gt=0.0, le=1e9)]
     """Largest slew of the force, an over-estimate."""
+    corner: Annotated[float, quantity("Hz", ge=0.0, le=1e6)] = 0.0
+    """Highest frequency in the force, by hand, handle and sensor, an over-estimate; 0: not known. Below it the slew
+    itself changes by at most 2 pi corner slew per second, which leaves less in doubt between two point samples."""
     error: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)]
     """Largest error of one value, an over-estimate: offset, drift, noise, quantisation."""
     frozen_after: Annotated[int, quantity("count", ge=2, le=100_000)] | None = None

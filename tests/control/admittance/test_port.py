@@ -80,6 +80,18 @@ def test_a_built_hold_reaches_the_bound_of_two_samples() -> None:
     assert abs(true - low - doubt) / doubt > 0.99
 
 
+@pytest.mark.parametrize(("share", "is_certain"), [(1.0, True), (0.9, False)])
+def test_a_force_that_bends_as_declared_leaves_its_line_by_no_more(share: float, is_certain: bool) -> None:
+    """F = -b t (T - t) / 2 at a constant speed brings in -b v T^3 / 12, and both samples show zero."""
+    bend, speed = 0.5 * _SLEW / _TIME, 0.3
+    settings = _settings(is_mean=False).model_copy(update={"force_bend": share * bend, "handle_acceleration": 1e-9})
+    low, doubt = _booked(settings, 0.0, 0.0, 0.0, speed * _TIME)
+    true = -bend * speed * _TIME**3 / 12.0
+    assert doubt == pytest.approx(-share * true)
+    assert doubt < 0.2 * _booked(_settings(is_mean=False), 0.0, 0.0, 0.0, speed * _TIME)[1]
+    assert (low <= true + 1e-15) == is_certain
+
+
 def test_an_encoder_in_counts_costs_half_a_count_times_the_change_of_the_force() -> None:
     random, count = np.random.default_rng(8), 1e-5
     settings = _settings(is_mean=True, count=count)
