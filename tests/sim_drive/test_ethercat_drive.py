@@ -4,6 +4,7 @@ import struct
 
 import pytest
 
+from canhaptic.drive.ethercat.datagrams import Command
 from canhaptic.drive.ethercat.segment import AlError, AlState
 from canhaptic.errors import SdoError
 from canhaptic.sim.drive.ethercat.drive_node import ClockParameters
@@ -49,10 +50,10 @@ def test_an_expedited_upload_is_one_mail_each_way() -> None:
     line.master.scan()
     line.master.request(0, AlState.PRE_OP)
     request = bytes.fromhex("0a00 0000 00 13 0020 40 0010 00 00000000").ljust(128, b"\0")
-    line.master._one(5, 0x1001, 0x1000, request, 1)
-    answer = line.master._one(4, 0x1001, 0x1080, bytes(128), 1).data
+    line.master._one(Command.WRITE, 0x1001, 0x1000, request, 1)
+    answer = line.master._one(Command.READ, 0x1001, 0x1080, bytes(128), 1).data
     assert answer[:16].hex(" ") == "0a 00 00 00 00 13 00 30 43 00 10 00 92 01 02 00"
-    line.master._one(4, 0x1001, 0x1080, bytes(128), 0)  # an empty mailbox does not count
+    line.master._one(Command.READ, 0x1001, 0x1080, bytes(128), 0)  # an empty mailbox does not count
 
 
 def test_a_line_goes_from_init_to_op_and_acts_at_the_next_sync0() -> None:
