@@ -35,7 +35,7 @@ _HAS_CLOCK: Final = 0x04  # bit of the features
 _FIRST_STATION: Final = 0x1001
 _IDENTITY_WORD, _MAILBOX_WORD, _CATEGORIES_WORD = 0x08, 0x18, 0x40
 _MANAGERS_CATEGORY, _LAST_CATEGORY = 41, 0xFFFF
-_MOST_WORDS: Final = 1 << 15  # of an EEPROM
+_MOST_CATEGORIES: Final = 64  # of an EEPROM
 _BUSY, _EIGHT_BYTES, _EEPROM_ERRORS = 0x8000, 0x0040, 0x7800
 _ANSWER_NS: Final = 2_000_000  # within which a frame comes back
 _POLL_NS: Final = 500_000  # between two looks at what is not there yet
@@ -48,6 +48,7 @@ _SDO: Final = struct.Struct("<BHB")
 _ABORT: Final = struct.Struct("<BHBI")
 _TOGGLE: Final = 0x10
 _REPEAT: Final = 0x02  # in the activation of a sync manager
+_TRIGGERS_WATCHDOG: Final = 0x40  # in the control byte of a sync manager
 _LARGEST_OBJECT: Final = 1 << 16  # [bytes]
 _OUTPUTS, _INPUTS = 2, 3  # sync managers
 _MASK32: Final = (1 << 32) - 1
@@ -167,7 +168,7 @@ class ThinMaster:
     def _managers(self, place: int) -> list[_Region]:
         """Return the sync managers that the EEPROM of a drive lists; none where it lists fewer than four."""
         word = _CATEGORIES_WORD
-        while word < _MOST_WORDS:
+        for _ in range(_MOST_CATEGORIES):
             kind, words = struct.unpack("<HH", self._eeprom(place, word, 4))
             if kind == _LAST_CATEGORY:
                 break
@@ -243,7 +244,9 @@ class ThinMaster:
         for place, (output_size, input_size) in enumerate(sizes):
             rows = ((_OUTPUTS, output, output_size, 2), (_INPUTS, outputs + into, input_size, 1))
             for unit, (number, logical, size, kind) in enumerate(rows):
-                region = self._drives[place].managers[number]._replace(length=size)
+                start, _, control = self._drives[place].managers[number]
+                watch = _TRIGGERS_WATCHDOG if number == _OUTPUTS else 0  # some EEPROMs leave it out
+                region = _Region(start, size, control | watch)
                 self._set_manager(place, number, region)
                 fmmu = struct.pack("<IHBBHBBBxxx", logical, size, 0, 7, region.start, 0, kind, size > 0)
                 self.register(place, _FMMUS + 16 * unit, fmmu)
@@ -342,9 +345,10 @@ class ThinMaster:
             answer = self._transfer(place, bytes((0x60 | toggle,)) + bytes(7), is_segment=True)
             if answer[0] & 0xE0 or answer[0] & _TOGGLE != toggle:
                 raise _sdo_error(place, f"got answer {answer[0]:#04x}, expected the next segment")
-            content += answer[1 : 8 - (answer[0] >> 1 & 7)] if len(answer) <= 8 else answer[1:]
+            part = answer[1 : 8 - (answer[0] >> 1 & 7)] if len(answer) <= 8 else answer[1:]
+            content += part
             toggle ^= _TOGGLE
-            if answer[0] & 1:
+            if answer[0] & 1 or not part:
                 break
         if len(content) != size:
             raise _sdo_error(place, f"got {len(content)} bytes, expected the {size} that it announced")
