@@ -227,6 +227,7 @@ _INNER: Final = {
 """Options of functions that are never called from Python; they save a fifth of the compile time."""
 METHODS: Final = (
     *("contact", "true_state", "admissible", "stored_energy", "effort", "state_of_energy", "one_way", "relaxed"),
+    "damping_at",
     *("locate", "measure", "energy", "add_gradient", "add_discrete_gradient", "add_slopes", "add_change"),
     "fill_structure",
 )

@@ -8,6 +8,7 @@ from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.free_space import FreeSpace
 from canhaptic.control.environments.hardening_wall import HardeningWall
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
+from canhaptic.control.environments.sum_of_parts import added
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
 from canhaptic.control.environments.viscous_medium import ViscousMedium
@@ -37,6 +38,35 @@ EXAMPLES = {
     "damper_wall": (DamperWall(damping=8.0, position=0.003), DamperWall(damping=8.0, position=-0.003, side="above")),
     "free_space": (FreeSpace(),) * 2,
 }
+
+
+def _knob(position, lower, upper):
+    """Notches that do not begin at the stops, in a medium."""
+    detents = Detents(peak=2.0, pitch=0.004, damping=0.5, position=position)
+    stops = TwoSidedWall(stiffness=600.0, damping=3.0, lower=lower, upper=upper)
+    return added([("detents", detents), ("stops", stops), ("medium", ViscousMedium(damping=6.0))])
+
+
+def _in_water(position, side):
+    wall = SpringDamperWall(stiffness=800.0, damping=4.0, position=position, side=side)
+    return added([("wall", wall), ("water", ViscousMedium(damping=6.0))])
+
+
+def _layers(position, further, side):
+    """A wall behind a softer one, and a damper that begins inside both."""
+    return added([
+        ("soft", HardeningWall(stiffness=200.0, hardening=2e6, damping=2.0, position=position, side=side)),
+        ("hard", SpringDamperWall(stiffness=800.0, position=further, side=side)),
+        ("oil", DamperWall(damping=8.0, position=2.0 * further - position, side=side)),
+    ])  # fmt: skip
+
+
+SUMS = {
+    "knob": (_knob(0.0007, -0.006, 0.004), _knob(-0.0007, -0.004, 0.006)),
+    "wall_in_water": (_in_water(0.004, "below"), _in_water(-0.004, "above")),
+    "layers": (_layers(0.003, 0.001, "below"), _layers(-0.003, -0.001, "above")),
+}
+EVERY = {**EXAMPLES, **SUMS}
 
 SAMPLE_TIME = 1e-3
 

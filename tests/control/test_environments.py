@@ -16,10 +16,10 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
-from tests.control.cases import EXAMPLES
+from tests.control.cases import EVERY, EXAMPLES
 from tests.drawn import examples
 
-every_environment = pytest.mark.parametrize("environment", [pair[0] for pair in EXAMPLES.values()], ids=EXAMPLES)
+every_environment = pytest.mark.parametrize("environment", [pair[0] for pair in EVERY.values()], ids=EVERY)
 positions = st.floats(-0.03, 0.03)
 
 

@@ -16,7 +16,7 @@ environment never changes.
 
 from collections.abc import Callable, Mapping
 from functools import cache
-from math import copysign, sqrt
+from math import copysign, inf, sqrt
 from types import FunctionType
 from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, Protocol, TypeVar
 
@@ -43,6 +43,7 @@ class Environment(Protocol):
 
     An environment with more than one way out may also have `one_way(position)`: the ends [m or rad] of the interval
     around a position in which the effort keeps its direction. Without it the effort is assumed to reverse anywhere.
+    The damping of a sum depends on the place: it has `damps_by_place`, and its `damping` is the largest.
     """
 
     @property
@@ -101,6 +102,15 @@ class Environment(Protocol):
         The energy lost is dissipated, not leaked. Without `relaxes` the state does not change.
         """
 
+    def damping_at(self, state: float) -> float:
+        """Return the damping coefficient that acts at a state, in contact [N*s/m or N*m*s/rad]."""
+
+
+def same_anywhere(environment: Any, state: float) -> float:
+    """Return the damping [N*s/m or N*m*s/rad]: `damping_at` of an environment whose damper is the same anywhere."""
+    damping: float = environment.damping
+    return damping
+
 
 def nowhere(_environment: object, position: float) -> tuple[float, float]:
     """Return an empty interval [m or rad]: `one_way` of an environment whose effort may reverse at any position."""
@@ -110,17 +120,17 @@ def nowhere(_environment: object, position: float) -> tuple[float, float]:
 def outside_of(environment: Environment) -> float:
     """Return the direction out of an environment, 1 or -1; 0 if it has none or several, or if its surface may move."""
     side = {"below": 1.0, "above": -1.0}.get(getattr(environment, "side", ""), 0.0)
-    return side if _is_ours(environment, "contact", "true_state") else 0.0
+    return side if is_ours(environment, "contact", "true_state") else 0.0
 
 
 def knows_turns(environment: Environment) -> bool:
     """Return whether an environment states reliably, by `one_way`, where the effort of a contact reverses."""
     if not hasattr(environment, "one_way"):
         return False
-    return not _is_ours(environment, "one_way") or _is_ours(environment, "contact", "true_state")
+    return not is_ours(environment, "one_way") or is_ours(environment, "contact", "true_state")
 
 
-def _is_ours(environment: Environment, *methods: str) -> bool:
+def is_ours(environment: Environment, *methods: str) -> bool:
     """Return whether methods come from this package, whose environments have surfaces fixed in space."""
     ours = __name__.rpartition(".")[0]
     return all(getattr(type(environment), name).__module__.startswith(ours) for name in methods)
@@ -152,6 +162,8 @@ def plain_with(kind: Any, fields: Mapping[str, Any]) -> Any:
     twin = form.plain()
     for name, value in fields.items():
         setattr(twin, name, value)
+    if getattr(kind, "damps_by_place", False):  # a sum
+        twin.parts, twin.notched = tuple(map(plain, twin.parts)), plain(twin.notched)
     for name, derive in form.derived.items():
         setattr(twin, name, derive(twin))
     return twin
@@ -171,6 +183,7 @@ def _form_of(kind: Any) -> _Form | None:
             members |= own
     if "contact" in members:
         members.setdefault("one_way", nowhere)
+        members.setdefault("damping_at", same_anywhere)
     derived = {name: value.fget for name, value in members.items() if isinstance(value, property) and value.fget}
     kept = {name: value for name, value in members.items() if not isinstance(value, property)}
     attributes = {**kept, "__doc__": kind.__doc__, "__module__": kind.__module__}
@@ -213,6 +226,8 @@ class Everywhere:
         """Return the state: nothing relaxes."""
         return state
 
+    damping_at = same_anywhere
+
 
 class StoresNothing(Everywhere):
     """Common part of environments without a storage."""
@@ -228,6 +243,10 @@ class StoresNothing(Everywhere):
     def state_of_energy(self, energy: float, like: float) -> float:
         """Return 0 J: no state stores energy."""
         return 0.0
+
+    def rests(self) -> tuple[float, float]:
+        """Return every position: nothing is stored anywhere."""
+        return -inf, inf
 
 
 def kept_on_side(state: float, true: float) -> float:
@@ -261,6 +280,10 @@ class OneSided(Everywhere, Parameters):
     def admissible(self, state: float, true: float) -> float:
         """Return the state, or 0 if it lies outside the wall."""
         return state if state * true >= 0.0 else 0.0
+
+    def rests(self) -> tuple[float, float]:
+        """Return the positions at which nothing is stored, from and to [m or rad]."""
+        return (self.position, inf) if self.is_below else (-inf, self.position)
 
 
 class LinearSpring(Everywhere, Parameters):

@@ -13,3 +13,4 @@ class DamperWall(OneSided, StoresNothing):
     """Viscous damping inside the half space."""
 
     linear_stiffness: ClassVar[float] = 0.0
+    rests = StoresNothing.rests

@@ -125,6 +125,12 @@ class Environment(Everywhere, Parameters):
             return position, position
         return (-math.inf, self.position) if position < self.position else (self.position, math.inf)
 
+    def rests(self) -> tuple[float, float]:
+        """Return the positions at which nothing is stored, from and to [m or rad]."""
+        return (
+            -math.inf if self.side == "above" else self.position
+        ), math.inf if self.side == "below" else self.position
+
     def stored_energy(self, state: float) -> float:
         """Return the potential [J]."""
         return self.potential(state)

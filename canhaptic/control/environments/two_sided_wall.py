@@ -42,3 +42,7 @@ class TwoSidedWall(LinearSpring):
         if position < self.lower:
             return -math.inf, self.lower
         return (self.upper, math.inf) if position > self.upper else (position, position)
+
+    def rests(self) -> tuple[float, float]:
+        """Return the positions between the walls, from and to [m or rad]."""
+        return self.lower, self.upper

@@ -232,6 +232,7 @@ class GuardedSettings:
     outside: float = 0.0  # direction out of the environment, 1 or -1; 0: it has none or several
     turns: Annotated[bool, OFTEN_ZERO] = False  # whether it has none or several, with a declared hand force
     knows_turns: bool = False  # whether the environment states where its effort reverses
+    by_place: Annotated[bool, OFTEN_ZERO] = False  # whether it is a sum, whose damping depends on the place
 
 
 def settings_of(environment: Environment, parameters: GuardedParameters, loop: LoopProperties) -> GuardedSettings:
@@ -253,6 +254,7 @@ def settings_of(environment: Environment, parameters: GuardedParameters, loop: L
         turns=turns,
         knows_turns=turns and tells_turns(environment),
         damping=min(environment.damping, of_loop.cap),
+        by_place=getattr(environment, "damps_by_place", False),
     )
 
 
@@ -298,7 +300,8 @@ def kept_for_contacts(
 ) -> float:
     """Return the most energy that the account keeps to start later contacts [J]; see `start_energy`.
 
-    If not declared, it is the energy for a spring of the environment's stiffness. A stiffness above half of what the
+    If not declared, it is the energy for a spring of the environment's stiffness, or of the steepest slope of a sum (N4
+    of `docs/theory/sums.md`). A stiffness above half of what the
     certificate permits at the largest force, or an environment that is no spring, counts as that half. This allows any
     contact up to a push of half the hand's pull.
 
@@ -306,6 +309,8 @@ def kept_for_contacts(
         ParameterError: `drag` is set, but the energy kept is 0.
     """
     kept, stiffness = parameters.earned_energy, environment.linear_stiffness
+    if stiffness is None:
+        stiffness = getattr(environment, "steepest", None)
     if kept is None and response is not scalar_bounds.NO_RESPONSE and response.hand > 0.0 and stiffness != 0.0:
         holds = loop.delay + parameters.max_consecutive_losses
         half = 0.5 * scalar_bounds.renderable_by_hand_force(response, holds, _LARGEST)
@@ -525,15 +530,19 @@ def render(
     ahead = steady = settings.lead * travel
     if not environment.relaxes:
         ahead, mover_motion = predicted(settings.prediction, state.motion, queued, bound.first, travel)
-        if state.h_s < ceiling and steady * true > 0.0 and steady * true > ahead * true:
+        if state.h_s < ceiling and steady * spring > 0.0 and steady * spring > ahead * spring:
             ahead = steady  # going in, more may be taken in where the account is short
         if same:
             inside = mover_motion
     lead = environment.effort(environment.admissible(true + ahead, true)) - spring
-    velocity, softer = inside / settings.sample_time, softened(settings, spring, true)
+    velocity = inside / settings.sample_time
+    depth, damping = of_sum(environment, settings, true, spring, ceiling) if settings.by_place else (
+        abs(true), settings.damping
+    )  # fmt: skip
+    softer = softened(settings, spring, depth)
     spring, lead = spring * softer, lead * softer
-    spring, lead, damper, covered = efforts(run, true, spring, lead, ahead, velocity, energy, ceiling)
-    rendered = damper / velocity if velocity != 0.0 else settings.damping
+    spring, lead, damper, covered = efforts(run, depth, spring, lead, ahead, velocity, damping, energy, ceiling)
+    rendered = damper / velocity if velocity != 0.0 else damping
     modulated = 0.0
     if settings.alpha > 0.0 and state.axis.h_dis > 0.0 and velocity != 0.0:
         extra = modulated_damping(
@@ -554,6 +563,14 @@ def render(
     if settings.quantum > 0.0:
         torque = towards_zero(torque, settings.quantum)
     return torque, damper, modulated, rendered, certificate
+
+
+def of_sum(
+    environment: Environment, settings: GuardedSettings, true: float, spring: float, ceiling: float
+) -> tuple[float, float]:
+    """Return the depth of a spring of the same effort and energy [m or rad], and the damping, of a sum at a state."""
+    damping = min(settings.damping, environment.damping_at(true))
+    return (2.0 * ceiling / abs(spring) if spring != 0.0 else 0.0), damping
 
 
 def permitted_size(run: GuardedRun, torque: float, energy: float, moved: float) -> tuple[float, int]:
@@ -623,19 +640,19 @@ _DITHERED: Final = 2.0
 costs nothing (`certified_torque`). A stiffer one loses at the impact what would hold it, and is felt softer."""
 
 
-def softened(settings: GuardedSettings, spring: float, true: float) -> float:
-    """Return the share of a spring's effort [N or N*m] at its true state [m or rad] that is requested."""
-    size, most = abs(spring), _DITHERED * settings.sustained * abs(true)
+def softened(settings: GuardedSettings, spring: float, depth: float) -> float:
+    """Return the share of a spring's effort [N or N*m] at a depth [m or rad] that is requested."""
+    size, most = abs(spring), _DITHERED * settings.sustained * depth
     return most / size if 0.0 < most < size else 1.0
 
 
 def efforts(
-    run: GuardedRun, true: float, spring: float, lead: float, ahead: float, velocity: float, energy: float,
-    ceiling: float,
+    run: GuardedRun, depth: float, spring: float, lead: float, ahead: float, velocity: float, damping: float,
+    energy: float, ceiling: float,
 ) -> tuple[float, float, float, bool]:  # fmt: skip
     """Limit spring, prediction and damper efforts [N or N*m] to the energy; return them, and whether it covers all."""
     settings, bound = run.settings, run.state.bound
-    damper, size, speed = settings.damping * velocity, abs(spring), abs(velocity)
+    damper, size, speed = damping * velocity, abs(spring), abs(velocity)
     room, led = settings.cap * speed, settings.calm * abs(ahead)
     if abs(damper) > room:
         damper = copysign(room, damper)
@@ -643,7 +660,7 @@ def efforts(
     if not settings.declared.by_hand_force_alone:
         permitted = energy_permitted(settings, bound, spring + lead + damper, energy, ceiling)
         if settings.sustained > 0.0:
-            soft, further = soft_and_further(settings, bound, size, abs(true), energy)
+            soft, further = soft_and_further(settings, bound, size, depth, energy)
             if soft + further < size:  # all of it would use up what the soft spring lives on
                 permitted = min(permitted, (soft + further) * (soft + further))
                 room, led = min(room, further), min(led, further)

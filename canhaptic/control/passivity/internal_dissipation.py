@@ -34,14 +34,14 @@ exact products (Dekker 1971) and an exact sum.
 
 from dataclasses import dataclass, field
 from math import copysign, isnan, nan, sqrt
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Annotated, Any, Final, NamedTuple, TypeAlias
 
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.damping import Alpha, DamperVelocity, damping_cap, modulated_damping
 from canhaptic.control.environments import Environment, plain
 from canhaptic.control.passivity import LoopProperties, stepped
 from canhaptic.control.passivity.stepped import Hold, HoldAccount, begin, close_hold, open_hold, surplus_after
-from canhaptic.kernels import Kernel, Run, new
+from canhaptic.kernels import OFTEN_ZERO, Kernel, Run, new
 
 _SPLITTER: Final = 134217729.0  # 2^27 + 1 (Veltkamp)
 _ITERATIONS: Final = 80  # bisection alone reaches the last bit of any bracket of one binade in 53
@@ -355,6 +355,7 @@ class StoredModelSettings:
     is_linear: bool  # whether the storage is k x^2 / 2
     stiffness: float  # k, where it is [N/m or N*m/rad]
     hold: stepped.HoldSettings
+    by_place: Annotated[bool, OFTEN_ZERO] = False  # whether it is a sum, whose damping depends on the place
 
 
 @dataclass(slots=True)
@@ -386,12 +387,20 @@ def stored_model_settings(
         is_linear=stiffness is not None,
         stiffness=stiffness or 0.0,
         hold=stepped.hold_settings(parameters, loop, Certificate.NONE),
+        by_place=getattr(environment, "damps_by_place", False),
     )
 
 
-def dissipation(settings: StoredModelSettings, hold: Hold) -> float:
+def damping_of(environment: Environment, settings: StoredModelSettings, storage: Storage) -> float:
+    """Return the damping of the model where the axis is [N*s/m or N*m*s/rad]."""
+    if settings.by_place:
+        return min(settings.damping, environment.damping_at(storage.true))
+    return settings.damping
+
+
+def dissipation(damping: float, hold: Hold) -> float:
     """Return the damper's dissipation in a hold, T d v^2, with d v its effort inside the torque [J] (eqs. 6, 18)."""
-    return hold.elapsed * (hold.damper * hold.damper) / settings.damping if settings.damping != 0.0 else 0.0
+    return hold.elapsed * (hold.damper * hold.damper) / damping if damping != 0.0 else 0.0
 
 
 def step(environment: Environment, run: StoredModelRun, position: float, torque_applied: float) -> EnergyBalance:
@@ -430,7 +439,7 @@ def close(environment: Environment, run: StoredModelRun, hold: Hold, account: Ho
     measured = settings.hold.tolerance > 0.0
     if measured and is_deadlocked(storage):  # an environment that stores nothing is never deadlocked
         measured = settings.is_linear and settings.stiffness == 0.0
-    rendered, modulated = settings.damping, 0.0
+    rendered, modulated = damping_of(environment, settings, storage), 0.0
     damper = rendered * (hold.velocity if measured else storage.velocity)
     if settings.given.alpha > 0.0:
         surplus = surplus_after(run.state.axis, hold, account)[0]
@@ -481,7 +490,8 @@ def exchange(environment: Environment, settings: StoredModelSettings, storage: S
         damper = 0.0
         change = solve(environment, settings, storage, hold.displacement, 0.0, h_m)
     if isnan(change):
-        return approximate(environment, storage, hold.elapsed, dissipation(settings, hold), h_m)
+        lost = dissipation(damping_of(environment, settings, storage), hold)
+        return approximate(environment, storage, hold.elapsed, lost, h_m)
     furthest = 2.0 * abs(hold.displacement)
     limited = h_m > 0.0 and (abs(change) > furthest or not settings.is_linear)
     if limited and abs(change) > furthest:

@@ -77,7 +77,7 @@ def follow(environment: Environment, model: SampledModel, position: float, hold:
         state = environment.relaxed(state, hold.elapsed)
         h_r += strained - environment.stored_energy(state)
     model.true = state
-    damping = environment.damping
+    damping = environment.damping_at(state)
     spring, damper = environment.effort(state), damping * hold.velocity
     return new(Asked, (_START if entered else _EXACT, h_r, True, spring, damper, damping))
 

@@ -31,6 +31,7 @@ from canhaptic.control.passivity.internal_dissipation import (
     StoredModelSettings,
     StoredModelState,
     approximate,
+    damping_of,
     dissipation,
     empty,
     entered_by,
@@ -84,7 +85,8 @@ def touch(
 
 def exchange(environment: Environment, settings: StoredModelSettings, storage: Storage, hold: Hold) -> HoldAccount:
     """Book the dissipation at the velocity that the hold's torque contains, and store what is left (eqs. 6, 7)."""
-    account = approximate(environment, storage, hold.elapsed, dissipation(settings, hold), hold.h_i - hold.h_pas)
+    lost = dissipation(damping_of(environment, settings, storage), hold)
+    account = approximate(environment, storage, hold.elapsed, lost, hold.h_i - hold.h_pas)
     if storage.h_s == 0.0:
         empty(storage)
     return account
