@@ -240,6 +240,8 @@ def _first_sync(addresses: Sequence[Address], frames: Sequence[Frame], roles: Ro
 
 
 NEVER: Final = 1 << 62  # [ns]
+_MOST_WAITS: Final = 1000
+"""Waits of a master that sends no frame, after which its time goes on: it waits for an answer that the log lacks."""
 
 
 class ReplayOverError(BaseException):
@@ -357,6 +359,7 @@ class RecordedClock:
         self._now = start
         self._pace = pace
         self._lead: int | None = None  # of the pace over the recording, from the first wait on
+        self._waits, self._waited_at = 0, -1  # how often for the master's next frame, and the place of that
 
     def now(self) -> int:
         """Return the time of the recording [ns]."""
@@ -378,7 +381,8 @@ class RecordedClock:
                 return message
             due, command = side.next_due(), side.next_due(of_master=True)
             if due == NEVER:
-                self._move(command if command != NEVER else deadline)
+                self._waits, self._waited_at = self._waits * (side.place == self._waited_at) + 1, side.place
+                self._move(command if command != NEVER and self._waits < _MOST_WAITS else deadline)
                 return None
             self._move(due)  # recorded before the master's next frame, so it comes before it, however late it was
 

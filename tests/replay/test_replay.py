@@ -48,6 +48,18 @@ def replay_lines(folder: Path, name: str, lines: list[str], **options: Any) -> R
     return replay_bus_log(path, scene_of(name), **options)
 
 
+
+@pytest.mark.timeout(60)  # it would wait for ever
+def test_a_master_that_waits_for_an_answer_that_the_log_lacks_gives_up(tmp_path: Path) -> None:
+    """Its next recorded frame is due at once, so the time of the recording does not go on by itself."""
+    lines = lines_of("demo")
+    answers = [number for number, line in enumerate(lines) if " 581#" in line]
+    for number in (answers[0], answers[30], answers[-40]):
+        found = replay_lines(tmp_path, "demo", lines[:number] + lines[number + 1 :])
+        assert found["difference"] is not None
+        assert found["difference"]["number"] >= number
+
+
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_the_master_sends_today_what_it_sent_when_recorded(name: str) -> None:
     result = replay_bus_log(FOLDER / f"{name}.log", scene_of(name))
