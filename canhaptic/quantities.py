@@ -35,6 +35,7 @@ class QuantityRow(NamedTuple):
     colour: str = ""  # of its line in a picture; "": none
     key: str = ""  # key of the scene that a limit is compared with
     source: str = "own definition"  # of a figure
+    short: str = ""  # title in a narrow column; "": none
 
     def unit_on(self, motion: Motion) -> str:
         """Return the unit for an axis in "m" or "rad"."""
@@ -65,8 +66,12 @@ LIMITS: Final = _rows("limit")
 """Limits of a scene that `check` prints. One with a key is compared with the value of that key, in its unit."""
 FIGURES: Final = _rows("figure")
 """Figures of `compare`, `sweep` and `map`, by their names."""
+SUMMARY: Final = _rows("summary")
+"""What `compare` and `sweep` say of whole runs."""
 ARENA: Final = _rows("arena")
 """Figures of the arena."""
+STANDING: Final = _rows("standing")
+"""Columns of the arena's ranking, over all cases of an algorithm; less is better."""
 
 OLD_COLUMNS: Final = {
     "interaction": "h_i", "dissipated": "h_r", "stored": "h_s", "surplus": "h_dis", "generated": "gen",

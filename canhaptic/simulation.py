@@ -107,6 +107,10 @@ class PortAccount:
     group: str = ""
     mass_felt: float | None = None
 
+    def __repr__(self) -> str:
+        energies = f"in {self.energy_in:.4g} J, out {self.energy_out:.4g} J, margin {self.margin:.3g} J"
+        return f"<PortAccount {self.name}: {self.verdict}, {energies}>"
+
 
 class Account(Mapping[str, PortAccount]):
     """The accounts of all ports by name; `raw` is the whole account as `canhaptic run --json` prints it.

@@ -341,7 +341,7 @@ def _without_empty(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _bus_table(bus: str, budget: BusBudget) -> Table:
     rows = [
-        (row.what, row.frames, row.bits_each, row.bits, f"{row.bits / budget.bitrate * 1e6:.0f} us")
+        (row.kind, row.frames, row.bits_each, row.bits, f"{row.bits / budget.bitrate * 1e6:.0f} us")
         for row in budget.rows
     ]
     return Table(f"{bus}, worst cycle", ("what", "frames", "bits each", "bits", "time"), rows)

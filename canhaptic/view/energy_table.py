@@ -234,10 +234,16 @@ def inspection_tables(result: Result) -> list[Table]:
             depth = partial(place, unit=port.get("state_unit", unit), in_degrees=port.get("in_degrees", False))
             tables.append(_contacts_table(f"{file} {name}", contacts, unit, depth))
         left = "unrestored" if run.get("truth") else ""  # in a simulated drive, which is gone
-        told = [e for e in run.get("events", []) if e["text"] != BY_CONSTRUCTION and e["kind"] != left]
+        told = [e for e in run.get("events", []) if e["kind"] != left and not _is_known(e, run["ports"])]
         tables.append(_events_table(told, file))
     tables.append(_checks_table(result.get("checks", [])))
     return [table for table in tables if table.rows]
+
+
+def _is_known(event: Result, ports: Result) -> bool:
+    """Return whether an event only says that a simulated drive acts in the hold which its scene declares."""
+    port = ports.get(event["port"], {})
+    return bool(event["kind"] == "hold" and ports.get(port.get("group"), port).get("hold") == BY_CONSTRUCTION)
 
 
 def _file_of(run: Result, runs: Sequence[Result]) -> str:

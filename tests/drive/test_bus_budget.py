@@ -89,7 +89,7 @@ def test_the_offered_rate_fits(bitrate: int, axes: int) -> None:
 
 def test_the_longest_frames_come_first_in_the_arithmetic() -> None:
     budget = bus_budget(CanBusParameters(rate=500.0), [*maps(1), *maps(2, "none")[1:]])
-    assert [(row.what, row.frames, row.bits_each) for row in budget.rows[1:4]] == [
+    assert [(row.kind, row.frames, row.bits_each) for row in budget.rows[1:4]] == [
         ("TPDO", 1, 135),
         ("TPDO", 1, 115),
         ("RPDO", 2, 95),

@@ -129,6 +129,15 @@ def test_an_account_has_its_ports_as_attributes_and_the_package_its_version() ->
 def test_every_public_object_shows_what_it_is() -> None:
     run = canhaptic.simulate("demo", duration="3 ms", progress=False)
     with run.log() as log, canhaptic.build(run.scene) as experiment:
-        for shown in (run, run.account, run.scene, log, experiment, experiment.rig, experiment.cycle):
+        for shown in (
+            run,
+            run.account,
+            run.account.handle,
+            run.scene,
+            log,
+            experiment,
+            experiment.rig,
+            experiment.cycle,
+        ):
             assert " object at 0x" not in repr(shown)
-            assert 20 < len(repr(shown)) < 200
+            assert 20 < len(repr(shown)) < 120, len(repr(shown))

@@ -48,7 +48,6 @@ def replay_lines(folder: Path, name: str, lines: list[str], **options: Any) -> R
     return replay_bus_log(path, scene_of(name), **options)
 
 
-
 @pytest.mark.timeout(60)  # it would wait for ever
 def test_a_master_that_waits_for_an_answer_that_the_log_lacks_gives_up(tmp_path: Path) -> None:
     """Its next recorded frame is due at once, so the time of the recording does not go on by itself."""

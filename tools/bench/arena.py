@@ -10,6 +10,7 @@ from typing import Any, Final
 from canhaptic.lab.render.arena_picture import pictures_of
 from canhaptic.lab.studies.arena import COLUMNS, ArenaPlan, ArenaStore, run_arena, scenes_named
 from canhaptic.lab.studies.runner import Pool
+from canhaptic.quantities import STANDING
 from tools.bench.report import DEFAULT_OUT, Row, picture_place, publish, write_result
 
 _PACKAGES: Final = ("canhaptic", "numpy", "numba")
@@ -23,13 +24,13 @@ AT_DAMPING: Final = 10.0
 def result_rows(found: Mapping[str, Any]) -> list[tuple[str, float, str]]:
     """Returns an arena as (name, value, unit), for a file of results."""
     rows = [
-        (f"{row['algorithm']}: {column.what}", row[key], column.unit)
-        for key, column in COLUMNS.items()
+        (f"{row['algorithm']}: {STANDING[key].title}", row[key], STANDING[key].unit)
+        for key in COLUMNS
         for row in found["standings"]
         if row[key] is not None
     ]
     for name, places in found["ranks"].items():
-        rows += [(f"rank of {name}: {COLUMNS[key].what}", float(rank), "1") for key, rank in places.items()]
+        rows += [(f"rank of {name}: {STANDING[key].title}", float(rank), "1") for key, rank in places.items()]
     for border in (border for border in found.get("borders", ()) if border["damping"] == AT_DAMPING):
         late = ", one sample late" if border["delay"] else ""
         where = f"wall of {border['damping']:g} N*s/m{late}"

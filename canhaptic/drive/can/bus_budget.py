@@ -34,7 +34,7 @@ def worst_frame() -> int:
 class _BudgetRow(NamedTuple):
     """Frames of one kind in a cycle."""
 
-    what: str
+    kind: str
     frames: int
     bits_each: int
 
@@ -61,7 +61,7 @@ class BusBudget:
     @property
     def periodic_load(self) -> float:
         """Fraction of the bus time that SYNC and PDOs take in every cycle, 0 to 1."""
-        bits = sum(row.bits for row in self.rows if row.what in ("SYNC", "TPDO", "RPDO"))
+        bits = sum(row.bits for row in self.rows if row.kind in ("SYNC", "TPDO", "RPDO"))
         return bits / self.bitrate / self.sample_time
 
     @property
@@ -71,7 +71,7 @@ class BusBudget:
 
     def arithmetic(self) -> str:
         """Return the sum of the worst cycle as text, term by term."""
-        terms = " + ".join(f"{row.frames} {row.what} x {row.bits_each}" for row in self.rows if row.frames)
+        terms = " + ".join(f"{row.frames} {row.kind} x {row.bits_each}" for row in self.rows if row.frames)
         bits = sum(row.bits for row in self.rows)
         on_wire = f"{bits} bits at {self.bitrate / 1000:g} kbit/s = {bits / self.bitrate * 1e6:.0f} us"
         worst = f"{self.worst_cycle * 1e6:.0f} us of {self.sample_time * 1e6:.0f} us"
@@ -82,8 +82,8 @@ def bus_budget(bus: CanBusParameters, maps: Sequence[AxisMap]) -> BusBudget:
     """Return the worst cycle of a bus that carries these axes."""
     rows = [_BudgetRow("SYNC", 1, _worst_case_bits(0))]
     answers = [length for axis in maps for length in (*axis.awaited, *(tpdo.length for tpdo in axis.tpdos))]
-    for what, lengths in (("TPDO", answers), ("RPDO", [axis.rpdo.length for axis in maps])):
-        rows += [_BudgetRow(what, lengths.count(n), _worst_case_bits(n)) for n in sorted(set(lengths), reverse=True)]
+    for kind, lengths in (("TPDO", answers), ("RPDO", [axis.rpdo.length for axis in maps])):
+        rows += [_BudgetRow(kind, lengths.count(n), _worst_case_bits(n)) for n in sorted(set(lengths), reverse=True)]
     rows.append(_BudgetRow("frame already on the bus", 1, worst_frame()))
     rows.append(_BudgetRow("heartbeat", len(maps) + 1, _worst_case_bits(1)))
     guarded = sum(axis.watchdog == "life_guarding" for axis in maps)
@@ -97,7 +97,7 @@ def torque_latency(bus: CanBusParameters, maps: Sequence[AxisMap]) -> float:
 
     It holds every TPDO and RPDO, the host in between, and one blocking frame before the TPDOs and before the RPDOs.
     """
-    rows = [row for row in bus_budget(bus, maps).rows if row.what in ("TPDO", "RPDO")]
+    rows = [row for row in bus_budget(bus, maps).rows if row.kind in ("TPDO", "RPDO")]
     return (sum(row.bits for row in rows) + 2 * worst_frame()) / bus.bitrate + bus.compute_latency
 
 

@@ -13,6 +13,7 @@ from canhaptic.lab.render.arena_picture import pictures_of, write_arena_page
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.arena import ArenaPlan, ArenaStore, run_arena, scenes_named
 from canhaptic.lab.studies.runner import pool_of
+from canhaptic.quantities import STANDING
 from canhaptic.view.picture_style import require_matplotlib
 from canhaptic.view.table import Table
 from canhaptic.view.terminal import note_file, write_file, write_note
@@ -60,13 +61,17 @@ def _write(found: Row, out: Path) -> None:
 
 
 def _table(found: Row) -> Table:
-    shown = ("given_out", "beyond_device", "diverged", "position_error", "stiffness_error", "drag")
-    heads = ("gave out", "beyond device", "diverged", "position error", "stiffness error", "drag [N]")
+    shown = [key for key, row in STANDING.items() if row.short]
     rows = [
         [row["algorithm"], *(_shown(row[key], found["ranks"][row["algorithm"]].get(key)) for key in shown)]
         for row in found["standings"]
     ]
-    return Table(f"{len(found['cases'])} cases; in brackets the rank", ["algorithm", *heads], rows, keys=1)
+    return Table(
+        f"{len(found['cases'])} cases; in brackets the rank",
+        ["algorithm", *(STANDING[key].short for key in shown)],
+        rows,
+        keys=1,
+    )
 
 
 def _shown(value: float | None, rank: int | None) -> str:

@@ -27,7 +27,7 @@ from canhaptic.lab.studies.runner import Progress, dask_executor, pool_of
 from canhaptic.lab.studies.store import SweepTable
 from canhaptic.lab.studies.sweep import sweep
 from canhaptic.lab.studies.vary import CONTROLLER
-from canhaptic.quantities import FIGURES
+from canhaptic.quantities import FIGURES, SUMMARY
 from canhaptic.view.table import Table
 from canhaptic.view.terminal import note_file, write_note
 
@@ -153,12 +153,16 @@ def _finite(figure: Callable[[Array], Any]) -> Callable[[Array], float | None]:
 
 
 _SHARES: Final[Mapping[str, tuple[str, str, Callable[[Array], float | None]]]] = {
-    "passive": ("passive, by the plant", "least_interaction", _kept),
-    "margin_kept": ("margin never negative", "margin", _kept),
+    "passive": (SUMMARY["passive_by_plant"].title, "least_interaction", _kept),
+    "margin_kept": (SUMMARY["margin_kept"].title, "margin", _kept),
     "least_margin": (FIGURES["margin"].title, "margin", _finite(np.min)),
-    "diverged": ("diverged", "diverged", lambda values: float((values == 1.0).mean())),
-    "stable": ("stable without\nalgorithm", RADIUS, _finite(lambda values: (values < 1.0).mean())),
-    "stiffness_rendered": ("stiffness, median", "stiffness_rendered.share", _finite(np.median)),
+    "diverged": (FIGURES["diverged"].title, "diverged", lambda values: float((values == 1.0).mean())),
+    "stable": (SUMMARY["stable_alone"].title, RADIUS, _finite(lambda values: (values < 1.0).mean())),
+    "stiffness_rendered": (
+        f"{FIGURES['stiffness_rendered.share'].title}, median",
+        "stiffness_rendered.share",
+        _finite(np.median),
+    ),
     "mass_felt": (f"{FIGURES['mass_felt'].title}, median", "mass_felt.share", _finite(np.median)),
     "guard_acts": (f"{FIGURES['guard_acts'].title}, median", "guard_acts", _finite(np.median)),
 }

@@ -14,7 +14,7 @@ import numpy as np
 from canhaptic.lab.render import BLACK, MARKS, WHITE, sheet
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.arena import COLUMNS
-from canhaptic.quantities import ARENA
+from canhaptic.quantities import ARENA, STANDING
 from canhaptic.view.html_page import picture, words, write_page
 from canhaptic.view.picture_style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 from canhaptic.view.table import Cell, Styled, Table, shown
@@ -213,7 +213,8 @@ def _about(found: Found) -> str:
 
 def _standings(found: Found) -> Table:
     times = found.get("time_of_step", {})
-    heads = ["algorithm", "cases", *(f"{c.what} [{c.unit}]" for c in COLUMNS.values()), "time of a step [us]"]
+    heads = ["algorithm", "cases", *(f"{STANDING[key].title} [{STANDING[key].unit}]" for key in COLUMNS)]
+    heads.append(f"{ARENA['time of a step'].title} [us]")
     rows = [_standing(row, found["ranks"][row["algorithm"]], times) for row in found["standings"]]
     return _table("Standings", heads, rows)
 

@@ -26,7 +26,7 @@ from canhaptic.lab.loop.axis_loop import Array, LoopRun
 from canhaptic.lab.render import sheet
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import AxisComparison, Comparison
-from canhaptic.quantities import ACCOUNT, TRUTH, QuantityRow
+from canhaptic.quantities import ACCOUNT, SUMMARY, TRUTH, QuantityRow
 from canhaptic.view import picture_style as style
 from canhaptic.view.picture_style import ALARM, GREEN
 from canhaptic.view.run_lines import rests_on
@@ -209,15 +209,15 @@ _SHOWN: Final[dict[str, Callable[[float, str], str]]] = {
 }
 _ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
-    _Row("passive, by the plant", lambda a, _: _verdict(a)),
+    _Row(SUMMARY["passive_by_plant"].title, lambda a, _: _verdict(a)),
     *(figure_row(name, figure.row) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.row.better),
     _Row(ACCOUNT["certificates"].title, lambda a, _: _premise(a) if a["contact"] else None),
-    _Row("computing time per step", lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
+    _Row(SUMMARY["time_of_step"].title, lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
 )
 _GROUP_ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
-    _Row("passive, by the account", lambda a, _: a["passive"]),
-    _Row("passive, by the plant", lambda a, _: _verdict(a)),
+    _Row(SUMMARY["passive_by_account"].title, lambda a, _: a["passive"]),
+    _Row(SUMMARY["passive_by_plant"].title, lambda a, _: _verdict(a)),
     _true("least_interaction"),
     _accounted("margin", lambda a, _: a["margin"]["value"]),
     _true("accounted_error"),
@@ -232,9 +232,9 @@ _DISPLAY_ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
     _accounted("in", lambda a, _: a["account"]["in"]),
     _accounted("out", lambda a, _: a["account"]["out"]),
-    _Row("uncertainty of the account, + only", lambda a, _: a["account"]["energy_resolution"], _joule),
-    _Row("passive, by the account", lambda a, _: a["account"]["passive"]),
-    _Row("passive, by the plant", lambda a, _: _verdict(a)),
+    _Row(f"{ACCOUNT['energy_resolution'].title}, + only", lambda a, _: a["account"]["energy_resolution"], _joule),
+    _Row(SUMMARY["passive_by_account"].title, lambda a, _: a["account"]["passive"]),
+    _Row(SUMMARY["passive_by_plant"].title, lambda a, _: _verdict(a)),
     _Row(ACCOUNT["certificates"].title, lambda a, _: _premise(a["account"])),
     _true("interaction"),
     _true("least_interaction"),

@@ -321,8 +321,6 @@ def mass_widths(rig: Path) -> Rows:
 class Column(NamedTuple):
     """One column of the ranking: a figure over all cases of an algorithm."""
 
-    what: str  # heading
-    unit: str
     value: Callable[[Sequence[Row]], float | None]  # from the cases of an algorithm; None where it does not apply
     is_ranked: bool = True  # whether less is better
 
@@ -354,22 +352,19 @@ def _most_given_out(cases: Sequence[Row]) -> float:
 
 
 COLUMNS: Final[dict[str, Column]] = {
-    "given_out": Column("cases that gave out more than 1 uJ", "1", _count("energy_given_out")),
-    "beyond_device": Column(
-        "cases that gave out more than 1 uJ beyond what the device takes", "1",
-        _count("energy_beyond_device"),
-    ),
-    "most_given_out": Column("most energy given out, completed runs", "J", _most_given_out),
-    "diverged": Column("runs that diverged", "1", _ended("diverged")),
-    "not_rendered": Column("cases with less than a tenth of the environment rendered", "1", _ended(OUTCOMES[2])),
-    "position_error": Column("position error rms over travel, median", "1", _combined("position_error")),
-    "force_variation": Column("force variation over the continuous one, median", "1", _combined("force_variation")),
-    "stiffness_error": Column("stiffness rendered less 1, median size", "1", _combined("stiffness_error")),
-    "limit_cycle": Column("limit cycle, mean", "m", _combined("limit_cycle", np.mean)),
-    "rate_hardness": Column("rate-hardness over stiffness, median", "1", _combined("rate_hardness"), is_ranked=False),
-    "drag": Column("drag in free motion, mean", "N", _combined("drag", np.mean)),
-}  # fmt: skip
-"""Key -> figure of the ranking; less is better."""
+    "given_out": Column(_count("energy_given_out")),
+    "beyond_device": Column(_count("energy_beyond_device")),
+    "most_given_out": Column(_most_given_out),
+    "diverged": Column(_ended("diverged")),
+    "not_rendered": Column(_ended(OUTCOMES[2])),
+    "position_error": Column(_combined("position_error")),
+    "force_variation": Column(_combined("force_variation")),
+    "stiffness_error": Column(_combined("stiffness_error")),
+    "limit_cycle": Column(_combined("limit_cycle", np.mean)),
+    "rate_hardness": Column(_combined("rate_hardness"), is_ranked=False),
+    "drag": Column(_combined("drag", np.mean)),
+}
+"""Row of `quantities.STANDING` -> figure of the ranking."""
 
 
 def ranking(algorithms: Sequence[str], cases: Sequence[Row]) -> list[Row]:

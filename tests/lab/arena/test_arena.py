@@ -19,6 +19,7 @@ from canhaptic.lab.studies.arena import (
     scenes_named,
 )
 from canhaptic.lab.studies.runner import Progress
+from canhaptic.quantities import STANDING
 from tools.bench.arena import result_rows
 
 SUBSET = [
@@ -156,6 +157,7 @@ def test_cases_that_are_known_are_left_out() -> None:
 
 def case(name: str, scene: str = "a", **figures: float) -> dict:
     zeros = ("energy_given_out", "energy_beyond_device", "position_error", "force_variation")
+    assert list(COLUMNS) == list(STANDING)
     whole = {column: 0.0 if column in zeros else None for column in (*COLUMNS, *zeros)}
     return {"scene": scene, "algorithm": name, "status": "completed", **whole, **figures}
 
@@ -172,5 +174,5 @@ def test_a_rank_is_one_more_than_how_many_are_better_and_ties_share_it() -> None
     assert given_out(["y", "z"], cases)["y"]["b"] == {"cases": 1.0, "most": 2e-3}
     assert "b" not in given_out(["z"], cases)["z"]
     names = [name for name, _, _ in result_rows({"standings": rows, "ranks": places})]
-    assert f"x: {COLUMNS['given_out'].what}" in names
+    assert f"x: {STANDING['given_out'].title}" in names
     assert len(names) == len(set(names))
