@@ -438,6 +438,8 @@ def run(
 
 
 def _start(rig: Rig) -> None:
+    from canhaptic.control import booked_stop  # noqa: F401 - a process without descriptors stops in order too
+
     try:
         rig.start()
     except CanHapticError:

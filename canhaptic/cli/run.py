@@ -4,7 +4,7 @@ import argparse
 import importlib
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from itertools import chain
 from math import inf
 from pathlib import Path
@@ -75,10 +75,12 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _note_buzz(energy_log: Path | None, scene: Scene) -> None:
+    """Note that the run buzzed, unless that cannot be found out; it has ended and told its account."""
     if energy_log is not None:
-        from canhaptic.cli.why import note_buzz
+        with suppress(CanHapticError, OSError, ImportError, MemoryError):
+            from canhaptic.cli.why import note_buzz
 
-        note_buzz(energy_log, scene)
+            note_buzz(energy_log, scene)
 
 
 def _preflight(scene: Scene) -> Iterator[str]:

@@ -3,7 +3,6 @@
 import argparse
 import tempfile
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Final, TypedDict
 from warnings import catch_warnings
@@ -65,8 +64,12 @@ def add_why(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) -
 
 
 def note_buzz(path: Path, scene: Scene) -> None:
-    """Note on standard error that the run of a log buzzed; nothing where it did not, or the log cannot be read."""
-    with suppress(CanHapticError, OSError), EnergyLog.open(path) as log:
+    """Note on standard error that the run of a log buzzed; nothing where it did not.
+
+    Raises:
+        CanHapticError: The log cannot be read.
+    """
+    with EnergyLog.open(path) as log:
         last = max(0, log.rows - round(_LONGEST / log.sample_time))
         for name, of in why(log, scene, slice(last, log.rows)).items():
             if not is_worth_a_line(of):
