@@ -237,7 +237,7 @@ class Cycle:
             known = sum(self._left_by_losses(axis) for axis in meter.axes)
             known += sum(_resolution(group.controller) for group in self.groups if group.name == meter.name)
             grown, meter.uncertainty = known - meter.uncertainty, known
-            if budget.lose(self.rig.deadline_index, grown):
+            if (not meter.is_of_link or self._has_lost(meter)) and budget.lose(self.rig.deadline_index, grown):
                 text = f"{budget.level:.3g} J beyond energy_uncertainty_limit ({meter.uncertainty_limit:.3g} J/s)"
                 what = f"uncertainty {known:.3g} J, {text}"
                 for drive in (self.rig.drives[axis] for axis in meter.axes):
@@ -246,6 +246,10 @@ class Cycle:
                         return drive.suspicion, f"{drive.axis.name}: {found}; {what}"
                 return StopReason.ENERGY_UNCERTAIN, f"{meter.name}: {what}"
         return None
+
+    def _has_lost(self, meter: EnergyLossMeter) -> bool:
+        """Whether a sample or a command of a port was lost since the look before, or shows in its account only now."""
+        return any(self.rig.drives[axis].policy.lost_since <= self._look_every + 2 for axis in meter.axes)
 
     def _left_by_losses(self, axis: int) -> float:
         """Return the uncertainty of an axis's energy [J] that its algorithm bounds, and that of doubtful samples.

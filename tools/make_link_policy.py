@@ -29,9 +29,9 @@ limit, or a quarter of the SYNCs of 1 s if that is less, but at least 10, end th
 where different TPDOs answered. With 1 % of all frames lost by chance that happens less than once in a million hours;
 with half of the SYNCs lost after 50 of them on average, at 40 Hz after 25. A run with 10 % of all frames lost ends:
 that is a fifth of its samples and a tenth of its torques, and the uncertainty of a moving handle's energy then grows by
-0.1 to 1 J a second, where 1 % makes 14 mJ a second at most. Where it is declared,
-`energy_uncertainty_limit` (0.1 J/s) ends such a run too (ENERGY_UNCERTAIN). The SYNCs that this computer skips have a
-budget of their own: those of 1 s beyond the same limit.
+0.1 to 3 J a second, where 1 % makes 84 mJ a second at most (shipped scenes). `energy_uncertainty_limit` (by default
+0.1 J/s while frames are lost) ends such a run too (ENERGY_UNCERTAIN). The SYNCs that this computer skips have a budget
+of their own: those of 1 s beyond the same limit.
 """
 _READ_BACK: Final = """
 ## What the read-back of the torque lets the rig judge

@@ -10,6 +10,9 @@ from canhaptic.signals import Sample
 
 DEFAULT_LIMIT: Final = 0.01
 """`energy_loss_limit` of a port that declares none [J]."""
+DEFAULT_GROWTH: Final = 0.1
+"""`energy_uncertainty_limit` of a port that declares none [W]: a bus that loses 1 % of its frames leaves less uncertain
+in every shipped scene (0.084 W at most), one that loses 10 % more in most of those in contact (0.1 to 3 W)."""
 
 
 class EnergyLossMeter:
@@ -26,6 +29,7 @@ class EnergyLossMeter:
         damping: Certain damping of the device, one value per axis [N*s/m or N*m*s/rad].
         sample_time: Sample time [s].
         uncertainty_limit: Growth of the uncertainty of its account that is tolerated [W].
+        is_of_link: Whether that limit counts only what grows while the link loses samples or commands.
 
     Attributes:
         energy: Energy received so far; negative if more was returned [J].
@@ -34,9 +38,9 @@ class EnergyLossMeter:
 
     def __init__(
         self, name: str, axes: Sequence[int], limit: float, allowance: float, damping: Sequence[float],
-        sample_time: float, uncertainty_limit: float = inf,
+        sample_time: float, uncertainty_limit: float = inf, *, is_of_link: bool = False,
     ) -> None:  # fmt: skip
-        self.name, self.axes = name, tuple(axes)
+        self.name, self.axes, self.is_of_link = name, tuple(axes), is_of_link
         self.uncertainty_limit, self.uncertainty = uncertainty_limit, 0.0
         self.limit, self.allowance, self.energy = limit, allowance, 0.0
         self.floor = -(limit + allowance)

@@ -19,7 +19,7 @@ import can
 
 from canhaptic.axis_units import effort_unit, uses_degrees
 from canhaptic.control.axis_meter import AxisMeter
-from canhaptic.control.ledger import DEFAULT_LIMIT, EnergyLossMeter
+from canhaptic.control.ledger import DEFAULT_GROWTH, DEFAULT_LIMIT, EnergyLossMeter
 from canhaptic.control.verdict import GUARANTEEING, PortResult
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.axis_parameters import CanBusParameters
@@ -89,7 +89,8 @@ def open_bus(bus: CanBusParameters, channel: str | int | None) -> can.BusABC:
 def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
     """Return a meter for each port that has a limit on the energy it may generate beyond the declared energy.
 
-    In a simulation an algorithm without a guarantee has no limit unless one is declared.
+    In a simulation an algorithm without a guarantee has no limit unless one is declared. The uncertainty of a display
+    is that of its force sensor, which has no limit by default.
     The energy that declared dry friction dissipates is counted by the cycle.
     """
     meters = []
@@ -97,13 +98,18 @@ def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
         axes = [scene.axes[place] for place in places]
         is_limited = passivity.name in GUARANTEEING or not scene.simulated
         limit = _least((axis.parameters.energy_loss_limit for axis in axes), DEFAULT_LIMIT if is_limited else inf)
-        growths = (axis.parameters.energy_uncertainty_limit for axis in axes)
-        growth = _least(growths, inf)
-        if min(limit, growth) == inf or (axes[0].parameters.admittance is not None and not axes[0].group):
+        growths = [axis.parameters.energy_uncertainty_limit for axis in axes]
+        is_display = axes[0].parameters.admittance is not None
+        growth = _least(growths, inf if limit == inf or is_display else DEFAULT_GROWTH)
+        if min(limit, growth) == inf or (is_display and not axes[0].group):
             continue
+        is_of_link = all(growth is None for growth in growths)
         damping = [0.0 if axis.loop.device_friction else axis.loop.device_damping or 0.0 for axis in axes]
         allowance = getattr(passivity.parameters, "energy_allowance", 0.0)
-        meters.append(EnergyLossMeter(name, places, limit, allowance, damping, scene.bus.sample_time, growth))
+        meter = EnergyLossMeter(
+            name, places, limit, allowance, damping, scene.bus.sample_time, growth, is_of_link=is_of_link
+        )
+        meters.append(meter)
     return meters
 
 

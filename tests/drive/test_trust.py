@@ -2,6 +2,7 @@
 
 import math
 import random
+from contextlib import suppress
 from typing import Any
 
 import pytest
@@ -13,11 +14,13 @@ from canhaptic.drive.safety.link_policy import LinkPolicy, LossBudget, StopReaso
 from canhaptic.drive.safety.torque_check import TorqueCheck
 from canhaptic.errors import RigError
 from canhaptic.scene.build import Experiment, build
-from canhaptic.scene.load import load_scene
+from canhaptic.scene.load import load_scene, scene_from_mapping
+from canhaptic.scene.models import Scene
 from tests.drawn import examples
 from tests.drive.drive_bench import MakeBench
 from tools.bench.demo import CONFIG, IN_CONTACT
 from tools.truth.faults import TwinBus
+from tools.truth.scenes import SOURCE, random_scene
 
 STOP = 20
 BEGIN = 0.25  # [s]
@@ -180,6 +183,41 @@ def test_an_account_that_no_longer_knows_the_energy_ends_the_run() -> None:
     found = Ended(*moving, "simulation.bus={drop: 0.3, ids: [0x181]}", "axes.0.energy_loss_limit=none", seconds=1.5)
     assert (found.reason, found.is_safe) == (StopReason.ENERGY_UNCERTAIN, True), found.text
     assert "beyond energy_uncertainty_limit (0.1 J/s)" in found.text
+
+
+LOSING = ("simulation.bus={drop: 0.1}", "bus.loss_limit=1")
+
+
+def reason_of(scene: Scene, seconds: float) -> StopReason:
+    """What ended a run of a scene; OPERATOR: its time was over."""
+    with build(scene, "free") as experiment:
+        with suppress(RigError):
+            run(experiment.cycle, round(seconds / scene.bus.sample_time))
+        return experiment.rig.stop_reason
+
+
+@pytest.mark.slow_but("accuracy/stiff_stop")
+@pytest.mark.parametrize("name", ["accuracy/stiff_stop", "accuracy/delayed_bus", "hard/sudden_pull"])
+def test_by_default_a_bus_that_loses_a_tenth_ends_a_run_whose_account_it_leaves_useless(name: str) -> None:
+    scene = load_scene(CONFIG.parent / f"{name}.yaml", LOSING)
+    assert reason_of(scene, 0.8) is StopReason.ENERGY_UNCERTAIN
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("folder", ["", "accuracy", "hard", "published"])
+def test_by_default_no_shipped_scene_ends_for_one_lost_frame_in_a_hundred(folder: str) -> None:
+    paths = [path for path in sorted((CONFIG.parent / folder).glob("*.yaml")) if load_scene(path).simulated]
+    reasons = {path: reason_of(load_scene(path, ["simulation.bus={drop: 0.01}"]), 1.5) for path in paths}
+    assert len(reasons) >= 5
+    assert StopReason.ENERGY_UNCERTAIN not in reasons.values(), reasons
+
+
+@pytest.mark.parametrize(("declared", "reason"), [(None, "OPERATOR"), ("0.1 W", "ENERGY_UNCERTAIN")])
+def test_what_timing_alone_leaves_uncertain_counts_only_where_it_is_declared(declared: str | None, reason: str) -> None:
+    """SYNCs of uneven length at 100 Hz: 0.26 W, with every declaration true and no frame lost."""
+    values = random_scene(21).values
+    values["axes"][0]["energy_uncertainty_limit"] = declared
+    assert reason_of(scene_from_mapping(values, SOURCE), values["duration"]).name == reason
 
 
 @pytest.mark.parametrize(("is_first", "moved"), [(True, 300), (False, 300), (True, -300)])

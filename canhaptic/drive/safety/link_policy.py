@@ -165,6 +165,11 @@ class LinkPolicy:
         self.missed_total += 1
 
     @property
+    def lost_since(self) -> int:
+        """SYNCs since a sample or a command was lost, or since the start."""
+        return self.cycles - self._lost_at
+
+    @property
     def is_held(self) -> bool:
         """Whether the last torque may still be held; a torque without a sample falls in one hold, without a ramp."""
         return self.missed <= self._hold_cycles
