@@ -35,7 +35,8 @@ from canhaptic.signals import CycleTiming, Sample, Truth
 if TYPE_CHECKING:
     from canhaptic.control.booked_stop import BookedStop
     from canhaptic.control.energy_audit import EnergyAudit
-    from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupedControllers
+    from canhaptic.control.grouped_controllers import GroupedControllers
+    from canhaptic.control.multi_axis.group_controller import AxisGroup
     from canhaptic.logs.writer_process import EnergyLogWriter
 
 _HELD, _NO_CERTIFICATE = Branch.HELD.value, Certificate.NONE.value
@@ -388,7 +389,7 @@ def _doubts(meters: Sequence[EnergyLossMeter], sample_time: float) -> list[tuple
 
 def _grouped(controllers: Sequence[Controller], groups: "Sequence[AxisGroup]", dry_run: bool) -> "GroupedControllers":
     """Return the stepper of groups and axes together, imported for groups and dry runs only."""
-    from canhaptic.control.multi_axis.group_controller import GroupedControllers
+    from canhaptic.control.grouped_controllers import GroupedControllers
 
     return GroupedControllers(controllers, groups, dry_run)
 

@@ -23,8 +23,9 @@ from canhaptic.audit.user_checks import Outcome
 from canhaptic.canopen import objects as od
 from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.booked_stop import BookedStop
+from canhaptic.control.grouped_controllers import GroupedControllers
 from canhaptic.control.ledger import Ledger
-from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupedControllers
+from canhaptic.control.multi_axis.group_controller import AxisGroup
 from canhaptic.control.passivity import Controller
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, PortResult, claim_nothing
 from canhaptic.errors import InputError, LogFormatError

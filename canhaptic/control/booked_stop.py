@@ -10,13 +10,16 @@ to 0 in one hold.
 
 from collections.abc import Sequence
 from math import inf
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
+from canhaptic.control.grouped_controllers import GroupedControllers
 from canhaptic.control.ledger import DEFAULT_LIMIT
-from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupedControllers
 from canhaptic.control.passivity import Controller
 from canhaptic.signals import Sample
+
+if TYPE_CHECKING:
+    from canhaptic.control.multi_axis.group_controller import AxisGroup
 
 _HELD, _NO_CERTIFICATE = Branch.HELD.value, Certificate.NONE.value
 
@@ -38,7 +41,7 @@ class BookedStop(GroupedControllers):
     """
 
     def __init__(
-        self, controllers: Sequence[Controller], groups: Sequence[AxisGroup], dry_run: bool, axes: Sequence[Any],
+        self, controllers: Sequence[Controller], groups: "Sequence[AxisGroup]", dry_run: bool, axes: Sequence[Any],
         bus: Any, to_act: int,
     ) -> None:  # fmt: skip
         super().__init__(controllers, groups, dry_run)
@@ -95,7 +98,7 @@ class BookedStop(GroupedControllers):
         )
 
 
-def _empty(group: AxisGroup) -> None:
+def _empty(group: "AxisGroup") -> None:
     """Put zero torques in place of the newest torques of a group."""
     balance = group.balance
     if hasattr(group.controller, "withhold") and balance.account.branch != _HELD:

@@ -8,7 +8,7 @@ from canhaptic.audit import recompute as module
 from canhaptic.audit.recompute import recompute
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.multi_axis.group_controller import GroupedControllers
+from canhaptic.control.grouped_controllers import GroupedControllers
 from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.logs.columns import PortDescription
 from canhaptic.logs.energy_reader import EnergyLog

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import pytest
 
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
+from canhaptic.control.grouped_controllers import GroupedControllers
 from canhaptic.control.mechanisms.kinematics import Limit
-from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupBalance, GroupedControllers
+from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupBalance
 from canhaptic.signals import PlantEnergy, Sample, Truth
 
 
