@@ -117,7 +117,7 @@ def attack_master(runs: int, seed: int) -> int:
         line, share = Line(make_drive(), make_drive()), dice.choice((0.002, 0.02, 0.2))
         carry = line.cable.exchange
 
-        def damaged(frame: bytes, deadline: int, carry=carry, share=share) -> bytes | None:  # type: ignore[no-untyped-def]
+        def damaged(frame: bytes, deadline: int, carry=carry, share=share) -> bytes | None:
             nonlocal answers
             answers += 1
             answer = carry(frame, deadline)

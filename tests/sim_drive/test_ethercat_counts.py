@@ -5,6 +5,7 @@ drive <= host <= drive + frames without answer, for faults in any order. For iso
 
 import random
 from collections.abc import Mapping
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -18,9 +19,9 @@ from tests.sim_drive.ethercat_line import PERIOD, Line, make_drive, plan
 KINDS = (Fault.LATE, Fault.LOST, Fault.ANSWER_LOST, Fault.LOW_COUNTER)
 
 
-def line_with(faults: Mapping[int, Fault], cycles: int, **second: object) -> Line:
+def line_with(faults: Mapping[int, Fault], cycles: int, **second: Any) -> Line:
     """Run two drives of -40 and -10 ppm with faults of the second frame, and five cycles without at the end."""
-    clock = ClockParameters(**{"drift_ppb": -10_000, "epoch": 77_777_777_777, **second})
+    clock = ClockParameters(**({"drift_ppb": -10_000, "epoch": 77_777_777_777} | second))
     line = Line(make_drive(ClockParameters(drift_ppb=-40_000)), make_drive(clock))
     line.start()
     draw = plan(dict(faults))
