@@ -12,7 +12,7 @@ from functools import partial
 from typing import Annotated, Final, NamedTuple, Protocol
 
 from canhaptic.sim.drive.ethercat.drive_node import EthercatDrive
-from canhaptic.sim.drive.ethercat.esc import DL_STATUS
+from canhaptic.sim.drive.ethercat.esc import AL_STATUS, DL_STATUS, SYSTEM_TIME, SyncManager
 from canhaptic.sim.drive.profile.timers import NEVER
 from canhaptic.units import Parameters, quantity
 
@@ -22,7 +22,7 @@ _COUNTER: Final = struct.Struct("<H")
 _ETHERTYPE: Final = b"\x88\xa4"
 _FIRST, _HEAD, _TAIL = 16, 10, 2  # [bytes] to the first datagram; head and counter of a datagram
 _LENGTH, _MORE = 0x7FF, 0x8000
-_LRD, _LWR, _LRW = 10, 11, 12
+_BRD, _LRD, _LWR, _LRW, _FRMW = 7, 10, 11, 12, 14
 _BY_POSITION: Final = frozenset((1, 2, 3, 13))
 _BY_STATION: Final = frozenset((4, 5, 6, 14))
 _BROADCAST: Final = frozenset((7, 8, 9))
@@ -31,6 +31,7 @@ _WRITES: Final = {2: 1, 3: 2, 5: 1, 6: 2, 8: 1, 9: 2}  # command -> what a write
 _READ_MULTIPLE_WRITE: Final = frozenset((13, 14))
 _COUNTED: Final = _BY_POSITION | _BROADCAST  # each drive adds one to the address
 _SAFE_OP, _OP = 4, 8
+_MOST_PLANS: Final = 64  # kept at a time
 _LAST_DRIVE, _WITH_NEXT = 0x5611, 0x5A31  # DL status: port 0 alone, or ports 0 and 1 in use
 _LATENESS: Final = 0.8  # part of the sample time by which a late frame leaves later: it misses its SYNC0
 
@@ -87,12 +88,21 @@ class CableEffects(Parameters):
         return Fault.NONE
 
 
+class _Part(NamedTuple):
+    """A part of a datagram that is memory of a sync manager."""
+
+    place: int  # in the datagram
+    size: int
+    manager: SyncManager
+    offset: int  # in its region
+
+
 class _Access(NamedTuple):
     """What a datagram of the process image does with the memory of one drive."""
 
     drive: EthercatDrive
-    reads: tuple[tuple[int, int, int], ...]  # place in the datagram, length, physical address
-    writes: tuple[tuple[int, int, int], ...]
+    reads: tuple["_Part", ...]
+    writes: tuple["_Part", ...]
 
 
 class Cable:
@@ -107,7 +117,7 @@ class Cable:
     Attributes:
         drives: The drives.
         counts: Faults so far.
-        draw: Returns what happens to the next frame of the cycle.
+        draw: Returns what happens to the next frame of the cycle; None: no faults.
     """
 
     def __init__(
@@ -116,7 +126,7 @@ class Cable:
         self.drives = tuple(drives)
         self._reach = len(self.drives)
         self._sample_time, self._effects, self._dice = sample_time_ns, effects or CableEffects(), random.Random(seed)
-        self.draw: Callable[[], Fault] = partial(self._effects.draw, self._dice)
+        self.draw: Callable[[], Fault] | None = None if effects is None else partial(effects.draw, self._dice)
         self.counts = dict.fromkeys(Fault, 0)
         self._clock: _Clock | None = None
         self._epoch: int | None = None  # host time at which faults begin
@@ -172,7 +182,7 @@ class Cable:
 
     def _fault(self, frame: bytes, now: int) -> Fault:
         """Return what happens to a frame: to those of the cycle, once every drive is in OP."""
-        if not self._is_cyclic(frame):
+        if self.draw is None or not self._is_cyclic(frame):
             return Fault.NONE
         if self._epoch is None:
             if any(drive.al_state != _OP for drive in self.drives):
@@ -232,10 +242,8 @@ class Cable:
                 break
             if _LRD <= command <= _LRW:
                 counted = self._serve_image(buffer, command, address | offset << 16, data, stop, left_out)
-            elif command in _READ_MULTIPLE_WRITE:
-                counted = _spread(buffer, command, address, offset, data, stop, reached)
             else:
-                counted = _serve(buffer, command, address, offset, data, stop, reached)
+                counted = _serve_registers(buffer, command, address, offset, data, stop, reached)
             if command in _COUNTED:
                 address = (address + len(reached)) & 0xFFFF
                 buffer[data - 8], buffer[data - 7] = address & 0xFF, address >> 8
@@ -250,17 +258,19 @@ class Cable:
         key = (command, logical, stop - data)
         plan = self._plans.get(key)
         if plan is None:
+            if len(self._plans) >= _MOST_PLANS:
+                self._plans.clear()
             plan = self._plans[key] = self._plan(*key)
         counted, passed = 0, None if left_out < 0 else self.drives[left_out]
         for drive, reads, writes in plan:
             if drive.al_state < _SAFE_OP or drive is passed:
                 continue
             esc, wrote, read = drive.esc, False, False
-            for place, size, physical in writes:
+            for place, size, manager, offset in writes:
                 first = data + place
-                wrote |= esc.write(physical, bytes(buffer[first : first + size]))
-            for place, size, physical in reads:
-                found = esc.read(physical, size)
+                wrote |= esc.write_part(manager, offset, bytes(buffer[first : first + size]))
+            for place, size, manager, offset in reads:
+                found = esc.read_part(manager, offset, size)
                 if found is not None:
                     first = data + place
                     buffer[first : first + size] = found
@@ -271,11 +281,13 @@ class Cable:
     def _plan(self, command: int, logical: int, size: int) -> tuple[_Access, ...]:
         found = []
         for drive in self.drives[: self._reach]:
-            reads, writes = list[tuple[int, int, int]](), list[tuple[int, int, int]]()
+            reads, writes = list[_Part](), list[_Part]()
             for fmmu in drive.esc.fmmus:
                 low, high = max(fmmu.logical, logical), min(fmmu.logical + fmmu.size, logical + size)
-                if low < high:
-                    part = low - logical, high - low, fmmu.physical + low - fmmu.logical
+                at = fmmu.physical + low - fmmu.logical
+                manager = drive.esc.manager_of(at, high - low) if low < high else None
+                if manager is not None:
+                    part = _Part(low - logical, high - low, manager, at - manager.start)
                     if fmmu.is_read and command != _LWR:
                         reads.append(part)
                     if fmmu.is_written and command != _LRD:
@@ -283,6 +295,20 @@ class Cable:
             if reads or writes:
                 found.append(_Access(drive, tuple(reads), tuple(writes)))
         return tuple(found)
+
+
+def _serve_registers(
+    buffer: bytearray, command: int, address: int, offset: int, data: int, stop: int, drives: Sequence[EthercatDrive]
+) -> int:
+    """Serve a datagram of registers or memory, those of the cycle first; return what is added to its counter."""
+    if command == _FRMW and offset == SYSTEM_TIME and stop - data == 8:
+        return _spread_time(buffer, address, data, drives)
+    if command == _BRD and offset == AL_STATUS and stop - data == 2:
+        for drive in drives:
+            buffer[data] |= drive.esc.registers[AL_STATUS]
+        return len(drives)
+    serve = _spread if command in _READ_MULTIPLE_WRITE else _serve
+    return serve(buffer, command, address, offset, data, stop, drives)
 
 
 def _serve(
@@ -317,6 +343,18 @@ def _spread(
             buffer[data:stop] = found
             counted += 1
     return counted
+
+
+def _spread_time(buffer: bytearray, address: int, data: int, drives: Sequence[EthercatDrive]) -> int:
+    """Serve the datagram that spreads the time of the reference clock; return what is added to its counter."""
+    time = int.from_bytes(buffer[data : data + 8], "little")
+    for drive in drives:
+        if drive.esc.station == address:
+            time = drive.esc.system_time()
+        else:
+            drive.esc.follow(time)
+    buffer[data : data + 8] = time.to_bytes(8, "little")
+    return len(drives)
 
 
 def _addressed(command: int, address: int, drives: Sequence[EthercatDrive]) -> Sequence[EthercatDrive]:

@@ -96,6 +96,7 @@ class EthercatDrive:
         self._watchdog = timers.add(self._on_silence)
         self._sync_limit = store.find(*_SYNC_LIMIT)
         self._sync_errors, self._has_outputs, self._has_synced, self._left_over = 0, False, False, False
+        self._has_expired = False
         self._abort_option = store.find(objects.ABORT_CONNECTION_OPTION)
         managers = ((_SYNC_MANAGER, DataType.UNSIGNED16, n) for n in (1, 11))
         self._sync_type, self._missed = (store.optional(index, kind, n) for index, kind, n in managers)
@@ -245,10 +246,12 @@ class EthercatDrive:
     def _watch(self) -> None:
         if self.al_state == _OP and (limit := self.esc.watchdog_ns):
             self.timers.start(self._watchdog, self.esc.now + limit)
-            self.esc.show_watchdog(has_expired=False)
+            if self._has_expired:
+                self._has_expired = False
+                self.esc.show_watchdog(has_expired=False)
 
     def _on_silence(self, due: int) -> None:
-        self.servo.now = due
+        self.servo.now, self._has_expired = due, True
         self.esc.show_watchdog(has_expired=True)
         if self.al_state == _OP:
             self._fall(_WATCHDOG, emcy.COMMUNICATION)

@@ -23,7 +23,7 @@ _EEPROM_DATA: Final = 0x0508
 _FMMUS: Final = range(0x0600, 0x0640, 16)
 _SYNC_MANAGERS: Final = range(0x0800, 0x0820, 8)
 _LATCH: Final = 0x0900
-_SYSTEM_TIME: Final = 0x0910
+SYSTEM_TIME: Final = 0x0910
 _LATCHED: Final = 0x0918
 _OFFSET: Final = 0x0920
 _DELAY: Final = 0x0928
@@ -115,11 +115,14 @@ class SyncManager:
         """Write from the bus; return whether it was accepted."""
         if not self.from_master or (self.is_mailbox and self.is_fresh):
             return False
+        end = offset + len(content)
+        if end == self.length and not offset:
+            self._whole, self.is_fresh = content, True
+            return True
         if offset == 0:
             self._is_open = True
         elif not self._is_open:
             return False
-        end = offset + len(content)
         self._filling[offset:end] = content
         if end == self.length:
             self._whole, self._is_open, self.is_fresh = bytes(self._filling), False, True
@@ -170,6 +173,7 @@ class Esc:
         managers: Sync managers 0 to 3.
         fmmus: FMMUs that are active.
         station: Station address; 0: none yet.
+        watchdog_ns: Longest silence of the outputs [ns]; 0: not watched.
         now: Host time at which the present frame left the master [ns].
         arrives, returns: Time after that at which it passes this drive, and passes it again on the way back [ns].
     """
@@ -184,7 +188,7 @@ class Esc:
         self._memory = bytearray(_END - _MEMORY)
         self.managers = tuple(SyncManager() for _ in _SYNC_MANAGERS)
         self.fmmus: tuple[Fmmu, ...] = ()
-        self.now = self.arrives = self.returns = self.station = 0
+        self.now = self.arrives = self.returns = self.station = self.watchdog_ns = 0
         self._repeats = bytes(len(_SYNC_MANAGERS))
         self._sent = b""
 
@@ -195,11 +199,9 @@ class Esc:
         self.registers[AL_STATUS] = status
         struct.pack_into("<H", self.registers, AL_CODE, code)
 
-    @property
-    def watchdog_ns(self) -> int:
-        """Longest silence of the outputs [ns]; 0: not watched."""
+    def _read_watchdog(self) -> None:
         ticks = self._number(_WATCHDOG_OUTPUTS, 2) if self.managers[2].triggers_watchdog else 0
-        return ticks * (self._number(_WATCHDOG_DIVIDER, 2) + 2) * 40
+        self.watchdog_ns = ticks * (self._number(_WATCHDOG_DIVIDER, 2) + 2) * 40
 
     def show_watchdog(self, *, has_expired: bool) -> None:
         """Show whether the watchdog of the outputs has expired."""
@@ -241,8 +243,11 @@ class Esc:
         end = address + len(content)
         if address >= _MEMORY:
             return self._write_memory(address, content)
-        if address == _SYSTEM_TIME and len(content) in (4, 8):
-            self._follow(content)
+        if address == SYSTEM_TIME and len(content) in (4, 8):
+            received = int.from_bytes(content, "little")
+            if len(content) == 4:
+                received |= self.system_time() & ~_MASK32
+            self.follow(received)
             return True
         is_written = False
         for first, stop in _WRITABLE:
@@ -260,6 +265,8 @@ class Esc:
             self.station = self._number(STATION_ADDRESS, 2)
         if address <= AL_CONTROL < end:
             self._application.control(self.registers[AL_CONTROL])
+        if address < _WATCHDOG_STATUS and end > _WATCHDOG_DIVIDER:
+            self._read_watchdog()
         if address <= _EEPROM_CONTROL < end:
             self._serve_eeprom()
         if address < _FMMUS.stop and end > _FMMUS.start:
@@ -295,6 +302,7 @@ class Esc:
     def _configure_managers(self) -> None:
         for at, manager in zip(_SYNC_MANAGERS, self.managers, strict=True):
             manager.configure(bytes(self.registers[at : at + 8]))
+        self._read_watchdog()
         asked = self.registers[_SYNC_MANAGERS[1] + 6] & _REPEAT
         if asked != self.registers[_SYNC_MANAGERS[1] + 7] & _REPEAT:  # the master lost the answer: once more
             self.registers[_SYNC_MANAGERS[1] + 7] = asked
@@ -320,55 +328,61 @@ class Esc:
         struct.pack_into("<Q", self.registers, _LATCHED, local(now + self.arrives) & (_MASK32 << 32 | _MASK32))
 
     def _show_clock(self) -> None:
-        system = self.clock.system(self.now + self.arrives)
-        struct.pack_into("<Q", self.registers, _SYSTEM_TIME, system)
+        system = self.system_time()
+        struct.pack_into("<Q", self.registers, SYSTEM_TIME, system)
         struct.pack_into("<I", self.registers, _DIFFERENCE, self.clock.difference)
 
-    def _follow(self, received: bytes) -> None:
-        """Follow the system time of the reference clock, of which 32 bits may be enough."""
-        now, time = self.now + self.arrives, int.from_bytes(received, "little")
-        if len(received) == 4:
-            own = self.clock.system(now)
-            time |= own & ~_MASK32
-        before = self.clock.offset
-        self.clock.follow(time, now)
-        if self.clock.offset != before:
+    def system_time(self) -> int:
+        """Return the system time at which the present frame passes [ns]."""
+        return self.clock.system(self.now + self.arrives)
+
+    def follow(self, received: int) -> None:
+        """Follow the system time of the reference clock [ns]."""
+        clock = self.clock
+        before = clock.offset
+        clock.follow(received, self.now + self.arrives)
+        if clock.offset != before:
             self._application.clock_moved()
 
     # --- memory ---------------------------------------------------------------------------------------------------
 
-    def _manager(self, address: int, end: int) -> SyncManager | None:
-        """Return the sync manager that owns a part of this memory."""
+    def manager_of(self, address: int, size: int) -> SyncManager | None:
+        """Return the sync manager that owns a part of the memory, or all of it."""
         for manager in self.managers:
-            if manager.is_enabled and address < manager.start + manager.length and end > manager.start:
+            if manager.is_enabled and address < manager.start + manager.length and address + size > manager.start:
                 return manager
         return None
 
     def _read_memory(self, address: int, size: int) -> bytes | None:
-        end = address + size
-        manager = self._manager(address, end)
-        if manager is None:
-            return bytes(self._memory[address - _MEMORY : end - _MEMORY]) if end <= _END else None
-        if address < manager.start or end > manager.start + manager.length:
+        manager, end = self.manager_of(address, size), address + size
+        if manager is not None:
+            return self.read_part(manager, address - manager.start, size)
+        return bytes(self._memory[address - _MEMORY : end - _MEMORY]) if end <= _END else None
+
+    def _write_memory(self, address: int, content: bytes) -> bool:
+        manager, end = self.manager_of(address, len(content)), address + len(content)
+        if manager is not None:
+            return self.write_part(manager, address - manager.start, content)
+        if end > _END:
+            return False
+        self._memory[address - _MEMORY : end - _MEMORY] = content
+        return True
+
+    def read_part(self, manager: SyncManager, offset: int, size: int) -> bytes | None:
+        """Read a part of a sync manager's region; None where it may not be read, or reaches beyond it."""
+        if offset < 0 or offset + size > manager.length:
             return None
-        found = manager.read(address - manager.start, size)
+        found = manager.read(offset, size)
         if found is not None and manager is self.managers[1] and manager.is_mailbox and not manager.is_fresh:
             self._application.mail_taken()
         return found
 
-    def _write_memory(self, address: int, content: bytes) -> bool:
-        end = address + len(content)
-        manager = self._manager(address, end)
-        if manager is None:
-            if end > _END:
-                return False
-            self._memory[address - _MEMORY : end - _MEMORY] = content
-            return True
-        if address < manager.start or end > manager.start + manager.length:
+    def write_part(self, manager: SyncManager, offset: int, content: bytes) -> bool:
+        """Write a part of a sync manager's region; return whether it was accepted."""
+        end = offset + len(content)
+        if offset < 0 or end > manager.length or not manager.write(offset, content):
             return False
-        if not manager.write(address - manager.start, content):
-            return False
-        if end == manager.start + manager.length:
+        if end == manager.length:
             if manager is self.managers[2]:
                 self._application.outputs_came()
             elif manager is self.managers[0] and manager.is_mailbox:
