@@ -27,6 +27,7 @@ from canhaptic.lab.from_python import check as check
 from canhaptic.lab.from_python import compare as compare
 from canhaptic.lab.from_python import design as design
 from canhaptic.lab.from_python import sweep as sweep
+from canhaptic.lab.from_python import touch as touch
 from canhaptic.program import open_rig as open_rig
 from canhaptic.replay import replay_bus_log as replay_bus_log
 from canhaptic.scene.build import Experiment as Experiment

@@ -1,14 +1,18 @@
-"""Check of the values that user code returns: each must be a finite number of plausible size, else the run fails."""
+"""What user code hands over: objects of a Python program, and numbers, which must be finite and of plausible size."""
 
 import sys
 from collections.abc import Callable, Iterable
 from functools import wraps
 from numbers import Real
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from canhaptic.errors import CanHapticError, OwnCodeError, cause_of
 
+GIVEN: Final[dict[str, Any]] = {}
+"""Reference in a scene -> what a Python program of this process gave (`canhaptic.scene.given`)."""
+GIVEN_MARK: Final = "python:"
+"""Start of such a reference."""
 FORCE: Final = 1e10
 """Largest force that user code of the plant may return [N or N*m]; motion and energy then stay representable."""
 _ANY: Final = 1e100

@@ -21,7 +21,7 @@ from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, fields
 from functools import cached_property, partial
 from math import nan
-from os import PathLike, fspath
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -374,7 +374,8 @@ def simulate(
     Args:
         scene: A scene file, a mapping with its keys, or a loaded scene.
         changes: Values of the scene to replace, by path: {"environment.stiffness": "500 N/m"}; an environment, hand,
-            algorithm or effect may be a class or an instance of your own. Not for a loaded scene.
+            algorithm or effect may be a class, an instance or a function of your own, and `simulation.user.motion` an
+            array or a frame of shape (n, 2) of times [s] and positions [m or rad]. Not for a loaded scene.
         duration: Length of the run [s], or a text with a unit; by default the scene's.
         progress: Whether a progress bar is shown in a terminal or a notebook.
         allow_code: Whether program files that the scene names (`type: my_wall.py:MyWall`) may run.
@@ -461,23 +462,15 @@ def load_any(
 
 
 def _override(path: str, value: object) -> str:
-    try:
-        return f"{path}={json.dumps(value, default=_plain)}"
-    except (TypeError, ValueError) as error:
-        text = f"changes: {path}"
-        expected = "expected a number, a text, a list, a mapping, or a class or instance of your own"
-        raise InputError(f"{text}: got {shown(value)}, {expected} ({error})") from error
+    if not isinstance(value, str | int | float):
+        from canhaptic.scene.given import plain
 
-
-def _plain(value: object) -> object:
-    """Return a number or array of NumPy, a path, or a class or instance of the user's own, as a plain value."""
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    if isinstance(value, PathLike):
-        return fspath(value)
-    from canhaptic.scene.own_code import section_of
-
-    return section_of(value)
+        try:
+            value = plain(value, tuple(path.split(".")))
+        except TypeError as error:
+            expected = "expected a number, a text, a list, a mapping, or a class, an instance or a function of your own"
+            raise InputError(f"changes: {path}: got {shown(value)}, {expected} ({error})") from error
+    return f"{path}={json.dumps(value)}"
 
 
 def _port_account(name: str, raw: "RunResult | Inspection") -> PortAccount:

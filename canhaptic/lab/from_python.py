@@ -215,6 +215,55 @@ def accuracy(
     return study_accuracy(load_any(scene, changes or {}, allow_code), axis, **options)
 
 
+def touch(
+    scene: _SceneLike,
+    changes: _Changes | None = None,
+    *,
+    axis: str | None = None,
+    port: int = 0,
+    pace: str = "even",
+    open_browser: bool = False,
+    allow_code: bool = False,
+) -> int:
+    """Serve the page of `canhaptic touch`, and print its address, until Ctrl-C; return the status of the command.
+
+    The hand is simulated in another process, which imports the classes and functions that are given: define them in a
+    file, and call this under `if __name__ == "__main__":`.
+
+    Args:
+        scene: A scene file or a loaded scene.
+        changes: Values of the scene to replace, as for `simulate`.
+        axis: Name of the axis to touch; the first by default.
+        port: Port on this computer; 0: any free one.
+        pace: "even": late cycles are caught up; "real": they are skipped, as on a rig.
+        open_browser: Whether to open the page in a browser.
+        allow_code: Whether program files that the scene names may run.
+
+    Raises:
+        InputError: The scene cannot be touched, Bokeh is not installed, the port is taken, a notebook calls this, or
+            something given cannot be imported.
+
+    Examples:
+        >>> canhaptic.touch("demo", {"environment": MyWall(stiffness=300.0)})  # doctest: +SKIP
+    """
+    from argparse import Namespace
+    from asyncio import _get_running_loop
+
+    from canhaptic.registry import load
+    from canhaptic.scene.given import parcel
+
+    if _get_running_loop() is not None:
+        raise InputError("touch: a notebook runs a loop of its own; write a script that calls this, and start it")
+    if pace not in ("even", "real"):
+        raise InputError(f"pace: got {pace!r}, expected 'even' or 'real'")
+    loaded = load_any(scene, changes or {}, allow_code)
+    if not loaded.text:
+        raise InputError(f"{loaded.source}: touch needs a scene file; write the mapping into one")
+    parcel(loaded.overrides, "the process of touch")
+    serve = load({"touch": "canhaptic.lab.commands.touch:serve"}, "touch", "command")
+    return int(serve(loaded, Namespace(axis=axis, port=port, pace=pace, open=open_browser)))
+
+
 def _given(**options: float | None) -> dict[str, Any]:
     """Return the options that are not left to their defaults."""
     return {name: value for name, value in options.items() if value is not None}

@@ -11,6 +11,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 
 from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.errors import ParameterError
+from canhaptic.own_results import GIVEN
 from canhaptic.registry import load
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.units import OnDemand, Parameters, UnitContext, shown
@@ -216,7 +217,9 @@ def _with_type(value: Parameters | None) -> dict[str, object] | None:
     """Return the values of a model, with `type` first if it is a user's own class."""
     if value is None:
         return None
-    own = type(value).__module__.startswith(OWN_MODULE)
+    own = type(value).__module__.startswith(OWN_MODULE) or any(
+        type(value) is getattr(of, "own", None) for of in GIVEN.values()
+    )
     return {**({"type": type(value).__name__} if own else {}), **value.model_dump(mode="json")}
 
 

@@ -385,4 +385,13 @@ def mark_plain(value: Any, source: str, path: tuple[str, ...] = ()) -> Any:
             below = mark.below(str(index))
             items.put(mark_plain(entry, source, below.path), below)
         return items
+    return value if value is None or isinstance(value, str | bytes | int | float) else _given(value, source, path)
+
+
+def _given(value: object, source: str, path: tuple[str, ...]) -> object:
+    """Return an object that a Python program gives in place of plain values; what it does not know unchanged."""
+    from canhaptic.scene.given import plain
+
+    with suppress(TypeError):
+        return mark_plain(plain(value, path), source, path)
     return value

@@ -1,11 +1,11 @@
 """User code of a scene: environments, algorithms, effects and hands, and the process in which laws may run.
 
-A scene names `file.py:Class` in its folder, or a plug-in. A file runs only if the user allows it. It must be a regular
-file in the folder of the scene itself, after symbolic links are resolved. It runs under a private module name; its
-folder is never added to the import path. A plug-in is an installed package that names its classes as entry points
-(`canhaptic.environments`, ...); a scene can use no other class of it. The hash of each file that ran is part of the
-configuration, so that a log identifies the code. Commands that run nothing leave user code unread: they neither import
-it nor check its parameters.
+A scene names `file.py:Class` (or `file.py`, if it has one class), or a plug-in. A file runs only if the user allows it.
+It must be a regular file in the folder of the scene itself, else in the current folder itself, after symbolic links are
+resolved. It runs under a private module name; its folder is never added to the import path. A plug-in is an installed
+package that names its classes as entry points (`canhaptic.environments`, ...); a scene can use no other class of it.
+The hash of each file that ran is part of the configuration, so that a log identifies the code. Commands that run
+nothing leave user code unread: they neither import it nor check its parameters.
 
 In the process of the cycle, the lock of the interpreter would let slow environments and algorithms stall it. In a
 process of their own (`CodeProcess`) they answer one hold later. The sample of each SYNC goes out, and the torques for
@@ -43,7 +43,7 @@ from canhaptic.errors import InputError, OwnCodeError, ParameterError, cause_of
 from canhaptic.files import read_regular
 from canhaptic.logs.ring import allocate
 from canhaptic.logs.writer_process import isolated_program
-from canhaptic.own_results import watch
+from canhaptic.own_results import GIVEN, GIVEN_MARK, watch
 from canhaptic.registry import load
 from canhaptic.scene.components import OWN_MODULE, READY, CodeUse, SceneContext
 from canhaptic.scene.document import MarkedMapping
@@ -57,7 +57,8 @@ _RETURN_NUMBERS: Final[Mapping[str, tuple[str, ...]]] = {
     "passivity algorithm": ("step", "hold"),
 }
 """Kind -> methods whose results are checked; the plant adds the methods of hands and effects."""
-_MARK: Final = ".py:"  # of `file.py:Class`
+_MARK: Final = ".py"  # of `file.py` and `file.py:Class`
+_OF_FUNCTION: Final = {"class of": "canhaptic.scene.given:class_of"}
 _LARGEST: Final = 1_000_000  # [bytes]
 ENTRY_POINT_GROUPS: Final[Mapping[str, str]] = {
     "environment": "canhaptic.environments",
@@ -66,34 +67,6 @@ ENTRY_POINT_GROUPS: Final[Mapping[str, str]] = {
     "hand": "canhaptic.hands",
 }
 """Kind of user-defined part -> entry point group of its plug-ins."""
-
-_GIVEN: Final[dict[str, type]] = {}  # reference -> class that a Python program gave to a scene of this process
-_FROM_PYTHON: Final = "python:"  # of such a reference
-
-
-def section_of(given: object) -> dict[str, object]:
-    """Return the section of a scene for a class or an instance that a Python program gives.
-
-    Its `type` (`algorithm` of an algorithm) refers to the class in this process, and has a hash of its source.
-
-    Raises:
-        TypeError: It is neither a class with parameters nor an instance of `Parameters`, or its source is not at hand.
-    """
-    own = given if isinstance(given, type) else type(given)
-    is_algorithm = hasattr(own, "parameters_type")
-    if not (is_algorithm and own is given) and not issubclass(own, Parameters):
-        raise TypeError(f"{own.__name__}: is no class with parameters, and no instance of `Parameters`")
-    try:
-        digest = hashlib.sha256(inspect.getsource(own).encode()).hexdigest()
-    except (OSError, TypeError) as error:
-        text = f"{own.__name__}: its source is not at hand, so that no log could identify it"
-        raise TypeError(f"{text}; define it in a file or a notebook") from error
-    name, number = f"{_FROM_PYTHON}{own.__name__}:{digest}", 1
-    while _GIVEN.setdefault(name, own) is not own:  # the same source around other values
-        number += 1
-        name = f"{_FROM_PYTHON}{own.__name__}:{digest}:{number}"
-    values = given.model_dump(mode="json") if isinstance(given, Parameters) else {}
-    return {"algorithm" if is_algorithm else "type": name, **values}
 
 
 def own_model(section: MarkedMapping, reading: SceneContext, model: type[Parameters], kind: str) -> object:
@@ -130,6 +103,10 @@ def installed(kind: str) -> dict[str, EntryPoint]:
     return {} if group is None else {found.name: found for found in entry_points(group=group)}
 
 
+def _is_file(reference: str) -> bool:
+    return reference.partition(":")[0].endswith(_MARK)
+
+
 class OwnCode:
     """User code that a scene names, and whether it may run.
 
@@ -151,7 +128,7 @@ class OwnCode:
 
     def is_left(self, reference: str, kind: str) -> bool:
         """Whether a name refers to user code that is left unread; if so, add it to `left`."""
-        is_program = _MARK in reference or reference.startswith(_FROM_PYTHON)
+        is_program = _is_file(reference) or reference.startswith(GIVEN_MARK)
         if self._use != "left" or not (is_program or reference in installed(kind)):
             return False
         self.left.append(reference)
@@ -161,21 +138,21 @@ class OwnCode:
         """Return the user-defined class that a name refers to; None for any other name.
 
         Raises:
-            ParameterError: Not allowed, not a file of the scene's folder, or the code fails.
+            ParameterError: Not allowed, not a file of the two folders, or the code fails.
         """
-        if reference.startswith(_FROM_PYTHON):
+        if reference.startswith(GIVEN_MARK):
             return self._given(reference, kind)
-        if _MARK in reference:
+        if _is_file(reference):
             return self.load(reference, kind)
         found = installed(kind).get(reference)
         return None if found is None else self._plug_in(found, kind)
 
     def _given(self, reference: str, kind: str) -> type:
-        name, digest, *_ = reference.removeprefix(_FROM_PYTHON).split(":")
-        own = _GIVEN.get(reference)
-        if own is None:
-            text = f"{name}: is a class of a Python program, which another process does not have"
+        name, digest, *_ = reference.removeprefix(GIVEN_MARK).split(":")
+        if reference not in GIVEN:
+            text = f"{name}: is a class or function of a Python program, which another process does not have"
             raise ParameterError(f"{text}; put it into a file in the folder of the scene and name it FILE.py:{name}")
+        own: type = GIVEN[reference].own
         self.hashes[reference] = digest
         watch(own, _RETURN_NUMBERS.get(kind, ()))
         return own
@@ -194,10 +171,10 @@ class OwnCode:
         return chosen
 
     def load(self, reference: str, kind: str) -> Any:
-        """Return the class that `file.py:Class` names; the file is run once.
+        """Return the class that `file.py:Class` or `file.py` names; the file is run once.
 
         Raises:
-            ParameterError: Not allowed, not a file of the scene's folder, or the code fails.
+            ParameterError: Not allowed, not a file of the two folders, or the code fails.
         """
         name, _, attribute = reference.partition(":")
         if kind not in ENTRY_POINT_GROUPS:
@@ -209,27 +186,41 @@ class OwnCode:
             raise ParameterError(f"{text} command with --allow-code (from Python: allow_code=True)")
         path, content = self._read(name)
         digest = hashlib.sha256(content).hexdigest()
-        module = _module(path, digest, content)
-        chosen = getattr(module, attribute, None)
-        if not isinstance(chosen, type):
-            names = [key for key, of in vars(module).items() if getattr(of, "__module__", "") == module.__name__]
-            raise ParameterError(f"{name}: has no class {attribute!r}, expected one of: {', '.join(names) or 'none'}")
+        chosen = _chosen(_module(path, digest, content), name, attribute, kind)
         self.hashes[name] = digest
         watch(chosen, _RETURN_NUMBERS.get(kind, ()))
         return chosen
 
     def _read(self, name: str) -> tuple[Path, bytes]:
-        """Return path and content of a regular file in the scene's folder itself."""
-        folder = self._folder.resolve()
+        """Return path and content of a regular file in the scene's folder itself, else in the current one."""
+        folders = self._folder.resolve(), Path.cwd().resolve()
+        folder = next((folder for folder in folders if (folder / name).exists()), folders[-1])
+        path = (folder / name).resolve()
+        if path.parent != folder or path.suffix != _MARK:
+            text = f"{name}: lies in {path.parent}, expected a .py file in the scene's folder {folders[0]}"
+            raise ParameterError(f"{text}, or in the current one, {folders[-1]}")
         try:
-            path = (folder / name).resolve(strict=True)
-            content = read_regular(path, _LARGEST) if path.parent == folder else b""
+            return path, read_regular(path, _LARGEST)
         except (OSError, ValueError) as error:
-            text = f"{name}: cannot be read ({error}); put the file into the folder of the scene, {folder}"
-            raise ParameterError(text) from error
-        if path.parent != folder or path.suffix != ".py":
-            raise ParameterError(f"{name}: lies in {path.parent}, expected a .py file in the scene's folder {folder}")
-        return path, content
+            text = f"{name}: cannot be read ({error}); it is looked for next to the scene and in the current folder"
+            raise ParameterError(f"{text}: put it into the current folder, {folders[-1]}") from error
+
+
+def _chosen(module: ModuleType, name: str, attribute: str, kind: str) -> type:
+    """Return the class of a file, or the class made for its function; without `attribute` the only class."""
+    own = {key: of for key, of in vars(module).items() if getattr(of, "__module__", "") == module.__name__}
+    classes = [key for key, of in own.items() if isinstance(of, type) and not key.startswith("_")]
+    attribute = attribute or (classes[0] if len(classes) == 1 else "")
+    chosen = own.get(attribute)
+    if inspect.isfunction(chosen):
+        try:
+            chosen = load(_OF_FUNCTION, "class of", "reader")(chosen, kind)
+        except TypeError as error:
+            raise ParameterError(f"{name}: {error}") from error
+    if not isinstance(chosen, type):
+        seen = f"has no class {attribute!r}" if attribute else f"has {len(classes)} classes, name one as in {name}:NAME"
+        raise ParameterError(f"{name}: {seen}, expected one of: {', '.join(own) or 'none'}")
+    return chosen
 
 
 def require_same_code(ran: Mapping[str, str], recorded: Mapping[str, str], where: str) -> None:

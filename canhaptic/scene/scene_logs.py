@@ -18,6 +18,7 @@ from canhaptic.errors import LogFormatError
 from canhaptic.logs.columns import ACTIVE_LIMITS, DRY_RUN, FRICTION_DECLARED, GROUP_AXES, Attribute, PortDescription
 from canhaptic.logs.writer_process import BusLogWriter, EnergyLogWriter
 from canhaptic.meters import active_limits, promise_of
+from canhaptic.own_results import GIVEN_MARK
 from canhaptic.scene.models import AxisScene, Port, Scene, task_unit
 from canhaptic.scene.parts import friction_declared
 
@@ -90,6 +91,10 @@ def _run_attributes(scene: Scene, pace: _Pace) -> dict[str, Attribute]:
         "rate": scene.bus.rate,
         "rpdo": scene.bus.rpdo,
     }
+    if any(name.startswith(GIVEN_MARK) for name in scene.own_code):
+        from canhaptic.scene.given import sources_of
+
+        attributes["own_source"] = json.dumps(sources_of(scene.own_code))
     if scene.bus_name:
         attributes["buses"] = json.dumps([bus.name for bus in scene.buses])
     for axis in scene.axes:

@@ -112,7 +112,7 @@ def test_a_table_of_another_program_is_read(tmp_path: Path, text: str, column: s
         "a word": ("time,position\n0,1\n1,x\n", "line 3: got '1,x', expected numbers"),
         "back in time": ("time,position\n1,0\n0.5,1\n", "line 3: got time 0.5 s, expected one after 1 s"),
         "far": ("time,position\n0,0\n1,2000\n", "line 3: got 2000 at 1 s, expected at most 1000"),
-        "one row": ("time,position\n0,1\n", "got 1 rows below the heading, expected at least 2"),
+        "one row": ("time,position\n0,1\n", "got 1 rows of numbers, expected at least 2"),
         "another unit": ("time,position [N]\n0,1\n1,2\n", "unit 'N' does not fit"),
         "nothing": ("", "the heading has: nothing"),
     }.values(),
@@ -134,7 +134,7 @@ def test_an_angle_is_refused_on_a_linear_axis_and_the_file_is_found_next_to_the_
     (tmp_path / "hand.csv").unlink()
     with pytest.raises(SceneError, match=r"hand\.csv: cannot be read \(no such file\)") as caught:
         load_scene(tmp_path / "scene.yaml")
-    tried = f"tried {tmp_path}/hand.csv; put the table into the folder of the scene, {tmp_path}, or give its whole path"
+    tried = f"tried {tmp_path} and {Path.cwd()}; put the table into the current folder, or give its whole path"
     assert str(caught.value).endswith(tried)
     _table(tmp_path, "time,position\n0,0\n1.5,0.1\n")
     [note] = dear_holds(load_scene(tmp_path / "scene.yaml"))

@@ -111,8 +111,21 @@ def test_what_is_no_regular_file_is_refused(folder: Path) -> None:
     for name in ("pipe", "folder"):
         assert f"cannot be read ([Errno 22] is a {name}" in refusal(folder, f"environment={{type: '{name}.py:Wall'}}")
     absent = refusal(folder, "environment={type: 'absent.py:Wall'}")
-    assert f"absent.py'); put the file into the folder of the scene, {folder.resolve()}" in absent
+    assert f"in the current folder: put it into the current folder, {Path.cwd()}" in absent
     assert "expected one of" in refusal(folder, "environment={type: 'os.path:join'}")  # no import by dotted name
+
+
+def test_a_file_beside_the_scene_comes_before_one_in_the_current_folder(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    current = tmp_path_factory.mktemp("current")
+    monkeypatch.chdir(current)
+    (current / "my_wall.py").write_text(SPRING.replace("200.0", "1.0"))
+    function = "def slope(x, stiffness=2.0):\n    return stiffness * x\n"
+    (current / "other.py").write_text(SPRING.replace("200.0", "3.0") + function)
+    for name, stiffness in (("my_wall.py", 200.0), ("other.py", 3.0), ("other.py:slope", 2.0)):
+        [axis] = load_scene(folder / "scene.yaml", [f"environment={{type: '{name}'}}"], allow_code=True).axes
+        assert axis.environment.parameters.model_dump()["stiffness"] == stiffness
 
 
 def test_faults_in_the_file_are_told_with_its_line(folder: Path) -> None:

@@ -34,11 +34,13 @@ def test_an_environment_has_one_class_under_all_its_names() -> None:
 
 def test_another_process_says_that_it_lacks_the_class(monkeypatch: pytest.MonkeyPatch) -> None:
     overrides = canhaptic.simulate("demo", {"environment": MyWall}, duration=0.01, progress=False).scene.overrides
-    monkeypatch.setattr(own_code, "_GIVEN", {})
-    with pytest.raises(SceneError, match=r"MyWall: is a class of a Python program.*name it FILE\.py:MyWall"):
+    monkeypatch.setattr(own_code, "GIVEN", {})
+    with pytest.raises(
+        SceneError, match=r"MyWall: is a class or function of a Python program.*name it FILE\.py:MyWall"
+    ):
         load_scene("demo", overrides)
 
 
 def test_an_object_without_parameters_is_refused() -> None:
-    with pytest.raises(InputError, match=r"environment: got .*instance of your own"):
+    with pytest.raises(InputError, match=r"environment: got .*a function of your own"):
         canhaptic.simulate("demo", {"environment": object()}, progress=False)

@@ -21,7 +21,11 @@ def execute(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: The scene cannot be touched, Bokeh is not installed, or the port is taken.
     """
-    scene = scene_of(arguments)
+    return serve(scene_of(arguments), arguments)
+
+
+def serve(scene: "Scene", arguments: argparse.Namespace) -> int:
+    """Serve the page of a loaded scene; arguments and result as of `execute`."""
     two_sides(scene, arguments.axis)
     visits = _Visits(scene, arguments)
     try:

@@ -30,6 +30,7 @@ from canhaptic.errors import CanHapticError, InputError
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.touch.two_sides import TouchScene, two_sides
 from canhaptic.scene.build import Experiment, build
+from canhaptic.scene.given import parcel, unpack
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import Scene
 from canhaptic.sim.plant.mechanism.xy_stage import XYMotion
@@ -52,6 +53,7 @@ class TouchJob:
         axis: Axis to touch; None for the first.
         allow_code: Whether user code that the scene names may run.
         pace: "even" or "real".
+        given: What a Python program gave to the scene, from `parcel`.
     """
 
     number: int
@@ -61,6 +63,7 @@ class TouchJob:
     axis: str | None
     allow_code: bool
     pace: TouchPace = "even"
+    given: bytes = b""
 
     def touched(self) -> TouchScene:
         """Return the scene of the run, with both handles.
@@ -68,6 +71,7 @@ class TouchJob:
         Raises:
             InputError: The scene is wrong, or cannot be touched.
         """
+        unpack(self.given)
         return two_sides(scene_from_text(self.text, self.source, self.overrides, allow_code=self.allow_code), self.axis)
 
 
@@ -274,7 +278,8 @@ class TouchHand:
     """
 
     def __init__(self, scene: Scene, axis: str | None = None, pace: TouchPace = "even") -> None:
-        self._job = TouchJob(0, scene.text, scene.source, scene.overrides, axis, bool(scene.own_code), pace)
+        given = parcel(scene.overrides, "the process of touch")
+        self._job = TouchJob(0, scene.text, scene.source, scene.overrides, axis, bool(scene.own_code), pace, given)
         self._given = scene.overrides
         self.changes: dict[str, str] = {}
         self.touched: TouchScene = self._job.touched()

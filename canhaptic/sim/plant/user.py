@@ -12,7 +12,7 @@ sample time costs nothing.
 import csv
 import math
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
@@ -22,7 +22,7 @@ from pydantic import Discriminator, Tag, ValidationInfo, field_serializer, model
 
 from canhaptic.errors import ParameterError
 from canhaptic.files import read_regular
-from canhaptic.own_results import FORCE, watch
+from canhaptic.own_results import FORCE, GIVEN, GIVEN_MARK, watch
 from canhaptic.sim.plant.assembly import Account, NonlinearForce, Part, PlantModel, Rows
 from canhaptic.units import Parameters, PrintablePath, PrintableText, Unit, quantity
 
@@ -72,12 +72,11 @@ class RecordedMotion(Parameters):
 
     type: Literal["recorded"] = "recorded"
     file: PrintablePath
-    """CSV table in the folder of the scene: a heading with `time` (or `t`, `timestamp`) and `position`, each in SI or
-    with its unit as in `time [ms]`, and at least two rows, as `inspect --csv` writes it. Two columns of numbers need no
-    heading. A semicolon or tab may separate columns; then, if no number has a point, a comma is
-    the decimal point. After the last row the hand stays. The table is
-    where the hand wants to be, with its grip between it and the handle: a record of the handle does not repeat the
-    run it was recorded in."""
+    """CSV table in the folder of the scene, or in the current one: a heading with `time` (or `t`, `timestamp`) and
+    `position`, each in SI or with its unit as in `time [ms]`, and at least two rows, as `inspect --csv` writes it. Two
+    columns of numbers need no heading. A semicolon or tab may separate columns; then, if no number has a point, a comma
+    is the decimal point. After the last row the hand stays. The table is where the hand wants to be, with its grip
+    between it and the handle: a record of the handle does not repeat the run it was recorded in."""
     column: PrintableText = "position"
     """Heading of the position column, or its end: `position` also finds `handle.position`, the measured one, rather
     than `true.handle.position`. With a unit, as in `x [mm]`, for a heading without one."""
@@ -87,15 +86,16 @@ class RecordedMotion(Parameters):
 
     @model_validator(mode="after")
     def _read(self, info: ValidationInfo) -> Self:
+        if str(self.file).startswith(GIVEN_MARK):
+            return self._take(str(self.file))
         folder = Path(getattr(info.context, "folder", "")).absolute()
         path = folder / self.file
+        path = path if path.exists() else Path.cwd() / self.file
         try:
             content = read_regular(path, _MOST_BYTES)
         except OSError as error:
-            text = f"file: {self.file}: cannot be read ({error.strerror}): tried {path}"
-            raise ValueError(
-                f"{text}; put the table into the folder of the scene, {folder}, or give its whole path"
-            ) from error
+            text = f"file: {self.file}: cannot be read ({error.strerror}): tried {folder} and {Path.cwd()}"
+            raise ValueError(f"{text}; put the table into the current folder, or give its whole path") from error
         try:
             self._rows = _rows_of(content.decode("utf-8-sig"), self.column, getattr(info.context, "motion", None))
         except ValueError as error:
@@ -104,10 +104,20 @@ class RecordedMotion(Parameters):
         self._digest = sha256(content).hexdigest()
         return self
 
+    def _take(self, name: str) -> Self:
+        """Take the rows that a Python program gave."""
+        if name not in GIVEN:
+            text = "file: the motion is an array of a Python program, which another process does not have"
+            raise ValueError(
+                f"{text}; write it by numpy.savetxt('motion.csv', array, delimiter=',') and name that file"
+            )
+        self._rows, self._digest = GIVEN[name], name.rpartition(":")[2]
+        return self
+
     @field_serializer("file")
     def _as_content(self, file: Path) -> str:
         """Return name and checksum of the file, so that the configuration is the same on every computer."""
-        return f"{file.name}, SHA-256 {self._digest}"
+        return f"{file.name.partition(':')[0]}, SHA-256 {self._digest}"
 
     @property
     def rows(self) -> tuple[tuple[float, float], ...]:
@@ -166,22 +176,38 @@ def _rows_of(text: str, column: str, motion: Any) -> tuple[tuple[float, float], 
     if len(heads) == 2 and all(_is_number(head.replace(point, ".")) for head in heads):
         lines, heads, first = csv.reader(text.splitlines(), delimiter=separator), ["time", column.partition("[")[0]], 1
     (at, seconds), (of, places) = _time_column(heads), _column(heads, column, _PLACES, motion)
-    rows: list[tuple[float, float]] = []
-    for number, cells in enumerate(lines, first):
-        if not cells:
-            continue
-        try:
-            time, place = float(cells[at].replace(point, ".")) * seconds, float(cells[of].replace(point, ".")) * places
-        except (ValueError, IndexError) as error:
-            raise ValueError(f"line {number}: got {separator.join(cells)[:60]!r}, expected numbers") from error
+
+    def numbers() -> Iterator[tuple[str, float, float]]:
+        for number, cells in enumerate(lines, first):
+            try:
+                if cells:
+                    time, place = (float(cells[column].replace(point, ".")) for column in (at, of))
+                    yield f"line {number}", time * seconds, place * places
+            except (ValueError, IndexError) as error:
+                raise ValueError(f"line {number}: got {separator.join(cells)[:60]!r}, expected numbers") from error
+
+    return checked_rows(numbers())
+
+
+def checked_rows(rows: Iterable[tuple[str, float, float]]) -> tuple[tuple[float, float], ...]:
+    """Return the rows of a motion: time from the first row [s], and position [m or rad].
+
+    Args:
+        rows: Name of each row for errors, its time [s] and its position [m or rad].
+
+    Raises:
+        ValueError: A row is out of range or not later than the row before, or there are fewer than two.
+    """
+    found: list[tuple[float, float]] = []
+    for where, time, place in rows:
         if not math.isfinite(time) or not abs(place) <= _FARTHEST:
-            raise ValueError(f"line {number}: got {place:g} at {time:g} s, expected at most {_FARTHEST:g} m or rad")
-        if rows and time <= rows[-1][0]:
-            raise ValueError(f"line {number}: got time {time:g} s, expected one after {rows[-1][0]:g} s")
-        rows.append((time, place))
-    if len(rows) < 2:
-        raise ValueError(f"got {len(rows)} rows below the heading, expected at least 2")
-    return tuple((time - rows[0][0], place) for time, place in rows)
+            raise ValueError(f"{where}: got {place:g} at {time:g} s, expected at most {_FARTHEST:g} m or rad")
+        if found and time <= found[-1][0]:
+            raise ValueError(f"{where}: got time {time:g} s, expected one after {found[-1][0]:g} s")
+        found.append((time, place))
+    if len(found) < 2:
+        raise ValueError(f"got {len(found)} rows of numbers, expected at least 2")
+    return tuple((time - found[0][0], place) for time, place in found)
 
 
 def _is_number(text: str) -> bool:
@@ -392,17 +418,32 @@ class OwnHand(UserParameters):
         if len(scene.bodies) > 1:
             raise ParameterError("user: a user-defined hand holds the motor's body; remove shaft_compliance", "user")
         super().add_to(scene)
-        scene.efforts.append(_OwnForce(self))
+        scene.efforts.append(_OwnForce(self, "user"))
+
+
+class ForceEffect(Parameters):
+    """Base of an effect that is a force on the motor by time, position and velocity; its work counts as dissipated."""
+
+    order: ClassVar[int | None] = 2
+    rank: ClassVar[int] = 1
+
+    type: Literal["force"] = "force"
+
+    def force(self, time: float, position: float, velocity: float) -> float:
+        """Return the force, as a hand does; see `OwnHand.force`."""
+        raise NotImplementedError(f"{type(self).__name__}: write force(time, position, velocity)")
+
+    def add_to(self, scene: PlantModel) -> None:
+        """Add the force."""
+        scene.efforts.append(_OwnForce(self, "dissipated"))
 
 
 class _OwnForce(NonlinearForce):
-    """The force of a user-defined hand as a part of the plant; its work is the user's."""
+    """The force of a user-defined hand or effect as a part of the plant."""
 
-    account: Account | None = "user"
-
-    def __init__(self, hand: OwnHand) -> None:
-        watch(type(hand), ("force",), FORCE)
-        self._hand = hand
+    def __init__(self, owner: OwnHand | ForceEffect, account: Account) -> None:
+        watch(type(owner), ("force",), FORCE)
+        self._owner, self.account = owner, account
         self._time = 0.0
 
     def reset(self) -> None:
@@ -412,7 +453,7 @@ class _OwnForce(NonlinearForce):
     def force(self, position: float, travel: float, duration: float, torque: float) -> float:
         """Return the force at the middle of a substep [N or N*m]."""
         velocity = travel / duration if duration else 0.0
-        return self._hand.force(self._time + 0.5 * duration, position + 0.5 * travel, velocity)
+        return self._owner.force(self._time + 0.5 * duration, position + 0.5 * travel, velocity)
 
     def commit(self, position: float, travel: float, duration: float, torque: float) -> None:
         """Advance the time by the substep."""
