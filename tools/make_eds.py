@@ -97,7 +97,8 @@ TPDO_MAPS: Final = (
 )
 
 
-def _communication_profile() -> dict[int, Variable | Holder]:
+def communication_profile() -> dict[int, Variable | Holder]:
+    """Returns the objects of CiA 301 by index."""
     error_fields = [Variable(f"Standard error field {i}", U32) for i in range(1, 9)]
     history = {0: Variable("Number of errors", U8, "rw", 0), **dict(enumerate(error_fields, 1))}
     objects: dict[int, Variable | Holder] = {
@@ -134,7 +135,8 @@ def _communication_profile() -> dict[int, Variable | Holder]:
     return objects
 
 
-def _drive_profile() -> dict[int, Variable | Holder]:
+def drive_profile() -> dict[int, Variable | Holder]:
+    """Returns the objects of a CiA 402 drive with cyclic torque by index."""
     return {
         0x6007: Variable("Abort connection option code", I16, "rw", 1, 0, 3),
         0x603F: Variable("Error code", U16, "ro", 0, is_mappable=True),
@@ -174,7 +176,7 @@ def _drive_profile() -> dict[int, Variable | Holder]:
     }
 
 
-def _motion_profile() -> dict[int, Variable | Holder]:
+def motion_profile() -> dict[int, Variable | Holder]:
     """Returns what a drive for admittance displays has besides, or in place of the same."""
     return {
         0x2205: _array(
@@ -286,7 +288,7 @@ Line3=Only cyclic synchronous torque is supported (0x6502 = 0x200).
 
 def make_eds() -> str:
     """Returns the text of the dictionary for cyclic torque."""
-    return _text(_HEAD, _communication_profile() | _drive_profile())
+    return _text(_HEAD, communication_profile() | drive_profile())
 
 
 def make_admittance_eds() -> str:
@@ -296,7 +298,7 @@ def make_admittance_eds() -> str:
     head = head.replace(
         "Only cyclic synchronous torque is supported (0x6502 = 0x200).", "Modes 8, 9, 10 (0x6502 = 0x380)."
     )
-    return _text(head, _communication_profile() | _drive_profile() | _motion_profile())
+    return _text(head, communication_profile() | drive_profile() | motion_profile())
 
 
 def _text(head: str, unsorted: dict[int, Variable | Holder]) -> str:

@@ -131,7 +131,7 @@ def read_dictionary(path: str | Path, node_id: int) -> DriveDictionary:
 
 @lru_cache(maxsize=32)  # a scene asks four times for each drive, and a sweep has thousands of scenes
 def _read(path: Path, content: bytes, node_id: int) -> DriveDictionary:
-    text = _text(path, content)
+    text = text_of(path, content)
     sections = _parse(text)
     dictionary = DriveDictionary()
     saved_for = _integer(sections.get("devicecomissioning", {}).get("nodeid", ""))
@@ -188,7 +188,8 @@ def dictionary_content(path: Path) -> bytes:
         raise DictionaryError(f"{path}: {text}") from error
 
 
-def _text(path: Path, content: bytes) -> str:
+def text_of(path: Path, content: bytes) -> str:
+    """Return the text of a file in any of the usual encodings, also compressed by gzip; raise DictionaryError."""
     if content.startswith(_GZIP):
         try:
             content = zlib.decompressobj(wbits=31).decompress(content, _LARGEST)
