@@ -258,7 +258,8 @@ class Cycle:
         Bounds that rest on `speed_limit`, where neither hand nor lateness is declared, say nothing about the link.
         """
         controller = self.meters.of_axes[axis].controller
-        return _resolution(controller) + self.rig.drives[axis].contested
+        contested: float = self.rig.drives[axis].contested
+        return _resolution(controller) + contested
 
     def _lost_to_friction(self, axis: int, samples: Sequence[Sample]) -> float:
         """Return the energy that the declared dry friction of a device has dissipated at least [J]."""

@@ -17,7 +17,6 @@ from typing import Final, Literal, NamedTuple, TypedDict, TypeVar
 import can
 
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.eds import read_dictionary
 from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.can.bus_cycle import can_buses
@@ -81,7 +80,7 @@ def roles_of(scene: Scene) -> Roles:
     places = {bus.name: place for place, bus in enumerate(scene.buses)}
     axes = [axis.parameters for axis in scene.axes]
     on = [places[axis.bus] for axis in scene.axes]
-    maps = [choose_map(read_dictionary(axis.eds, axis.node_id), axis) for axis in axes]
+    maps = [choose_map(axis.dictionary(), axis) for axis in axes]
     sensors = [axis.admittance.force.node if axis.admittance else None for axis in axes]
     nodes = zip(on * 2, [*axes, *sensors], strict=True)
     sdo_requests = frozenset((bus, od.SDO_REQUEST_BASE + of.node_id) for bus, of in nodes if of and of.node_id)

@@ -133,7 +133,7 @@ def _accounts(cycle: Cycle, truth: Mapping[str, TruthResult]) -> dict[str, PortR
         accounts[name] = {
             "unit": drive.axis.unit,
             **port_account(known[axis], cycle.ledgers[axis].summary().as_json(sample_time), promise, sample_time),
-            "read_back": drive.map.read_back,
+            "read_back": drive.read_back,
             "read_back_bound": drive.read_back_bound,
         }
         if hold := found.get(axis, drive.hold):

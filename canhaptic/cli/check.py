@@ -15,7 +15,6 @@ from rich.markup import escape
 from rich.text import Text
 
 from canhaptic.axis_units import counted, si
-from canhaptic.canopen.eds import read_dictionary
 from canhaptic.cli.check_eds import WORDS
 from canhaptic.cli.long_command import unguarded
 from canhaptic.cli.options import scene_of
@@ -115,7 +114,7 @@ def checked(scene: Scene) -> dict[str, Any]:
 
 def _findings_of(scene: Scene, *, asks_drives: bool = False) -> "_CheckFindings":
     axes = [axis.parameters for axis in scene.axes]
-    dictionaries = [read_dictionary(axis.eds, axis.node_id) for axis in axes]
+    dictionaries = [axis.dictionary() for axis in axes]
     maps = [(of.bus, choose_map(d, of.parameters)) for d, of in zip(dictionaries, scene.axes, strict=True)]
     if not scene.unread:
         require_buildable(scene)
@@ -299,7 +298,7 @@ def _print_findings(console: Console, found: _CheckFindings, *, full: bool) -> N
     for axis in found.scene.axes:
         name = axis.parameters.name
         if rows := [row for row in found.findings[name] if full or row.verdict is not Verdict.FIT]:
-            console.print(_fitness_table(f"{name}: {axis.parameters.eds}", rows))
+            console.print(_fitness_table(f"{name}: {axis.parameters.dictionary_path}", rows))
         if found.objects:
             console.print(_fitness_table(f"{name}: kept in the drive", found.objects[name]))
     console.print(_hint_table([h for h in found.hints if full or h.concerns], len(found.scene.axes), texts=full))

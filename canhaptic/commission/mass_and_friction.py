@@ -17,7 +17,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.canopen.eds import read_dictionary
 from canhaptic.commission.session import OpenLoop, Session, StepVerdict, reversals
 from canhaptic.commission.which_hold import HoldTimes, as_declared, report_hold, time_the_hold
 from canhaptic.drive.can.bus_budget import shortest_answer
@@ -384,7 +383,7 @@ def _earliest(session: Session, axis: int) -> float | None:
     parameters, bus = session.axes[axis].parameters, session.scene.bus_of(session.axes[axis])
     if session.experiment.pace == "free" or bus.rpdo != "event":
         return None
-    dictionary = read_dictionary(parameters.eds, parameters.node_id)
+    dictionary = parameters.dictionary()
     return shortest_answer(bus.bitrate, choose_map(dictionary, parameters))
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from canhaptic.drive.clock import Clock
+from canhaptic.drive.pace import Pace
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 
 
@@ -51,6 +52,9 @@ class BusCycle(Protocol):
     @property
     def seen(self) -> Seen:
         """What was seen on the bus."""
+
+    def lead(self, pace: Pace) -> None:
+        """Lead the deadlines of the rig, where the bus has a clock of its own."""
 
     def begin(self) -> None:
         """Restart: nothing is known of how fast the drives answer."""

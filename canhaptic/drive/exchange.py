@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from canhaptic.drive.axis_parameters import CycleParameters
 from canhaptic.drive.bus_cycle import BusCycle
+from canhaptic.drive.cycle_parameters import CycleParameters
 from canhaptic.drive.pace import Pace
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.errors import LinkError
@@ -37,6 +37,8 @@ class Exchange:
         self.now, self.wait_until = self.clock.now, self.clock.wait_until
         self.sample_time_ns, self.silence = bus.sample_time_ns, bus.master_silence_ns
         self.pace = Pace(bus.sample_time_ns)
+        for one in self.buses:
+            one.lead(self.pace)
         self._window_ns = self._first.window_ns
         self.beat_cycles = bus.heartbeat_cycles
         self._beat_due = 0  # [ns], while no cycle runs

@@ -11,13 +11,14 @@ On every error zero torque is sent first, then the drives are disabled, then the
 import threading
 from collections import deque
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
-from canhaptic.drive.axis_parameters import CycleParameters
 from canhaptic.drive.bus_cycle import BackgroundLine, BusCycle
 from canhaptic.drive.clock import VirtualClock
+from canhaptic.drive.cycle_parameters import CycleParameters
 from canhaptic.drive.exchange import Exchange
 from canhaptic.drive.profile.restore import restore
+from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.drive.safety import stop
 from canhaptic.drive.safety.link_policy import STOP_TABLE, LossBudget, StopReason
 from canhaptic.drive.safety.stop import Trust
@@ -28,7 +29,6 @@ from canhaptic.signals import CycleTiming, Sample
 
 if TYPE_CHECKING:
     from canhaptic.drive.can.background_sdo import BackgroundSdo
-    from canhaptic.drive.can.servo_drive import ServoDrive
     from canhaptic.drive.profile.fitness import Finding
 
 _tuple: Final = tuple.__new__  # makes a record at half the cost of calling its class
@@ -73,13 +73,13 @@ class Rig:
     def __init__(
         self,
         buses: Sequence[BusCycle],
-        drives: "Sequence[ServoDrive]",
+        drives: Sequence[TorqueAxis],
         bus: CycleParameters,
         groups: Sequence[Sequence[int]] = (),
     ) -> None:
         self.buses = tuple(buses)
         self._seen = tuple(bus.seen for bus in self.buses)
-        self.drives = tuple(drives)
+        self.drives: tuple[Any, ...] = tuple(drives)  # each of the class of its fieldbus
         together = {axis: tuple(self.drives[other] for other in group) for group in groups for axis in group}
         self._needed = [(drive, together.get(axis, ())) for axis, drive in enumerate(self.drives)] if groups else []
         self.bus, self.clock = bus, self.buses[0].clock
@@ -199,7 +199,7 @@ class Rig:
             self._count_skips(periods - 1)
         return samples
 
-    def _ended_by(self, drive: "ServoDrive", reason: StopReason) -> RigError:
+    def _ended_by(self, drive: TorqueAxis, reason: StopReason) -> RigError:
         """Stop because of a drive; return the exception.
 
         Where this computer stood still for longer than the drive's watchdog allows, that is the cause, and the drive's
@@ -355,7 +355,8 @@ class Rig:
     @property
     def holds_to_act(self) -> int:
         """Holds until every torque that was sent has acted, as late as is declared, and its last sample has come."""
-        return 2 + max(drive.delay + drive.settling for drive in self.drives)
+        longest: int = max(drive.delay + drive.settling for drive in self.drives)
+        return 2 + longest
 
     @property
     def is_still(self) -> bool:
@@ -411,7 +412,7 @@ class Rig:
             except Exception as error:
                 return [f"the stop failed: {cause_of(error)}"] * len(self.drives)
 
-    def details(self, drive: "ServoDrive", reason: StopReason) -> str:
+    def details(self, drive: TorqueAxis, reason: StopReason) -> str:
         """Return what was seen of a drive that is a reason to stop."""
         details = {
             StopReason.TPDO_LOST: self._missed(drive),
@@ -422,21 +423,21 @@ class Rig:
             StopReason.HEARTBEAT_LOST: f"silent for more than {self.bus.drive_silence_ns / 1e6:g} ms",
             StopReason.EMERGENCY: str(drive.emergency),
             StopReason.POSITION_JUMP: f"limit {drive.axis.largest_speed:g} {drive.axis.unit}/s",
-            StopReason.NMT_STATE_LEFT: f"NMT state {drive.nmt_state}",
+            StopReason.NMT_STATE_LEFT: drive.state_text,
         }
         return details.get(reason, f"state {drive.state.value}, statusword {drive.statusword:#06x}")
 
-    def _describe(self, drive: "ServoDrive", reason: StopReason) -> str:
+    def _describe(self, drive: TorqueAxis, reason: StopReason) -> str:
         rule = STOP_TABLE[reason]
         what = f"{drive.axis.name}: {rule.meaning} at SYNC {self.sync_index}: {self.details(drive, reason)}"
         remedy = drive.emergency_remedy(self.skipped_syncs)
         return f"{what}; torque is zero; {remedy or rule.remedy}"
 
-    def _lost(self, drive: "ServoDrive") -> str:
+    def _lost(self, drive: TorqueAxis) -> str:
         answered = f"{100.0 * drive.policy.success_rate():.4g} % of all SYNCs answered"
         return f"{answered}, limit bus.loss_limit ({100.0 * self.bus.loss_limit:g} % of the last ones lost)"
 
-    def _contradicted(self, drive: "ServoDrive") -> str:
+    def _contradicted(self, drive: TorqueAxis) -> str:
         found, unit = drive.check.last, "N" if drive.axis.unit == "m" else "N*m"
         if found is None:
             return ""
@@ -447,7 +448,7 @@ class Rig:
         )
         return f"{drive.check.contradicted} SYNCs in a row, read {read:.4g} {unit}, {commanded}"
 
-    def _missed(self, drive: "ServoDrive") -> str:
+    def _missed(self, drive: TorqueAxis) -> str:
         others = next((others for one, others in self._needed if one is drive), ())
         names = ", ".join(other.axis.name for other in others)
         together = f" without the TPDOs of all of {names}, which render together" if names else ""

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from canhaptic.axis_units import effort_unit
-from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.bus_budget import require_budget, shortest_answer
 from canhaptic.drive.can.pdo_map import AxisMap, check_dictionary, choose_map
@@ -236,14 +235,14 @@ def _check_dictionary(of: _Checked, faults: Diagnostics) -> AxisMap | None:
     """Note every reason why the drive's dictionary is unfit; return the PDO map if it is fit."""
     given, at = of.axis.parameters, of.entry.value_at("eds")
     try:
-        dictionary = read_dictionary(given.eds, given.node_id)
+        dictionary = given.dictionary()
     except DictionaryError as error:
         faults.add(at, str(error))
         return None
     findings = check_dictionary(dictionary, given, of.bus)
     refusals = [finding for finding in findings if finding.verdict is Verdict.REFUSED]
     for finding in refusals:
-        faults.add(at, f"{given.eds}: {finding.item}: {finding.text}")
+        faults.add(at, f"{given.dictionary_path}: {finding.item}: {finding.text}")
     if of.is_real and (text := limit_objection(dictionary, given)):
-        faults.add(of.entry.value_at("admittance"), f"{given.eds}: 0x6072 max torque: {text}")
+        faults.add(of.entry.value_at("admittance"), f"{given.dictionary_path}: 0x6072 max torque: {text}")
     return None if refusals else choose_map(dictionary, given)

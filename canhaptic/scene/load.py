@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import ValidationError
 
-from canhaptic.canopen.eds import read_dictionary
 from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
 from canhaptic.control.passivity import ALGORITHMS, LoopProperties
 from canhaptic.drive.axis_parameters import CanBusParameters
@@ -255,7 +254,7 @@ def _window(effects: "BusEffects | None", bus: CanBusParameters, axes: Sequence[
         window += effects.jitter if effects.suffers("to_master") else 0.0
     given = [axis.parameters for axis in axes]
     try:
-        maps = [choose_map(read_dictionary(axis.eds, axis.node_id), axis) for axis in given]
+        maps = [choose_map(axis.dictionary(), axis) for axis in given]
     except (CanHapticError, OSError):
         return window  # noted with the dictionary
     return window + torque_latency(bus, maps)

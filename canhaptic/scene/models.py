@@ -283,7 +283,7 @@ class AxisScene:
 
     def dictionary_hash(self) -> str:
         """Return the SHA-256 of the drive's EDS or DCF."""
-        return hashlib.sha256(dictionary_content(self.parameters.eds)).hexdigest()
+        return hashlib.sha256(dictionary_content(self.parameters.dictionary_path)).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from math import inf
 from typing import TYPE_CHECKING, Final, cast
 
-from canhaptic.canopen.eds import read_dictionary
 from canhaptic.control.admittance import build_display_controller
 from canhaptic.control.axis_meter import Accuracy, AxisMeter, SilentMeter
 from canhaptic.control.environments import Environment, plain
@@ -203,7 +202,7 @@ def build_servo_drive(axis: AxisScene, link: Link, bus: CanBusParameters, *, dry
     Raises:
         InputError: A dry run of an admittance display.
     """
-    dictionary = read_dictionary(axis.parameters.eds, axis.parameters.node_id)
+    dictionary = axis.parameters.dictionary()
     if dry_run:
         require_torque_axis(axis)
     if axis.parameters.admittance is None:

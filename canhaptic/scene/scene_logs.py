@@ -11,7 +11,6 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
-from canhaptic.canopen.eds import read_dictionary
 from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import LogFormatError
@@ -202,6 +201,6 @@ def describe_nodes(scene: Scene) -> "list[NodeDescription]":
     for axis, bus in ((axis.parameters, axis.bus) for axis in scene.axes):
         torque = axis.rated_torque and axis.rated_torque * quirks_of(axis.quirks).torque_scale
         scales = axis.counts_per_unit, axis.unit, torque, axis.direction
-        dictionary = read_dictionary(axis.eds, axis.node_id)
+        dictionary = axis.dictionary()
         nodes.append(NodeDescription(axis.node_id, axis.name, dictionary, *scales, places[bus]))
     return nodes

@@ -233,7 +233,7 @@ def test_a_group_whose_axes_are_heard_in_turn_is_stopped(name: str, loses_comman
     syncs, begin, end = 0, 200, scene.bus.stop_cycles
     with build(scene, "free") as experiment:
         link = experiment.rig.drives[0].link
-        bus = link._bus = TamperedBus(link._bus)  # type: ignore[assignment]
+        bus = link._bus = TamperedBus(link._bus)
 
         def lose(message: can.Message) -> can.Message | None:
             nonlocal syncs

@@ -31,7 +31,7 @@ def events(folder: Path, *, frozen: bool) -> list[tuple[str, str]]:
 
     with build(load_scene(DEMO, IN_THE_WALL), "free", folder / "run.h5") as experiment:
         link = experiment.rig.drives[0].link
-        bus = link._bus = TamperedBus(link._bus)  # type: ignore[assignment]
+        bus = link._bus = TamperedBus(link._bus)
         bus.on_send = freeze
         bus.on_receive = freeze if frozen else bus.on_receive
         run(experiment.cycle, 4000)

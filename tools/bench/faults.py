@@ -114,7 +114,7 @@ def _foreign(can_id: int, *data: int) -> Callable[[Experiment], None]:
 def _jump(experiment: Experiment) -> None:
     """Turns the highest bit but one of every position from now on."""
     link = experiment.rig.drives[0].link
-    link._bus = JumpingBus(link._bus)  # type: ignore[assignment] # noqa: SLF001 - in between
+    link._bus = JumpingBus(link._bus)  # noqa: SLF001 - in between
 
 
 AT_THE_DRIVE = {

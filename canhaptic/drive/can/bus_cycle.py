@@ -9,6 +9,7 @@ from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.bus_budget import budget_of, has_room_for_sdo, own_frames
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive, SyncWindow
+from canhaptic.drive.pace import Pace
 from canhaptic.errors import LinkError
 
 if TYPE_CHECKING:
@@ -47,6 +48,9 @@ class CanBusCycle:
         self._window = SyncWindow()
         for drive in self.drives:
             drive.window = self._window
+
+    def lead(self, pace: Pace) -> None:
+        """Do nothing: SYNC follows the deadlines."""
 
     def begin(self) -> None:
         """Restart: nothing is known of how fast the drives answer."""

@@ -220,6 +220,11 @@ class ServoDrive(TorqueAxis):
         elif self.map.watchdog == "life_guarding":
             self.sdo.write(od.GUARD_TIME, 0, 0)
 
+    @property
+    def state_text(self) -> str:
+        """NMT state in the last heartbeat, in words."""
+        return f"NMT state {self.nmt_state}"
+
     def emergency_remedy(self, skipped: int) -> str:
         """Return the remedy for the EMCY of the drive; "" where only the drive's manual explains it.
 

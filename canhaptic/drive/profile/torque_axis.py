@@ -7,7 +7,7 @@ reads and writes single objects by `ObjectAccess`.
 import math
 from abc import ABC, abstractmethod
 from collections import deque
-from typing import Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import Dictionary
@@ -91,6 +91,7 @@ class CycleRules(NamedTuple):
     silence: int  # of the drive that is tolerated [ns]
     loss_limit: float  # share of the SYNCs whose sample or command may be lost for ever
     lateness: float  # longest time from a hold's begin until its torque has settled [s]
+    more_holds: int = 0  # by which a torque acts later than that
 
 
 class TorqueAxis(ABC):
@@ -173,6 +174,7 @@ class TorqueAxis(ABC):
         self.elsewhere: list[str] = []
         self.sample_time_ns = rules.sample_time_ns
         self._is_synchronous, self._silence = rules.is_synchronous, rules.silence
+        self._holds_late = self.quirks.syncs_late + rules.more_holds
         self._sample_time, self._stop_cycles = rules.sample_time, rules.stop_cycles
         self._hold_cycles = rules.hold_cycles
         self._reads_demand, self._reads_nothing = read_back == "demand", read_back == "none"
@@ -206,7 +208,7 @@ class TorqueAxis(ABC):
         self._distrust = _NO_REASON  # why the link or the torque is no longer trusted
         self._commanded = 0  # per mille: sent last
         self._acting = 0  # per mille: assumed to act now, with a synchronous RPDO
-        self._later = deque([0] * self.quirks.syncs_late)  # per mille: sent, and not acting yet where that takes longer
+        self._later = deque([0] * self._holds_late)  # per mille: sent, and not acting yet where that takes longer
         self._reported = 0  # per mille: of the process data before
         self._held_before = 0  # per mille: read back for the hold before
         self._followed = 0  # per mille: the last command that a measured torque has shown
@@ -227,6 +229,10 @@ class TorqueAxis(ABC):
         self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
 
     # --- what a fieldbus supplies -----------------------------------------------------------------------------------
+
+    @abstractmethod
+    def bring_up(self) -> Any:
+        """Return the steps that start the drive in its mode: a `BringUp`."""
 
     @abstractmethod
     def now(self) -> int:
@@ -256,6 +262,11 @@ class TorqueAxis(ABC):
     def disarm(self) -> None:
         """Switch off the drive's watchdog, so that the end of the master is not a fault; raise SdoError."""
 
+    @property
+    @abstractmethod
+    def state_text(self) -> str:
+        """State of the communication, in words."""
+
     def emergency_remedy(self, skipped: int) -> str:
         """Return the remedy for the drive's EMCY, where this computer skipped some SYNCs; "" for its manual's."""
         return ""
@@ -269,7 +280,7 @@ class TorqueAxis(ABC):
     @property
     def delay(self) -> int:
         """Whole holds from the computation of a torque to the hold in which it acts."""
-        return int(self._is_synchronous) + self.quirks.syncs_late
+        return int(self._is_synchronous) + self._holds_late
 
     @property
     def mode_code(self) -> int:

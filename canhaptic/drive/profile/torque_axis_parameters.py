@@ -1,5 +1,6 @@
 """Parameters of one axis, for any fieldbus: every value in SI, with unit and range."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator
@@ -7,7 +8,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 from canhaptic.canopen import objects as od
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import ParameterError
-from canhaptic.units import Name, OnDemand, Parameters, PrintablePath, PrintableText, quantity
+from canhaptic.units import Name, OnDemand, Parameters, PrintableText, quantity
 
 if TYPE_CHECKING:
     from canhaptic.canopen.attached_devices import Brake
@@ -46,8 +47,6 @@ class TorqueAxisParameters(Parameters):
 
     name: Name
     """Name of the axis in messages, tables and logs; no other axis has it."""
-    eds: PrintablePath
-    """Object dictionary (EDS or DCF) of the drive."""
     quirks: tuple[str, ...] = ()
     """Named deviations of this drive from the standard (`canhaptic.drive.profile.quirks`)."""
     unit: Literal["m", "rad"] = "rad"
@@ -137,6 +136,15 @@ class TorqueAxisParameters(Parameters):
     """Time allowed for the first answer, for example after power-on."""
     step_timeout: Annotated[float, quantity("s", ge=1e-2, le=60.0)] = 1.0
     """Time allowed for the drive to confirm one step of the start."""
+
+    @property
+    def dictionary_path(self) -> Path:
+        """File of the drive's object dictionary."""
+        raise NotImplementedError
+
+    def dictionary(self) -> Any:
+        """Return the drive's object dictionary; raise DictionaryError."""
+        raise NotImplementedError
 
     @property
     def largest_speed(self) -> float:

@@ -19,7 +19,6 @@ from typing import Any, Final, cast
 import numpy as np
 
 from canhaptic.axis_units import effort_unit
-from canhaptic.canopen.eds import read_dictionary
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.passivity import ALGORITHMS, LITERATURE
@@ -358,7 +357,7 @@ def bus_figures(variant: Variant, scene: Scene) -> Row:
     budgets = []
     for bus in dict.fromkeys(axis.bus for axis in variant.scene.axes):
         given = [axis.parameters for axis in scene.axes if axis.bus == bus]
-        maps = [choose_map(read_dictionary(of.eds, of.node_id), of) for of in given]
+        maps = [choose_map(of.dictionary(), of) for of in given]
         budgets.append(bus_budget(variant.scene.bus, maps))
     budget = max(budgets, key=lambda budget: budget.periodic_load)
     return {"bus_load": budget.periodic_load, "worst_cycle": budget.worst_cycle, "bus_fits": budget.fits}

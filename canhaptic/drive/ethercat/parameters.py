@@ -1,0 +1,68 @@
+"""Keys of an EtherCAT line and of an axis on it."""
+
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+from canhaptic.drive.cycle_parameters import CycleParameters
+from canhaptic.drive.profile.torque_axis_parameters import TorqueAxisParameters
+from canhaptic.units import PrintablePath, PrintableText, quantity
+
+_MAIL_NS: Final = 20_000_000  # between two looks into the mailboxes for an emergency
+_QUIET_NS: Final = 100_000_000
+
+
+class EthercatBusParameters(CycleParameters):
+    """One EtherCAT line, whose first drive with a distributed clock leads the cycle."""
+
+    type: Literal["ethercat"]
+    """Kind of bus."""
+    interface: PrintableText = "virtual"
+    """`virtual`: drives simulated in this process."""
+    frames: Literal[1, 2] = 2
+    """Frames in a cycle. 2: read, compute, write, and a torque acts at the next SYNC0. 1: one frame does both, and a
+    torque acts one hold later."""
+    phase: Annotated[float, quantity("1", ge=0.05, le=0.5)] = 0.25
+    """Time after SYNC0 at which the first frame passes the reference clock, as a fraction of the sample time."""
+    watchdog: Annotated[float, quantity("s", ge=1e-3, le=6.0)] = 0.01
+    """Time without a frame after which a drive itself takes its torque away (sync manager watchdog)."""
+    assign_activate: Annotated[int, quantity("1", ge=0, le=0xFFFF)] | None = None
+    """AssignActivate of the drives (0x0980), which starts SYNC0; None: of each ESI, else 0x0300."""
+
+    @property
+    def delay(self) -> int:
+        """Whole holds from the computation of a torque to the hold in which it acts."""
+        return 1 if self.frames == 2 else 2
+
+    @property
+    def heartbeat_cycles(self) -> int:
+        """Sample times between the master's signs of life: every frame is one."""
+        return 1
+
+    @property
+    def mail_cycles(self) -> int:
+        """Sample times between two looks into a mailbox."""
+        return max(1, round(_MAIL_NS / self.sample_time_ns))
+
+    @property
+    def master_silence_ns(self) -> int:
+        """Silence [ns] of the master that a drive tolerates."""
+        return round(self.watchdog * 1e9)
+
+    @property
+    def drive_silence_ns(self) -> int:
+        """Longest silence of a drive that the master tolerates [ns]: later than its lost samples end the run."""
+        return max(_QUIET_NS, 2 * self.stop_cycles * self.sample_time_ns)
+
+
+class EthercatAxisParameters(TorqueAxisParameters):
+    """One servo drive on an EtherCAT line and the axis behind it. Torques are at the axis: N*m or N."""
+
+    position: Annotated[int, quantity("1", ge=0, le=0xFFFF)]
+    """Place of the drive on its line, from 0."""
+    esi: PrintablePath
+    """Device description (ESI) of the drive."""
+
+    @property
+    def dictionary_path(self) -> Path:
+        """File of the object dictionary."""
+        return self.esi

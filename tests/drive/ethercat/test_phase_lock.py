@@ -1,0 +1,35 @@
+"""The host's cycle locks onto SYNC0, from any phase and against any quartz."""
+
+import pytest
+
+from canhaptic.drive.ethercat.phase_lock import PhaseLock
+
+PERIOD = 1_000_000
+
+
+def run(begin: int, ppm: float, cycles: int) -> tuple[list[int], PhaseLock]:
+    lock, now, errors = PhaseLock(PERIOD, PERIOD // 4), begin, []
+    lock.begin(0)
+    for _ in range(cycles):
+        correction = lock.follow(round(now * (1.0 + ppm * 1e-6)))
+        errors.append(abs(lock.error))
+        now += PERIOD - correction
+    return errors, lock
+
+
+@pytest.mark.parametrize("ppm", [-100.0, -20.0, 0.0, 20.0, 100.0])
+@pytest.mark.parametrize("share", range(0, 100, 5))
+def test_it_is_within_5_percent_in_50_cycles_from_any_phase(ppm: float, share: int) -> None:
+    errors, lock = run(7 * PERIOD + share * PERIOD // 100, ppm, 1200)
+    assert max(errors[50:]) <= 0.05 * PERIOD
+    assert max(errors[-100:]) <= 0.002 * PERIOD
+    assert lock.is_locked
+
+
+def test_it_is_locked_only_after_a_second_within_5_percent() -> None:
+    assert not run(PERIOD // 4, 0.0, 999)[1].is_locked
+    assert run(PERIOD // 4, 0.0, 1000)[1].is_locked
+
+
+def test_a_quartz_beyond_belief_is_never_locked() -> None:
+    assert not run(0, 20_000.0, 3000)[1].is_locked

@@ -1,0 +1,132 @@
+"""A rig on EtherCAT: start, cycle and every way out, on simulated drives down to the bytes."""
+
+import pytest
+
+from canhaptic.drive.safety.link_policy import StopReason
+from canhaptic.errors import NmtStateLeftError, RigError, StartError, TpdoLostError
+from canhaptic.sim.drive.ethercat.cable import CableEffects
+from canhaptic.sim.drive.profile.state_machine import DriveState
+from tests.drive.ethercat.rig_bench import Bench
+
+
+def go_on(b: Bench) -> None:
+    for _ in range(60):
+        b.rig.sync()
+        b.rig.write_torques([1.0])
+
+
+DISABLED, PRE_OP = DriveState.SWITCH_ON_DISABLED, 2
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_a_torque_acts_in_the_hold_that_the_account_uses(frames: int) -> None:
+    b = Bench(frames=frames)
+    b.rig.start()
+    acting = []
+    for k in range(8):
+        sample = b.rig.sync()[0]
+        acting.append(sample.torque_applied)
+        b.rig.write_torques([5.0 if k == 2 else 0.0])
+    # computed from sample 2, held from SYNC 2 + delay on, and shown by the sample one later
+    assert [k for k, torque in enumerate(acting) if torque] == [2 + b.axes[0].delay + 1]
+    assert b.axes[0].delay == (1 if frames == 2 else 2)
+    assert b.axes[0].check.contradicted == b.axes[0].uncommanded == 0
+
+
+def test_a_run_ends_with_disabled_drives_in_pre_op_without_sync0_and_what_was_written_restored() -> None:
+    b = Bench(2, drift=40_000)
+    b.run(50, 5.0, -2.0)
+    assert [drive.state for drive in b.drives] == [DISABLED] * 2
+    assert [drive.al_state for drive in b.drives] == [PRE_OP] * 2
+    assert [drive.esc.registers[0x981] for drive in b.drives] == [0, 0]
+    assert all(len(axis.unrestored) == 1 and "Max torque" in axis.unrestored[0] for axis in b.axes)
+    assert b.line.statistics()["unanswered"] == b.line.statistics()["low_counter"] == b.line.statistics()["late"] == 0
+    assert [axis.disagreement for axis in b.axes] == ["", ""]
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_lost_and_late_frames_cost_samples_and_the_counts_of_held_torques_agree(frames: int) -> None:
+    effects = CableEffects(late=0.02, lost=0.02, answer_lost=0.02, low_counter=0.02)
+    b = Bench(2, drift=60_000, effects=effects, frames=frames, loss_limit=1.0)
+    b.run(300, 5.0, -2.0)
+    counts = b.rig.link_statistics()
+    assert counts["held"] > 3
+    assert 0.85 < counts["success_rate"] < 0.99
+    assert [axis.disagreement for axis in b.axes] == ["", ""]
+    assert all(axis.uncommanded == 0 for axis in b.axes)
+
+
+def test_counts_of_held_torques_that_disagree_are_said() -> None:
+    b = Bench()
+    b.rig.start()
+    entry = b.drives[0].store.find(0x1C32, 11)
+    assert entry is not None
+    entry.value = entry.number + 7
+    b.rig.stop()
+    assert "the counts of held torques disagree: the drive counts 8, the host 1" in b.axes[0].disagreement
+
+
+def test_a_drive_that_leaves_op_ends_the_run_with_its_al_code_although_every_counter_is_full() -> None:
+    b = Bench(2, effects=CableEffects(falls_to_safe_op=0.05))
+    with pytest.raises(NmtStateLeftError, match=r"AL status 0x14 \(SAFE_OP\), code 0x001a.*lower bus.rate"):
+        b.run(200, 5.0, -2.0)
+    assert b.rig.stop_reason is StopReason.NMT_STATE_LEFT
+    assert b.line.low == 0
+    assert all(drive.torque == 0.0 for drive in b.drives)
+
+
+def test_a_broken_cable_ends_the_run_and_says_which_drive_did_not_confirm() -> None:
+    b = Bench(2, effects=CableEffects(broken_at=0.05))
+    with pytest.raises(TpdoLostError, match=r"axis0: .*NOT confirmed to be disabled: axis1: ") as error:
+        b.run(200, 5.0, -2.0)
+    assert "without an answer of all drives" in str(error.value)
+    b.clock.wait_until(b.clock.now() + 20_000_000)
+    assert all(drive.torque == 0.0 for drive in b.drives)
+
+
+def test_the_drive_takes_its_torque_away_within_its_watchdog_where_the_master_falls_silent() -> None:
+    b = Bench(watchdog=0.005)
+    b.rig.start()
+    for _ in range(5):
+        b.rig.sync()
+        b.rig.write_torques([5.0])
+    b.clock.wait_until(b.clock.now() + 4_000_000)
+    assert b.drives[0].torque == 5.0
+    b.clock.wait_until(b.clock.now() + 2_000_000)
+    assert (b.drives[0].torque, b.drives[0].al_state) == (0.0, 4)
+
+
+def test_an_emergency_in_the_mailbox_ends_the_run() -> None:
+    b = Bench()
+    b.rig.start()
+    b.drives[0].inject_fault(0x7305)
+    with pytest.raises(RigError):
+        go_on(b)
+    assert b.rig.stop_reason in (StopReason.EMERGENCY, StopReason.DRIVE_FAULT)
+
+
+@pytest.mark.parametrize(
+    ("axis", "drive", "text"),
+    [
+        ({"position": 3}, {}, "presence: got 1 drives on the line, expected one at position 3"),
+        ({"product_code": 0x99}, {}, "identity: got product 0x1234 in its EEPROM, expected 0x99"),
+        ({}, {"objects": {"0x1C32.5": 2_000_000}}, "cycle time: .*at least 2000000 ns.*lower bus.rate to 500 Hz"),
+        ({}, {"objects": {"0x6502": 0xA0}}, "drive modes: got 0x6502 = 0xa0"),
+    ],
+)
+def test_a_drive_that_does_not_fit_is_refused_before_it_is_enabled(
+    axis: dict[str, object], drive: dict[str, object], text: str
+) -> None:
+    b = Bench(axis=axis, drive=drive)
+    with pytest.raises(StartError, match=text):
+        b.rig.start()
+    assert b.drives[0].state is DISABLED
+    assert b.drives[0].torque == 0.0
+
+
+@pytest.mark.parametrize("axis", [{"watchdog": False}, {}])
+def test_the_watchdog_of_the_sync_manager_is_that_of_the_bus_unless_the_axis_has_none(axis: dict[str, object]) -> None:
+    b = Bench(axis=axis, watchdog=0.02)
+    b.rig.start()
+    assert int.from_bytes(b.drives[0].esc.registers[0x420:0x422], "little") == (0 if axis else 200)
+    b.rig.stop()
