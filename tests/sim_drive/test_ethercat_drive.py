@@ -11,13 +11,13 @@ from canhaptic.sim.drive.ethercat.drive_node import ClockParameters
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.sim_drive.ethercat_line import PERIOD, Line, make_drive
 
-HEAD = "ffffffffffff 020000000001 88a4"
+HEAD, BACK = "ffffffffffff 101010101010 88a4", "ffffffffffff 121010101010 88a4"
 
 
 def carried(line: Line, frame: str) -> str:
     answer = line.cable.carry(bytes.fromhex(HEAD + frame), line.clock.now())
     assert answer is not None
-    assert answer[:14].hex() == HEAD.replace(" ", "")
+    assert answer[:14].hex() == BACK.replace(" ", "")
     return answer[14:].hex(" ")
 
 

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 _HEAD: Final = struct.Struct("<BBHHHH")  # command, index, address, offset, length and flags, interrupts
 _COUNTER: Final = struct.Struct("<H")
-_ETHERNET: Final = b"\xff" * 6 + b"\x02\x00\x00\x00\x00\x01" + b"\x88\xa4"  # to all, from a local address
+_ETHERNET: Final = b"\xff" * 6 + b"\x10" * 6 + b"\x88\xa4"  # to all; the first drive sets bit 1 of the source
 _TYPE: Final = 0x1000  # of an EtherCAT frame: datagrams
 _LENGTH, _MORE = 0x7FF, 0x8000
 _SHORTEST: Final = 60  # [bytes] without the check sum

@@ -14,7 +14,7 @@ def test_a_frame_is_the_bytes_of_the_standard() -> None:
     sent = (Datagram(Command.SPREAD, 0x1001, 0x0910, bytes(8)), Datagram(Command.READ_ALL, 0, 0x0130, bytes(2)))
     frame = frame_of(7, sent)
     assert frame.hex(" ") == (
-        "ff ff ff ff ff ff 02 00 00 00 00 01 88 a4 22 10 "
+        "ff ff ff ff ff ff 10 10 10 10 10 10 88 a4 22 10 "
         "0e 07 01 10 10 09 08 80 00 00 00 00 00 00 00 00 00 00 00 00 "
         "07 07 00 00 30 01 02 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00"
     )

@@ -21,6 +21,7 @@ _DATAGRAM: Final = struct.Struct("<BBHHHH")  # command, index, address, offset, 
 _COUNTER: Final = struct.Struct("<H")
 _ETHERTYPE: Final = b"\x88\xa4"
 _FIRST, _HEAD, _TAIL = 16, 10, 2  # [bytes] to the first datagram; head and counter of a datagram
+_SOURCE: Final = 6  # place of the source address
 _LENGTH, _MORE = 0x7FF, 0x8000
 _BRD, _LRD, _LWR, _LRW, _FRMW = 7, 10, 11, 12, 14
 _BY_POSITION: Final = frozenset((1, 2, 3, 13))
@@ -229,6 +230,7 @@ class Cable:
         buffer, end = bytearray(frame), len(frame)
         if end < _FIRST + _HEAD + _TAIL or frame[12:14] != _ETHERTYPE:
             return frame
+        buffer[_SOURCE] |= 2  # the mark of a frame that has passed a drive
         reached = self.drives[: self._reach]
         if left_out >= 0:
             reached = reached[:left_out] + reached[left_out + 1 :]
