@@ -1,7 +1,7 @@
 """Reader of EtherCAT slave information (ESI, ETG.2000): a dictionary as an EDS gives it, and what a start needs.
 
 It tolerates what vendors write: numbers as `#x1A`, `0x1A`, `#x0x1A` or decimal, `DefaultData` as little-endian bytes
-beside `DefaultValue` and `DefaultString`, and PDOs of which no dictionary lists the maps. A file may describe several
+or `DefaultValue` and `DefaultString`, and PDOs of which no dictionary lists the maps. A file may describe several
 devices, and several revisions of one; they differ in what they can do.
 """
 

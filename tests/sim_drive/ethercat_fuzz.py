@@ -110,7 +110,7 @@ def attack_drives(frames: int, seed: int) -> int:
 def attack_master(runs: int, seed: int) -> int:
     """Let a thin master start and run drives whose answers are mutated now and then; return the answers so far.
 
-    Whatever comes, it raises the errors of a rig and no others.
+    It raises the errors of a rig and no others.
     """
     dice, answers = random.Random(seed), 0
     for _ in range(runs):

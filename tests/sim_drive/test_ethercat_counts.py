@@ -96,7 +96,7 @@ def test_effects_of_a_scene_begin_in_op_and_are_the_same_every_time() -> None:
     assert all(0.5 < counts[kind] / (8.4 * n) < 1.6 for n, kind in enumerate(KINDS, 1))
 
 
-def test_a_drive_leaves_op_and_the_cable_breaks_when_they_are_told_to() -> None:
+def test_a_drive_leaves_op_and_the_cable_breaks_at_the_times_of_the_scene() -> None:
     effects = CableEffects(falls_to_safe_op=0.02, broken_at=0.03)
     line = Line(make_drive(), make_drive(), effects=effects)
     line.start()
