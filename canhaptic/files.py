@@ -136,6 +136,11 @@ def scene_names() -> list[str]:
     return sorted(path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.yaml"))
 
 
+def scene_title(source: str) -> str:
+    """Return the name of a scene for a heading: its file without folder and ending, or a source that is no file."""
+    return Path(source).stem if source.endswith((".yaml", ".yml")) else source
+
+
 def scene_file(path: Path) -> Path:
     """Return the file of a scene: `path` if it exists, else the shipped scene of that name.
 

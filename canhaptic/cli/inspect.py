@@ -65,7 +65,7 @@ def execute(arguments: argparse.Namespace) -> int:
         result["checks"] = _checks(result, arguments)
         _judge(log, result, arguments)
         _write_files(log, result, arguments)
-    _show(result, console, as_json=arguments.json, asked=arguments.why or arguments.try_)
+    _show(result, console, as_json=arguments.json, full=arguments.full, asked=arguments.why or arguments.try_)
     return 0 if _is_good(result) else 1
 
 
@@ -208,7 +208,7 @@ def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
     result = rederive(arguments.log, load_scene(arguments.config, allow_code=arguments.allow_code))
     result["status"] = f"derived from the frames of {arguments.log.name}"
     result["checks"] = _checks(result, arguments)
-    _show(result, console, as_json=arguments.json)
+    _show(result, console, as_json=arguments.json, full=arguments.full)
     return 0 if all(outcome["holds"] for outcome in result["checks"]) else 1
 
 
@@ -235,11 +235,11 @@ def _why_of_frames(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _show(result: Checked, console: Console, *, as_json: bool, asked: bool = False) -> None:
+def _show(result: Checked, console: Console, *, as_json: bool, full: bool, asked: bool = False) -> None:
     if as_json:
         write_json(result)
     else:
-        console.print(inspection_report(result))
+        console.print(inspection_report(result, full=full))
     units = {name: port["unit"] for name, port in result.get("ports", {}).items() if "unit" in port}
     if not as_json and asked:
         for text in (*why_lines(result["why"], units), *trial_lines(result.get("trials", {}), units)):

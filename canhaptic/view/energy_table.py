@@ -1,6 +1,7 @@
 """Tables of a run for a terminal, from the dictionary that `run --json` prints: `run --full` and `inspect`."""
 
-from collections.abc import Callable, Sequence
+import textwrap
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +21,7 @@ from canhaptic.view.run_lines import (
     heading,
     headlines,
     line,
+    losses,
     mass_text,
     ordered,
     rests_on,
@@ -41,6 +43,8 @@ _ROUNDING: Final = 1e-9
 _Shown = str | Callable[[Result], str | Styled]
 _CONTACTS_SHOWN: Final = 8
 _EVENTS_SHOWN: Final = 20
+_EVENTS_TOLD: Final = 4  # on one screen
+_LINE: Final = 98  # letters of an event on one screen
 _NAME_WIDTH: Final = 24  # of a text where two logs are shown; a longer one goes on in the next line
 
 
@@ -78,8 +82,7 @@ def energy_table(*results: Result) -> Table:
     if len(results) > 1:
         files = (in_lines(Path(result["file"]).name, _HEAD_WIDTH) for result, _ in places)
         heads = [f"{file}\n{head}" for file, head in zip(files, heads, strict=True)]
-    rows: list[list[Cell]] = [[label, *(_cell(cell, port) for port in ports)] for label, cell in PORT_ROWS]
-    rows = [row for row in rows if any(cell != _NOTHING for cell in row[1:])]
+    rows = list(_port_rows(ports).values())
     rows += _count_rows(ports, "branches", lambda name: _BRANCHES.get(name, f"cycles {name}"))
     for key in _IF_ANY:
         if any(port.get(key) for port in ports):
@@ -90,6 +93,14 @@ def energy_table(*results: Result) -> Table:
         rows.append([])
         rows += [[row.title, *(_cell(key, truth) for truth in truths)] for key, row in TRUTH.items()]
     return Table("", ["energy account", *heads], rows, keys=1)
+
+
+def _port_rows(ports: Sequence[Result]) -> dict[str, list[Cell]]:
+    """Return the rows of ports by the name of the figure, but for those that no port has."""
+    rows = dict[str, list[Cell]]()
+    for name, (title, cell) in PORT_ROWS.items():
+        rows[name] = [title, *(_cell(cell, port) for port in ports)]
+    return {name: row for name, row in rows.items() if any(cell != _NOTHING for cell in row[1:])}
 
 
 def _in_lines(cell: Cell) -> Cell:
@@ -203,23 +214,79 @@ _CELLS: Final[dict[str, _Shown]] = {
     "certificates": _certificates,
     "hold": _hold,
 }
-PORT_ROWS: Final = tuple((ACCOUNT[name].title, cell or name) for name, cell in _CELLS.items())
-"""Title of each row, and the path of an energy in the account or a function that formats a figure."""
+PORT_ROWS: Final = {name: (ACCOUNT[name].title, cell or name) for name, cell in _CELLS.items()}
+"""Title of each row by its name, and the path of an energy in the account or a function that formats a figure."""
 
 
-def inspection_report(result: Result) -> RenderableType:
-    """Return everything that `inspect` found, for a terminal."""
-    parts: list[RenderableType] = [energy_report(result, *result.get("others", ()))]
+_BRIEF: Final = ("in", "out", "dissipated", "stored", "surplus", "least_interaction", "first_active", "margin",
+                 "rendered.stiffness", "mass", "energy_resolution", "certificates")  # fmt: skip
+"""Rows of a table that fits on a screen."""
+
+
+def brief_table(*results: Result) -> Table:
+    """Return the rows of the energy table that say most; of several ports in one run each is a row."""
+    whole = energy_table(*results)
+    places = [(result, name) for result in results if result.get("cycles", 1) for name in ordered(result["ports"])]
+    known = _port_rows([result["ports"][name] for result, name in places])
+    if len(results) == 1 < len(places):
+        shown = [name for name in known if ACCOUNT[name].short]
+        cells = zip(*(known[name][1:] for name in shown), strict=True)
+        rows: list[list[Cell]] = [[name, *of] for (_, name), of in zip(places, cells, strict=True)]
+        return Table("", [whole.columns[0], *(ACCOUNT[name].short for name in shown)], rows, keys=1)
+    return replace(whole, rows=[known[name] for name in _BRIEF if name in known])
+
+
+def _brief(result: Result) -> Iterator[RenderableType]:
+    """Yield what `inspect` found of each port, as far as it fits on a screen."""
     runs = [result, *result.get("others", ())]
+    for run in runs:
+        said = headlines(run) if run.get("cycles", 1) else [Text(" the log holds no cycle", style="bold red")]
+        yield from (_header(run), *said, *account_lines(run), heading(run), *losses(run))
+    if any(run.get("ports") and run.get("cycles", 1) for run in runs):
+        yield brief_table(*runs)
+    for run in runs:
+        file = _file_of(run, runs)
+        for name, contacts in run.get("contacts", {}).items():
+            if contacts:
+                yield Text(f"{file} {name}: {_hardest(contacts, run['ports'][name])}")
+        told = _told(run)
+        for event in told[:_EVENTS_TOLD]:
+            kind = event["kind"].replace("unrestored", "not restored")
+            words = f"{file} {event['time']:.4f} s {' '.join(filter(None, (kind, event['port'])))}: {event['text']}"
+            yield Text(f" {textwrap.shorten(words, _LINE, placeholder=' ...')}")
+        if len(told) > _EVENTS_TOLD:
+            yield Text(f"{file} and {counted(len(told) - _EVENTS_TOLD, 'further event')}")
+    if checks := _checks_table(result.get("checks", [])).rows:
+        yield replace(_checks_table(result["checks"]), rows=checks)
+
+
+def _hardest(contacts: Sequence[Result], port: Result) -> str:
+    """Return the number of contacts, and the one with the largest torque."""
+    number, most = max(enumerate(contacts, 1), key=lambda contact: contact[1]["peak_torque"])
+    force = si(most["peak_torque"], effort_unit(port["unit"]), 3)
+    which = f"the hardest, number {number}, " if len(contacts) > 1 else ""
+    when = f"at {most['start']:.4f} s: {force} for {si(most['duration'], 's', 3)}"
+    return f"{counted(len(contacts), 'contact')}, {which}{when}"
+
+
+def inspection_report(result: Result, *, full: bool = True) -> RenderableType:
+    """Return what `inspect` found, for a terminal.
+
+    Args:
+        result: Account of a run, with what was found in its log.
+        full: Whether to show every figure, contact and event, not what fits on a screen.
+    """
+    runs = [result, *result.get("others", ())]
+    parts: list[RenderableType] = [energy_report(*runs)] if full else list(_brief(result))
     parts += [_finding_line(finding, _file_of(run, runs)) for run in runs for finding in run.get("findings", ())]
-    parts += inspection_tables(result)
+    parts += inspection_tables(result) if full else []
     parts += [_recomputed_line(port) for port in result.get("recomputed", ())]
     parts += [Text(f" {remark}") for remark in result.get("rederived", result).get("remarks", ())]
     if "rederived" in result:
         parts.append(_rederived_line(result["rederived"]))
     if "comparison" in result:
         parts.append(_comparison(result["comparison"]))
-    return Group(*parts)
+    return Group(*parts, *([] if full else [Text(" every figure, contact and event: --full", style="dim")]))
 
 
 def inspection_tables(result: Result) -> list[Table]:
@@ -233,11 +300,15 @@ def inspection_tables(result: Result) -> list[Table]:
             unit = port["unit"]
             depth = partial(place, unit=port.get("state_unit", unit), in_degrees=port.get("in_degrees", False))
             tables.append(_contacts_table(f"{file} {name}", contacts, unit, depth))
-        left = "unrestored" if run.get("truth") else ""  # in a simulated drive, which is gone
-        told = [e for e in run.get("events", []) if e["kind"] != left and not _is_known(e, run["ports"])]
-        tables.append(_events_table(told, file))
+        tables.append(_events_table(_told(run), file))
     tables.append(_checks_table(result.get("checks", [])))
     return [table for table in tables if table.rows]
+
+
+def _told(run: Result) -> list[Result]:
+    """Return the events that a reader of a log should know of."""
+    left = "unrestored" if run.get("truth") else ""  # in a simulated drive, which is gone
+    return [event for event in run.get("events", []) if event["kind"] != left and not _is_known(event, run["ports"])]
 
 
 def _is_known(event: Result, ports: Result) -> bool:

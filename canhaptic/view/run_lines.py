@@ -237,18 +237,22 @@ def rests_on(*certificates: str, hand_force: float | None = None) -> str:
 
 def brief_report(result: Result) -> RenderableType:
     """Return the first line of each port, how the run ended, and any losses or inexact simulation."""
-    parts: list[RenderableType] = [*headlines(result), heading(result)]
+    parts: list[RenderableType] = [*headlines(result), heading(result), *losses(result)]
+    return Group(*parts, Text(" all figures: --full, or `canhaptic inspect` with an energy log", style="dim"))
+
+
+def losses(result: Result) -> Iterator[RenderableType]:
+    """Yield what was lost or late in a run, and how it was simulated if that was inexact."""
     link, method = result.get("link") or {}, result.get("method", "")
     amiss = [_words(key, value) for key, value in link.items() if key in _LOSSES and value]
     timing = result.get("timing") or {}
     late = timing.get("deadlines_missed", 0)
     if amiss or late:
-        parts.append(line("link", ", ".join([*amiss, *([f"deadlines missed {late}"] if late else [])])))
+        yield line("link", ", ".join([*amiss, *([f"deadlines missed {late}"] if late else [])]))
     if " order " in method or " error" in method.lower():
-        parts.append(line("method", method))
+        yield line("method", method)
     if refused := {k: v for k, v in timing.items() if k.startswith("realtime_") and v != "granted"}:
-        parts.append(line("timing", refused))
-    return Group(*parts, Text(" all figures: --full, or `canhaptic inspect` with an energy log", style="dim"))
+        yield line("timing", refused)
 
 
 def headlines(result: Result) -> list[RenderableType]:

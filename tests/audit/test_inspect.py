@@ -428,7 +428,7 @@ def test_comparison_finds_one_changed_bit_and_its_cycle(log: Path, tmp_path: Pat
 
 
 def test_the_command_prints_tables_that_fit_a_hundred_columns(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert typed.inspect(log, "--check", "deficit==0") == 0
+    assert typed.inspect(log, "--check", "deficit==0", "--full") == 0
     text = capsys.readouterr().out
     assert max(len(line.rstrip()) for line in text.splitlines() if str(log) not in line) <= 100
     for words in ("energy account", "3 contacts", "0x8130 heartbeat lost", "holds", "cycle time"):

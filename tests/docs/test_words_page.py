@@ -35,7 +35,7 @@ def test_the_keys_of_a_scene_link_to_their_words() -> None:
 
 def test_rows_of_the_account_that_a_page_names_exist() -> None:
     """A row that is renamed is renamed in every page."""
-    labels = {label.strip() for label, _ in PORT_ROWS}
+    labels = {label.strip() for label, _ in PORT_ROWS.values()}
     texts = (" ".join(page.read_text(encoding="utf-8").split()) for page in pages())
     named = [row for text in texts for row in re.findall(r"[Rr]ow \*([^*]+)\*", text)]
     assert len(named) > 8

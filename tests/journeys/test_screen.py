@@ -9,6 +9,7 @@ import canhaptic
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
 
+ROOT = Path(__file__).resolve().parents[2]
 SPENT = {"passivity.device_damping": 0.0, "passivity.energy_allowance": "20 uJ"}
 
 
@@ -70,3 +71,22 @@ def test_a_second_save_is_one_clear_error_unless_overwrite_is_given(tmp_path: Pa
     result.save(path, overwrite=True)
     with canhaptic.EnergyLog(path) as log:
         assert log.rows == 50
+
+
+SCENES = sorted(path for path in (ROOT / "configs").rglob("*.yaml") if path.parent.name != "drives")
+
+
+@pytest.mark.slow_but("two_axes")
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_inspect_fits_on_a_screen_and_tells_the_rest_when_asked(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = canhaptic.simulate(path, duration=1.0 if path.stem != "two_axes" else 0.1, progress=False, allow_code=True)
+    log = str(run.save(tmp_path / "run.h5"))
+    assert main(["inspect", log]) == 0
+    lines = [line.rstrip() for line in capsys.readouterr().out.replace(log, "run.h5").splitlines()]
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 100
+    assert main(["inspect", log, "--full"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) > len(lines)

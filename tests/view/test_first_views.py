@@ -67,7 +67,7 @@ def test_the_last_panel_is_the_force_over_the_position_of_both_runs_in_the_scale
 def test_two_logs_show_two_accounts(
     logs: tuple[Path, Path], words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["inspect", str(logs[0]), *words, str(logs[1])]) == 0
+    assert main(["inspect", str(logs[0]), *words, str(logs[1]), "--full"]) == 0
     out = capsys.readouterr().out
     assert out.index("bare.h5") < out.index("passive: NO") < out.index("guarded.h5") < out.index("passive: yes")
     assert re.search(r"^ *bare\.h5 +guarded\.h5 *\n *energy account +handle +handle *$", out, re.MULTILINE)
@@ -88,7 +88,7 @@ def test_the_page_of_a_run_that_became_active_has_a_button_to_that_moment(logs: 
 def test_the_contact_of_that_moment_has_its_number_in_the_table(
     logs: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["inspect", str(logs[0])]) == 0
+    assert main(["inspect", str(logs[0]), "--full"]) == 0
     out = capsys.readouterr().out
     assert "at 0.507 s (contact 1)" in " ".join(out.split())
     [start] = re.findall(r"^ +1 +(0\.\d+) s ", out, re.MULTILINE)

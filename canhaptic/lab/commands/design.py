@@ -9,6 +9,7 @@ from rich.text import Text
 
 from canhaptic.axis_units import damping_unit, effort_unit, si, stiffness_unit
 from canhaptic.cli.options import scene_of
+from canhaptic.files import scene_title
 from canhaptic.lab.commands.results import scene_progress, show
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import are_displays
@@ -64,7 +65,9 @@ def design_report(result: Row) -> RenderableType:
         result: Plain values, as `canhaptic design --json` prints them.
     """
     target = f"target: within {100.0 * result['tolerance']:g} %, {100.0 * result['margin']:g} % reserve"
-    heading = Text.assemble(" ", (str(result["scene"]), "bold"), f"   {result['walls']} walls simulated; {target}")
+    heading = Text.assemble(
+        " ", (scene_title(result["scene"]), "bold"), f"   {result['walls']} walls simulated; {target}"
+    )
     stiffness, damping = stiffness_unit(result["unit"]), damping_unit(result["unit"])
     heads = f"stiffness [{stiffness}]", f"largest damping [{damping}]"
     rows = [[f"{wall['stiffness']:g}", f"{wall['damping']:g}"] for wall in result["trade"]]

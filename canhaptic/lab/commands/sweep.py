@@ -18,6 +18,7 @@ from canhaptic.axis_units import si
 from canhaptic.cli.options import scene_of
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
+from canhaptic.files import scene_title
 from canhaptic.host.stop_signal import StopSignal
 from canhaptic.lab.commands.results import scene_progress, show
 from canhaptic.lab.loop.axis_loop import Array
@@ -173,8 +174,8 @@ _PROVE_NOTHING: Final = {"no_contact": UNTOUCHED, "nothing_rendered": UNRENDERED
 
 def summary_report(found: Row) -> RenderableType:
     """Return the tables of a summary for a terminal."""
-    heading = Text.assemble(" ", (found["scene"], "bold"), f"   {found['finished']} of {found['scenes']} scenes   ",
-                            "  ".join(found["varied"]))  # fmt: skip
+    finished = f"   {found['finished']} of {found['scenes']} scenes   "
+    heading = Text.assemble(" ", (scene_title(found["scene"]), "bold"), finished, "  ".join(found["varied"]))
     engines = {_ENGINES[name]: number for name, number in found["engines"].items()}
     kept = f" ({found['kept']} kept from an earlier run)" if found["kept"] else ""
     scenes = Text(f" scenes computed: {_listed(engines)}{kept}")

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Final
 
 from canhaptic.cli.options import scene_of
 from canhaptic.cli.scope import serve_page
+from canhaptic.files import scene_title
 from canhaptic.lab.touch.two_sides import two_sides
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ def serve(scene: "Scene", arguments: argparse.Namespace) -> int:
     two_sides(scene, arguments.axis)
     visits = _Visits(scene, arguments)
     try:
-        return serve_page(visits, arguments, f"touch {scene.source}")
+        return serve_page(visits, arguments, f"touch {scene_title(scene.source)}")
     finally:
         visits.close()
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from canhaptic.axis_units import mass_unit
 from canhaptic.errors import InputError
+from canhaptic.files import scene_title
 from canhaptic.lab.render import sheet
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy import accuracy_table
@@ -87,7 +88,10 @@ def write_accuracy_page(result: Row, path: Path) -> None:
     Raises:
         InputError: matplotlib is not installed, the page cannot be written, or nothing was measured.
     """
-    title, shown = f"{result['scene']} - accuracy", picture(lambda file: draw_accuracy(result, file), "accuracy")
+    title, shown = (
+        f"{scene_title(result['scene'])} - accuracy",
+        picture(lambda file: draw_accuracy(result, file), "accuracy"),
+    )
     if accuracy_table.is_of_display(result):
         write_page(path, title, [words(*display_heading(result)), shown, display_accuracy_table(result)])
         return
@@ -100,8 +104,8 @@ def _caption(result: Row) -> str:
     witness = result["reference"]["witness"]
     apart = "" if witness is None else f", LSODA at 1e-9 is {witness['apart']:.1e} {result['unit']} away from it"
     return (
-        f"{result['scene']}, {accuracy_table.part_of(result)}: {result['holds']} periods at {result['rate']:g} Hz;   "
-        f"reference: {result['reference']['method']}{apart}"
+        f"{scene_title(result['scene'])}, {accuracy_table.part_of(result)}: "
+        f"{result['holds']} periods at {result['rate']:g} Hz;   reference: {result['reference']['method']}{apart}"
     )
 
 

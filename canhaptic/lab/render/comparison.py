@@ -21,6 +21,7 @@ from rich.text import Text
 from canhaptic.axis_units import counted, damping_unit, effort_unit, si
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
+from canhaptic.files import scene_title
 from canhaptic.lab.figures.figures import CONTINUOUS, METRICS
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
 from canhaptic.lab.render import sheet
@@ -71,7 +72,7 @@ def _heading(result: _Account) -> Text:
         path = f"without a bus, computed by {' and '.join(_engines(result))}"
     delay = counted(result["delay"], "sample")
     way = f"   {si(result['rate'], 'Hz', 3)}, delay {delay}, {result['duration']:.4g} s, {path}"
-    return Text.assemble(" ", (str(result["scene"]), "bold"), way)
+    return Text.assemble(" ", (scene_title(result["scene"]), "bold"), way)
 
 
 def _engines(result: _Account) -> list[str]:
@@ -260,7 +261,7 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
     result = comparison.result
     way = "over the simulated CAN bus" if result["path"] == "can" else "without a bus"
     loop = f"{si(result['rate'], 'Hz', 3)}, delay {counted(result['delay'], 'sample')}, {way}"
-    caption = f"{result['scene']}   {loop}   grey: continuous"
+    caption = f"{scene_title(result['scene'])}   {loop}   grey: continuous"
     with sheet(path, 1.2 + 3.0 * columns, 0.9 + 2.1 * rows, caption) as figure:
         panels = figure.subplots(rows, columns, sharex=True, sharey="row", squeeze=False)
         for index, axis in enumerate(comparison.axes):

@@ -15,6 +15,7 @@ from bokeh.plotting import figure
 from canhaptic.axis_units import effort_unit, si
 from canhaptic.control.verdict import PASSIVE_TOLERANCE, passive_verdict
 from canhaptic.errors import CanHapticError
+from canhaptic.files import scene_title
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.touch.hand_process import TouchHand, TouchNews, TouchStatus
 from canhaptic.lab.touch.two_sides import TouchScene, TouchSlider
@@ -63,7 +64,7 @@ class TouchPage:
             other.y_range = mine.y_range
             mine.y_range.renderers = [*mine.renderers, *other.renderers]
         self._controls = _Controls(hand, self._begin)
-        document.title = f"canhaptic touch: {touched.scene.source}"
+        document.title = f"canhaptic touch: {scene_title(touched.scene.source)}"
         sides = row(*(side.layout for side in self._sides), sizing_mode="stretch_width")
         room = "square" if touched.is_plane else "strip"
         hint = models.Div(text=f"Drag in a {room}: the pointer is the hand on both handles.")

@@ -14,6 +14,7 @@ from rich.text import Text
 
 from canhaptic.axis_units import effort_unit, mass_unit, si
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
+from canhaptic.files import scene_title
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy.plant_solvers import FLOOR, OURS
 from canhaptic.sim.plant.propagator import Array
@@ -193,8 +194,9 @@ def heading(result: Row) -> list[str]:
     """Return the heading: the part studied, and its reference."""
     unit = result["unit"]
     lines = [
-        f"{result['scene']}, {part_of(result)}: {result['holds']} sample times at {si(result['rate'], 'Hz', 3)}, "
-        f"{result['status']}"
+        f"{scene_title(result['scene'])}, {part_of(result)}: "
+        f"{result['holds']} sample times at {si(result['rate'], 'Hz', 3)}"
+        f", {result['status']}"
     ]
     reference = result["reference"]
     if reference:
@@ -418,7 +420,7 @@ def display_heading(result: Row) -> list[str]:
     """Return the heading: the studied part, its reference, and the difference of the plant from a solver."""
     unit, reference = result["unit"], result["reference"]
     lines = [
-        f"{result['scene']}, {result['axis']}: {result['holds']} sample times at {result['rate']:g} Hz, "
+        f"{scene_title(result['scene'])}, {result['axis']}: {result['holds']} sample times at {result['rate']:g} Hz, "
         f"{result['status']}",
         f"errors against an ideal display: travel {si(reference['travel'], unit)}, "
         f"energy {si(reference['energy'], 'J')}; certain to about {si(reference['apart'], unit, 2)}",

@@ -27,6 +27,7 @@ from canhaptic.control.admittance.group_environment import GroupMass, PathMass
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import CheckFailedError, InputError
+from canhaptic.files import scene_title
 from canhaptic.lab.batch import Engine
 from canhaptic.lab.batch.scalar import display_figures
 from canhaptic.lab.loop.axis_loop import Array, parts_of, require_design_room
@@ -434,7 +435,7 @@ def display_snippet(found: Row) -> str:
 def display_design_report(result: Row) -> RenderableType:
     """Return the text of a design for a terminal; `result` as `design_displays` returns it."""
     said = f"   target: within {100.0 * result['tolerance']:g} %, {100.0 * result['margin']:g} % reserve"
-    parts = [Text.assemble(" ", (str(result["scene"]), "bold"), said)]
+    parts = [Text.assemble(" ", (scene_title(result["scene"]), "bold"), said)]
     for name, found in result["displays"].items():
         low, high = found["mass_felt.share"]
         given, heaviest = si(max(0.0, -found["least_interaction"]), "J", 3), _MASS_RANGE[1] * found["never_acts"]
