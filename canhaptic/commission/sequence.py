@@ -169,6 +169,8 @@ def stand_still(session: Session, axis: int) -> bool:
     swing = max(law.positions) - min(law.positions)
     still = drift <= max(_DRIFT * min(session.travels[axis], 0.02), 2.0 * session.count(axis))
     text = f"{name} moves without torque: gravity, a wrong drive offset, or somebody pushes"
+    if session.weight(axis):
+        text = f"{name} moves under the weight that it holds: a wrong brake.holds_weight, or somebody pushes"
     found = f"{drift:.3g} {unit}, noise {swing:.3g}"
     session.judged(axis, STANDSTILL, "", found, good=still, text=text, fatal=True)
     return still
@@ -275,6 +277,7 @@ def pull_the_master(session: Session) -> None:
     rig = session.rig
     rig.start()
     try:
+        _hold_weights(session)
         silence = _SILENCES * rig.bus.master_silence_ns
         for bus in rig.buses:
             bus.pump(bus.clock.now() + silence)
@@ -282,6 +285,15 @@ def pull_the_master(session: Session) -> None:
             _judge_watchdog(session, axis)
     finally:
         _end(session)
+
+
+def _hold_weights(session: Session) -> None:
+    """Send the declared weights of axes that hang, which their drives hold until their watchdogs set the brakes."""
+    weights = [session.weight(axis) for axis in range(len(session.axes))]
+    if any(weights):
+        for _ in range(session.scene.bus.delay + 2):
+            session.rig.sync()
+            session.rig.write_torques(weights)
 
 
 def _judge_watchdog(session: Session, axis: int) -> None:

@@ -286,6 +286,8 @@ LOST: Final = "a TPDO was lost"
 class OpenLoop:
     """A controller that renders nothing: it plays torques, one per cycle, and drops to zero when the axis goes too far.
 
+    On an axis that hangs from its brake they come on top of its declared weight.
+
     These torques are not passive: the account books the energy that they generate as deficit.
 
     Args:
@@ -293,6 +295,7 @@ class OpenLoop:
         guard: Limits beyond which the torque is removed.
 
     Attributes:
+        weight: Torque that holds the axis where it hangs [N or N*m]; `Session.run` takes it from the scene.
         positions: Position at every SYNC since `reset` [m or rad].
         applied: Torque of the hold that ended at every SYNC [N or N*m].
         sent: Torque returned at every SYNC; after `Session.play`, the torque that the limits let pass [N or N*m].
@@ -302,7 +305,7 @@ class OpenLoop:
     """
 
     def __init__(self, torques: Sequence[float] = (), guard: Guard = UNGUARDED) -> None:
-        self._torques, self._guard = tuple(torques), guard
+        self._torques, self._guard, self.weight = tuple(torques), guard, 0.0
         self.reset()
 
     def reset(self) -> None:
@@ -330,7 +333,8 @@ class OpenLoop:
     def sample_lost(self) -> EnergyBalance:
         """Send no further torque: a measurement with a missing sample is useless."""
         self.tripped, self.has_gap = self.tripped or LOST, True
-        self._last = self._last._replace(torque=0.0, h_i=0.0, h_m=0.0, deficit=0.0, branch=Branch.HELD.value)
+        weight = self.weight if self.tripped == LOST else 0.0  # where it moved too far or too fast it may be why
+        self._last = self._last._replace(torque=weight, h_i=0.0, h_m=0.0, deficit=0.0, branch=Branch.HELD.value)
         return self._last
 
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
@@ -351,6 +355,7 @@ class OpenLoop:
         elif max(recent) - min(recent) > guard.step:
             self.tripped = self.tripped or f"moved faster than {guard.fast}"
         torque = 0.0 if self.tripped else self.next_torque()
+        torque += self.weight if self.tripped in ("", LOST) else 0.0
         self.sent.append(torque)
         h_i = -torque_applied * displacement
         self._last = AT_REST._replace(
@@ -492,18 +497,19 @@ class Session:
         return self.rig.drives
 
     def coast(self, axis: int, longest: float = 20.0) -> None:
-        """Wait without torque until an axis is at rest, for at most `longest` seconds.
+        """Wait without torque, or with the declared weight, until an axis is at rest, for at most `longest` seconds.
 
         Raises:
             RigError: Drive or link failed; torque is zero.
         """
-        law, watched = OpenLoop(), self.cycles(0.1)
+        law = OpenLoop((), self.guard(axis) if self.weight(axis) else UNGUARDED)  # a false weight lets it sink
+        watched = self.cycles(0.1)
         # What is left of a motion then takes no test beyond it
         still = max(2.0 * self.count(axis), 0.005 * self.travels[axis])
 
         def at_rest() -> bool:
             last = law.positions[-watched:]
-            return len(last) == watched and max(last) - min(last) <= still
+            return law.tripped not in ("", LOST) or (len(last) == watched and max(last) - min(last) <= still)
 
         self.run_alone(axis, law, self.cycles(longest), at_rest)
 
@@ -512,7 +518,7 @@ class Session:
     ) -> OpenLoop:
         """Play torques of an amplitude as `play` does; where the axis goes too far or too fast, repeat with half of it.
 
-        Where a TPDO was lost, the same amplitude is repeated. A declared weight is held meanwhile.
+        Where a TPDO was lost, the same amplitude is repeated.
 
         Args:
             axis: Index of the axis.
@@ -524,11 +530,9 @@ class Session:
             RigError: Drive or link failed; torque is zero.
         """
         name, unit = self.axes[axis].parameters.name, effort_unit(self.axes[axis].parameters.unit)
-        brake = self.axes[axis].parameters.brake
-        weight = 0.0 if brake is None else brake.holds_weight
         for left in reversed(range(5)):
             self.coast(axis)
-            torques = [weight + part for part in torques_of(torque)]
+            torques = torques_of(torque)
             law = self.play(axis, torques, len(torques) + 2)  # the last one ends as well, or the axis moves on
             if not law.tripped or self.stop_requested() or not left:
                 break
@@ -577,6 +581,11 @@ class Session:
         parameters = self.axes[axis].parameters
         return min(self.limits.speed or _SPEEDS[parameters.unit], 0.5 * (parameters.speed_limit or math.inf))
 
+    def weight(self, axis: int) -> float:
+        """Torque that holds an axis that hangs from its brake, as declared; else 0 [N or N*m]."""
+        brake = self.axes[axis].parameters.brake
+        return 0.0 if brake is None else brake.holds_weight
+
     def guard(self, axis: int, travels: float = 1.0) -> Guard:
         """Return the limits of a test: of each the physical value, or a number of counts if that is larger.
 
@@ -594,7 +603,7 @@ class Session:
         return Guard(far, step, samples, f"{far:.3g} {unit}{counts}", fast)
 
     def run_alone(self, axis: int, law: OpenLoop, cycles: int, ready: Callable[[], bool]) -> None:
-        """Run the rig with a control law on one axis and no torque on the others; raises the errors of `run`.
+        """Run the rig with a control law on one axis and none but weights on the others; raises the errors of `run`.
 
         Positions and torques of the stop are left out.
         """
@@ -609,6 +618,8 @@ class Session:
             RigError: Drive or link failed; torque is zero.
         """
         far_side = self.experiment.far_side
+        for axis, law in enumerate(laws):
+            law.weight = self.weight(axis)
 
         def read() -> Sequence[Truth]:
             drives = () if far_side is None else far_side.drives

@@ -181,7 +181,7 @@ def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
     item, unit = "compliant shaft", MASS_UNITS[parameters.unit]
     # 20 counts of motion in one part of a shake: quantisation then changes the mass by 0.1 %
     resolved = 20.0 / parameters.counts_per_unit * found.mass / torque
-    holds = max(1, math.ceil(math.sqrt(resolved) / session.sample_time))
+    holds = max(1, min(session.cycles(1.0), math.ceil(math.sqrt(resolved) / session.sample_time)))
     asked = f"{parameters.name}: hands off. A shake of {session.shown(axis, torque)}, of random sign. Start now?"
     if not session.agreed(asked, item, [axis]):
         return found

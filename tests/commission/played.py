@@ -154,7 +154,7 @@ class PlayedSession(Session):
 
     def run_alone(self, axis: int, law: OpenLoop, cycles: int, ready: Callable[[], bool]) -> None:
         """Move the axis; a command acts at once, or as many SYNCs later as the scene says."""
-        moving, reported = self.moving[axis], 0.0
+        moving, reported, law.weight = self.moving[axis], 0.0, self.weight(axis)
         queue = [0.0] * self.scene.bus.delay
         for _ in range(cycles):
             if ready():

@@ -9,7 +9,7 @@ import can
 import pytest
 
 from canhaptic.commission import mass_and_friction
-from canhaptic.commission.sequence import STANDSTILL, _scan, commission, stand_still
+from canhaptic.commission.sequence import STANDSTILL, _scan, commission, pull_the_master, stand_still
 from canhaptic.commission.session import (
     CommissioningLimits,
     Report,
@@ -202,6 +202,19 @@ def test_a_drive_that_goes_on_without_its_master_is_a_failure() -> None:
     report = commissioned("axes.0.watchdog=false", refused=MOVES)
     assert row(report, "watchdog").verdict is StepVerdict.FAILED
     assert "OPERATION ENABLED" in row(report, "watchdog").found
+
+
+def test_an_axis_that_hangs_is_held_until_the_watchdog_sets_its_brake() -> None:
+    brake = "axes.0.brake={release_time: 30 ms, set_time: 50 ms, holds_weight: 5 N}"
+
+    def silent(at: str) -> None:
+        session = Session(load_scene(DEMO, [at, brake]), Answers(), CommissioningLimits(), lambda: False)
+        with session.rig_of(with_hand=False):
+            pull_the_master(session)
+
+    frames = frames_of(silent, "hung")
+    silence = next(n for n, frame in enumerate(frames) if frame.arbitration_id == 0x081)
+    assert torques(frames[:silence])[-1] == 500  # of 10 N; in vain where nothing hangs, as in this twin
 
 
 def test_without_consent_no_frame_carries_a_torque() -> None:
