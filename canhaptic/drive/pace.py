@@ -18,6 +18,7 @@ class Pace:
         uneven: Duration of the last hold minus its whole sample times [ns].
         skipped: Deadlines missed and skipped since `begin`.
         synced: Time at which the last SYNC was sent [ns].
+        shifted: Time by which deadlines were moved forward in all, to follow the clock of a drive [ns].
     """
 
     def __init__(self, period: int) -> None:
@@ -28,8 +29,17 @@ class Pace:
     def begin(self, now: int) -> None:
         """Restart the schedule: the next SYNC is due now, and later deadlines count from it."""
         self.periods = 1
-        self.uneven = self.skipped = 0
+        self.uneven = self.skipped = self.shifted = 0
         self.due = self.deadline = self.synced = self._logged = now
+
+    def shift(self, forward: int) -> None:
+        """Move the next deadline forward by a time [ns], as the clock of a drive demands."""
+        self.due -= forward
+        self.shifted += forward
+
+    def index_after(self, first: int) -> int:
+        """Return the sample times from a deadline [ns], itself unshifted, to the last one."""
+        return (self.deadline + self.shifted - first + self._latest) // self.period
 
     def leave_one_out(self) -> None:
         """Delay the next SYNC by one sample time."""

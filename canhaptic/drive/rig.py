@@ -142,7 +142,7 @@ class Rig:
         """Take over the drives, which are enabled from here on."""
         self._mark_start(is_starting=False)
         self._pace.skipped = 0
-        self._first_deadline = self._pace.deadline
+        self._first_deadline = self._pace.deadline + self._pace.shifted
         self.sync_index = 0
         self.is_running = True
         self._first_samples = [drive.sample(0) for drive in self.drives]
@@ -179,7 +179,7 @@ class Rig:
         except LinkError as error:
             raise self._stopped(StopReason.SEND_FAILED, str(error)) from error
         self.sync_index = index = self.sync_index + 1
-        self.deadline_index = (pace.deadline - self._first_deadline) // self._period
+        self.deadline_index = pace.index_after(self._first_deadline)
         self._require_no_other_master()
         samples: list[Sample] = []
         self._samples = samples

@@ -115,10 +115,11 @@ class EthercatBusCycle:
                 self._slipped = slip
                 self.late += 1
                 return self._miss("a frame in its own hold")
+            pace.shifted += slip * self._period
             pace.periods += slip  # the host itself has slipped: its deadlines belong to other holds than it counted
         self._slipped, self._taken, self._counted = 0, hold, 0
         pace.uneven = 0  # the drive's clock times the holds
-        pace.due -= self.lock.follow(answer.dc_time)
+        pace.shift(self.lock.follow(answer.dc_time))
         inputs, now = answer.inputs, self.clock.now()
         for drive in self.drives:
             drive.take(inputs, now)
@@ -177,7 +178,7 @@ class EthercatBusCycle:
                 self._keep_alive_due = self._keep_alive()
             answer = self.segment.exchange(self._first_kind, pace.synced + window)
             if answer is not None and answer.dc_time:
-                pace.due -= self.lock.follow(answer.dc_time)
+                pace.shift(self.lock.follow(answer.dc_time))
             if self._first_kind is _READ:
                 answer = self.segment.exchange(_WRITE, pace.synced + window)
             self.held.count(answer)

@@ -7,6 +7,7 @@ from canhaptic.errors import NmtStateLeftError, RigError, StartError, TpdoLostEr
 from canhaptic.sim.drive.ethercat.cable import CableEffects
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.ethercat.rig_bench import Bench
+from tests.sim_drive.ethercat_line import PERIOD
 
 
 def go_on(b: Bench) -> None:
@@ -130,3 +131,16 @@ def test_the_watchdog_of_the_sync_manager_is_that_of_the_bus_unless_the_axis_has
     b.rig.start()
     assert int.from_bytes(b.drives[0].esc.registers[0x420:0x422], "little") == (0 if axis else 200)
     b.rig.stop()
+
+
+@pytest.mark.parametrize("drift", [700_000, -700_000])
+def test_the_sample_times_of_a_clock_that_drifts_by_a_whole_one_are_counted_exactly(drift: int) -> None:
+    bench = Bench(drift=drift)
+    bench.rig.start()
+    begun = bench.clock.now()
+    for _ in range(1600):  # in which the clocks part by more than a sample time
+        bench.rig.sync()
+        bench.rig.write_torques([0.0])
+    assert abs(bench.clock.now() - begun - bench.rig.sync_index * PERIOD) > PERIOD
+    assert (bench.rig.deadline_index, bench.rig.skipped_syncs) == (bench.rig.sync_index, 0)
+    bench.rig.stop()
