@@ -662,3 +662,12 @@ def wall_of(log: EnergyLog, name: str) -> float | None:
     wall = log.attributes.get(f"{name}.wall_position")
     is_wall = f"{name}.wall_pitch" not in log.attributes
     return float(wall) if is_wall and isinstance(wall, int | float) and isfinite(wall) else None
+
+
+def walls_of(log: EnergyLog, name: str) -> list[tuple[float, str]]:
+    """Return where the walls of a port begin [m or rad], and their sides, below or above; those of a sum may be two."""
+    ends = [(log.number(f"{name}.wall_{key}", inf), side) for key, side in (("low", "below"), ("high", "above"))]
+    if walls := [(place, side) for place, side in ends if isfinite(place)]:
+        return walls
+    wall = wall_of(log, name)
+    return [] if wall is None else [(wall, str(log.attributes.get(f"{name}.wall_side", "below")))]

@@ -92,7 +92,7 @@ class AxisMeter:
         watch: Check of the motion against the declared friction, or None.
         resolution: Largest error so far of the booked energy, by sensors and drive [J]; never decreases.
         dissipated: Least energy dissipated by the device so far [J].
-        damping_asked: Damping of the environment [N*s/m or N*m*s/rad].
+        damping_asked: Damping of the environment [N*s/m or N*m*s/rad]; 0 for a sum, whose damping depends on the place.
         position: Last booked position [m or rad].
         asked: Force of the environment's spring at the last position; 0 out of contact [N or N*m].
         books_least: Whether the booked energy is a lower bound of the energy received.
@@ -107,7 +107,8 @@ class AxisMeter:
     ) -> None:
         self.accuracy, self.watch = accuracy, watch
         self._environment = None if environment is None or environment.relaxes else environment
-        self.damping_asked = 0.0 if environment is None else environment.damping
+        is_sum = getattr(environment, "damps_by_place", False)
+        self.damping_asked = 0.0 if environment is None or is_sum else environment.damping
         self._damping, self._friction = accuracy.device_damping or 0.0, accuracy.device_friction or 0.0
         self._blur, self._sample_time = 2.0 * accuracy.position, accuracy.sample_time
         self._booked_at = -1.0

@@ -106,6 +106,8 @@ def surfaces(environment: Environment) -> list[float]:
     Raises:
         InputError: There are no equations for an environment of this class.
     """
+    if getattr(environment, "damps_by_place", False):
+        return []  # a sum: its force is continuous, and where its damping is not, the solver takes short steps
     names = _SURFACES.get(type(environment))
     if names is None and _has_own_surfaces(environment):
         return [float(place) for place in environment.surfaces()]  # type: ignore[attr-defined]
@@ -139,7 +141,7 @@ class _EnvironmentForce:
         self._environment = environment
         self.impulse, self.interaction = model.add_state("impulse"), model.add_state("interaction")
         self._strain = model.add_state("strain") if environment.relaxes else -1
-        self._surfaces = surfaces(environment)
+        self._surfaces, self._is_sum = surfaces(environment), getattr(environment, "damps_by_place", False)
         start = model.start[POSITION]
         if isinstance(environment, CoulombSurface):
             self.modes: tuple[str, ...] = ("elastic", "forward", "backward")
@@ -173,7 +175,8 @@ class _EnvironmentForce:
         return str(self._environment.contact(math.nextafter(surface, side * math.inf)))
 
     def _force(self, state: State, mode: str, velocity: float, rates: Floats) -> float:
-        environment, damper = self._environment, -self._environment.damping * velocity
+        environment = self._environment
+        damper = -(self._by_place(state) if self._is_sum else environment.damping) * velocity
         if isinstance(environment, CoulombSurface | ViscoelasticMedium):
             strain = float(state[self._strain])
             if isinstance(environment, CoulombSurface):
@@ -188,6 +191,10 @@ class _EnvironmentForce:
             elif mode == self._zone(surface, -1.0) != self._zone(surface, 1.0):
                 place = min(place, math.nextafter(surface, -math.inf))
         return damper - environment.effort(environment.true_state(place, 0.0, 0.0))
+
+    def _by_place(self, state: State) -> float:
+        environment = self._environment
+        return environment.damping_at(environment.true_state(float(state[POSITION]), 0.0, 0.0))
 
     def _yielding(self, index: int, mode: str, limit: float) -> Sequence[Transition]:
         strain = self._strain
@@ -255,14 +262,13 @@ def environment_torque(environment: Environment, position: Array, velocity: Arra
     torque = np.zeros(len(position))
     state = last = 0.0
     zone_before = 0
-    damping = environment.damping
     for i, (q, v) in enumerate(zip(position.tolist(), velocity.tolist(), strict=True)):
         zone = environment.contact(q)
         if zone:
             before = environment.relaxed(state, 0.5 * step) if zone == zone_before else 0.0
             state = environment.true_state(q, q - last if i else 0.0, before)
             state = environment.relaxed(state, 0.5 * step)
-            torque[i] = -environment.effort(state) - damping * v
+            torque[i] = -environment.effort(state) - environment.damping_at(state) * v
         zone_before, last = zone, q
     return torque
 

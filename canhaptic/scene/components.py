@@ -5,7 +5,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
+from pydantic import (
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationError,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+)
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
@@ -26,8 +32,10 @@ _ON_DEMAND: Final = {
     "own code": "canhaptic.scene.own_code:OwnCode",
     "own model": "canhaptic.scene.own_code:own_model",
     "override": "canhaptic.scene.overrides:without_old_keys",
+    "environment": "canhaptic.control.environments.sum_of_parts:added",
+    "network": "canhaptic.control.port_hamiltonian.sum_of_networks:added",
 }
-"""Reader of a section -> "module:name"; a scene loads only those that it needs."""
+"""Reader of a section, or kind whose parts add -> "module:name"; a scene loads only those that it needs."""
 OWN_MODULE: Final = "_canhaptic_own_"
 """Prefix of the name of the private module made from a file of user code."""
 
@@ -63,14 +71,17 @@ class ComponentSpec(NamedTuple):
     name: str
     parameters: Parameters
     own: type | None = None  # the user's own class; None for an entry of the table
+    parts: tuple["ComponentSpec", ...] = ()  # of a sum, whose parameters are made from theirs
 
     @property
     def is_read(self) -> bool:
         """Whether its parameters are known: False if it is user code that was left unread."""
         return not isinstance(self.parameters, UnreadParameters)
 
-    def as_plain(self, selector: str) -> dict[str, object]:
+    def as_plain(self, selector: str) -> object:
         """Return the section as plain values, defaults included."""
+        if self.parts:
+            return [part.as_plain(selector) for part in self.parts]
         given = self.parameters
         plain = given.written if isinstance(given, UnreadParameters) else given.model_dump(mode="json")
         return {selector: self.name, **plain}
@@ -130,7 +141,46 @@ class ComponentOf:
 
     def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
         plain = core_schema.plain_serializer_function_ser_schema(lambda spec: spec.as_plain(self.selector))
-        return core_schema.with_info_plain_validator_function(self.read, serialization=plain)
+        one = core_schema.with_info_plain_validator_function(self.read, serialization=plain)
+        if not self.adds:
+            return one
+        several = core_schema.list_schema(one)
+        return core_schema.with_info_wrap_validator_function(self._one_or_several, several, serialization=plain)
+
+    @property
+    def adds(self) -> bool:
+        """Whether a list of sections is a sum."""
+        return self.kind in _ON_DEMAND
+
+    def _one_or_several(
+        self, value: object, read_parts: ValidatorFunctionWrapHandler, info: ValidationInfo[SceneContext]
+    ) -> ComponentSpec:
+        """Return a component, or the sum of those in a list.
+
+        Raises:
+            PydanticCustomError: Two parts cannot be added, or an admittance display is to render a sum.
+        """
+        if not isinstance(value, list):
+            return self.read(value, info)
+        if self._displays is not None and _is_of_displays(info):
+            text = f"a list is the sum of several, which an admittance display does not render; give one {self.kind}"
+            raise PydanticCustomError(READY, "{text}", {"text": text})
+        if not value:
+            raise PydanticCustomError(READY, "got an empty list, expected at least one {kind}", {"kind": self.kind})
+        parts: list[ComponentSpec] = read_parts(value)
+        return parts[0] if len(parts) == 1 else self._added(parts)
+
+    def _added(self, parts: list[ComponentSpec]) -> ComponentSpec:
+        names = tuple(part.name for part in parts)
+        own = next((part.own for part in parts if part.own is not None), None)
+        if not all(part.is_read for part in parts):
+            return ComponentSpec(" + ".join(names), UnreadParameters(written={}), own, tuple(parts))
+        named = [(f"{n} ({part.name})", part.parameters) for n, part in enumerate(parts)]
+        try:
+            whole: Parameters = load(_ON_DEMAND, self.kind, "sum")(named)
+        except ParameterError as error:
+            raise PydanticCustomError(READY, "{text}", {"text": str(error)}) from error
+        return ComponentSpec(" + ".join(names), whole, own, tuple(parts))
 
     def read(self, value: object, info: ValidationInfo[SceneContext]) -> ComponentSpec:
         """Return the component that a section names, from the table for this kind of display."""
@@ -179,6 +229,8 @@ class ComponentOf:
         choices = [self._choice(name, handler) for name in self.table]
         if self._displays is None:
             return {"oneOf": choices}
+        if self.adds:
+            choices.append({"type": "array", "title": "a sum", "minItems": 1, "items": {"oneOf": list(choices)}})
         return {"anyOf": [*choices, *self._displays.__get_pydantic_json_schema__(schema, handler)["oneOf"]]}
 
     def _choice(self, name: str, handler: GetJsonSchemaHandler) -> JsonSchemaValue:

@@ -394,7 +394,7 @@ def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) 
 def _check_mechanisms(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
     """Note axes that cannot move a mechanism, and what the mechanism refuses, such as a singular initial pose."""
     for of, section in zip(scene.mechanisms, sections["simulation"]["mechanisms"], strict=True):
-        (name, model, _), before, at = of.mechanism, len(faults), section.value_at("axes")
+        (name, model, *_), before, at = of.mechanism, len(faults), section.value_at("axes")
         motion, members = cast("MechanismParameters", model).motion, [scene.axis(axis) for axis in of.axes]
         for axis in members:
             if axis.parameters.unit != motion:

@@ -246,6 +246,8 @@ def _environment(axis: AxisScene) -> Environment:
 def _inward(environment: Environment) -> tuple[float, float] | None:
     """Return where a contact begins [m or rad] and its direction, 1 or -1; None where none is found."""
     start = float(getattr(environment, "position", 0.0))
+    if getattr(environment, "damps_by_place", False) and not getattr(environment, "pitch", 0.0):
+        return (start, 1.0 if start == getattr(environment, "high", inf) else -1.0)  # a medium is felt on both sides
     return next(((start, sign) for sign in (1.0, -1.0) if environment.contact(start + sign * 1e-6)), None)
 
 

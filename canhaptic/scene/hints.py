@@ -104,7 +104,8 @@ def _plain(axis: AxisScene, quantity: str, limit: float | None, text: str, *deta
 def _requested(axis: AxisScene, key: str) -> float | None:
     """Return the value of a key of the scene; None where the axis has no such number, or there is no key."""
     section, _, name = key.partition(".")
-    value = getattr(axis.loop if section == "passivity" else axis.environment.parameters, name, None)
+    owner = axis.loop if section == "passivity" else axis.environment.parameters
+    value = getattr(owner, name, getattr(owner, "steepest", None) if name == "stiffness" else None)  # that of a sum
     return float(value) if isinstance(value, int | float) else None
 
 

@@ -249,9 +249,9 @@ def _axis(
     axis = MarkedMapping(section.mark, unit if unit in get_args(Motion) else None)
     axis.set("parameters", own)
     if group is None:
-        environment = _own_over_shared(written, section, "environment", "type", faults, is_needed=is_known)
+        environment = _environment(written, section, faults, is_needed=is_known)
         passivity = _own_over_shared(written, section, "passivity", "algorithm", faults, is_needed=is_known)
-        axis.set("environment", _or_noted(environment))
+        axis.set("environment", environment)
         axis.set("passivity", _or_noted(passivity))
     else:
         passivity, name = _loop_in_group(section, group, faults), str(group.section.get("name"))
@@ -260,6 +260,16 @@ def _axis(
     axis.set("loop", MarkedMapping(section.mark) if passivity is None else passivity.only(LOOP_KEYS))
     axis.update(simulation=None)
     return axis
+
+
+def _environment(shared: MarkedMapping, own: MarkedMapping, faults: Diagnostics, *, is_needed: bool) -> Any:
+    """Return the section `environment` of an axis, or its list, which is a sum and is shared or replaced as a whole."""
+    sections = [owner["environment"] for owner in (own, shared) if owner.get("environment") is not None]
+    if sections and isinstance(sections[0], MarkedList):
+        return sections[0]
+    if len(sections) > 1 and isinstance(sections[1], MarkedList):
+        shared = shared.without("environment")
+    return _or_noted(_own_over_shared(shared, own, "environment", "type", faults, is_needed=is_needed))
 
 
 def _own_over_shared(

@@ -75,8 +75,9 @@ def _put(container: Any, path: tuple[str, ...], value: object, mark: SourceLocat
 
 
 def _index(entries: MarkedList, part: str, here: SourceLocation, faults: Diagnostics) -> int | None:
-    """Return the index of a list entry, given as a number or by the entry's name."""
-    names = [str(entry.get("name")) if isinstance(entry, MarkedMapping) else "" for entry in entries]
+    """Return the index of a list entry, given as a number, by the entry's name or by its `type`."""
+    of_entries = [entry if isinstance(entry, MarkedMapping) else {} for entry in entries]
+    names = [str(entry.get("name", entry.get("type", ""))) for entry in of_entries]
     if part.isascii() and part.isdigit() and len(part) < 6 and int(part) < len(entries):
         return int(part)
     if part in names:

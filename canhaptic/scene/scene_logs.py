@@ -9,7 +9,7 @@ from dataclasses import asdict
 from importlib.metadata import version
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.drive.profile.quirks import quirks_of
@@ -146,13 +146,17 @@ def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
     friction = friction_declared(axis)
     if friction is not None:
         attributes[f"{name}.{FRICTION_DECLARED}"] = json.dumps(asdict(friction))
-    environment = axis.environment.parameters
+    environment: Any = axis.environment.parameters
     damping = getattr(environment, "damping", None)
+    if axis.environment.parts and axis.is_read:  # the damping of a sum depends on the place
+        damping = 0.0
+        ends = zip(("low", "high"), environment.rests(), strict=True) if environment.low < environment.high else ()
+        attributes |= {f"{name}.wall_{key}": end for key, end in ends if isfinite(end)}
     if isinstance(damping, float):
         attributes[f"{name}.damping_asked"] = damping
     for key in ("position", "side", "pitch"):
         value = getattr(environment, key, None)
-        if isinstance(value, str | float):
+        if isinstance(value, str | float) and (value or key == "position"):
             attributes[f"{name}.wall_{key}"] = value
     return attributes
 

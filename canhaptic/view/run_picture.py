@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from canhaptic.audit.inspection import contacts, in_degrees, rows_between, rows_to_draw, wall_of
+from canhaptic.audit.inspection import contacts, in_degrees, rows_between, rows_to_draw, walls_of
 from canhaptic.axis_units import DEGREE, counted, si
 from canhaptic.control.ledger import without_dust
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
@@ -160,8 +160,8 @@ class PortPicture:
         common, own = self._lines(panel), self._own_lines(panel)
         lines = [*own, *common] if panel == "torque" else [*common, *own]
         largest = max(abs(float(limit(line, initial=0.0))) for line, _ in lines for limit in (np.nanmin, np.nanmax))
-        if panel == "position" and (wall := wall_of(self._log, self._name)) is not None:
-            largest = max(largest, abs(wall))
+        if panel == "position":
+            largest = max([largest, *(abs(wall) for wall, _ in walls_of(self._log, self._name))])
         self.scales[panel], prefix = scale_of(largest)
         unit = self._movers[0].unit(_COLUMNS[panel])
         if panel == "position" and in_degrees(self._log, self._name):
@@ -180,17 +180,16 @@ class PortPicture:
 
     def _draw_wall(self, axes: "Axes", scale: float) -> None:
         """Mark the notches of detents, or shade the inside of a wall."""
-        wall = wall_of(self._log, self._name)
         low, high = (scale * end for end in axes.get_ylim())
         notches = notches_of(self._log, self._name, low, high)
         for place in notches:
             label = "notch" if place == notches[0] else "_notch"
             axes.axhline(place / scale, color=GREY, linewidth=0.7, linestyle="--", alpha=0.6, label=label)
-        if wall is not None:
-            axes.axhline(wall / scale, color=GREY, linewidth=1.0, linestyle="--", label="wall")
+        for wall, side in (walls := walls_of(self._log, self._name)):
+            label = "wall" if wall == walls[0][0] else "_wall"
+            axes.axhline(wall / scale, color=GREY, linewidth=1.0, linestyle="--", label=label)
             low, high = axes.get_ylim()
-            inside = low if self._log.attributes.get(f"{self._name}.wall_side", "below") == "below" else high
-            axes.axhspan(inside, wall / scale, color=GREY, alpha=0.10, linewidth=0)
+            axes.axhspan(low if side == "below" else high, wall / scale, color=GREY, alpha=0.10, linewidth=0)
             axes.set_ylim(low, high)
 
     def _draw_path(self, axes: "Axes", plane: TaskPlane) -> None:
@@ -263,6 +262,8 @@ def _draw_material(axes: "Axes", plane: TaskPlane, scale: float) -> None:
     deepest = max(float(plane.depth.max()), plane.surface) * (1.0 + 1e-9) + 1e-12
     axes.contourf(across, along, plane.depth, levels=[plane.surface, deepest], colors=[GREY], alpha=0.15)
     axes.contour(across, along, plane.depth, levels=[plane.surface], colors=[GREY], linewidths=1.0)
+    for depth, surface in plane.further:
+        axes.contour(across, along, depth, levels=[surface], colors=[GREY], linewidths=1.0)
     axes.plot([], [], color=GREY, linewidth=1.0, label="surface")
 
 
@@ -296,7 +297,8 @@ def draw_energy(
 ) -> None:
     """Draw a run into a file; its suffix gives the format (.png, .svg, .pdf).
 
-    The wall is drawn from the log's attributes `NAME.wall_position` and `NAME.wall_side`.
+    Walls are drawn from the log's attributes `NAME.wall_position` and `NAME.wall_side`, those of a sum from
+    `NAME.wall_low` and `NAME.wall_high`.
 
     Args:
         log: An open energy log.

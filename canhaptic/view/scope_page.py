@@ -211,8 +211,8 @@ def _port_panels(facts: PortFacts, time: Range, source: ColumnDataSource) -> dic
     if not facts.is_group:
         lines = [_line("position", "position", BLUE)]
         panels["position"] = panel(f"{name}: position", units["position"], 190, lines, {"position": "position"})
-        if facts.wall is not None:
-            _add_wall(panels["position"], facts.wall, facts.wall_side)
+        for wall, side in facts.walls:
+            _add_wall(panels["position"], wall, side)
         if facts.notches:
             look: dict[str, Any] = {"line_color": GREY, "line_dash": "dashed", "line_alpha": 0.6}
             panels["position"].hspan(y=facts.notches, legend_label="notch", name="notches", **look)

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.audit.inspection import PortRecord, contacts, wall_of
+from canhaptic.audit.inspection import PortRecord, contacts, walls_of
 from canhaptic.control.mechanisms import KINEMATICS
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis import NETWORKS
@@ -89,8 +89,7 @@ class PortFacts(NamedTuple):
     is_group: bool  # of axes: it has no position
     is_member: bool  # an axis of a group, whose account is the group's
     units: dict[str, str]  # SI unit of each column
-    wall: float | None  # where it begins [m or rad]
-    wall_side: str  # of its inside: below or above
+    walls: list[tuple[float, str]]  # where each begins [m or rad], and on which side its inside is: below or above
     notches: list[float]  # of detents, around the first one [m or rad]
     torque_limit: float  # [N or N*m]; infinite where none is known
 
@@ -114,9 +113,8 @@ def port_facts(log: EnergyLog, name: str) -> PortFacts:
     pitch, start = (log.number(f"{name}.wall_{key}") for key in ("pitch", "position"))
     reach = 0.49 * _MOST_NOTCHES * pitch
     limit = log.number(f"{name}.torque_limit", math.inf)
-    side = str(log.attributes.get(f"{name}.wall_side", "below"))
     notches = notches_of(log, name, start - reach, start + reach)
-    return PortFacts(name, name in log.groups, name in log.group_of, units, wall_of(log, name), side, notches, limit)
+    return PortFacts(name, name in log.groups, name in log.group_of, units, walls_of(log, name), notches, limit)
 
 
 _MOST_NOTCHES: Final = 200
@@ -178,6 +176,7 @@ class TaskPlane(NamedTuple):
     along: Array  # of the grid, (m,)
     depth: Array  # in the material, above `surface` inside it, (m, m): rows along, columns across
     surface: float  # depth at the surface
+    further: tuple[tuple[Array, float], ...] = ()  # the same two of the other parts of a sum
 
 
 def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
@@ -195,10 +194,12 @@ def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
         kinematics = _build(KINEMATICS, group["kinematics"])
         if kinematics.dimensions != 2:
             return None
-        rendered: Rendered = _build(NETWORKS, group["network"]).build(2)
+        sections = group["network"] if isinstance(group["network"], list) else [group["network"]]
+        rendered: list[Rendered] = [_build(NETWORKS, section).build(2) for section in sections]
     except (KeyError, TypeError, ValueError, CanHapticError):  # no group, or written by a version that differs
         return None
-    if not _has_surface(rendered):
+    rendered = [part for part in rendered if _has_surface(part)]
+    if not rendered:
         return None
     axes = log.groups[name]
     motors = np.array([log.ports[axis].read("position", rows.start, rows.stop) for axis in axes])
@@ -208,11 +209,12 @@ def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
         return None
     margin = max(_MARGIN * float(np.max(np.nanmax(path, axis=0) - np.nanmin(path, axis=0))), 1e-3)
     across, along = (_span(values, margin) for values in path.T)
-    depth = np.array([[_depth(rendered, (x, y)) for x in across.tolist()] for y in along.tolist()])
+    depths = [np.array([[_depth(part, (x, y)) for x in across.tolist()] for y in along.tolist()]) for part in rendered]
     # A path without width has no inside; its line is drawn as wide as one cell of the grid.
-    surface = 0.0 if depth.min() < 0.0 else float(across[1] - across[0])
+    surfaces = [0.0 if depth.min() < 0.0 else float(across[1] - across[0]) for depth in depths]
     unit = task_unit(group["kinematics"]["type"], log.ports[axes[0]].unit("position"))
-    return TaskPlane(str(unit), path, across, along, depth, surface)
+    first, *further = sorted(zip(depths, surfaces, strict=True), key=lambda part: part[1])
+    return TaskPlane(str(unit), path, across, along, *first, tuple(further))
 
 
 def _build(table: dict[str, str], section: Mapping[str, str]) -> Any:

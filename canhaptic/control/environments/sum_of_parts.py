@@ -17,7 +17,6 @@ from pydantic import Field
 from canhaptic.control.environments import Everywhere, is_ours
 from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.free_space import FreeSpace
-from canhaptic.control.environments.own_environment import state_of
 from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.errors import ParameterError
 from canhaptic.units import Parameters
@@ -26,6 +25,9 @@ _CERTAIN: Final = 1.0 - 1e-9
 """Factor that allows for rounding in a distance to the next reversal of the force."""
 _ROUNDING: Final = 1e-15  # of a position
 _ON_NOTCH: Final = 1e-12  # of a pitch
+_CLOSE: Final = 1e-14  # of an energy
+_DOUBLINGS: Final = 60
+_MOST_STEPS: Final = 100  # of the root finder; bisection alone ends within 64
 
 
 _Place = Annotated[float, Field(allow_inf_nan=True)]
@@ -55,6 +57,10 @@ class SumOfParts(Everywhere, Parameters):
         """Where a contact begins [m or rad]."""
         ends = [self.origin] if self.pitch else [end for end in (self.high, self.low) if isfinite(end)]
         return float(ends[0]) if ends else 0.0
+
+    def rests(self) -> tuple[float, float]:
+        """Return the positions from and to at which every part without notches stores nothing [m or rad]."""
+        return self.low, self.high
 
     def contact(self, position: float) -> int:
         """Return the zone of contact; 0 where every part is at rest and none damps."""
@@ -163,9 +169,29 @@ class SumOfParts(Everywhere, Parameters):
             if isfinite(crest) and self.stored_energy(crest) <= energy:
                 return crest
             start = crest if isfinite(crest) else like
-        return end + state_of(
-            lambda way: self.stored_energy(end + way), lambda way: self.effort(end + way), energy, start - end
-        )
+        return self._between(end, start, energy)
+
+    def _between(self, end: float, far: float, energy: float) -> float:
+        """Return the state that stores `energy` [J], from a state that stores nothing towards `far`, and beyond it.
+
+        Newton's method from `far`, with bisection where a step would leave the bracket.
+        """
+        near, way = end, far - end
+        for _ in range(_DOUBLINGS):
+            if self.stored_energy(end + way) >= energy:
+                break
+            near, way = end + way, 2.0 * way
+        else:
+            return near
+        far = state = end + way
+        for _ in range(_MOST_STEPS):
+            excess, slope = self.stored_energy(state) - energy, self.effort(state)
+            if abs(excess) <= _CLOSE * energy:
+                break
+            near, far = (near, state) if excess > 0.0 else (state, far)
+            newton = state - excess / slope if slope * way > 0.0 else near
+            state = newton if min(near, far) < newton < max(near, far) else 0.5 * (near + far)
+        return state
 
 
 def added(named: Sequence[tuple[str, Any]]) -> Any:

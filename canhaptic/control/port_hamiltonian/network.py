@@ -530,6 +530,11 @@ class Network:
             by_functions=given.exist,
         )
 
+    @property
+    def has_functions(self) -> bool:
+        """Whether energies or the structure are given as functions."""
+        return self.tables.by_functions
+
     def _constant(self, structure: _Rows | Callable[[Sequence[float]], _Rows] | None) -> _Rows:
         """Return J, or its value at the state 0 if it is a function, after checking that it is skew."""
         n = self.states
@@ -703,3 +708,34 @@ def _eliminate(matrix: Matrix, right: Buffer, column: int) -> None:
             for k in range(column + 1, n):
                 row[k] -= factor * above[k]
             right[index] -= factor * right[column]
+
+
+def joined(networks: Sequence[Network]) -> Network:
+    """Return networks without functions as one, whose states and ports are those of the first, the second, ..."""
+    every = [network.tables for network in networks]
+    found = object.__new__(Network)
+    found.states, found.ports = sum(of.states for of in networks), sum(of.ports for of in networks)
+    found.functions, found._varies = NoFunctions(), False
+    firsts = [sum(of.states for of in networks[:n]) for n in range(len(networks))]
+    listed = ("stiffness", "hardening", "lower", "upper", "viscous", "squared", "coulomb", "corner")
+    over_states, over_ports = [of.states for of in networks], [of.ports for of in networks]
+    blocks = dict.fromkeys(("quadratic", "structure", "on_states"), over_states)
+    blocks |= dict.fromkeys(("gain", "on_ports", "origin"), over_ports)
+    values: dict[str, Any] = {name: [v for of in every for v in getattr(of, name)] for name in listed}
+    for name, columns in blocks.items():
+        values[name] = _block_diagonal([getattr(of, name) for of in every], columns)
+    values["beside"] = [n + first if n >= 0 else n for of, first in zip(every, firsts, strict=True) for n in of.beside]
+    values["edged"] = [n + first for of, first in zip(every, firsts, strict=True) for n in of.edged]
+    values |= {name: any(getattr(of, name) for of in every) for name in ("coupled", "moving", "always", "by_functions")}
+    found.tables = NetworkTables(**values)
+    return found
+
+
+def _block_diagonal(blocks: Sequence[Matrix], columns: Sequence[int]) -> Matrix:
+    """Return the rows of all blocks, each with zeros before and behind it."""
+    whole = sum(columns)
+    return [
+        [0.0] * sum(columns[:n]) + list(row) + [0.0] * (whole - sum(columns[: n + 1]))
+        for n, block in enumerate(blocks)
+        for row in block
+    ]

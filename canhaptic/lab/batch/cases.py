@@ -330,6 +330,8 @@ def why_not_compiled(case: LoopCase) -> str:
     reason = _why_not_moved(case.simulation, case.algorithm, case.own)
     if reason:
         return reason
+    if getattr(case.environment, "damps_by_place", False):
+        return "environment is a sum, which no compiled loop renders"
     if plain(case.environment) is case.environment:
         return f"environment {type(case.environment).__name__} has no plain form (it calls its base class with super())"
     return "" if kernel_of(case.algorithm) else f"algorithm {case.algorithm} is not written as a kernel"
@@ -351,6 +353,8 @@ def why_not_beforehand(scene: Scene) -> str:
     simulation = scene.axes[0].simulation
     if simulation is None:
         return "axis is not simulated"
+    if scene.axes[0].environment.parts:
+        return f"environment {scene.axes[0].environment.name} is a sum, which no compiled loop renders"
     if scene.axes[0].environment.own is not None:
         return f"environment {scene.axes[0].environment.name} is own code"
     return _why_not_moved(simulation, scene.axes[0].passivity.name, scene.axes[0].passivity.own)

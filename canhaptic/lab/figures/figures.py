@@ -129,7 +129,8 @@ def figures(
     """
     margin = run.interaction - run.dissipated
     limit = inf if torque_limit is None else torque_limit
-    settings = MeterSettings(torque_limit=limit, damping=environment.damping)
+    by_place = getattr(environment, "damps_by_place", False)
+    settings = MeterSettings(torque_limit=limit, damping=environment.damping, by_place=by_place)
     sums = _sums_of_run(environment, run, reference, sample_time, settings)
     parts: dict[str, dict[str, float | None]] = {}
     for name in ALL:

@@ -6,11 +6,11 @@ figure is computed from them.
 
 from dataclasses import dataclass
 from math import inf
-from typing import Final
+from typing import Annotated, Final
 
 from canhaptic.control.balance import RANKS, Branch, EnergyBalance, along
 from canhaptic.control.environments import Environment
-from canhaptic.kernels import new
+from canhaptic.kernels import OFTEN_ZERO, new
 
 _FREE, _START, _EXACT, _STICKY, _FALLBACK, _DEPLETED, _EXIT, _HELD = (branch.value for branch in list(Branch)[:8])
 
@@ -32,6 +32,7 @@ class MeterSettings:
     is_brief: bool = False  # whether only the sums of `BRIEF` are gathered
     torque_limit: float = inf  # largest torque of the drive [N or N*m]
     damping: float = 0.0  # damper of the environment [N*s/m or N*m*s/rad]
+    by_place: Annotated[bool, OFTEN_ZERO] = False  # whether it is a sum, whose damping depends on the place
 
 
 @dataclass(slots=True)
@@ -222,6 +223,9 @@ def take_contact(
     rendered = balance.damping_rendered
     meter.contacts += 1.0
     meter.damping_requested += settings.damping
+    if settings.by_place:
+        asked = environment.damping_at(environment.true_state(position, 0.0, 0.0))
+        meter.damping_requested += asked - settings.damping
     meter.damping += rendered
     meter.damping_least = min(meter.damping_least, rendered)
     meter.damping_most = max(meter.damping_most, rendered)

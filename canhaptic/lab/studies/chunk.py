@@ -92,7 +92,7 @@ def _places(document: MarkedMapping, key: str) -> tuple[str, ...]:
 
 
 def _has(value: object, name: str) -> bool:
-    return isinstance(value, MarkedMapping) and isinstance(value.get(name), MarkedMapping)
+    return isinstance(value, MarkedMapping) and isinstance(value.get(name), MarkedMapping | MarkedList)
 
 
 RATE: Final = "bus.rate"

@@ -105,7 +105,7 @@ class TouchPage:
             return
         for side in self._sides:
             side.clear()
-            side.draw_notches(float(changes.get("environment.pitch", 0.0)))
+            side.draw_notches(float(next((of for key, of in changes.items() if key.endswith(".pitch")), 0.0)))
         self._status.text = "the drives start ..."
 
 

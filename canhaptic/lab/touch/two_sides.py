@@ -18,6 +18,7 @@ from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.port_hamiltonian.shapes.box import Box
+from canhaptic.control.port_hamiltonian.shapes.guided_path import GuidedPath
 from canhaptic.errors import InputError
 from canhaptic.lab.loop.axis_loop import able_under, display_group_under, display_under
 from canhaptic.scene.components import ComponentSpec
@@ -288,14 +289,31 @@ def _line(scene: Scene, axis: AxisScene) -> TouchScene:
     axes = [_held_axis(one, side, side.axes[0]) for one, side in zip((plain, guarded), sides, strict=True)]
     user, start = _hand_of(axis)
     shown = reach(user.motion, user.rest, start)
-    notches = (environment.position, environment.pitch) if isinstance(environment, Detents) else ()
+    parts = axis.environment.parts or (axis.environment,)
+    notched: Any = next((part.parameters for part in parts if isinstance(part.parameters, Detents)), None)
+    notches = () if notched is None else (notched.position, notched.pitch)
     felt = _OF_DETENTS if notches else _SLIDERS if hasattr(environment, "stiffness") else ()
     names = _DISPLAY_SLIDERS if is_display else felt
     solid = () if notches else (_walls if is_display else _solid)(environment, shown)
+    sliders = sliders_of("environment", environment, names, axis.parameters.unit)
+    if axis.environment.parts:
+        ends = ((shown[0], environment.low), (environment.high, shown[1]))
+        solid = tuple(end for end in ends if end[0] < end[1] and environment.low < environment.high)
+        sliders = _sliders_of_parts("environment", parts, axis.parameters.unit)
     return TouchScene(
-        on_two_buses(scene, axes, sides), sides, axis.parameters.unit, (shown,), (start,), solid,
-        sliders_of("environment", environment, names, axis.parameters.unit), is_display=is_display, notches=notches,
+        on_two_buses(scene, axes, sides), sides, axis.parameters.unit, (shown,), (start,), solid, sliders,
+        is_display=is_display, notches=notches,
     )  # fmt: skip
+
+
+def _sliders_of_parts(section: str, parts: Sequence[ComponentSpec], unit: str) -> tuple[TouchSlider, ...]:
+    """Return the sliders of all parts of a sum, each with the name of its part in the title."""
+    names = dict.fromkeys((*_SLIDERS, *_OF_DETENTS))
+    return tuple(
+        slider._replace(title=f"{part.name}: {slider.title}")
+        for n, part in enumerate(parts)
+        for slider in sliders_of(f"{section}.{n}", part.parameters, tuple(names), unit)
+    )
 
 
 def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:
@@ -309,45 +327,53 @@ def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, f
 # --- in a plane ---------------------------------------------------------------------------------------------------
 
 
-def _stage_of(scene: Scene, group: GroupScene) -> tuple[MechanismScene, Box]:
-    """Return the xy stage of a group and the box that it renders.
+def _stage_of(scene: Scene, group: GroupScene) -> tuple[MechanismScene, Box, list[GuidedPath]]:
+    """Return the xy stage of a group, the box that it renders, and the paths that are added to it.
 
     Raises:
-        InputError: The group does not render the inside of a box with linear springs on an xy stage.
+        InputError: The group does not render the inside of a box with linear springs, and paths, on an xy stage.
     """
     of = next((one for one in scene.mechanisms if one.axes == group.axes), None)
-    box = group.network.parameters
+    parts = [part.parameters for part in group.network.parts or (group.network,)]
+    boxes = [part for part in parts if isinstance(part, Box) and part.side == "inside" and not part.hardening]
+    paths = [part for part in parts if isinstance(part, GuidedPath)]
     is_square = of is not None and of.mechanism.name == "xy_stage" and group.kinematics.name == "identity"
-    if of is None or not is_square or not isinstance(box, Box) or box.side != "inside" or box.hardening:
+    if of is None or not is_square or len(boxes) != 1 or len(paths) != len(parts) - 1:
         raise InputError(
             f"{scene.source}: group {group.name!r} renders {group.network.name}; touch shows an axis by itself, or a "
-            "box on an xy_stage from inside, with linear springs"
+            "box on an xy_stage from inside, with linear springs, to which paths may be added"
         )
-    return of, box
+    return of, boxes[0], paths
 
 
 def _plane(scene: Scene, name: str) -> TouchScene:
     index, group = next((i, one) for i, one in enumerate(scene.groups) if one.name == name)
-    of, box = _stage_of(scene, group)
+    of, box, paths = _stage_of(scene, group)
     sides = (
-        Side(PLAIN, tuple(f"{PLAIN} {axis}" for axis in group.axes)),
+        Side(PLAIN, tuple(f"{PLAIN} {axis}" for axis in group.axes), PLAIN if paths else ""),
         replace(_side(group.passivity, group.axes), group=name),
     )
     members = [scene.axis(axis) for axis in group.axes]
-    plain = [_walled(axis, box, k) for k, axis in enumerate(members)]
+    plain = [replace(axis, group=PLAIN) if paths else _walled(axis, box, k) for k, axis in enumerate(members)]
     axes = [
         _named(axis, side, port)
         for side, of_side in zip(sides, (plain, members), strict=True)
         for axis, port in zip(of_side, side.axes, strict=True)
     ]
     guarded = GroupScene(name, sides[1].axes, group.kinematics, group.network, group.passivity)
+    unprotected = replace(guarded, name=PLAIN, axes=sides[0].axes, passivity=ComponentSpec(PLAIN, DamperVelocity()))
+    groups = (unprotected, guarded) if paths else (guarded,)
     mechanisms = tuple(_held(of, members, side) for side in sides)
     hand = of.hand or TaskHand()
     start = tuple(float(place) for place in getattr(of.mechanism.parameters, "initial_position", (0.0, 0.0)))
     shown = tuple(map(reach, hand.motions, hand.rest, start))
     solid = tuple((float(low), float(high)) for low, high in zip(box.lower, box.upper, strict=True))
-    both = on_two_buses(scene, axes, sides, groups=(guarded,), mechanisms=mechanisms)
-    return TouchScene(both, sides, "m", shown, start, solid, sliders_of(f"groups.{index}.network", box, _SLIDERS, "m"))
+    both, section = on_two_buses(scene, axes, sides, groups=groups, mechanisms=mechanisms), f"groups.{index}.network"
+    sliders = sliders_of(section, box, _SLIDERS, "m")
+    if paths:
+        sliders = _sliders_of_parts(section, group.network.parts, "m")
+    points = next(((*of.points, of.points[0]) if of.closed else of.points for of in paths), ())
+    return TouchScene(both, sides, "m", shown, start, solid, sliders, path=points)
 
 
 def _walled(axis: AxisScene, box: Box, direction: int) -> AxisScene:
