@@ -37,7 +37,8 @@ which is checked for dimension: `1 kHz`, `100 N/m`, `50 us`. Where two units are
 (`unit: m`), the second of a rotary one (`unit: rad`). A key without a default may be left out, unless it is required;
 where the words say None, they say what leaving it out (or `null`) means. A key that is not listed is an error that
 names the nearest one. Any value can be replaced from the command line: `--set environment.stiffness="500 N/m"`,
-`--set axes.0.node_id=5`. `--set passivity=unprotected` and `--set environment=damper_wall` (in full:
+`--set axes.0.node_id=5`, and a part of a sum by its place or its type: `--set environment.detents.pitch="10 deg"`.
+`--set passivity=unprotected` and `--set environment=damper_wall` (in full:
 `passivity.algorithm=`, `environment.type=`) choose another type: keys that only the old one has are dropped and named,
 and keys that the new one needs are listed with an example. With real drives nothing is dropped: it is an error.
 
@@ -133,7 +134,7 @@ class _Page:
 
 def _is_list(schema: Schema) -> bool:
     parts = [part for part in schema.get("anyOf", [schema]) if part != {"type": "null"}]
-    return any(part.get("type") == "array" for part in parts)
+    return any(part.get("type") == "array" and part.get("title") != "a sum" for part in parts)
 
 
 def _chosen(schema: Schema) -> str:

@@ -103,6 +103,7 @@ class ComponentOf:
         selector: Key of the section that contains the name.
         apart: Keys of the section for another field of the scene; only a model with such a field gets them too.
         displays: The same of admittance displays, which measure force and command velocity; None: this one.
+        others: Table of another section, and what its entries are, for a name of it.
     """
 
     def __init__(
@@ -112,7 +113,9 @@ class ComponentOf:
         selector: str = "type",
         apart: tuple[str, ...] = (),
         displays: "ComponentOf | None" = None,
+        others: tuple[Mapping[str, str], str] = ({}, ""),
     ) -> None:
+        self._others = others
         self.table, self.kind, self.selector, self.apart, self._displays = table, kind, selector, apart, displays
 
     @property
@@ -136,7 +139,14 @@ class ComponentOf:
         return self if self._displays is None else max(self, self._displays, key=known)
 
     def model_named(self, name: str) -> type[Parameters]:
-        """Return the model of an entry of the table."""
+        """Return the model of an entry of the table.
+
+        Raises:
+            ParameterError: The table has no such entry.
+        """
+        if name in self._others[0] and name not in self.table:
+            known = ", ".join(sorted(self.table))
+            raise ParameterError(f"got {name!r}, {self._others[1]}; expected one of: {known}")
         return _parameters_of(load(self.table, name, self.kind))
 
     def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:

@@ -131,10 +131,14 @@ _ENVIRONMENT_OF_DISPLAY = ComponentOf(displays.DISPLAY_ENVIRONMENTS, f"environme
 _ALGORITHM_OF_DISPLAY = ComponentOf(displays.DISPLAY_ALGORITHMS, f"algorithm {_OF_ONE}", *_DISPLAY_LOOP)
 _ALGORITHM_OF_DISPLAYS = ComponentOf(displays.DISPLAY_GROUP_ALGORITHMS, f"algorithm {_OF_SEVERAL}", *_DISPLAY_LOOP)
 _NETWORK_OF_DISPLAYS = ComponentOf(displays.DISPLAY_NETWORKS, f"network {_OF_SEVERAL}")
-_ENVIRONMENT = ComponentOf(ENVIRONMENTS, "environment", displays=_ENVIRONMENT_OF_DISPLAY)
+_ENVIRONMENT = ComponentOf(
+    ENVIRONMENTS, "environment", displays=_ENVIRONMENT_OF_DISPLAY, others=(NETWORKS, "a network of a group")
+)
 _ALGORITHM = ComponentOf(ALGORITHMS, "passivity algorithm", *_LOOP, displays=_ALGORITHM_OF_DISPLAY)
 _GROUP_ALGORITHM = ComponentOf(GROUP_ALGORITHMS, "group algorithm", *_LOOP, displays=_ALGORITHM_OF_DISPLAYS)
-_NETWORK = ComponentOf(NETWORKS, "network", displays=_NETWORK_OF_DISPLAYS)
+_NETWORK = ComponentOf(
+    NETWORKS, "network", displays=_NETWORK_OF_DISPLAYS, others=(ENVIRONMENTS, "an environment of one axis")
+)
 
 
 SCALING_KEYS: Final = ("counts_per_unit", "rated_torque", "direction")

@@ -8,7 +8,8 @@ TPDO repeated to the bit, a motor whose sign turns in a run (docs/safety.md). A 
 something pushed or asked for 0.5 N, and any torque was sent: without one it proves nothing. `--faults` adds a fault to
 every scene (`tools/truth/faults.py`): lost, doubled and late frames, bus and host that stop, drives that fail,
 another master, on one bus or two. `--stops` ends every run by the operator at a random instant: its stop is part of
-the account, and what the motors exchange once that has ended must lie within its resolution.
+the account, and what the motors exchange once that has ended must lie within its resolution. `--sums` makes every
+environment a sum, as far as it adds to others (`tools/truth/sums.py`).
 
 A yes is due where
 
@@ -51,6 +52,7 @@ _KEPT: Final = {
     "truth": "truth_runs.jsonl",
     "truth_faults": "truth_fault_runs.jsonl",
     "truth_stops": "truth_stop_runs.jsonl",
+    "truth_sums": "truth_sum_runs.jsonl",
 }
 _SHRUNK_AT_MOST: Final = 5
 _IN_WORDS: Final = ("named", "fault", "stopped by", "declared falsely")
@@ -69,6 +71,11 @@ def outcome_with_stop(seed: int) -> Outcome:
     return judged(with_stop(random_scene(seed)))[1]
 
 
+def outcome_of_sum(seed: int) -> Outcome:
+    """Returns what the run of a seed came to whose environment is a sum, as far as it adds to others."""
+    return judged(random_scene(seed, sums=1.0))[1]
+
+
 def outcome_with_fault(seed: int) -> Outcome:
     """Returns what the run of a seed came to with a fault of bus, drive or host."""
     return judged(with_fault(random_scene(seed)))[1]
@@ -78,8 +85,14 @@ _CHANGES: Final[dict[str, Callable[[TruthScene], TruthScene]]] = {
     "truth": lambda scene: scene,
     "truth_faults": with_fault,
     "truth_stops": with_stop,
+    "truth_sums": lambda scene: random_scene(scene.seed, sums=1.0),
 }
-_RUNS_OF: Final = {"truth": outcome_of, "truth_faults": outcome_with_fault, "truth_stops": outcome_with_stop}
+_RUNS_OF: Final = {
+    "truth": outcome_of,
+    "truth_faults": outcome_with_fault,
+    "truth_stops": outcome_with_stop,
+    "truth_sums": outcome_of_sum,
+}
 
 
 def run_all(seeds: Iterable[int], kept: Path, jobs: int, run: Callable[[int], Outcome] = outcome_of) -> list[Outcome]:
@@ -252,8 +265,10 @@ def main() -> None:
     kind.add_argument(
         "--stops", action="store_true", help="with a stop by the operator at a random instant of each run"
     )
+    kind.add_argument("--sums", action="store_true", help="each environment a sum, as far as it adds to others")
     arguments = parser.parse_args()
-    name = "truth_faults" if arguments.faults else "truth_stops" if arguments.stops else "truth"
+    kinds = ("faults", "stops", "sums")
+    name = "_".join(["truth", *(one for one in kinds if getattr(arguments, one))])
     if arguments.only is not None:
         explain(arguments.only, _CHANGES[name])
         return

@@ -17,6 +17,7 @@ from tools.truth.changes import add_changes, record_the_hand
 from tools.truth.five_bar import make_five_bar
 from tools.truth.further import add_further
 from tools.truth.programs import draw_program
+from tools.truth.sums import SHARE, add_sum
 
 SOURCE: Final = str(Path(__file__).resolve().parents[2] / "configs" / "truth.yaml")
 """Where paths of a scene start from."""
@@ -82,13 +83,14 @@ class _Chance(Chance):
         return name
 
 
-def random_scene(seed: int, *, further: bool = True, changes: float | None = None) -> TruthScene:
+def random_scene(seed: int, *, further: bool = True, changes: float | None = None, sums: float = SHARE) -> TruthScene:
     """Returns the scene of a seed.
 
     Args:
         seed: Any.
         further: Whether with what `add_further` and `add_changes` draw.
         changes: Share of the scenes in which something changes; None: the default of `add_changes`.
+        sums: Share of the scenes whose environment becomes a sum, where `further` is true.
     """
     chance = _Chance(seed)
     group = chance.named("group", {"": 0.8, "xy_box": 0.1, "coupled_handles": 0.1})
@@ -116,6 +118,7 @@ def random_scene(seed: int, *, further: bool = True, changes: float | None = Non
         outward = add_further(seed, values, chance.tags, outward)
         add_changes(seed, values, chance.tags, **({} if changes is None else {"share": changes}))
         record_the_hand(seed, values, chance.tags)
+        outward = add_sum(seed, values, chance.tags, outward, sums)
     if outward == (0,) and "algorithm:guarded" in chance.tags:
         _declare_push(np.random.default_rng([seed, 16]), values, chance.tags)
         outward = draw_program(seed, values, chance.tags, outward)
@@ -153,7 +156,7 @@ def _declare_push(random: np.random.Generator, values: dict[str, Any], tags: set
     if section.get("hand_force") is not None:
         section.setdefault("hand_push", float(f"{10.0 ** random.uniform(0.3, 1.3):.4g}"))
         tags.add("declares:hand_push")
-    if environment["type"] == "two_sided_wall" and random.random() < 0.5:
+    if isinstance(environment, dict) and environment["type"] == "two_sided_wall" and random.random() < 0.5:
         environment["upper"] = float(f"{10.0 ** random.uniform(-4.0, -2.0):.4g}")
 
 

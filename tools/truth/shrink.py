@@ -45,6 +45,10 @@ def _smaller(values: dict[str, Any]) -> Iterator[dict[str, Any]]:
         fewer = copy.deepcopy(values)
         del fewer["simulation"]["effects"][place]
         yield fewer
+    for place in range(len(values["environment"]) if isinstance(values.get("environment"), list) else 0):
+        fewer = copy.deepcopy(values)
+        del fewer["environment"][place]
+        yield fewer
     for path in _MAY_GO:
         fewer = copy.deepcopy(values)
         owner: Any = fewer

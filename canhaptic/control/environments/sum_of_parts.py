@@ -9,7 +9,7 @@ the resting positions of detents do. Parts that keep a strain of their own add o
 """
 
 from collections.abc import Sequence
-from math import floor, inf, isfinite, pi
+from math import floor, inf, isfinite, pi, sqrt
 from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import Field
@@ -25,7 +25,7 @@ _CERTAIN: Final = 1.0 - 1e-9
 """Factor that allows for rounding in a distance to the next reversal of the force."""
 _ROUNDING: Final = 1e-15  # of a position
 _ON_NOTCH: Final = 1e-12  # of a pitch
-_CLOSE: Final = 1e-14  # of an energy
+_CLOSE: Final = 1e-12  # of an energy
 _DOUBLINGS: Final = 60
 _MOST_STEPS: Final = 100  # of the root finder; bisection alone ends within 64
 
@@ -162,6 +162,8 @@ class SumOfParts(Everywhere, Parameters):
         end = low if isfinite(low) and (force > 0.0 or not isfinite(high)) else high
         if not isfinite(end) or (force == 0.0 and stored == 0.0):
             return like
+        if energy <= 0.0:
+            return end
         start = like
         if stored < energy:
             ends = self.one_way(like + self.origin)
@@ -174,7 +176,7 @@ class SumOfParts(Everywhere, Parameters):
     def _between(self, end: float, far: float, energy: float) -> float:
         """Return the state that stores `energy` [J], from a state that stores nothing towards `far`, and beyond it.
 
-        Newton's method from `far`, with bisection where a step would leave the bracket.
+        Newton's method for the root of the energy, with bisection where a step would leave the bracket.
         """
         near, way = end, far - end
         for _ in range(_DOUBLINGS):
@@ -183,13 +185,14 @@ class SumOfParts(Everywhere, Parameters):
             near, way = end + way, 2.0 * way
         else:
             return near
-        far = state = end + way
+        far = end + way
+        state = end + way * sqrt(energy / self.stored_energy(far))
         for _ in range(_MOST_STEPS):
-            excess, slope = self.stored_energy(state) - energy, self.effort(state)
-            if abs(excess) <= _CLOSE * energy:
+            stored, slope = self.stored_energy(state), self.effort(state)
+            if abs(stored - energy) <= _CLOSE * energy:
                 break
-            near, far = (near, state) if excess > 0.0 else (state, far)
-            newton = state - excess / slope if slope * way > 0.0 else near
+            near, far = (near, state) if stored > energy else (state, far)
+            newton = state - 2.0 * (stored - sqrt(stored * energy)) / slope if slope * way > 0.0 else near
             state = newton if min(near, far) < newton < max(near, far) else 0.5 * (near + far)
         return state
 
@@ -214,13 +217,12 @@ def added(named: Sequence[tuple[str, Any]]) -> Any:
                 "give it one `position` and a `side`",
             )  # fmt: skip
     notched = [one for one in named if isinstance(one[1], Detents)]
-    rests = {name: part.rests() for name, part in named if not isinstance(part, Detents)}
+    rests = [(name, *part.rests()) for name, part in named if not isinstance(part, Detents)]
     if len(notched) > 1:
         raise _refused(_pair(notched), "have notches each", "leave one of them out")
-    low, high = max((low for low, _ in rests.values()), default=-inf), min((h for _, h in rests.values()), default=inf)
+    lowest, low, _ = max(rests, key=lambda part: part[1], default=("", -inf, inf))
+    highest, _, high = min(rests, key=lambda part: part[2], default=("", -inf, inf))
     if low > high:
-        lowest = next(name for name, (low_end, _) in rests.items() if low_end == low)
-        highest = next(name for name, (_, high_end) in rests.items() if high_end == high)
         raise _refused(
             f"{lowest} and {highest}", f"press against each other: the one rests from {low:g} on, the other up to "
             f"{high:g}, so that the handle is nowhere without force", "move one of them",
