@@ -29,7 +29,7 @@ _WIDTH, _HEIGHT = 1240, 618  # of the window, in pixels
 _SHOWN: Final = 800  # width of the picture, in pixels
 _SWING: Final = 3.0  # [s] from one contact to the next
 _SWINGS: Final = 2
-_COLOURS: Final = 48
+_COLOURS: Final = 64  # a power of two, as the file has it
 
 
 def main(arguments: list[str]) -> int:
@@ -43,7 +43,7 @@ def main(arguments: list[str]) -> int:
     pictures = [_small(data) for _, data in frames]
     times = [time for time, _ in frames]
     lengths = [max(40, round(1e3 * (b - a))) for a, b in zip(times, [*times[1:], times[-1] + 0.5], strict=True)]
-    pictures[0].save(out, save_all=True, append_images=pictures[1:], duration=lengths, loop=0, optimize=True)
+    save(out, pictures, lengths)
     sys.stdout.write(f"{out}: {len(pictures)} frames, {out.stat().st_size / 1e3:.0f} kB\n")
     return 0
 
@@ -77,7 +77,21 @@ def _frames(page: Page) -> Iterator[tuple[float, bytes]]:
 def _small(data: bytes) -> Any:
     picture = Image.open(io.BytesIO(data)).convert("RGB")
     height = round(picture.height * _SHOWN / picture.width)
-    return picture.resize((_SHOWN, height), Image.Resampling.LANCZOS).quantize(_COLOURS, dither=Image.Dither.NONE)
+    return picture.resize((_SHOWN, height), Image.Resampling.LANCZOS)
+
+
+def save(out: Path, pictures: list[Any], lengths: list[int]) -> None:
+    """Writes pictures in the colours that all of them share, so that none flickers against the one before."""
+    width, height = pictures[0].size
+    whole = Image.new("RGB", (width, height * len(pictures)))
+    for number, picture in enumerate(pictures):
+        whole.paste(picture, (0, height * number))
+    shared = whole.quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    shared_by = [picture.quantize(palette=shared, dither=Image.Dither.NONE) for picture in pictures]
+    palette = bytes(shared.getpalette() or ())[: 3 * _COLOURS]
+    shared_by[0].save(
+        out, save_all=True, append_images=shared_by[1:], duration=lengths, loop=0, palette=palette, optimize=False
+    )
 
 
 if __name__ == "__main__":
