@@ -362,6 +362,7 @@ _LATER: Final[Mapping[str, tuple[object, ...]]] = {
     "passivity.earned_energy": (None,),
     "passivity.drag": (0.0,),
     "network.rest": ([],),
+    "simulation.user.motion.time_column": ("",),
 }
 """Key of an axis or a group added after the first release -> values that leave the configuration hash unchanged."""
 

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import unquote
 
 import pytest
 
@@ -54,6 +55,13 @@ def _searched(page: Page, folder: Path, words: str) -> list[str]:
     return str(links).split(",")
 
 
+def _missing(file: Path, text: str) -> list[str]:
+    """Returns the addresses of a page that lead to no file of the site, which a browser logs as errors."""
+    found = re.findall(r"""<(?:script|link|img|iframe|source|a)\b[^>]*?\b(?:src|href)=["']?([^"'> ]+)""", text)
+    places = [unquote(of.partition("#")[0].partition("?")[0]) for of in found if not re.match(r"[a-z]+:|//|#", of)]
+    return [place for place in places if not (file.parent / place).exists()]
+
+
 @pytest.mark.slow
 def test_the_site_builds_strictly_and_asks_nothing_of_a_network(tmp_path: Path) -> None:
     assert "WARNING" not in _build(tmp_path)
@@ -61,6 +69,8 @@ def test_the_site_builds_strictly_and_asks_nothing_of_a_network(tmp_path: Path) 
     assert len(html) > 20
     assert {file.name: found for file, text in html.items() if (found := _ASKED.findall(text))} == {}
     assert not [file for file, text in html.items() if 'class="mermaid"' in text]  # drawn by a script from a network
+    assert [found for file, text in html.items() if file.name != "404.html" for found in _missing(file, text)] == []
+    assert not [file for file, text in html.items() if '"provider":"mike"' in text.replace(" ", "")]  # versions.json
     styles = [file.read_text(encoding="utf-8") for file in tmp_path.rglob("*.css")]
     assert styles
     assert [found for text in styles for found in _ASKED_BY_STYLE.findall(text)] == []

@@ -104,8 +104,34 @@ def test_a_table_of_another_program_is_read(tmp_path: Path, text: str, column: s
 
 
 @pytest.mark.parametrize(
+    ("heading", "options"),
+    [
+        ("t;x", {"time_column": "t [ms]", "column": "x"}),
+        ("clock;x", {"time_column": "clock [ms]", "column": "x"}),
+        ("Zeit [ms];position", {"time_column": "Zeit"}),
+        ("t (ms);x", {"column": "x"}),
+        ("", {"time_column": "t [ms]"}),
+    ],
+)
+def test_a_column_and_the_unit_of_the_time_can_be_named(tmp_path: Path, heading: str, options: dict[str, str]) -> None:
+    rows = "".join(f"{8.0 * n};{0.001 * n}\n" for n in range(40))
+    motion = RecordedMotion(file=_table(tmp_path, f"{heading}\n{rows}".lstrip()), **options)
+    assert motion.rows[1] == pytest.approx((0.008, 0.001))
+    assert motion.end == pytest.approx(0.312)
+
+
+def test_milliseconds_without_a_unit_are_refused_and_seconds_of_keyframes_are_not(tmp_path: Path) -> None:
+    rows = [f"{8 * n};{0.001 * n}\n" for n in range(40)]
+    with pytest.raises(SceneError, match=r"column 't': got steps of 8 without .* as time_column: t \[ms\]"):
+        _scene(tmp_path, f"t;position\n{''.join(rows)}")
+    assert RecordedMotion(file=_table(tmp_path, f"t;position\n{''.join(rows[:9])}")).end == 64.0
+    assert RecordedMotion(file=_table(tmp_path, f"t [s];position\n{''.join(rows)}")).end == 312.0
+
+
+@pytest.mark.parametrize(
     ("text", "says"),
     {
+        "no time": ("frame,position\n0,1\n1,2\n", "the heading has: frame, position; name another by `time_column`"),
         "no column": ("time,place\n0,1\n1,2\n", "the heading has: time, place; name another by `column`"),
         "both points": ("time;position\n0;0.5\n1;1,5\n", "line 3: got '1;1,5', expected numbers"),
         "two columns": ("time,a.position,b.position\n0,1,1\n1,2,2\n", "a.position, b.position: name one by `column`"),

@@ -11,6 +11,7 @@ sample time costs nothing.
 
 import csv
 import math
+import re
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from hashlib import sha256
@@ -37,6 +38,8 @@ SPEED: Final = "hand_speed"
 _MOST_BYTES: Final = 50_000_000
 _FARTHEST: Final = 1e3  # [m or rad], as for every place of a hand
 _SECONDS: Final = Unit("s", "s")
+_MANY, _SLOW = 16, 0.5
+"""Rows of a table that a program recorded, and the step [s] that no recorder of a hand has."""
 _PLACES: Final = Unit("m", "rad")
 
 
@@ -80,6 +83,9 @@ class RecordedMotion(Parameters):
     column: PrintableText = "position"
     """Heading of the position column, or its end: `position` also finds `handle.position`, the measured one, rather
     than `true.handle.position`. With a unit, as in `x [mm]`, for a heading without one."""
+    time_column: PrintableText = ""
+    """Heading of the time column, with a unit as in `t [ms]` for a heading without one; by default `time`, `t` or
+    `timestamp`, in seconds. A long table whose steps would be half a second or more is refused without a unit."""
 
     _rows: tuple[tuple[float, float], ...] = ()
     _digest: str = ""
@@ -97,7 +103,8 @@ class RecordedMotion(Parameters):
             text = f"file: {self.file}: cannot be read ({error.strerror}): tried {folder} and {Path.cwd()}"
             raise ValueError(f"{text}; put the table into the current folder, or give its whole path") from error
         try:
-            self._rows = _rows_of(content.decode("utf-8-sig"), self.column, getattr(info.context, "motion", None))
+            text, motion = content.decode("utf-8-sig"), getattr(info.context, "motion", None)
+            self._rows = _rows_of(text, self.column, self.time_column, motion)
         except ValueError as error:
             raise ValueError(f"file: {self.file}: {error}") from error
         object.__setattr__(self, "file", path.resolve())  # found again from anywhere
@@ -161,11 +168,12 @@ class RecordedMotion(Parameters):
         return place + (following - place) * (time - start) / (stop - start)
 
 
-def _rows_of(text: str, column: str, motion: Any) -> tuple[tuple[float, float], ...]:
+def _rows_of(text: str, column: str, time_column: str, motion: Any) -> tuple[tuple[float, float], ...]:
     """Return the rows of a table: time from the first row [s], and position [m or rad].
 
     Raises:
-        ValueError: A column is missing, or a row is not numeric, out of range or not later than the row before.
+        ValueError: A column is missing, a row is not numeric, out of range or not later than the row before, or the
+            times are none of a hand in seconds and have no unit.
     """
     given = [line for line in text.splitlines() if line.strip()]
     separator = next((letter for letter in "\t;" if given and letter in given[0]), ",")
@@ -175,7 +183,9 @@ def _rows_of(text: str, column: str, motion: Any) -> tuple[tuple[float, float], 
     first = 2
     if len(heads) == 2 and all(_is_number(head.replace(point, ".")) for head in heads):
         lines, heads, first = csv.reader(text.splitlines(), delimiter=separator), ["time", column.partition("[")[0]], 1
-    (at, seconds), (of, places) = _time_column(heads), _column(heads, column, _PLACES, motion)
+        time_column = time_column and f"time {time_column[len(time_column.partition('[')[0]) :]}"
+    name = time_column or _time_name(heads)
+    (at, seconds), (of, places) = _column(heads, name, _SECONDS, None), _column(heads, column, _PLACES, motion)
 
     def numbers() -> Iterator[tuple[str, float, float]]:
         for number, cells in enumerate(lines, first):
@@ -186,7 +196,14 @@ def _rows_of(text: str, column: str, motion: Any) -> tuple[tuple[float, float], 
             except (ValueError, IndexError) as error:
                 raise ValueError(f"line {number}: got {separator.join(cells)[:60]!r}, expected numbers") from error
 
-    return checked_rows(numbers())
+    rows = checked_rows(numbers())
+    step = rows[-1][0] / (len(rows) - 1)
+    if len(rows) >= _MANY and step >= _SLOW and not re.search(r"[\[(]", f"{heads[at]}{time_column}"):
+        seen = (
+            f"column {heads[at].strip()!r}: got steps of {step:.3g} without a unit, which are too long for a hand in s"
+        )
+        raise ValueError(f"{seen}; write the unit into the heading, or as time_column: {heads[at].strip()} [ms]")
+    return rows
 
 
 def checked_rows(rows: Iterable[tuple[str, float, float]]) -> tuple[tuple[float, float], ...]:
@@ -217,10 +234,10 @@ def _is_number(text: str) -> bool:
         return False
 
 
-def _time_column(heads: list[str]) -> tuple[int, float]:
-    """Return the number of the column of the time, and the factor from its unit to SI."""
+def _time_name(heads: list[str]) -> str:
+    """Return the name of the column of the time."""
     titles = {head.replace("(", "[").partition("[")[0].strip().lower() for head in heads}
-    return _column(heads, next((name for name in _TIMES if name in titles), _TIMES[0]), _SECONDS, None)
+    return next((name for name in _TIMES if name in titles), _TIMES[0])
 
 
 def _column(heads: list[str], name: str, unit: Unit, motion: Any) -> tuple[int, float]:
@@ -235,7 +252,7 @@ def _column(heads: list[str], name: str, unit: Unit, motion: Any) -> tuple[int, 
     found = [place for place in found if not titles[place].startswith(_TRUE)] or found
     if len(found) != 1:
         why = f"{', '.join(titles[place] for place in found)}: name one by `column`" if found else f"no column {name!r}"
-        remedy = "" if found or name == "time" else "; name another by `column`"
+        remedy = "" if found else f"; name another by `{'time_column' if unit is _SECONDS else 'column'}`"
         raise ValueError(f"{why}; the heading has: {', '.join(heads)[:200] or 'nothing'}{remedy}")
     written = own_unit or parts[found[0]][2]
     factor = unit.read(f"1 {written}", motion) if written.strip() else 1.0
