@@ -12,7 +12,7 @@ from typing import Final
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.cli.long_command import notes, walls_first
-from canhaptic.cli.options import check_picture, require_new, scene_of
+from canhaptic.cli.options import check_page, check_picture, require_new, scene_of
 from canhaptic.errors import CanHapticError, ParameterError
 from canhaptic.host.stop_signal import StopSignal
 from canhaptic.result import RunResult
@@ -42,10 +42,9 @@ def execute(arguments: argparse.Namespace) -> int:
         elsewhere = logs_elsewhere(scene, energy=arguments.log is None, bus=arguments.bus_log is None)
         if not arguments.force:
             require_new(*filter(None, (energy_log, bus_log)))
-        if arguments.png is not None:
-            check_picture(arguments.png, arguments.force)
-            if energy_log is None:
-                energy_log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.h5"
+        _check_files(arguments)
+        if energy_log is None and (arguments.png or arguments.html):
+            energy_log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.h5"
         require_no_guesses(scene)
         _require_allowed(scene, most=inf if arguments.large_allowance else _LARGE)
         for text in chain(elsewhere, _preflight(scene)):
@@ -58,12 +57,8 @@ def execute(arguments: argparse.Namespace) -> int:
         stack.callback(experiment.close, "interrupted")  # by then closed already, unless a second signal came
         result, error = _run(experiment, arguments.duration or scene.run.duration, stop)
         _report(result, error, arguments)  # before the picture, whose disk may be full
-        if error is None and arguments.png is not None and energy_log is not None:
-            from canhaptic.logs.energy_reader import EnergyLog
-            from canhaptic.view.run_picture import draw_energy
-
-            with EnergyLog.open(energy_log) as log:
-                draw_energy(log, arguments.png)
+        if error is None and energy_log is not None:
+            _draw(energy_log, arguments)
         _note_buzz(energy_log, scene)
     for name, texts in result.get("remarks", {}).items():
         write_note(f"  {name}: {'; '.join(texts)}")
@@ -72,6 +67,31 @@ def execute(arguments: argparse.Namespace) -> int:
     if error is not None:
         return error.exit_status
     return stop.exit_status or (_NOT_PASSIVE if arguments.strict and _fails(result) else 0)
+
+
+def _check_files(arguments: argparse.Namespace) -> None:
+    if arguments.png is not None:
+        check_picture(arguments.png, arguments.force)
+    if arguments.html is not None:
+        check_page(arguments.html, arguments.force)
+
+
+def _draw(energy_log: Path, arguments: argparse.Namespace) -> None:
+    """Draw the picture and write the page that were asked for, from the log of the run."""
+    if arguments.png is None and arguments.html is None:
+        return
+    from canhaptic.logs.energy_reader import EnergyLog
+
+    with EnergyLog.open(energy_log) as log:
+        if arguments.png is not None:
+            from canhaptic.view.run_picture import draw_energy
+
+            draw_energy(log, arguments.png)
+        if arguments.html is not None:
+            from canhaptic.audit.inspection import inspect
+            from canhaptic.view.html_page import write_html
+
+            write_html(log, arguments.html, inspect(log))
 
 
 def _note_buzz(energy_log: Path | None, scene: Scene) -> None:
@@ -162,7 +182,8 @@ def _report(result: RunResult, error: CanHapticError | None, arguments: argparse
             write_json(result)
     if error is not None:
         write_failure(error)
-    files = {"energy log": arguments.log, "bus log": arguments.bus_log, "picture": None if error else arguments.png}
+    files = {"energy log": arguments.log, "bus log": arguments.bus_log, "picture": None if error else arguments.png,
+             "page": None if error else arguments.html}  # fmt: skip
     for what, path in files.items():
         if path is not None:
             note_file(what, path)

@@ -48,6 +48,33 @@ def test_every_command_shows_an_example_and_its_exit_statuses(capsys: pytest.Cap
         assert "2 bad input" in shown
 
 
+NO_RESULT = {"new", "scope", "touch", "drive", "evidence"}
+"""Commands that print a scene or an address, or write their JSON into a folder."""
+NO_LENGTH = {"check", "touch", "design", "inspect", "replay"}
+"""Commands with a scene that run nothing, or as long as a person, a search or a recording takes."""
+
+
+def test_an_option_is_where_a_person_expects_it() -> None:
+    """--json, --png, --html, --set and --duration, of a command and of its modes together."""
+    for name in COMMANDS:
+        sections = [name, *table()[name].get("modes", {}).values()]
+        has = {option for section in sections for option in table()[section].get("arguments", {})}
+        assert ("--png" in has) == ("--html" in has), name
+        assert ("--json" in has) == (name not in NO_RESULT), name
+        if "config" in has:
+            assert "--set" in has, name
+            assert ("--duration" in has) == (name not in NO_LENGTH), name
+
+
+def test_a_run_and_a_comparison_write_their_page(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    assert main(["run", "demo", "--duration", "0.05", "--html", str(page)]) == 0
+    assert "energy account" in page.read_text(encoding="utf-8")
+    words = ["compare", "demo", "--duration", "0.05", "--algorithms", "unprotected", "--html", str(page)]
+    assert main(words) == 0
+    assert "passive, by the plant" in page.read_text(encoding="utf-8")
+
+
 def test_an_abbreviated_mode_is_refused_and_not_left_out(capsys: pytest.CaptureFixture[str]) -> None:
     for words in (["check", "demo", "--hos"], ["commission", "demo", "--hom"], ["commission", "demo", "--node", "5"]):
         with pytest.raises(SystemExit):

@@ -6,7 +6,7 @@ from canhaptic.cli.options import scene_of
 from canhaptic.errors import InputError
 from canhaptic.lab.commands.results import check_files, show, write_files
 from canhaptic.lab.loop.axis_loop import cycles_of
-from canhaptic.lab.render.comparison import comparison_report, draw_comparison
+from canhaptic.lab.render.comparison import comparison_report, draw_comparison, write_comparison_page
 from canhaptic.lab.studies.compare import are_displays, compare, compared_algorithms
 from canhaptic.scene.method import plant_errors
 from canhaptic.view.terminal import run_progress, write_note
@@ -37,5 +37,9 @@ def execute(arguments: argparse.Namespace) -> int:
             engine=arguments.engine, progress=progress,
         )  # fmt: skip
     show(arguments, comparison.result, lambda: comparison_report(comparison.result))
-    write_files(arguments, png=lambda path: draw_comparison(comparison, path))
+    write_files(
+        arguments,
+        png=lambda path: draw_comparison(comparison, path),
+        html=lambda path: write_comparison_page(comparison, path),
+    )
     return 0

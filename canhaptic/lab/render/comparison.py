@@ -10,6 +10,8 @@ instead of flattening the others.
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -29,6 +31,7 @@ from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.compare import AxisComparison, Comparison
 from canhaptic.quantities import ACCOUNT, SUMMARY, TRUTH, QuantityRow
 from canhaptic.view import picture_style as style
+from canhaptic.view.html_page import picture, words, write_page
 from canhaptic.view.picture_style import ALARM, GREEN
 from canhaptic.view.run_lines import rests_on
 from canhaptic.view.series import decimate
@@ -51,6 +54,21 @@ def comparison_report(result: _Account) -> RenderableType:
         ranked = [_ranking(part)] if rows is _ROWS and len(part["algorithms"]) > 1 else []
         parts += [Text(f" {title}"), _table(part, rows), *ranked, *_remarks(part)]
     return Group(*parts)
+
+
+def write_comparison_page(comparison: Comparison, path: Path) -> None:
+    """Write a comparison as one self-contained page: the picture of axes outside groups, and all tables.
+
+    Raises:
+        InputError: matplotlib is not installed, or the page cannot be written.
+    """
+    result = comparison.result
+    parts: list[str | Table] = [words(_heading(result).plain.strip())]
+    if any(map(_drawn, comparison.axes)):
+        parts.append(picture(partial(draw_comparison, comparison), "comparison"))
+    for title, part, rows in _parts(result):
+        parts += [replace(_table(part, rows), title=title), words(*(line.plain for line in _remarks(part)))]
+    write_page(path, f"{scene_title(result['scene'])} - comparison", parts)
 
 
 def _parts(result: _Account) -> Iterator[tuple[str, _Account, tuple["_Row", ...]]]:
