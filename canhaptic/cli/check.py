@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
 
-from canhaptic.axis_units import counted, si
+from canhaptic.axis_units import counted, si, stiffness_unit
 from canhaptic.cli.check_eds import WORDS
 from canhaptic.cli.long_command import unguarded
 from canhaptic.cli.options import scene_of
@@ -26,7 +26,14 @@ from canhaptic.host.realtime import GRANTED, Realtime
 from canhaptic.quantities import with_old_names
 from canhaptic.scene import hints as limits
 from canhaptic.scene.build import build, require_buildable
-from canhaptic.scene.first_contact import FELT, advice, halves_rendered, kept_through_losses, slowest_felt
+from canhaptic.scene.first_contact import (
+    FELT,
+    advice,
+    felt_stiffness,
+    halves_rendered,
+    kept_through_losses,
+    slowest_felt,
+)
 from canhaptic.scene.hints import guarantee
 from canhaptic.scene.method import dear_holds
 from canhaptic.scene.models import AxisScene, Guess, Scene, refused_values, status_text, values_to_set
@@ -142,6 +149,18 @@ _USUAL: Final = 0.01
 """Speed at which the two flanks of a detent are judged, as a fraction of the axis's largest speed."""
 
 
+def _felt(axis: AxisScene) -> float | None:
+    """Return the stiffness that a leaning hand feels [N/m or N*m/rad]; None where the wall is no spring."""
+    found = felt_stiffness(axis)
+    return None if found is None else found[0]
+
+
+def _leant(axis: AxisScene) -> str:
+    """Return in words which stiffness a leaning hand feels; "" where the wall is no spring."""
+    found, unit = felt_stiffness(axis), stiffness_unit(axis.parameters.unit)
+    return f"; leaned on, it is felt as {si(found[0], unit, 3)} of {si(found[1], unit, 3)}" if found else ""
+
+
 class _CheckFindings(NamedTuple):
     """Findings of `check`."""
 
@@ -173,7 +192,7 @@ class _CheckFindings(NamedTuple):
         lost = self._under_losses(axis, max(speed, self.felt[name]))
         felt = f"is felt (half of its force or more) at approach speeds above {self.felt[name]:.2g} {unit}"
         what = "notch" if axis.environment.name == "detents" else "wall"
-        return f"the {what}{at} {felt}{both}{lost}"
+        return f"the {what}{at} {felt}{both}{lost}{_leant(axis)}"
 
     def _under_losses(self, axis: AxisScene, speed: float) -> str:
         """Return in words how much force of a pressed wall remains if frames are lost; "" if no losses are declared."""
@@ -223,6 +242,7 @@ def _as_json(found: _CheckFindings) -> dict[str, Any]:
         "fitness": fitness,
         "guarantee": {axis.parameters.name: guarantee(axis, hints) for axis in scene.axes},
         "felt_from": felt,  # infinite: null
+        "felt_stiffness": {name: _felt(scene.axis(name)) for name, speed in felt.items() if speed < inf},
         "config_hash": None if scene.unread else scene.config_hash(),  # it holds the defaults of own code
         "unread": list(scene.unread),
         "to_set": [guess._asdict() for guess in values_to_set(scene)],

@@ -7,7 +7,7 @@ least. Positions are encoder readings, and torques act in the declared hold; pla
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from math import inf
+from math import copysign, inf, sin, tau
 from random import Random
 from typing import Any, Final, NamedTuple, cast
 
@@ -26,6 +26,14 @@ _MOST: Final = 600
 """Largest number of holds of one contact."""
 _PRESS: Final = 1.0
 """Duration of a press on the wall with lost frames [s]."""
+_MET: Final = 0.03
+"""Speed at which a leaning hand meets the wall, as a fraction of the largest."""
+_LEANS: Final = 1000
+"""Number of holds of the lean by which a stiffness is judged."""
+_TREMOR: Final = 0.1
+"""Part of its force by which a leaning hand trembles."""
+_TREMBLES: Final = 8.0
+"""Times that it does so meanwhile."""
 _LOST: Final = (0.001, 0.003, 0.01, 0.03, 0.1)
 """Fractions of lost frames that are tried."""
 _PHASE: Final = 0.37
@@ -264,6 +272,38 @@ def kept_through_losses(axis: AxisScene, speed: float) -> list[tuple[float, floa
     """
     trial = _trial(axis, speed)
     return [(share, _share_pressed(trial, share)) for share in _LOST]
+
+
+def felt_stiffness(axis: AxisScene) -> tuple[float, float] | None:
+    """Return the stiffness that a leaning hand feels, and that of the wall [N/m or N*m/rad]; None for no spring.
+
+    The hand meets the wall at `_MET` of the largest speed and leans on it for `_LEANS`, with up to `LEAN` of the torque
+    limit, and not beyond `hand_push`. Mass, friction and counts are those declared.
+
+    Args:
+        axis: Axis for which `can_be_tried` is true.
+    """
+    environment, loop, limit = _environment(axis), axis.loop, axis.parameters.torque_limit
+    asked, mass, (start, sign) = environment.linear_stiffness, loop.moving_mass, _inward(environment) or (0.0, 1.0)
+    if not asked or mass is None:
+        return None
+    push = min(LEAN * limit, getattr(axis.passivity.parameters, "hand_push", None) or limit) / (1.0 + _TREMOR)
+    controller, step, count = build_axis_controller(axis), loop.sample_time / mass, loop.encoder_count
+    queue, velocity = [0.0] * (1 + loop.delay), _MET * sign * axis.parameters.largest_speed
+    kept, braked = 1.0 + step * 2.0 * (push * mass * asked) ** 0.25, step * (loop.device_friction or 0.0)
+    position, force, area = start - _OUTSIDE * loop.sample_time * velocity, 0.0, 0.0
+    for hold in range(-_OUTSIDE, _LEANS):
+        seen = count * round(position / count) if count else position
+        queue.append(max(-limit, min(limit, controller.step(seen, queue[0]).torque)))
+        del queue[0]
+        if hold >= 0:
+            hand = sign * push * (1.0 + _TREMOR * sin(_TREMBLES * tau * hold / _LEANS))
+            velocity = (velocity + step * (queue[0] + hand)) / kept
+            velocity = copysign(max(0.0, abs(velocity) - braked), velocity)
+        position += velocity * loop.sample_time
+        if 2 * hold > _LEANS and (depth := sign * (position - start)) > 0.0:
+            force, area = force - sign * queue[0] * depth, area + depth * depth
+    return (force / area if area else 0.0), asked
 
 
 @lru_cache(maxsize=_KEPT)

@@ -197,7 +197,8 @@ def test_check_prints_configuration_bus_drives_stability_and_host(capsys: Captur
     statuses = "Simulation: ready. Hardware: 8 values to set; "
     felt = "the wall is felt (half of its force or more) at approach speeds above 0.0015 m/s"
     first = out[: out.index("\nscene (checksum ")].replace("\n    ", "")
-    assert first == f"{statuses}{felt}, 1 drive is usable, bus load 28 %"
+    leant = "; leaned on, it is felt as 101 N/m of 100 N/m"
+    assert first == f"{statuses}{felt}{leant}, 1 drive is usable, bus load 28 %"
     for words in ("1 SYNC x 55 + 1 TPDO x 135", "0x6071 target torque", "Colgate", "processors"):
         assert words in out
     assert "stiffness: 100.0" not in out

@@ -15,6 +15,7 @@ from canhaptic.scene.first_contact import (
     advice,
     can_be_tried,
     enough_allowance,
+    felt_stiffness,
     halves_rendered,
     is_felt,
     kept_through_losses,
@@ -26,8 +27,10 @@ from canhaptic.scene.first_contact import (
 from canhaptic.scene.hints import LARGEST_ADVISED, advised_allowance, guarantee, stability_hints
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import AxisScene
+from tools.felt_grid import HANDS, LEAST, felt, sets_of, worst_of
 
 CONFIGS = Path(__file__).parents[2] / "configs"
+PREMIUM = CONFIGS / "published" / "phantom_premium_15.yaml"
 LATE = ["environment.stiffness=1000", "passivity.current_lag=2 ms"]
 
 
@@ -140,8 +143,9 @@ def test_a_wall_that_was_not_reached_is_no_contact_and_keeps_strict(capsys: pyte
     assert main(["run", scene, "--duration", "0.2", "--pace", "free", "--strict"]) == 0
     assert capsys.readouterr().out.startswith(" handle: no contact: the handle stayed between 0 m and ")
     assert main(["check", scene]) == 0
-    assert "; the wall is felt (half of its force or more) at approach speeds above 0.0015 m/s, " in " ".join(
-        capsys.readouterr().out.split()
+    assert (
+        "; the wall is felt (half of its force or more) at approach speeds above 0.0015 m/s; leaned on, it is felt as "
+        in " ".join(capsys.readouterr().out.split())
     )
 
 
@@ -272,3 +276,27 @@ def test_a_contact_is_kept_for_its_own_loop_algorithm_limits_and_speed_alone(mon
     monkeypatch.setattr(first_contact, "_holds", lambda axis, speed: iter(()))
     assert rendered_share(axis(), 0.2) == share > 0.0
     assert rendered_share(axis(), 0.21) == 0.0
+
+
+@pytest.mark.parametrize(("count", "most"), [(1e-5, 8e3), (1e-6, 3e4)])
+def test_asking_for_more_is_felt_as_no_less(count: float, most: float) -> None:
+    """Of what is asked up to 30 kN/m, with dry friction that sustains 4 kN/m at 10 um and 40 kN/m at 1 um."""
+    found = []
+    for asked in (5e3, 3e4):
+        scene = load_scene(PREMIUM, sets_of(HANDS["tip"], asked, count, 1000.0))
+        felt = felt_stiffness(scene.axes[0])
+        assert felt is not None
+        assert felt[1] == asked
+        found.append(felt[0])
+    assert found[0] == pytest.approx(5e3, rel=0.03)
+    assert found[1] > 0.9 * most
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize(("hand", "rate"), [("tip", 1000.0), ("firm", 250.0), ("tip", 250.0)])
+def test_asking_for_more_gives_no_less_after_long_leaning(hand: str, rate: float) -> None:
+    pytest.importorskip("numba")
+    found = [felt(HANDS[hand], asked, 1e-5, rate) for asked in (5e3, 1e4, 3e4, 1e5)]
+    assert worst_of(found) >= LEAST
+    assert found[-1] > 7e3

@@ -193,7 +193,8 @@ class GuardedParameters(Parameters):
     earned_energy: Annotated[float, quantity("J", ge=0.0)] | None = None
     """Largest energy kept for later contacts, so that a contact under a hand force starts at any speed: energy received
     beyond what is stored, or dissipated by the device. sum(h_i) stays >= 0. None: as much as the environment needs for
-    that under the declared `hand_force`; in a group, none. 0: no energy is kept."""
+    that under the declared `hand_force`, and 2000 f_c count, which a hand's tremor may use up; in a group, none. 0: no
+    energy is kept."""
     drag: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
     """Largest braking force in free motion, until `earned_energy` is stored; 0: none. In free motion too, the hand has
     to pull away from the environment with no more than `hand_force`."""
@@ -224,6 +225,7 @@ class GuardedSettings:
     calm_stiffness: float  # of the energy-permitted spring; 0 without a hand force [N/m or N*m/rad]
     damped_stiffness: float  # of the same, by the damping of the device; 0 where it is not declared
     sustained: float  # stiffness that dry friction sustains with this encoder; 0: not used [N/m or N*m/rad]
+    driven: float  # speed inward from which a hold brings in more than the encoder leaves uncertain [m/s or rad/s]
     path: float  # of the hand in the holds that a torque takes; 0 without a hand speed [m or rad]
     prediction: PredictionSettings
     longest_window: int  # of the velocity, in samples; 0 with an ideal encoder
@@ -288,11 +290,21 @@ def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> Gu
         calm_stiffness=calm if by_hand_force else 0.0,
         damped_stiffness=damped,
         sustained=scalar_bounds.sustained_by_friction(loop.device_friction or 0.0, loop.encoder_count),
+        driven=_DRIVEN * loop.encoder_count / sample_time,
         path=speed * sample_time * (1 + loop.delay),
         prediction=prediction_settings(loop, PREDICTION_HOLDS + late),
         longest_window=max(2, round(_LONGEST_WINDOW / sample_time)) if loop.encoder_count else 0,
         declared=declared_of(parameters, loop, response),
     )
+
+
+_DRIVEN: Final = 4.0
+"""Counts that a hold moves inward, from which the energy that comes in exceeds what the encoder leaves uncertain."""
+_LEANT: Final = 0.125
+"""Part of the torque limit for a spring of which energy is kept, where dry friction is declared."""
+_SWINGS: Final = 1000
+"""Times that a hand in tremor may cross a count, for which energy is kept: at twice the stiffness that friction
+sustains each costs 2 f_c times the count, and a wall that has lost it gets softer for good."""
 
 
 def kept_for_contacts(
@@ -303,7 +315,7 @@ def kept_for_contacts(
     If not declared, it is the energy for a spring of the environment's stiffness, or of the steepest slope of a sum (N4
     of `docs/theory/sums.md`). A stiffness above half of what the
     certificate permits at the largest force, or an environment that is no spring, counts as that half. This allows any
-    contact up to a push of half the hand's pull.
+    contact up to a push of half the hand's pull. What a hand's tremor over counts may use up is kept as well.
 
     Raises:
         ParameterError: `drag` is set, but the energy kept is 0.
@@ -315,6 +327,10 @@ def kept_for_contacts(
         holds = loop.delay + parameters.max_consecutive_losses
         half = 0.5 * scalar_bounds.renderable_by_hand_force(response, holds, _LARGEST)
         kept = scalar_bounds.start_energy(response, holds, half if stiffness is None else min(stiffness, half))
+    if parameters.earned_energy is None and stiffness != 0.0:
+        tremor = _SWINGS * 2.0 * (loop.device_friction or 0.0) * loop.encoder_count
+        leaning = 0.5 * (_LEANT * (loop.torque_limit or 0.0)) ** 2 / calm_stiffness_of(loop) if tremor else 0.0
+        kept = (kept or 0.0) + max(tremor, leaning)
     if parameters.drag > 0.0 and not kept:
         raise ParameterError(
             f"guarded: got drag {parameters.drag:g} with earned_energy 0, expected more than 0: the drag acts "
@@ -539,7 +555,7 @@ def render(
     depth, damping = of_sum(environment, settings, true, spring, ceiling) if settings.by_place else (
         abs(true), settings.damping
     )  # fmt: skip
-    softer = softened(settings, spring, depth)
+    softer = softened(settings, spring, depth) if settings.sustained else 1.0
     spring, lead = spring * softer, lead * softer
     spring, lead, damper, covered = efforts(run, depth, spring, lead, ahead, velocity, damping, energy, ceiling)
     rendered = damper / velocity if velocity != 0.0 else damping
@@ -659,11 +675,13 @@ def efforts(
     permitted = 2.0 * settings.calm_stiffness * energy
     if not settings.declared.by_hand_force_alone:
         permitted = energy_permitted(settings, bound, spring + lead + damper, energy, ceiling)
-        if settings.sustained > 0.0:
+        if settings.sustained > 0.0 and (velocity * spring <= 0.0 or speed < settings.driven):
             soft, further = soft_and_further(settings, bound, size, depth, energy)
             if soft + further < size:  # all of it would use up what the soft spring lives on
                 permitted = min(permitted, (soft + further) * (soft + further))
-                room, led = min(room, further), min(led, further)
+                room = min(room, further)
+                # A lead that takes torque away costs nothing: without it a spring gives out
+                led = min(led, further) if lead * spring > 0.0 else led
     covered = permitted >= size * size
     if not covered:
         held = sqrt(permitted) if permitted > 0.0 else 0.0
@@ -784,6 +802,8 @@ def step(environment: Environment, run: GuardedRun, position: float, torque_appl
         take_stretch(environment, settings, state.bound, position, true)
         look_for_turn(settings.declared, state.bound, memory.bound, displacement, holds)
     ceiling = environment.stored_energy(true) if zone else 0.0
+    if settings.sustained > 0.0 and not settings.by_place:  # of what is requested at most, as `softened` does
+        ceiling = min(ceiling, 0.5 * _DITHERED * settings.sustained * true * true)
     h_i, h_pas = -torque_applied * displacement - uncertainty, modulated * displacement  # eq. 2
     h_r, deficit, leak, paid = book(run, h_i, h_pas, damper * displacement, ceiling)
     if zone:
