@@ -25,13 +25,14 @@ from tools.bench.truth import (
     fault_table,
     is_false,
     outcome_of,
+    outcome_of_sum,
     outcome_with_fault,
     outcome_with_stop,
     run_all,
     table_of,
 )
 from tools.truth.faults import with_fault
-from tools.truth.judge import Outcome, _false_claims, judged
+from tools.truth.judge import TOUCH, Outcome, _false_claims, judged
 from tools.truth.known_ways import WAYS, is_closed, row_of
 from tools.truth.scenes import TruthScene, random_scene
 
@@ -200,9 +201,19 @@ def test_scenes_name_every_effect_environment_limit_algorithm_and_declaration():
     assert of["effect"] == set(EFFECTS)
     assert of["environment"] == set(ENVIRONMENTS) - {"free_space"}  # nothing is touched there
     assert of["algorithm"] == {*ALGORITHMS, "step_scaling"}
+    assert {tag for tag in named if tag.startswith("sum:")} == {"sum:2", "sum:3", "sum:4", "sum:networks"}
     from_the_scene = {"sync_jitter", "torque_window", "current_lag", "delay", "sample_time"}
     assert keys >= GuardedParameters.model_fields.keys() | set(LOOP_KEYS) - from_the_scene
     assert keys >= {"torque_limit", "torque_rate_limit", "power_limit", "read_back", "demand_reported", "direction"}
+
+
+@pytest.mark.parametrize("scenes", [12, pytest.param(150, marks=pytest.mark.slow)])
+def test_an_account_of_a_sum_claims_nothing_that_the_plant_denies(scenes: int) -> None:
+    outcomes = [outcome_of_sum(seed) for seed in range(scenes)]
+    assert {o.seed: o.false_claims for o in outcomes if is_false(o)} == {}
+    sums = [outcome for outcome in outcomes if any(tag.startswith("sum:") for tag in outcome.tags)]
+    assert len(sums) > 0.6 * scenes
+    assert sum(outcome.peak > TOUCH for outcome in sums) > 0.5 * len(sums)
 
 
 def test_faults_of_bus_drive_and_host_leave_no_false_claim_either():

@@ -10,6 +10,7 @@ from canhaptic.audit.inspection import walls_of
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.unprotected_group import UnprotectedGroup
 from canhaptic.errors import SceneError
+from canhaptic.lab.batch.cases import why_not_batchable
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
@@ -68,6 +69,13 @@ REFUSED = {
 def test_a_fault_in_a_list_names_its_place(override):
     with pytest.raises(SceneError, match=REFUSED[override]):
         load_scene(KNOB, [override])
+
+
+def test_a_sweep_says_why_no_compiled_loop_renders_a_sum():
+    assert (
+        why_not_batchable(load_scene(KNOB))
+        == f"environment {' + '.join(PARTS)} is a sum, which no compiled loop renders"
+    )
 
 
 def test_a_display_renders_no_sum():

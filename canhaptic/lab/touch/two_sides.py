@@ -17,6 +17,7 @@ from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParamete
 from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
+from canhaptic.control.multi_axis.unprotected_group import UnprotectedGroupParameters
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.guided_path import GuidedPath
 from canhaptic.errors import InputError
@@ -361,7 +362,9 @@ def _plane(scene: Scene, name: str) -> TouchScene:
         for axis, port in zip(of_side, side.axes, strict=True)
     ]
     guarded = GroupScene(name, sides[1].axes, group.kinematics, group.network, group.passivity)
-    unprotected = replace(guarded, name=PLAIN, axes=sides[0].axes, passivity=ComponentSpec(PLAIN, DamperVelocity()))
+    unprotected = replace(
+        guarded, name=PLAIN, axes=sides[0].axes, passivity=ComponentSpec(PLAIN, UnprotectedGroupParameters())
+    )
     groups = (unprotected, guarded) if paths else (guarded,)
     mechanisms = tuple(_held(of, members, side) for side in sides)
     hand = of.hand or TaskHand()

@@ -168,3 +168,31 @@ def test_a_placed_hand_in_a_plane_is_a_hand_at_rest_there() -> None:
             motion.advance_to((k + 1) * 1_000_000, (0.3, -0.1))
     assert placed.handle == pytest.approx(resting.handle, abs=1e-15)
     assert placed.energy(0) == pytest.approx(resting.energy(0), rel=1e-11)
+
+
+def test_a_knob_shows_its_notches_and_its_stops_and_has_a_slider_for_each_value_of_a_part() -> None:
+    touched = two_sides(load_scene("knob_with_stops"))
+    (_, first_stop), (second_stop, _) = touched.solid
+    assert (first_stop, second_stop) == pytest.approx((-math.pi / 4.0, math.pi / 4.0))
+    assert touched.notches == pytest.approx((0.0, math.pi / 12.0))
+    keys = {slider.key: slider.title for slider in touched.sliders}
+    assert keys["environment.0.pitch"] == "detents: pitch"
+    assert keys["environment.1.stiffness"] == "two_sided_wall: stiffness"
+    assert len(keys) == 6
+    for key, value in ((slider.key, slider.value) for slider in touched.sliders):
+        load_scene("knob_with_stops", [f"{key}={value}"])
+
+
+def test_a_path_in_a_box_is_rendered_whole_on_both_sides() -> None:
+    touched = two_sides(load_scene("path_in_a_box"))
+    assert [group.network.name for group in touched.scene.groups] == ["box + guided_path"] * 2
+    assert [group.passivity.name for group in touched.scene.groups] == ["unprotected", "guarded"]
+    assert touched.solid == ((-0.03, 0.03), (-0.02, 0.02))
+    assert touched.path[1] == (0.0, 0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["knob_with_stops.yaml", "wall_in_water.yaml", "path_in_a_box.yaml"])
+def test_a_sum_under_its_guard_gives_no_energy_out(name: str) -> None:
+    port = "stage" if name.startswith("path") else "guarded"
+    assert touched_by_a_sine(name, 1500)[port] >= -2.1e-5  # the knob's allowance
