@@ -24,6 +24,7 @@ from canhaptic.sim.drive.ethercat.drive_node import ClockParameters, EthercatDri
 ESI: Final = Path(__file__).resolve().parents[2] / "eds" / "ethercat_servo.xml"
 _SETTLED: Final = 3.0
 _PPB: Final = 1e9
+_PERIODS_WATCHED: Final = 10
 _EPOCH: Final = 123_456_789  # [ns] by which the local times of neighbouring drives differ
 
 
@@ -48,7 +49,8 @@ class TwinExperiment(Experiment):
         self.clock = clock = VirtualClock((self.far_side,))
         self.far_side.use(clock)
         shared = {key: getattr(scene.bus, key) for key in CycleParameters.model_fields}
-        bus = EthercatBusParameters(**shared, type="ethercat", frames=frames)
+        watchdog = max(0.01, _PERIODS_WATCHED * scene.bus.sample_time)
+        bus = EthercatBusParameters(**shared, type="ethercat", frames=frames, watchdog=watchdog)
         self.line = EthercatBusCycle(ThinMaster(self.far_side, clock), clock, bus)
         axes = [self._axis(axis, n) for n, axis in enumerate(scene.axes)]
         for axis, of in zip(axes, scene.axes, strict=True):

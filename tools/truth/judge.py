@@ -13,7 +13,7 @@ after any hold, by the resolution of that hold: the account is judged at every m
 """
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from math import inf
 from typing import Any, Final
@@ -24,6 +24,7 @@ from canhaptic.errors import CanHapticError
 from canhaptic.result import RunResult, run_result
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import scene_from_mapping
+from canhaptic.scene.models import Scene
 from tools.truth.faults import FaultWatch
 from tools.truth.hand_watch import HandWatch
 from tools.truth.loss_watch import LossWatch
@@ -115,12 +116,24 @@ class Outcome:
         return cls(**plain)
 
 
-def judged(scene: TruthScene) -> tuple[TruthScene, Outcome]:
+Make = Callable[[Scene], Experiment]
+"""Builds a scene."""
+
+
+def _on_its_bus(scene: Scene) -> Experiment:
+    return build(scene, "free")
+
+
+def judged(scene: TruthScene, make: Make = _on_its_bus) -> tuple[TruthScene, Outcome]:
     """Returns the scene with its declarations raised to what hand and bus did, and the outcome of its run.
 
     Losses of the bus are declared up to `_MOST_LOSSES`.
+
+    Args:
+        scene: The scene.
+        make: Builds it.
     """
-    outcome, watch = _run(scene)
+    outcome, watch = _run(scene, make)
     survives = scene.promises and "drive:after_update" not in scene.tags  # refused there
     for _ in range(_TRIES):
         more_losses = survives and outcome.declared_losses < outcome.losses <= _MOST_LOSSES
@@ -129,7 +142,7 @@ def judged(scene: TruthScene) -> tuple[TruthScene, Outcome]:
         scene = _with_true_hand(scene, watch)
         if more_losses:
             scene.passivity["max_consecutive_losses"] = outcome.losses
-        outcome, watch = _run(scene)
+        outcome, watch = _run(scene, make)
     return scene, outcome
 
 
@@ -148,11 +161,11 @@ def _of_hand(watch: HandWatch) -> dict[str, float]:
     return {"hand_force": max(watch.pull), "hand_push": max(watch.push), "hand_speed": max(watch.speed)}
 
 
-def _run(scene: TruthScene) -> tuple[Outcome, HandWatch | None]:
+def _run(scene: TruthScene, make: Make) -> tuple[Outcome, HandWatch | None]:
     """Returns what a run came to, and who watched its hand; None where the scene was refused."""
     try:
         loaded = checked_holds(scene_from_mapping(scene.values, SOURCE), lambda text: None, lambda: False)
-        experiment = build(loaded, "free")
+        experiment = make(loaded)
     except CanHapticError as error:
         return _refused(scene, str(error)), None
     status, text = "completed", ""

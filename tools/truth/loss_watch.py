@@ -26,6 +26,9 @@ class LossWatch:
         far: Any = experiment.far_side
         self._taken = [0] * len(far.drives)
         for place, drive in enumerate(far.drives):
+            if hasattr(drive, "image"):  # on EtherCAT
+                drive.image.take = self._counting_outputs(place, drive.image.take)
+                continue
             for pdo in drive._process_data._rpdos:  # noqa: SLF001 - the drive itself, not what the rig believes
                 pdo.load = self._counting(place, pdo.load)
         grouped = [group.axes for group in experiment.cycle.groups]
@@ -56,5 +59,12 @@ class LossWatch:
         def count(content: Any) -> None:
             self._taken[place] += 1
             load(content)
+
+        return count
+
+    def _counting_outputs(self, place: int, take: Callable[[Any], None]) -> Callable[[Any], None]:
+        def count(outputs: Any) -> None:
+            self._taken[place] += outputs is not None
+            take(outputs)
 
         return count
