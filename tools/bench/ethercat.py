@@ -1,0 +1,262 @@
+"""Is a scene on EtherCAT the same scene, with the same account, as on CAN, and what does it cost?
+
+Simulated drives down to the bytes, in virtual time. Rows: one scene on both buses; the hold in which a torque acts
+against the one that the account uses; three counts of held torques; random scenes judged by the plant's own energy
+(kept in `ethercat_truth_runs.jsonl`, so that the same command goes on where it was stopped); the phase lock; processor
+time of a cycle against CAN; a replay; mutated frames; and the size. `--quick` does a hundredth of the campaigns.
+"""
+
+import argparse
+import os
+import random
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from time import process_time
+from typing import Any, Final
+
+from canhaptic.cycle import run
+from canhaptic.drive.ethercat.phase_lock import PhaseLock
+from canhaptic.logs.frame_log import LoggedFrame, RecordedLine, RecordingLine, ReplayDepartureError
+from canhaptic.scene.build import Experiment, build
+from canhaptic.scene.load import load_scene
+from tests.drive.ethercat.rig_bench import Bench
+from tests.sim_drive.ethercat_fuzz import attack_drives, attack_master
+from tests.sim_drive.test_ethercat_counts import KINDS, isolated, line_with, obeys
+from tools.bench.demo import CONFIG, IN_CONTACT, demo_of
+from tools.bench.report import Row, kept_folder, publish
+from tools.kept_runs import run_kept
+from tools.truth.ethercat import outcome_of
+from tools.truth.ethercat_twin import TwinExperiment
+
+_ROOT: Final = Path(__file__).resolve().parents[2]
+_CYCLES: Final = 10_000
+_NS: Final = 1_000_000  # [ns]
+_PPM: Final = (-100, -50, -10, 0, 10, 50, 100)
+_LONG: Final = 20_000  # cycles of the isolated faults
+_SEEDS: Final = 200
+_SCENES: Final = 2_000
+_FRAMES: Final = 1_000_000
+_ANSWERS_A_RUN: Final = 120  # of the attack on the master, about
+_PRODUCT: Final = ("canhaptic/drive/ethercat", "canhaptic/sim/drive/ethercat", "canhaptic/canopen/esi.py",
+                   "canhaptic/logs/frame_log.py")  # fmt: skip
+_RATIO: Final = 1.5
+_WITHIN: Final = 50  # cycles
+_LINES: Final = 2_700
+
+
+def _run(experiment: Experiment, cycles: int) -> tuple[list[tuple[float, ...]], list[float]]:
+    torques, rig = list[tuple[float, ...]](), experiment.rig
+    write = rig.write_torques
+
+    def noted(given: Any) -> None:
+        torques.append(tuple(given))
+        write(given)
+
+    setattr(rig, "write_torques", noted)  # noqa: B010
+    with experiment:
+        run(experiment.cycle, cycles)
+        far: Any = experiment.far_side
+        return torques, [energy for drive in far.drives for energy in drive.truth().energy]
+
+
+def same_scene(cycles: int) -> Iterator[Row]:
+    """Yields the differences of one scene on both buses."""
+    scene = load_scene(CONFIG, IN_CONTACT)
+    can, ethercat = _run(build(scene, "free"), cycles), _run(TwinExperiment(scene), cycles)
+    differing = sum(one != other for one, other in zip(can[0], ethercat[0], strict=True))
+    apart = max(abs(one - other) for one, other in zip(can[1], ethercat[1], strict=True))
+    yield Row("same_scene: torques that differ in a bit", differing, "", target="0", met=differing == 0)
+    yield Row("same_scene: largest difference of an energy", apart, "J", target="<= 1e-12", met=apart <= 1e-12)
+
+
+def delay() -> Iterator[Row]:
+    """Yields how often the hold in which a torque acts is the one that the account uses."""
+    agree = 0
+    for frames in (1, 2):
+        for pipeline, quirks in enumerate(((), ("acts_a_sync_late",), ("acts_two_syncs_late",))):
+            bench = Bench(frames=frames, drive={"syncs_late": pipeline}, axis={"quirks": quirks})
+            bench.rig.start()
+            shown = []
+            for k in range(12):
+                shown.append(bench.drives[0].torque if k else 0.0)
+                bench.rig.sync()
+                shown[-1] = bench.drives[0].torque
+                bench.rig.write_torques([5.0 if k == 3 else 0.0])
+            acts = next((k for k, torque in enumerate(shown) if torque), -1)
+            agree += acts - 3 == bench.axes[0].delay
+            bench.rig.stop()
+    yield Row("delay: holds that agree", agree, "of 6", target="6", met=agree == 6)
+
+
+def counts(cycles: int, seeds: int) -> Iterator[Row]:
+    """Yields whether the counts of held torques obey their law."""
+    faults = isolated(cycles, 0.05, seed=4)
+    line = line_with(faults, cycles)
+    answers = list(faults.values()).count(KINDS[2])
+    exact = line.missed == len(faults) and all(line.missed_by(n) == line.missed - answers for n in range(2))
+    yield Row(f"counts: isolated faults of {cycles} cycles counted exactly", int(exact), "", target="1", met=exact)
+    held = 0
+    for seed in range(seeds):
+        dice = random.Random(seed)
+        held += obeys(line_with({k: dice.choice(KINDS) for k in range(250) if dice.random() < 0.3}, 250))
+    yield Row("counts: seeds that obey the law", held, f"of {seeds}", target=f"{seeds}", met=held == seeds)
+    caught = not obeys(line_with({}, 300, drift_ppb=2_000_000, has_servo=False))
+    yield Row("counts: a drive without drift servo is caught", int(caught), "", target="1", met=caught)
+
+
+def truth(scenes: int) -> Iterator[Row]:
+    """Yields the false claims of random scenes."""
+    kept = kept_folder() / "ethercat_truth_runs.jsonl"
+    found = run_kept(_outcome, range(scenes), kept, os.cpu_count() or 1)
+    false = sum(bool(of["false_claims"]) for of in found.values())
+    counted = sum(of["status"] != "refused" for of in found.values())
+    yield Row("truth: scenes with a false claim", false, f"of {counted}", target="0", met=false == 0)
+    yield Row("truth: scenes run", counted, "", target=f">= {_SCENES}", met=counted >= _SCENES)
+
+
+def _outcome(seed: int) -> dict[str, Any]:
+    return outcome_of(seed).as_json()
+
+
+def lock() -> Iterator[Row]:
+    """Yields after how many cycles the host is within 5 % of the period, from any phase."""
+    slowest = max(_cycles_to_lock(ppm, phase) for ppm in _PPM for phase in range(0, _NS, _NS // 40))
+    yield Row("lock: cycles until within 5 %", slowest, "", target=f"<= {_WITHIN}", met=slowest <= _WITHIN)
+
+
+def _cycles_to_lock(ppm: int, phase: int) -> int:
+    lock, target, last = PhaseLock(_NS, _NS // 4), _NS // 4, -1
+    lock.begin(0)
+    now = float(phase)
+    for k in range(500):
+        error = (now - target + _NS / 2) % _NS - _NS / 2
+        if abs(error) > 0.05 * _NS:
+            last = k
+        now += (_NS - lock.follow(round(now))) * (1.0 + ppm * 1e-6)
+    return last + 1
+
+
+def virtual_time(cycles: int) -> Iterator[Row]:
+    """Yields the processor time of a cycle on both buses."""
+    for axes, rate in ((1, 1000), (6, 250)):
+        scene = demo_of(axes, rate)
+        both = [(_cost(build(scene, "free"), cycles), _cost(TwinExperiment(scene), cycles)) for _ in range(5)]
+        can, ethercat = (1e6 * min(of[n] for of in both) for n in (0, 1))
+        ratio = ethercat / can
+        yield Row(f"virtual_time: {axes} axes", ethercat, "us", "the same on CAN", can, ratio, f"ratio <= {_RATIO}",
+                  ratio <= _RATIO)  # fmt: skip
+
+
+def _cost(experiment: Experiment, cycles: int) -> float:
+    with experiment:
+        experiment.rig.start()
+        step = experiment.cycle.step
+        for _ in range(100):
+            step()
+        begin = process_time()
+        for _ in range(cycles):
+            step()
+        spent = process_time() - begin
+        experiment.rig.stop()
+    return spent / cycles
+
+
+def replay(cycles: int) -> Iterator[Row]:
+    """Yields whether every frame of a run is sent again, and whether a flipped bit is named."""
+    scene, frames = load_scene(CONFIG, IN_CONTACT), list[LoggedFrame]()
+    experiment = TwinExperiment(scene)
+    recording = RecordingLine(experiment.far_side, experiment.clock, lambda *of: frames.append(LoggedFrame(*of)))
+    _master_of(experiment)._exchange = recording.exchange  # noqa: SLF001
+    _run(experiment, cycles)
+    played = _play(scene, frames, cycles)
+    sent = sum(not frame.is_answer for frame in frames)
+    whole = played.left == 0 and played.compared == sent
+    yield Row("replay: frames sent again byte for byte", played.compared, "", target=f"{sent}", met=whole)
+    answer = next(n for n in range(len(frames) * 2 // 3, len(frames)) if frames[n].content[50] == 10
+                  and frames[n].is_answer)  # fmt: skip
+    changed = bytearray(frames[answer].content)
+    changed[63] ^= 0x40
+    frames[answer] = frames[answer]._replace(content=bytes(changed))
+    try:
+        _play(scene, frames, cycles)
+        named = ""
+    except ReplayDepartureError as error:
+        named = str(error)
+    yield Row("replay: one flipped bit is named", int(bool(named)), "", target="1", met=bool(named), note=named)
+
+
+def _master_of(experiment: TwinExperiment) -> Any:
+    return experiment.line.segment
+
+
+def _play(scene: Any, frames: list[LoggedFrame], cycles: int) -> RecordedLine:
+    experiment = TwinExperiment(scene)
+    recorded = RecordedLine(frames, experiment.clock)
+    _master_of(experiment)._exchange = recorded.exchange  # noqa: SLF001
+    with experiment:
+        run(experiment.cycle, cycles)
+    return recorded
+
+
+def fuzz(frames: int) -> Iterator[Row]:
+    """Yields what mutated frames do; an exception or a hang ends the benchmark."""
+    torques = attack_drives(frames, seed=7)
+    yield Row("fuzz: mutated frames that left a torque", torques, f"of {frames}", target="0", met=torques == 0)
+    answers = attack_master(max(1, frames // _ANSWERS_A_RUN), seed=7)
+    yield Row("fuzz: answers to the master, some mutated", answers, "", target=f">= {frames}", met=answers >= frames)
+
+
+def size() -> Iterator[Row]:
+    """Yields the lines of code, and whether a rig on CAN loads any of them."""
+    lines = 0
+    for name in _PRODUCT:
+        path = _ROOT / name
+        for file in [path] if path.is_file() else sorted(path.glob("*.py")):
+            lines += _code_lines(file)
+    yield Row("size: lines of code", lines, "", target=f"<= {_LINES}", met=lines <= _LINES)
+    program = (
+        "import sys, canhaptic; canhaptic.simulate(sys.argv[1], {'duration': 0.05});"
+        "print(sum('ethercat' in name for name in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", program, str(CONFIG)], capture_output=True, text=True, check=True,
+                          cwd=_ROOT)  # fmt: skip
+    loaded = int(done.stdout.split()[-1])
+    yield Row("size: modules of EtherCAT that a rig on CAN loads", loaded, "", target="0", met=loaded == 0)
+
+
+def _code_lines(path: Path) -> int:
+    """Returns the lines of a module without blank ones, comments and docstrings."""
+    import ast
+
+    text = path.read_text(encoding="utf-8")
+    quoted = set[int]()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            quoted |= set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+    numbered = enumerate(text.splitlines(), 1)
+    return sum(bool(line.strip()) and not line.lstrip().startswith("#") and n not in quoted for n, line in numbered)
+
+
+def main() -> None:
+    """Measures and publishes."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="a hundredth of the campaigns")
+    part = 100 if parser.parse_args().quick else 1
+    rows = [
+        *same_scene(max(2_000, _CYCLES // part)),
+        *delay(),
+        *counts(_LONG // part, max(5, _SEEDS // part)),
+        *truth(max(10, _SCENES // part)),
+        *lock(),
+        *virtual_time(1_500),
+        *replay(3_000),
+        *fuzz(_FRAMES // part),
+        *size(),
+    ]
+    publish("ethercat", rows, ["canhaptic", "numpy"])
+
+
+if __name__ == "__main__":
+    main()
