@@ -10,7 +10,11 @@ SOURCES := canhaptic tests tools
 # The tests start hundreds of processes: none compiles the package anew, even where this variable is set.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test test-all test-campaigns test-socketcan format bench docs docs-version clean
+.PHONY: demo test test-all test-campaigns test-socketcan format bench docs docs-version dist clean
+
+# make test PINNED=1: exactly the versions of constraints.txt (Python 3.11 on Linux), by hash
+PINNED ?=
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 # One stamp per set of extras: a changed pyproject.toml installs again.
 $(VENV)/bin/pip:
@@ -19,7 +23,8 @@ $(VENV)/bin/pip:
 
 $(VENV)/.installed-%: pyproject.toml | $(VENV)/bin/pip
 	@echo "installing what [$*] asks for into $(VENV): a minute or two, once"
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[$*]"
+	$(if $(PINNED),$(INSTALL) --require-hashes -r constraints.txt)
+	$(INSTALL) $(if $(PINNED),--no-deps --no-build-isolation) --editable ".[$*]"
 	@touch $@
 
 DEMO := configs/hard/stiff_wall.yaml
@@ -81,6 +86,10 @@ docs: $(VENV)/.installed-docs
 # The same as one more version of a site, committed to the branch gh-pages: make docs-version VERSION=0.3.0
 docs-version: $(VENV)/.installed-docs
 	PATH="$(CURDIR)/$(BIN):$$PATH" NO_MKDOCS_2_WARNING=1 mike deploy --update-aliases $(VERSION) latest
+
+# sdist and wheel in dist/, the same bytes of the same commit; after make test PINNED=1, whose setuptools it takes
+dist:
+	$(BIN)/python -m tools.make_dist
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info demo_output bench_output site

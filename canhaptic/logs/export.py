@@ -20,7 +20,8 @@ _BLOCK: Final = 65_536  # rows held in memory at a time
 def export(log: EnergyLog, path: str | Path) -> None:
     """Write a log as a table; the suffix gives the format: .csv, .parquet, .mat or .mcap.
 
-    Floats in CSV are the shortest text that reads back to the same bits.
+    Floats in CSV are the shortest text that reads back to the same bits. Beside .mcap is a layout for Foxglove: a plot
+    for each unit, of the quantities that have a colour.
 
     Raises:
         InputError: The suffix is another one, the library is not installed, or the file cannot be written.
@@ -33,6 +34,9 @@ def export(log: EnergyLog, path: str | Path) -> None:
     try:
         with replacing(path) as file:
             writers[path.suffix](log, file)
+        if path.suffix == ".mcap":
+            with replacing(path.with_suffix(".foxglove.json")) as file:
+                file.write_text(json.dumps(_layout(_topics(log)), indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: the table cannot be written ({error}); name another file") from error
 
@@ -104,7 +108,7 @@ def _write_mcap(log: EnergyLog, path: Path) -> None:
     Topics: /PORT, /true/PORT (the simulated plant), /timing, /events. Time: of the SYNC since the first, from 0.
     """
     writer_module: Any = importlib.import_module("mcap.writer")
-    tables = {f"/{path.removeprefix('ports/').replace('truth/', 'true/')}": of for path, of in log.tables.items()}
+    tables = _topics(log)
     with path.open("wb") as file:
         writer = writer_module.Writer(file)
         writer.start(library="canhaptic")
@@ -120,6 +124,36 @@ def _write_mcap(log: EnergyLog, path: Path) -> None:
                     _add_message(writer, channels[topic], int(time), values)
         _write_events(writer, log)
         writer.finish()
+
+
+def _topics(log: EnergyLog) -> Mapping[str, Quantities]:
+    return {f"/{path.removeprefix('ports/').replace('truth/', 'true/')}": of for path, of in log.tables.items()}
+
+
+def _layout(tables: Mapping[str, Quantities]) -> dict[str, object]:
+    """Return a layout for Foxglove: plots below each other, above a table of the events."""
+    plots = dict[str, list[dict[str, object]]]()
+    for topic, quantities in tables.items():
+        for name in quantities:
+            if name in ACCOUNT and (colour := ACCOUNT[name].colour):
+                line: dict[str, object] = {
+                    "value": f"{topic}.{name}",
+                    "label": f"{topic[1:]}: {ACCOUNT[name].title}",
+                    "color": colour,
+                }
+                line |= {"enabled": True, "timestampMethod": "receiveTime"}
+                plots.setdefault(quantities.unit(name), []).append(line)
+    panels: dict[str, object] = {
+        f"Plot!{number}": {"title": unit, "paths": lines, "isSynced": True, "xAxisVal": "timestamp", "showLegend": True}
+        for number, (unit, lines) in enumerate(plots.items(), 1)
+    }
+    panels["Table!events"] = {"topicPath": "/events"}
+    *above, layout = panels
+    below: object = layout
+    for count, name in enumerate(reversed(above), 2):
+        below = {"direction": "column", "first": name, "second": below, "splitPercentage": 100.0 / count}
+    rest = {"globalVariables": {}, "userNodes": {}, "playbackConfig": {"speed": 1.0}}
+    return {"configById": panels, **rest, "layout": below}
 
 
 _MESSAGES: Final = 4096  # SYNCs held in memory at a time

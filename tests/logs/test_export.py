@@ -1,5 +1,6 @@
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,10 @@ def test_an_mcap_file_holds_every_row_as_a_message_with_its_schema(path: Path, t
     with EnergyLog.open(path) as log:
         export(log, tmp_path / "run.mcap")
         energies, units = log.ports["knob"]["h_i"].tolist(), log.ports["knob"].unit("h_i")
+    layout = json.loads((tmp_path / "run.foxglove.json").read_text())
+    drawn = [line["value"] for panel in layout["configById"].values() for line in panel.get("paths", ())]
+    assert {"/handle.position", "/handle.torque_applied", "/handle.interaction"} <= set(drawn)
+    assert set(re.findall(r"\w+![a-z0-9]+", json.dumps(layout["layout"]))) == set(layout["configById"])
     with (tmp_path / "run.mcap").open("rb") as file:
         summary = reader.make_reader(file).get_summary()
         topics = {channel.topic for channel in summary.channels.values()}

@@ -1,6 +1,7 @@
 """The wheel, installed where no source tree is: command, scenes and dictionary come with it."""
 
 import json
+import shutil
 import subprocess
 import sys
 import venv
@@ -43,6 +44,36 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     programs = folder / "environment" / "bin"
     run(programs / "python", "-m", "pip", "install", "--quiet", wheel, folder=folder)
     return programs
+
+
+def test_two_builds_of_one_commit_are_the_same_bytes(installed: Path, tmp_path: Path) -> None:
+    """In two folders, whose files were written at different times."""
+    run(installed / "python", "-m", "pip", "install", "--quiet", "setuptools>=70", folder=tmp_path)
+    found = []
+    for name in ("first", "second"):
+        copied = shutil.copytree(installed.parents[1] / "source", tmp_path / name, copy_function=shutil.copyfile)
+        words: tuple[str | Path, ...] = (installed / "python", "-m", "tools.make_dist", tmp_path / "dist")
+        found.append(run("env", "SOURCE_DATE_EPOCH=1700000000", *words, folder=copied))
+    assert found[0] == found[1]
+    assert found[0].count("canhaptic-") == 2
+
+
+def test_a_fixture_replays_a_recording_from_the_wheel(installed: Path, tmp_path: Path) -> None:
+    """pytest finds it by the entry point of the installed package, and it fails where a key changed."""
+    run(installed / "python", "-m", "pip", "install", "--quiet", "pytest", folder=tmp_path)
+    words = ["run", "demo", "--duration", "3", "--set", "run.duration=3", "--bus-log", "rig.log"]
+    run(installed / "canhaptic", *words, folder=tmp_path)
+    run(installed / "canhaptic", "configs", "--copy", tmp_path / "shipped", folder=tmp_path)
+    scene = (tmp_path / "shipped" / "configs" / "demo.yaml").read_text()
+    (tmp_path / "rig.yaml").write_text(scene)
+    (tmp_path / "test_rig.py").write_text("def test_rig(canhaptic_replay):\n    canhaptic_replay('rig.log')\n")
+    assert "1 passed" in run(installed / "python", "-m", "pytest", "-q", folder=tmp_path)
+    (tmp_path / "rig.yaml").write_text(scene.replace("stiffness:", "stiffness: 1 N/m #", 1))
+    failed = subprocess.run(
+        [installed / "python", "-m", "pytest", "-q"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert failed.returncode == 1
+    assert "different at line" in failed.stdout
 
 
 def test_the_demo_runs_from_the_wheel_alone(installed: Path, tmp_path: Path) -> None:
