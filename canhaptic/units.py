@@ -47,7 +47,7 @@ _UNITS: Final[dict[_Dimension, dict[str, float]]] = {
     (1, 2, -3, -1, 0, 0): {"V": 1.0},
     (1, 2, -3, -2, 0, 0): {"ohm": 1.0},
     (1, 2, -2, -2, 0, 0): {"H": 1.0},
-    (0, 0, 0, 0, 0, 0): {"bit": 1.0, "count": 1.0, "1": 1.0, "%": 1e-2},
+    (0, 0, 0, 0, 0, 0): {"bit": 1.0, "count": 1.0, "1": 1.0, "%": 1e-2, "ppm": 1e-6},
 }
 _BASE_UNITS: Final = {name: (factor, dimension) for dimension, of in _UNITS.items() for name, factor in of.items()}
 _PREFIXES: Final = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6, "G": 1e9}

@@ -19,13 +19,15 @@ from canhaptic.cli.check_eds import WORDS
 from canhaptic.cli.long_command import unguarded
 from canhaptic.cli.options import scene_of
 from canhaptic.drive.can.bus_budget import BusBudget, require_budget
-from canhaptic.drive.can.pdo_map import check_dictionary, choose_map
+from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.profile.fitness import Finding, Verdict
-from canhaptic.drive.survey import survey
+from canhaptic.drive.survey import Suitability, survey
 from canhaptic.host.realtime import GRANTED, Realtime
 from canhaptic.quantities import with_old_names
 from canhaptic.scene import hints as limits
 from canhaptic.scene.build import build, require_buildable
+from canhaptic.scene.buses import kind_of
+from canhaptic.scene.cross_checks import findings_on
 from canhaptic.scene.first_contact import (
     FELT,
     advice,
@@ -122,7 +124,9 @@ def checked(scene: Scene) -> dict[str, Any]:
 def _findings_of(scene: Scene, *, asks_drives: bool = False) -> "_CheckFindings":
     axes = [axis.parameters for axis in scene.axes]
     dictionaries = [axis.dictionary() for axis in axes]
-    maps = [(of.bus, choose_map(d, of.parameters)) for d, of in zip(dictionaries, scene.axes, strict=True)]
+    on_can = {name: bus for name, bus in scene.buses if kind_of(bus) == "can"}
+    of_axes = zip(dictionaries, scene.axes, strict=True)
+    maps = [(of.bus, choose_map(d, of.parameters)) for d, of in of_axes if of.bus in on_can]
     if not scene.unread:
         require_buildable(scene)
     tried = ((axis.parameters.name, slowest_felt(axis)) for axis in scene.axes)
@@ -132,14 +136,14 @@ def _findings_of(scene: Scene, *, asks_drives: bool = False) -> "_CheckFindings"
             kept = {axis.name: experiment.rig.read_objects(n) for n, axis in enumerate(axes)}
     return _CheckFindings(
         scene=scene,
-        budgets={name: require_budget(bus, [plan for on, plan in maps if on == name]) for name, bus in scene.buses},
+        budgets={name: require_budget(bus, [plan for on, plan in maps if on == name]) for name, bus in on_can.items()},
         findings={
-            axis.parameters.name: check_dictionary(dictionary, axis.parameters, scene.bus_of(axis))
+            axis.parameters.name: findings_on(dictionary, axis.parameters, scene.bus_of(axis))
             for dictionary, axis in zip(dictionaries, scene.axes, strict=True)
         },
         hints=limits.hints_of(scene),
         felt={name: speed for name, speed in tried if speed is not None},
-        fitness=[survey(*of).suitability.value for of in zip(dictionaries, axes, strict=True)],
+        fitness=[_fitness(*of, scene) for of in zip(dictionaries, scene.axes, strict=True)],
         dear=dear_holds(scene) if scene.simulated and not scene.unread else [],
         objects=kept,
     )
@@ -218,15 +222,24 @@ class _CheckFindings(NamedTuple):
     def verdict(self) -> str:
         """One line: whether the scene can run, its wall, the fitness of the drives, bus load and exceeded limits."""
         over = ", ".join(dict.fromkeys(hint.what for hint in self.exceeded))
-        load, fitness = max(budget.periodic_load for budget in self.budgets.values()), Counter(self.fitness).items()
+        load, fitness = [budget.periodic_load for budget in self.budgets.values()], Counter(self.fitness).items()
         parts = [
             "" if inf in self.felt.values() else self.wall(),
             *(f"{counted(count, 'drive')} {'is' if count == 1 else 'are'} {word}" for word, count in fitness),
-            f"bus load {100.0 * load:.0f} %",
+            f"bus load {100.0 * max(load):.0f} %" if load else "",
             f"{', '.join(self.scene.unread)} not run, so its parameters are not checked" if self.scene.unread else "",
             f"{counted(len(self.exceeded), 'limit')} exceeded: {over}" if over else "",
         ]
         return f"{status_text(self.scene)}; {', '.join(part for part in parts if part)}"
+
+
+def _fitness(dictionary: Any, axis: AxisScene, scene: Scene) -> str:
+    """Return whether the drive of an axis is usable, in the words of `check-eds`."""
+    bus = scene.bus_of(axis)
+    if kind_of(bus) == "can":
+        return str(survey(dictionary, axis.parameters).suitability.value)
+    is_fit = all(row.verdict is Verdict.FIT for row in findings_on(dictionary, axis.parameters, bus))
+    return str((Suitability.FIT if is_fit else Suitability.CONDITIONAL).value)
 
 
 def _as_json(found: _CheckFindings) -> dict[str, Any]:
@@ -247,7 +260,7 @@ def _as_json(found: _CheckFindings) -> dict[str, Any]:
         "unread": list(scene.unread),
         "to_set": [guess._asdict() for guess in values_to_set(scene)],
         "config": scene.resolved(),
-        **({"buses": buses} if scene.bus_name else {"bus": buses[""]}),
+        **({"buses": buses} if scene.bus_name else {"bus": buses.get("")}),
         "drives": _findings_as_json(findings),
         **({"objects": _findings_as_json(objects)} if objects else {}),
         "stability": [with_old_names({**hint._asdict(), "exceeded": hint.exceeded}) for hint in hints],

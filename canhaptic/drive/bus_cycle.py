@@ -37,6 +37,9 @@ class BackgroundLine(Protocol):
 class BusCycle(Protocol):
     """One bus of a rig in each cycle, at its start and at its end. Each method may raise LinkError."""
 
+    clock_leader: bool
+    """Whether its clock leads the deadlines of the rig; of one bus at most. It is asked last."""
+
     @property
     def clock(self) -> Clock:
         """Clock of every wait."""

@@ -32,6 +32,7 @@ class Exchange:
     def __init__(self, buses: Sequence[BusCycle], drives: Sequence[TorqueAxis], bus: CycleParameters) -> None:
         self.buses = tuple(buses)
         self._first, self._others = self.buses[0], self.buses[1:]
+        self._asked = tuple(sorted(self.buses, key=lambda bus: bus.clock_leader))  # the leader awaits its answer
         self.drives = tuple(drives)
         self.clock = self._first.clock
         self.now, self.wait_until = self.clock.now, self.clock.wait_until
@@ -77,7 +78,7 @@ class Exchange:
         """
         failure: LinkError | None = None
         synced = self.woken = self._wait()
-        for bus in self.buses:
+        for bus in self._asked:
             try:
                 synced = bus.ask(synced)
             except LinkError as error:

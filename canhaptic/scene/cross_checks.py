@@ -1,16 +1,17 @@
 """Checks of a scene that need more than one of its sections."""
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from canhaptic.axis_units import effort_unit
-from canhaptic.drive.axis_parameters import CanBusParameters
+from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.drive.can.bus_budget import require_budget, shortest_answer
 from canhaptic.drive.can.pdo_map import AxisMap, check_dictionary, choose_map
-from canhaptic.drive.profile.fitness import Verdict, limit_objection
+from canhaptic.drive.profile.fitness import Finding, Verdict, limit_objection, profile_findings
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.host.interfaces import interface_faults
+from canhaptic.scene.buses import DICTIONARIES, PLACES, kind_of, part
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation
 from canhaptic.scene.layout import bus_section
@@ -28,7 +29,7 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
         faults: Receives the faults.
         beyond_bus: Whether a rate that the bus cannot carry is accepted.
     """
-    _check_unique(scene.axes, sections["axes"], scene.bus.master_id, faults)
+    _check_unique(scene, sections["axes"], faults)
     if len(faults):  # what follows takes its time for each axis, and a name or node ID may be that of thousands
         return
     _check_buses(scene, sections, faults)
@@ -55,7 +56,7 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
 
         check_plants(scene, sections, faults)
     for index, (name, bus) in enumerate(scene.buses):
-        if None not in maps[name] and not beyond_bus:
+        if None not in maps[name] and not beyond_bus and kind_of(bus) == "can":
             try:
                 require_budget(bus, [axis_map for axis_map in maps[name] if axis_map is not None])
             except BusBudgetError as error:
@@ -87,15 +88,16 @@ def _check_axis(of: _Checked, faults: Diagnostics) -> AxisMap | None:
     return axis_map
 
 
-def _check_unique(
-    axes: Sequence[AxisScene], entries: Sequence[MarkedMapping], master_id: int | None, faults: Diagnostics
-) -> None:
-    """Note names used twice in the rig, and node IDs used twice on one bus."""
-    for key in ("name", "node_id"):
+def _check_unique(scene: Scene, entries: Sequence[MarkedMapping], faults: Diagnostics) -> None:
+    """Note names used twice in the rig, and node IDs or positions used twice on one bus."""
+    kinds = {bus.name: kind_of(bus.parameters) for bus in scene.buses}
+    master_id = getattr(scene.buses[-1].parameters, "master_id", None)
+    for is_place in (False, True):
         first: dict[tuple[object, str], SourceLocation] = {}
-        for axis, entry in zip(axes, entries, strict=True):
+        for axis, entry in zip(scene.axes, entries, strict=True):
+            key = PLACES[kinds.get(axis.bus, "can")] if is_place else "name"
             value, at = getattr(axis.parameters, key), entry.value_at(key)
-            seen = value, axis.bus if key == "node_id" else ""
+            seen = value, axis.bus if is_place else ""
             if seen in first:
                 faults.add(at, f"got {value!r}, which is the {key} of another axis already ({first[seen].where})")
             first.setdefault(seen, at)
@@ -166,7 +168,7 @@ def _check_buses(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> 
     is_virtual = [interface == "virtual" for interface, _ in places]
     for index, (name, bus) in enumerate(scene.buses):
         section, before = bus_section(sections, index), places.index(places[index])
-        for key, message in interface_faults(bus):
+        for key, message in interface_faults(bus) if kind_of(bus) == "can" else _faults_of_line(bus, scene):
             faults.add(section.value_at(key), message)
         if before < index and (bus.channel is not None or not is_virtual[index]):
             text = f"interface {bus.interface!r}, channel {shown(bus.channel)} is bus {names[before]!r} already"
@@ -189,6 +191,16 @@ def _check_buses(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> 
         known = ", ".join(filter(None, names)) or "none, the scene's bus has no name"
         at = sections["simulation"]["bus"].value_at("buses")
         faults.add(at, f"got {', '.join(map(repr, unknown))}, which names no bus of the scene; expected: {known}")
+
+
+def _faults_of_line(bus: CanBusParameters, scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield the keys of an EtherCAT line that cannot be served."""
+    if bus.interface != "virtual":
+        text = f"got {bus.interface!r}, expected 'virtual': drives on EtherCAT are simulated in this process so far"
+        yield "interface", text
+    positions = sorted(getattr(axis.parameters, "position", 0) for axis in scene.axes_on(scene.bus_name))
+    if positions != list(range(len(positions))):
+        yield "type", f"got axes at positions {positions} of the line, expected 0 to {len(positions) - 1}: one each"
 
 
 def _faults_of_loop(of: _Checked, axis_map: AxisMap | None) -> Iterator[tuple[str, str]]:
@@ -233,16 +245,24 @@ def _check_controller(of: _Checked, faults: Diagnostics) -> None:
 
 def _check_dictionary(of: _Checked, faults: Diagnostics) -> AxisMap | None:
     """Note every reason why the drive's dictionary is unfit; return the PDO map if it is fit."""
-    given, at = of.axis.parameters, of.entry.value_at("eds")
+    kind = kind_of(of.bus)
+    given, at = of.axis.parameters, of.entry.value_at(DICTIONARIES[kind])
     try:
         dictionary = given.dictionary()
     except DictionaryError as error:
         faults.add(at, str(error))
         return None
-    findings = check_dictionary(dictionary, given, of.bus)
+    findings = findings_on(dictionary, given, of.bus)
     refusals = [finding for finding in findings if finding.verdict is Verdict.REFUSED]
     for finding in refusals:
         faults.add(at, f"{given.dictionary_path}: {finding.item}: {finding.text}")
     if of.is_real and (text := limit_objection(dictionary, given)):
         faults.add(of.entry.value_at("admittance"), f"{given.dictionary_path}: 0x6072 max torque: {text}")
-    return None if refusals else choose_map(dictionary, given)
+    return None if refusals or kind != "can" else choose_map(dictionary, given)
+
+
+def findings_on(dictionary: Any, axis: AxisParameters, bus: CanBusParameters) -> list[Finding]:
+    """Return the findings on the dictionary of a drive for its kind of bus."""
+    if (kind := kind_of(bus)) == "can":
+        return check_dictionary(dictionary, axis, bus)
+    return [*profile_findings(dictionary, axis, bus.sample_time_ns), *part(kind, "findings")(dictionary, axis)]

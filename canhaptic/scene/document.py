@@ -120,6 +120,7 @@ class MarkedMapping(dict[str, Any]):
         values_at: Source locations of its values.
         elsewhere: Valid keys that are removed here because another part reads them.
         motion: Unit of position ("m" or "rad") that decides the units of its values; None: inherited.
+        bus_kind: Kind of the bus that it describes, or that its axis is on.
         was: Value of its key `type` before an override replaced it, "" without that key; None: not replaced.
     """
 
@@ -131,6 +132,7 @@ class MarkedMapping(dict[str, Any]):
         self.elsewhere: tuple[str, ...] = ()
         self.motion = motion
         self.was: str | None = None
+        self.bus_kind = "can"
 
     def put(self, key: str, value: Any, key_at: SourceLocation, value_at: SourceLocation) -> None:
         """Set one entry with its source locations."""
@@ -150,7 +152,7 @@ class MarkedMapping(dict[str, Any]):
     def copy(self) -> "MarkedMapping":
         """Return a copy of the entries and their locations; nested values are shared."""
         twin = MarkedMapping(self.mark, self.motion)
-        twin.elsewhere, twin.was = self.elsewhere, self.was
+        twin.elsewhere, twin.was, twin.bus_kind = self.elsewhere, self.was, self.bus_kind
         twin.update(self)
         twin.keys_at.update(self.keys_at)
         twin.values_at.update(self.values_at)

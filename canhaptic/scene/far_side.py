@@ -121,25 +121,61 @@ def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) ->
     """
     from canhaptic.sim.drive.can.drive_node import DriveGroup, SimulatedDrive
 
+    def made(axis: AxisScene, motor: Any, drive: Any, period: int) -> SimulatedDrive:
+        return SimulatedDrive(bus, axis.parameters.node_id, axis.parameters.eds, motor, drive, period)
+
+    return DriveGroup(bus, _drives_of(scene, name, made))
+
+
+def build_cable(scene: Scene, name: str) -> "tuple[Any, list[Any]]":
+    """Return the cable of a simulated EtherCAT line, and its drives in the order of their axes.
+
+    Args:
+        scene: Scene with a `simulation`.
+        name: Name of the line.
+
+    Raises:
+        ParameterError: A simulated drive cannot be made.
+    """
+    from canhaptic.sim.drive.ethercat.door import DriveOnCable, cable_of
+
     if scene.accuracy_tolerance is not None:
         scene = with_accuracy(scene)
-    period, drives = scene.bus.sample_time_ns, []
+    plans = _drives_of(scene, name, lambda axis, motor, drive, _: DriveOnCable(
+        getattr(axis.parameters, "position", 0), axis.parameters.dictionary(), motor, drive
+    ))  # fmt: skip
+    seed = 0 if scene.simulation is None else scene.simulation.seed
+    cable, drives = cable_of(plans, scene.bus.sample_time_ns, scene.cable_effects, seed)
+    for plan, drive in zip(plans, drives, strict=True):
+        if (connect := getattr(plan.motor, "connect", None)) is not None:
+            connect(partial(getattr, drive.servo, "torque"))
+    return cable, drives
+
+
+def _drives_of(scene: Scene, name: str | None, made: Callable[[AxisScene, Any, Any, int], Any]) -> list[Any]:
+    """Return what `made` makes of each axis on a bus, its motor, the parameters of its drive and the sample time [ns].
+
+    Raises:
+        InputError: The scene has no `simulation`.
+    """
+    if scene.accuracy_tolerance is not None:
+        scene = with_accuracy(scene)
+    period, drives = scene.bus.sample_time_ns, list[Any]()
     motors = _shared_motors(scene.mechanisms, period) if scene.mechanisms else {}
     for axis in (axis for axis in scene.axes if name in (None, axis.bus)):
-        node, eds = axis.parameters.node_id, axis.parameters.eds
         try:
             if axis.simulation is not None:
-                plant = build_plant(axis.simulation, period)
-                drives.append(SimulatedDrive(bus, node, eds, plant, axis.simulation.drive, period))
+                drives.append(made(axis, build_plant(axis.simulation, period), axis.simulation.drive, period))
             elif axis.simulated_drive is not None:
                 motor = motors[axis.parameters.name]
-                drives.append(SimulatedDrive(bus, node, eds, motor, axis.simulated_drive, period))
-                motor.connect(partial(getattr, drives[-1].servo, "torque"))
+                drives.append(made(axis, motor, axis.simulated_drive, period))
+                if hasattr(drives[-1], "servo"):
+                    motor.connect(partial(getattr, drives[-1].servo, "torque"))
         except ParameterError as error:
             raise ParameterError(f"{scene.source}: simulation.drive of {axis.parameters.name}: {error}") from error
     if not drives:
         raise InputError(f"{scene.source}: has no `simulation`, so there is no drive to simulate; add one")
-    return DriveGroup(bus, drives)
+    return drives
 
 
 def with_accuracy(scene: Scene) -> Scene:

@@ -20,6 +20,7 @@ from canhaptic.axis_units import Motion
 from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.files import shipped
 from canhaptic.registry import nearest, unknown_key
+from canhaptic.scene.buses import BUSES, DICTIONARIES, ETHERCAT_EFFECTS
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.document import NOTED, Diagnostics, MarkedList, MarkedMapping
 from canhaptic.scene.models import LOOP_KEYS, SIMULATION_PARTS, FurtherBus, GroupMembership, RunParameters
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     _Joined = tuple[list[Members], list[Members]]  # of groups, and of simulated mechanisms
 
 _SHIPPED: Final = shipped("eds")
+_FILES: Final = {"can": "EDS or DCF", "ethercat": "ESI"}
 
 
 def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
@@ -39,18 +41,19 @@ def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMappin
     A relative path starts from the folder of the scene file (in an override: from the current folder), else from the
     folder `eds/` of the package.
     """
-    text = section.get("eds")
+    key = DICTIONARIES[section.bus_kind]
+    text = section.get(key)
     if not isinstance(text, str):
         return section  # missing or of another type: noted by the model
-    at = section.value_at("eds")
+    at = section.value_at(key)
     folders = (at.folder, _SHIPPED)
     for folder in folders:
         if os.path.isfile(folder / text):
             found = section.copy()
-            found.put("eds", str(folder / text), section.keys_at["eds"], at)
+            found.put(key, str(folder / text), section.keys_at[key], at)
             return found
     looked = "" if Path(text).is_absolute() else f" in {' or '.join(str(folder) for folder in folders)}"
-    faults.add(at, f"got {shown(text)}, no such file{looked}; give the path of the drive's EDS or DCF")
+    faults.add(at, f"got {shown(text)}, no such file{looked}; give the path of the drive's {_FILES[section.bus_kind]}")
     return section
 
 
@@ -80,7 +83,7 @@ def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence
     if simulation is not None:
         scene.set("simulation", simulation.without(*SIMULATION_PARTS, "axes", "bus", "mechanisms"))
         if simulation.get("bus") is not None:
-            scene.put("bus_effects", simulation["bus"], simulation.keys_at["bus"], simulation.values_at["bus"])
+            _put_effects(scene, simulation, set(_bus_kinds(written).values()))
     before = len(faults)
     groups, mechanisms = members = _members(written, simulation, faults)
     axes = _axes(written, simulation, members, faults, is_known=len(faults) == before)
@@ -138,6 +141,19 @@ def _put_accuracy(scene: MarkedMapping, written: MarkedMapping, faults: Diagnost
     scene.put("accuracy", NOTED if accuracy == "auto" else elsewhere, written.keys_at["accuracy"], at)
 
 
+def _put_effects(scene: MarkedMapping, simulation: MarkedMapping, kinds: set[str]) -> None:
+    """Set the faults of the buses: each key goes to the kind of bus that has it."""
+    effects, at = simulation["bus"], (simulation.keys_at["bus"], simulation.values_at["bus"])
+    if "ethercat" not in kinds or not isinstance(effects, MarkedMapping):
+        scene.put("bus_effects", effects, *at)
+        return
+    others = [key for key in effects if key not in ETHERCAT_EFFECTS]
+    is_mixed = "can" in kinds
+    scene.put("cable_effects", effects.without(*others) if is_mixed else effects, *at)
+    if is_mixed and others:
+        scene.put("bus_effects", effects.only(others), *at)
+
+
 # --- buses --------------------------------------------------------------------------------------------------------
 
 
@@ -148,6 +164,25 @@ def _bus_names(written: MarkedMapping) -> tuple[str, ...]:
         return ("",)
     names = [name for bus in _entries(value) if isinstance(name := bus.get("name"), str)]
     return tuple(names) if len(names) == len(value) else ()
+
+
+def _bus_kinds(written: MarkedMapping) -> dict[str, str]:
+    """Return the kind of each bus by its name; "" names a single one."""
+    value = written.get("bus")
+    entries = _entries(value) if isinstance(value, MarkedList) else [value] if isinstance(value, MarkedMapping) else []
+    is_list = isinstance(value, MarkedList)
+    return {str(entry.get("name", "")) if is_list else "": str(entry.get("type", "can")) for entry in entries}
+
+
+def _of_its_kind(section: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
+    """Return the section of a bus that knows its kind; note a fault where there is no such kind."""
+    kind = section.get("type", "can")
+    if kind not in BUSES:
+        faults.add(section.value_at("type"), f"got {shown(kind)}, expected one of: {', '.join(BUSES)}")
+        kind = "can"
+    known = section.without("type") if kind == "can" else section.copy()
+    known.bus_kind = str(kind)
+    return known
 
 
 def bus_section(written: MarkedMapping, index: int) -> MarkedMapping:
@@ -161,7 +196,8 @@ def _put_buses(scene: MarkedMapping, written: MarkedMapping, faults: Diagnostics
     value = written.get("bus")
     if not isinstance(value, MarkedList):
         expected = "interface, channel and rate, or a list of such for several buses"
-        scene.set("bus", _or_noted(faults.mapping(value, written.value_at("bus"), expected)))
+        only = faults.mapping(value, written.value_at("bus"), expected)
+        scene.set("bus", NOTED if only is None else _of_its_kind(only, faults))
         return
     if not value:
         faults.add(value.mark, "got an empty list, expected at least one bus")
@@ -169,7 +205,7 @@ def _put_buses(scene: MarkedMapping, written: MarkedMapping, faults: Diagnostics
     head, *further = entries or [None]
     scene.set("bus", NOTED)
     if head is not None:
-        scene.set("bus", head.without("name"))
+        scene.set("bus", _of_its_kind(head.without("name"), faults))
         if "name" not in head:
             faults.add(head.value_at("name"), "missing; add it")
         scene.put("bus_name", head.get("name"), head.keys_at.get("name", head.mark), head.value_at("name"))
@@ -181,6 +217,10 @@ def _put_buses(scene: MarkedMapping, written: MarkedMapping, faults: Diagnostics
 
 
 def _further_bus(entry: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
+    entry = _of_its_kind(entry, faults)
+    if entry.bus_kind != "can":
+        faults.add(entry.value_at("type"), "give the EtherCAT line first: its clock leads the cycle; there may be one")
+        return entry.only(FurtherBus.model_fields)
     common = [key for key in entry if key in CanBusParameters.model_fields and key not in FurtherBus.model_fields]
     for key in common:
         faults.add(entry.keys_at[key], "applies to all buses of the rig; give it in the first")
@@ -223,6 +263,7 @@ def _axes(
             continue
         name = str(section.get("name"))
         group = next((group for group in groups if name in group.axes), None)
+        section.bus_kind = _kind_of_axis(section, written)
         axis = _axis(section, written, group, faults, is_known=is_known)
         if buses:
             axis["bus"] = _bus_of_axis(section, buses, faults)
@@ -233,6 +274,14 @@ def _axes(
         axes.append(axis)
     _check_names(written, simulation, groups, faults)
     return axes
+
+
+def _kind_of_axis(section: MarkedMapping, written: MarkedMapping) -> str:
+    """Return the kind of the bus of an axis; "can" where there is no such bus."""
+    kinds = _bus_kinds(written)
+    named = section.get("bus", next(iter(kinds), "") if len(kinds) == 1 else "")
+    kind = kinds.get(str(named), "can")
+    return kind if kind in BUSES else "can"
 
 
 def _axis(

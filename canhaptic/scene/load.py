@@ -182,6 +182,10 @@ _MOST_JITTER: Final = 0.5
 """Lateness, as a fraction of the sample time, from which a SYNC counts as skipped."""
 
 
+_DRIFT_STEP: Final = 2e-6
+"""Time by which the clock of an EtherCAT drive is shifted at most in one frame [s]."""
+
+
 def _undeclared(loop: LoopProperties, *, is_real: bool = False) -> list[str]:
     """Return the undeclared timing keys of an axis; with a real drive also lags that are declared as 0."""
     never_zero = _NEVER_ZERO if is_real else ()
@@ -192,6 +196,8 @@ def with_loops(scene: Scene) -> Scene:
     """Return the scene with the undeclared loop properties of its axes; those of real drives are guesses."""
     effects = {name: scene.effects_on(name) for name, _ in scene.buses}
     jitters = {name: _jitter(effects[name], bus) for name, bus in scene.buses}
+    if scene.cable_effects is not None and scene.cable_effects.drift:
+        jitters[scene.bus_name] = abs(scene.cable_effects.drift) + _DRIFT_STEP / scene.bus.sample_time
     windows = {name: _window(effects[name], bus, scene.axes_on(name)) for name, bus in scene.buses}
     axes, needed = [], list[str]()
     for axis in scene.axes:

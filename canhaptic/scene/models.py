@@ -14,7 +14,16 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple, TypeVar
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, WrapValidator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    SerializeAsAny,
+    TypeAdapter,
+    WrapValidator,
+    model_validator,
+)
 from pydantic import ValidationInfo as Info
 from pydantic_core import PydanticCustomError
 
@@ -27,8 +36,10 @@ from canhaptic.control.multi_axis import GROUP_ALGORITHMS, NETWORKS
 from canhaptic.control.passivity import ALGORITHMS, LoopProperties
 from canhaptic.control.verdict import BY_CONSTRUCTION, NOT_CHECKED
 from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
+from canhaptic.drive.cycle_parameters import CycleParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import InputError
+from canhaptic.scene.buses import DICTIONARIES, kind_of, read_axis, read_bus
 from canhaptic.scene.components import READY, ComponentOf, ComponentSpec, OwnModel, SceneContext
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.sim.plant import AccuracyParameters
@@ -54,8 +65,11 @@ class FurtherBus(Parameters):
     """Further keyword arguments of `can.Bus`; None: as the first bus."""
 
     def over(self, first: CanBusParameters) -> CanBusParameters:
-        """Return all parameters of this bus; those that it lacks are the first bus's."""
+        """Return all parameters of this bus; those that it lacks are the first bus's, where that is a CAN bus too."""
         own = {key: value for key, value in self.model_dump(exclude={"name"}).items() if value is not None}
+        if not isinstance(first, CanBusParameters):
+            cycle = first.model_dump(include=set(CycleParameters.model_fields))
+            return CanBusParameters(**{**cycle, "interface": first.interface, **own})
         return first.model_copy(update={"channel": None, **own})
 
 
@@ -100,12 +114,15 @@ class LogParameters(Parameters):
 if TYPE_CHECKING:
     from canhaptic.sim.bus.faulty_bus import BusEffects
     from canhaptic.sim.drive import SimulatedDriveParameters
+    from canhaptic.sim.drive.ethercat.cable import CableEffects
     from canhaptic.sim.plant.mechanism.task_hand import TaskHand
     from canhaptic.sim.plant.plant import PlantParameters
     from canhaptic.sim.plant.user import UserParameters
     from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation
 else:  # a scene without them loads nothing of them
-    BusEffects = SimulatedDriveParameters = TaskHand = PlantParameters = UserParameters = AdmittanceSimulation = Any
+    BusEffects = CableEffects = SimulatedDriveParameters = TaskHand = PlantParameters = UserParameters = (
+        AdmittanceSimulation
+    ) = Any
 
 LOOP_KEYS: Final = (
     *("moving_mass", "device_damping", "device_damping_bound", "device_friction", "device_friction_bound"),
@@ -264,7 +281,7 @@ def _loop_of(section: object, info: Info[SceneContext]) -> object:
 class AxisScene:
     """One axis with everything that is rendered on it."""
 
-    parameters: AxisParameters
+    parameters: Annotated[SerializeAsAny[AxisParameters], WrapValidator(read_axis)]
     environment: Annotated[ComponentSpec, _ENVIRONMENT]
     passivity: Annotated[ComponentSpec, _ALGORITHM]
     loop: Annotated[LoopProperties, BeforeValidator(_loop_of)]
@@ -376,10 +393,11 @@ class Scene:
     overrides: tuple[str, ...]
     run: RunParameters
     log: LogParameters
-    bus: Annotated[CanBusParameters, AfterValidator(_known_bus)]
+    bus: Annotated[SerializeAsAny[CanBusParameters], WrapValidator(read_bus), AfterValidator(_known_bus)]
     axes: tuple[Annotated[AxisScene, WrapValidator(_axis)], ...]
     simulation: SimulationParameters | None
     bus_effects: Annotated[BusEffects | None, OnDemand("canhaptic.sim.bus.faulty_bus:BusEffects")] = None
+    cable_effects: Annotated[CableEffects | None, OnDemand("canhaptic.sim.drive.ethercat.cable:CableEffects")] = None
     bus_name: BusName = ""  # of the first bus; empty where the only one has no name
     further_buses: tuple[FurtherBus, ...] = ()
     accuracy: AccuracyParameters = field(default_factory=AccuracyParameters)  # of every simulated plant
@@ -462,7 +480,14 @@ class Scene:
     def effects_on(self, bus: str) -> BusEffects | None:
         """Return the simulated faults of a bus, by its name; None where it is ideal."""
         effects = self.bus_effects
+        if bus == self.bus_name and kind_of(self.bus) != "can":
+            return None
         return effects if effects is None or effects.buses is None or bus in effects.buses else None
+
+    @property
+    def has_effects(self) -> bool:
+        """Whether faults of a bus are simulated."""
+        return self.bus_effects is not None or self.cable_effects is not None
 
     @property
     def simulated(self) -> bool:
@@ -476,7 +501,7 @@ class Scene:
         mechanisms = [{**of.pop("mechanism"), **of} for of in plain["mechanisms"]]
         simulation = plain["simulation"] and {
             **plain["simulation"],
-            **({"bus": plain["bus_effects"]} if self.bus_effects else {}),
+            **({"bus": {**(plain["bus_effects"] or {}), **(plain["cable_effects"] or {})}} if self.has_effects else {}),
             **({"mechanisms": mechanisms} if mechanisms else {}),
         }
         bus = [{"name": self.bus_name, **plain["bus"]}, *plain["further_buses"]] if self.bus_name else plain["bus"]
@@ -511,7 +536,7 @@ class Scene:
         }
         for axis in self.axes:
             plain = resolved["axes"][axis.parameters.name]
-            plain["eds"] = axis.dictionary_hash()
+            plain[DICTIONARIES[kind_of(self.bus_of(axis))]] = axis.dictionary_hash()
             if axis.simulation is not None and "substeps" not in self.accuracy.model_fields_set:
                 plain["simulation"]["accuracy"]["substeps"] = 1  # follows from the rest
             if self.auto_accuracy is not None and axis.simulation is not None:

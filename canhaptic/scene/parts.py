@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from math import inf
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from canhaptic.control.admittance import build_display_controller
 from canhaptic.control.axis_meter import Accuracy, AxisMeter, SilentMeter
@@ -14,6 +14,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.registry import load
+from canhaptic.scene.buses import part
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisScene, GroupScene, Scene
 from canhaptic.units import Parameters
@@ -196,6 +197,18 @@ def check_group(group: GroupScene) -> None:
         raise ParameterError(f"{text}, expected the {len(group.axes)} of the group: {', '.join(group.axes)}")
 
 
+def build_ethercat_drive(axis: AxisScene, line: Any, *, dry_run: bool = False) -> Any:
+    """Return the master's image of the drive of one axis on an EtherCAT line; raise DictionaryError."""
+    known = axis.parameters.model_copy(update={"torque_limit": axis.loop.torque_limit})  # less if not verified
+    dictionary = axis.parameters.dictionary()
+    return part("ethercat", "drive")(line, known, dictionary, dry_run=dry_run, lateness=_lateness(axis))
+
+
+def _lateness(axis: AxisScene) -> float:
+    """Return the longest time from a hold's begin until its torque has settled [s]."""
+    return (axis.loop.torque_window or 0.0) + _SETTLED * (axis.loop.current_lag or 0.0)
+
+
 def build_servo_drive(axis: AxisScene, link: Link, bus: CanBusParameters, *, dry_run: bool = False) -> ServoDrive:
     """Return the master's image of the drive of one axis.
 
@@ -207,8 +220,7 @@ def build_servo_drive(axis: AxisScene, link: Link, bus: CanBusParameters, *, dry
         require_torque_axis(axis)
     if axis.parameters.admittance is None:
         known = axis.parameters.model_copy(update={"torque_limit": axis.loop.torque_limit})  # less if not verified
-        late = (axis.loop.torque_window or 0.0) + _SETTLED * (axis.loop.current_lag or 0.0)
-        return ServoDrive(link, known, dictionary, bus, dry_run=dry_run, lateness=late)
+        return ServoDrive(link, known, dictionary, bus, dry_run=dry_run, lateness=_lateness(axis))
     from canhaptic.drive.can.admittance_drive import AdmittanceDrive
 
     return AdmittanceDrive(link, axis.parameters, dictionary, bus)

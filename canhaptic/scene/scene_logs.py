@@ -18,6 +18,7 @@ from canhaptic.logs.columns import ACTIVE_LIMITS, DRY_RUN, FRICTION_DECLARED, GR
 from canhaptic.logs.writer_process import BusLogWriter, EnergyLogWriter
 from canhaptic.meters import active_limits, promise_of
 from canhaptic.own_results import GIVEN_MARK
+from canhaptic.scene.buses import kind_of
 from canhaptic.scene.models import AxisScene, Port, Scene, task_unit
 from canhaptic.scene.parts import friction_declared
 
@@ -86,7 +87,11 @@ def _run_attributes(scene: Scene, pace: _Pace) -> dict[str, Attribute]:
         "clock_base": "virtual, from 0" if pace == "free" else "CLOCK_MONOTONIC",
         "pace": pace,
         "interface": scene.bus.interface,
-        "bitrate": scene.bus.bitrate,
+        **(
+            {"bitrate": scene.bus.bitrate}
+            if kind_of(scene.bus) == "can"
+            else {"frames": int(getattr(scene.bus, "frames", 1))}
+        ),
         "rate": scene.bus.rate,
         "rpdo": scene.bus.rpdo,
     }
@@ -134,7 +139,7 @@ def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
     name = axis.parameters.name
     attributes: dict[str, Attribute] = {
         **({f"{name}.bus": axis.bus} if axis.bus else {}),
-        f"{name}.eds": str(axis.parameters.eds),
+        f"{name}.eds": str(axis.parameters.dictionary_path),
         f"{name}.eds_hash": axis.dictionary_hash(),
         f"{name}.environment": axis.environment.name,
         f"{name}.algorithm": axis.passivity.name,

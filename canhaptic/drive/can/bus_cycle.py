@@ -35,6 +35,8 @@ class CanBusCycle:
         BusBudgetError: The frames of one cycle do not fit.
     """
 
+    clock_leader = False
+
     def __init__(self, link: Link, drives: Sequence[ServoDrive], bus: CanBusParameters) -> None:
         self.link, self.drives, self._bus = link, tuple(drives), bus
         self.clock, self.seen = link.clock, link

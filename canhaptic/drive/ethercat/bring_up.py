@@ -29,6 +29,8 @@ _LOCK_SECONDS: Final = 5
 _VALID_OUTPUTS: Final = 5  # cycles with zero outputs before OP is asked for
 _ASSIGN_ACTIVATE: Final = 0x0300
 _TRIES: Final = 20
+_BEFORE_SAFE_OP: Final = ("IP", "PS")  # transitions of the writes that a vendor wants at the start
+_LARGEST_STARTUP: Final = 8  # [bytes] of an integer
 
 
 class EthercatBringUp(BringUp):
@@ -56,9 +58,9 @@ class EthercatBringUp(BringUp):
 
     def _expected(self) -> tuple[int | None, int | None]:
         """Return vendor and product: of the scene, else of the ESI."""
-        axis, device = self._drive.axis, getattr(self._drive.dictionary, "device_information", None)
-        vendor = axis.vendor_id or getattr(device, "vendor_number", None)
-        return vendor, axis.product_code or getattr(device, "product_number", None)
+        axis = self._drive.axis
+        vendor, product = getattr(self._drive.dictionary, "identity", (None, None, None))[:2]
+        return axis.vendor_id or vendor, axis.product_code or product
 
     def request(self, state: AlState) -> None:
         """Ask the drive for a state of the application layer; raise StartError."""
@@ -90,6 +92,9 @@ class EthercatBringUp(BringUp):
         drive = self._drive
         expect = partial(self.expect, "process data map")
         with self.step("process data map"):
+            for item in getattr(drive.dictionary, "startup", ()):
+                if item.transition in _BEFORE_SAFE_OP and 0 < len(item.data) <= _LARGEST_STARTUP:
+                    drive.sdo.write(item.place[0], item.place[1], int.from_bytes(item.data, "little"), len(item.data))
             for pdo in (drive.map.outputs, drive.map.inputs):
                 write_image(drive.sdo, pdo, expect)
         if is_writable(drive.dictionary, *_SYNC_LIMIT):  # the link policy and the watchdog end the run before
@@ -182,7 +187,8 @@ class EthercatBringUp(BringUp):
     def activation(self) -> int:
         """Return AssignActivate: of the scene, else of the ESI."""
         stated = self._drive.bus.assign_activate
-        return stated if stated is not None else getattr(self._drive.dictionary, "assign_activate", _ASSIGN_ACTIVATE)
+        of_file: int | None = getattr(self._drive.dictionary, "assign_activate", None)
+        return next((value for value in (stated, of_file) if value is not None), _ASSIGN_ACTIVATE)
 
     def _lock_phase(self) -> None:
         """Run cycles until the phase has been within 5 % of the period for 1 s."""

@@ -44,8 +44,11 @@ class EthercatBusCycle:
         lock: Lock of the host on SYNC0.
         is_running: Whether SYNC0 runs and the image is mapped.
         held: Counts of held torques.
+        slip: Sample times to add to those that the last deadline seems to be after the one before; 0 or less.
         low: Answers with a low counter.
     """
+
+    clock_leader = True
 
     def __init__(self, segment: Segment, clock: Clock, bus: EthercatBusParameters) -> None:
         self.segment, self.clock, self.bus = segment, clock, bus
@@ -79,7 +82,7 @@ class EthercatBusCycle:
         self._counted = self._slipped = 0  # sample times since then, and by how many the last frame missed its hold
         self._written = 0  # one bit for each drive whose outputs wait for the frame
         self._answer: Cycle | None = None
-        self.low = self.late = 0
+        self.low = self.late = self.slip = 0
 
     def reserve(self) -> None:
         """Forget who was on the line."""
@@ -102,6 +105,7 @@ class EthercatBusCycle:
     def take(self, end: int) -> bool:
         """Give each drive its inputs; return False where they did not come, or in another hold than theirs."""
         answer, pace, taken = self._answer, self._pace, self._taken
+        self.slip = 0
         self._counted = counted = self._counted + pace.periods
         if answer is None or not answer.is_whole:
             self.low += answer is not None
@@ -115,8 +119,10 @@ class EthercatBusCycle:
                 self._slipped = slip
                 self.late += 1
                 return self._miss("a frame in its own hold")
+            # the host itself has slipped: its deadlines belong to other holds than it counted
             pace.shifted += slip * self._period
-            pace.periods += slip  # the host itself has slipped: its deadlines belong to other holds than it counted
+            pace.periods += max(0, slip)
+            self.slip = min(0, slip)
         self._slipped, self._taken, self._counted = 0, hold, 0
         pace.uneven = 0  # the drive's clock times the holds
         pace.shift(self.lock.follow(answer.dc_time))

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
+from canhaptic.canopen.esi import EsiDictionary, read_esi
 from canhaptic.drive.cycle_parameters import CycleParameters
 from canhaptic.drive.profile.torque_axis_parameters import TorqueAxisParameters
 from canhaptic.units import PrintablePath, PrintableText, quantity
@@ -27,6 +28,15 @@ class EthercatBusParameters(CycleParameters):
     """Time without a frame after which a drive itself takes its torque away (sync manager watchdog)."""
     assign_activate: Annotated[int, quantity("1", ge=0, le=0xFFFF)] | None = None
     """AssignActivate of the drives (0x0980), which starts SYNC0; None: of each ESI, else 0x0300."""
+
+    @property
+    def channel(self) -> None:
+        """A line has no channel beside its interface."""
+
+    @property
+    def rpdo(self) -> Literal["synchronous"]:
+        """A torque acts at a SYNC0, never as it arrives."""
+        return "synchronous"
 
     @property
     def delay(self) -> int:
@@ -64,5 +74,9 @@ class EthercatAxisParameters(TorqueAxisParameters):
 
     @property
     def dictionary_path(self) -> Path:
-        """File of the object dictionary."""
+        """File of the drive's object dictionary."""
         return self.esi
+
+    def dictionary(self) -> EsiDictionary:
+        """Return the drive's object dictionary; raise DictionaryError."""
+        return read_esi(self.esi, self.product_code)

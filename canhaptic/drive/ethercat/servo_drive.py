@@ -14,13 +14,17 @@ from canhaptic.drive.ethercat.image_map import ImageMap, choose_image
 from canhaptic.drive.ethercat.parameters import EthercatAxisParameters
 from canhaptic.drive.ethercat.segment import AlState, ImageSlice, al_remedy, al_text, state_name
 from canhaptic.drive.profile.torque_axis import CycleRules, TorqueAxis
+from canhaptic.drive.safety.power_states import PowerState
 from canhaptic.errors import LinkError, RigError, SdoError
 from canhaptic.registry import load
+from canhaptic.signals import Sample
 
 AL_STATUS: Final = 0x0130
 SYSTEM_TIME: Final = 0x0910
 SYNC_ACTIVATION: Final = 0x0980
 WATCHDOG: Final = 0x0420
+_REACTION_NS: Final = 100_000_000
+_POLL_NS: Final = 1_000_000
 _SLOTS: Final = (od.STATUSWORD, od.POSITION_ACTUAL)
 
 
@@ -114,6 +118,10 @@ class EthercatDrive(TorqueAxis):
             line.idle()
         line.clock.wait_until(deadline)
 
+    def sample(self, sync_index: int, periods: int = 1, *, is_whole: bool = True) -> Sample:
+        """Return the sample of the SYNC0 just answered, else the last one, marked as old; see `TorqueAxis.sample`."""
+        return super().sample(sync_index, periods + self.line.slip, is_whole=is_whole)
+
     def take(self, inputs: bytes, now: int) -> None:
         """Take the inputs of a whole frame.
 
@@ -131,6 +139,13 @@ class EthercatDrive(TorqueAxis):
         data = self.line.segment.register(self.axis.position, AL_STATUS, size=6)
         self.al_status, self.al_code = data[0], int.from_bytes(data[4:6], "little")
         self.is_operational = self.al_status == AlState.OP
+
+    def read_state(self) -> PowerState:
+        """Ask the drive for its power state, after a fault reaction that is under way; raise SdoError."""
+        end = self.now() + _REACTION_NS
+        while (state := super().read_state()) is PowerState.FAULT_REACTION_ACTIVE and self.now() < end:
+            self.pump(self.now() + _POLL_NS)
+        return state
 
     @property
     def state_text(self) -> str:
@@ -181,6 +196,9 @@ class EthercatDrive(TorqueAxis):
             with suppress(SdoError):  # a drive that fails to tell is no contradiction
                 self.disagreement = line.held.objection(self.sdo.read(*SM_EVENT_MISSED), self.missed_before, until)
             self.missed_before = None
+            if self.disagreement:
+                self.uncommanded += 1  # no torque of the run is known to have acted in its hold
+                self.remarks.append(self.disagreement)
 
     def await_pre_operational(self) -> None:
         """Take the drive to PRE-OP, and switch its SYNC0 off."""

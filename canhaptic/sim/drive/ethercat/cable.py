@@ -147,6 +147,10 @@ class Cable:
         """Take the time from this clock."""
         self._clock = clock
 
+    def totals(self) -> dict[str, int]:
+        """Return the faults so far by name."""
+        return {fault.name.lower(): count for fault, count in self.counts.items() if fault is not Fault.NONE}
+
     # --- time -----------------------------------------------------------------------------------------------------
 
     def process(self, now: int) -> None:

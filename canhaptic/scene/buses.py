@@ -1,0 +1,61 @@
+"""Kinds of bus that a scene may name, and what each brings: parameters of bus and axis, and the door of its drives.
+
+Nothing of a kind is imported before a scene names it.
+"""
+
+from typing import Any, Final
+
+from pydantic import ValidationInfo, ValidatorFunctionWrapHandler
+
+from canhaptic.registry import load
+from canhaptic.scene.document import MarkedMapping
+from canhaptic.units import Parameters
+
+BUSES: Final = {
+    "can": {
+        "bus": "canhaptic.drive.axis_parameters:CanBusParameters",
+        "axis": "canhaptic.drive.axis_parameters:AxisParameters",
+    },
+    "ethercat": {
+        "bus": "canhaptic.drive.ethercat.parameters:EthercatBusParameters",
+        "axis": "canhaptic.drive.ethercat.parameters:EthercatAxisParameters",
+        "findings": "canhaptic.drive.ethercat.image_map:image_findings",
+        "line": "canhaptic.drive.ethercat.door:line_on",
+        "drive": "canhaptic.drive.ethercat.servo_drive:EthercatDrive",
+        "simulated": "canhaptic.sim.drive.ethercat.door:cable_of",
+    },
+}
+"""Kind of bus -> its part -> "module:name". The drives of CAN are made by `scene.build`."""
+DICTIONARIES: Final = {"can": "eds", "ethercat": "esi"}
+"""Kind of bus -> key of an axis that names the file of its drive's objects."""
+PLACES: Final = {"can": "node_id", "ethercat": "position"}
+"""Kind of bus -> key of an axis that is unique on its bus."""
+ETHERCAT_EFFECTS: Final = ("drift", "late", "lost", "answer_lost", "low_counter", "falls_to_safe_op", "broken_at")
+"""Keys of `simulation.bus` for an EtherCAT line; the others are for CAN buses."""
+
+
+def kind_of(bus: Parameters) -> str:
+    """Return the kind of a bus from its parameters."""
+    return str(getattr(bus, "type", "can"))
+
+
+def part(kind: str, name: str) -> Any:
+    """Return one part of a kind of bus, imported now if it was not before."""
+    return load(BUSES[kind], name, f"part of a bus {kind}")
+
+
+def read_bus(value: object, read: ValidatorFunctionWrapHandler, info: ValidationInfo[Any]) -> Any:
+    """Read the section of a bus with the model of its kind."""
+    return _read("bus", value, read, info)
+
+
+def read_axis(value: object, read: ValidatorFunctionWrapHandler, info: ValidationInfo[Any]) -> Any:
+    """Read the section of an axis with the model of the kind of its bus."""
+    return _read("axis", value, read, info)
+
+
+def _read(name: str, value: object, read: ValidatorFunctionWrapHandler, info: ValidationInfo[Any]) -> Any:
+    if not isinstance(value, MarkedMapping) or value.bus_kind == "can":
+        return read(value)
+    model: type[Parameters] = part(value.bus_kind, name)
+    return model.of_section(value, info.context)

@@ -1,0 +1,144 @@
+"""One scene on EtherCAT and on CAN: the same torques and the same account; faults, mixed rigs, and what is refused."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from canhaptic.drive.safety.link_policy import StopReason
+from canhaptic.errors import InputError, SceneError
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene, scene_from_mapping
+from canhaptic.scene.models import Scene
+from tools.count_structure import loaded_modules
+
+ROOT = Path(__file__).resolve().parents[2]
+SCENE, TWIN = ROOT / "configs/ethercat.yaml", ROOT / "configs/ethercat_on_can.yaml"
+SOON = "simulation.user.motion={type: sinusoid, amplitude: 0.6 rad, frequency: 4 Hz, phase: 180 deg}"
+FAULTS = "simulation.bus={drift: 40 ppm, late: 1 %, lost: 1 %, answer_lost: 1 %, low_counter: 0.5 %}"
+
+
+def run(scene: Scene, cycles: int = 250) -> tuple[list[Any], Any, Any]:
+    """Return what each cycle read and sent, the account, and the error that ended the run."""
+    experiment = build(scene)
+    rig, seen = experiment.rig, list[Any]()
+    write = rig.write_torques
+
+    def noted(torques: Any) -> None:
+        seen.append([(s.position, s.torque_applied, s.fresh) for s in rig._samples] + list(torques))
+        write(torques)
+
+    rig.write_torques = noted
+    account, error = experiment.run_through(cycles)
+    return seen, account, error
+
+
+def both() -> dict[str, Any]:
+    """Return a scene with two drives on an EtherCAT line and one on a CAN bus."""
+    one, other = (yaml.safe_load(path.read_text().replace("0x6502", "'0x6502'")) for path in (SCENE, TWIN))
+    [axis], [pedal] = one["axes"], other["axes"]
+    one["bus"] = [{**one["bus"], "name": "arm"}, {"name": "pedals", "interface": "virtual"}]
+    second = {**axis, "bus": "arm", "name": "wrist", "position": 1}
+    one["axes"] = [{**axis, "bus": "arm"}, second, {**pedal, "bus": "pedals", "name": "pedal"}]
+    return dict(one)
+
+
+def test_the_same_scene_on_can_and_on_ethercat_has_the_same_torques_and_the_same_account() -> None:
+    on_can, on_ethercat = (run(load_scene(path, [SOON])) for path in (TWIN, SCENE))
+    assert any(torque for *_, torque in on_can[0])
+    assert on_can[0] == on_ethercat[0]
+    assert on_can[1]["ports"] == on_ethercat[1]["ports"]
+    assert on_ethercat[1]["ports"]["handle"]["verdict"] == "yes"
+
+
+def test_one_frame_a_cycle_costs_a_hold_and_the_verdict_is_still_right() -> None:
+    scene = load_scene(SCENE, [SOON, "bus.frames=1"])
+    assert scene.axes[0].loop.delay == 2
+    account, error = run(scene)[1:]
+    assert error is None
+    assert account["ports"]["handle"]["verdict"] == "yes"
+
+
+def test_faults_of_the_line_are_counted_and_the_account_holds() -> None:
+    account, error = run(load_scene(SCENE, [SOON, FAULTS, "bus.loss_limit=1"]), 400)[1:]
+    assert error is None
+    assert account["link"]["held"] > 5
+    assert min(account["bus_effects"].values()) > 0
+    truth, port = account["truth"]["handle"], account["ports"]["handle"]
+    assert port["least_certain"] <= truth["least_interaction"] + 1e-12
+
+
+@pytest.mark.parametrize(
+    ("effect", "reason"),
+    [("falls_to_safe_op: 0.1 s", StopReason.NMT_STATE_LEFT), ("broken_at: 0.1 s", StopReason.TPDO_LOST)],
+)
+def test_a_fault_of_the_line_ends_a_rig_of_both_kinds_of_bus_without_torque(effect: str, reason: StopReason) -> None:
+    key, _, value = effect.partition(": ")
+    scene = both()
+    scene["simulation"]["bus"] = {key: value}
+    experiment = build(scene_from_mapping(scene, str(SCENE)))
+    _, error = experiment.run_through(400)
+    assert error is not None
+    assert experiment.rig.stop_reason is reason
+    assert experiment.far_side is not None
+    experiment.clock.wait_until(experiment.clock.now() + 20_000_000)  # a drive that is cut off has its watchdog
+    assert [drive.torque for drive in experiment.far_side.drives] == [0.0] * 3
+
+
+def test_each_kind_of_bus_has_its_own_faults_in_one_rig() -> None:
+    scene = both()
+    scene["simulation"]["bus"] = {"lost": "2 %", "drop": "2 %"}
+    account, error = build(scene_from_mapping(scene, str(SCENE))).run_through(300)
+    assert error is None
+    assert account["bus_effects"]["arm"]["lost"] > 0
+    assert account["link"]["missed_tpdos"] > account["link"]["unanswered"] > 0
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ("bus.interface=eth0", "bus.interface: got 'eth0', expected 'virtual'"),
+        ("bus.bitrate=500000", "bus.bitrate: unknown key"),
+        ("bus.type=profinet", "bus.type: got 'profinet', expected one of: can, ethercat"),
+        ("axes.0.position=2", r"got axes at positions \[2\] of the line, expected 0 to 0"),
+        ("axes.0.esi=nothing.xml", "axes.0.esi: got 'nothing.xml', no such file.*ESI"),
+        ("simulation.bus={drop: 0.1}", "simulation.bus.drop: unknown key"),
+        ("axes.0.product_code=0x99", "got product 0x99, expected one of 0x1234"),
+    ],
+)
+def test_what_a_line_cannot_serve_is_refused(change: str, text: str) -> None:
+    with pytest.raises(SceneError, match=text):
+        load_scene(SCENE, [change])
+
+
+@pytest.mark.parametrize("effect", ["drift", "late", "lost", "answer_lost", "low_counter"])
+def test_faults_of_an_ethercat_line_are_refused_for_a_can_bus(effect: str) -> None:
+    with pytest.raises(SceneError, match=f"simulation.bus.{effect}: unknown key"):
+        load_scene(TWIN, [f"simulation.bus={{{effect}: 0.1}}"])
+
+
+def test_a_line_that_is_not_the_first_bus_is_refused() -> None:
+    scene = both()
+    scene["bus"].reverse()
+    scene["bus"][0]["rate"] = "1 kHz"
+    del scene["bus"][1]["rate"]
+    with pytest.raises(SceneError, match="give the EtherCAT line first"):
+        scene_from_mapping(scene, str(SCENE))
+
+
+def test_a_bus_log_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a bus log of an EtherCAT line is not offered yet"):
+        build(load_scene(SCENE), bus_log=tmp_path / "frames.log")
+
+
+def test_a_can_rig_loads_nothing_of_ethercat() -> None:
+    modules = loaded_modules(ROOT, scene=str(TWIN), duration=0.02)
+    assert "canhaptic.drive.can.servo_drive" in modules
+    assert not [name for name in modules if "ethercat" in name or name == "canhaptic.canopen.esi"]
+
+
+def test_the_hash_of_a_can_scene_is_that_before_there_were_other_buses() -> None:
+    resolved = load_scene(ROOT / "configs/demo.yaml").hashed()
+    assert "type" not in resolved["bus"]
+    assert "esi" not in resolved["axes"]["handle"]
