@@ -16,7 +16,7 @@ import shutil
 import sys
 import tempfile
 import weakref
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, fields
 from functools import cached_property, partial
@@ -210,6 +210,14 @@ class EnergyLog(energy_reader.EnergyLog):
         dataset: xarray.Dataset = library.Dataset(arrays, coords={"time": time}, attrs={"status": self.status})
         return dataset
 
+    def plot(
+        self, *others: energy_reader.EnergyLog, panels: Sequence[str] = (), width: float | str | None = None
+    ) -> "Figure":
+        """Return a figure of the run; as `SimulationResult.plot`, with logs as `others`."""
+        from canhaptic.view.run_picture import energy_figure
+
+        return energy_figure(self, others=others, panels=panels, width=width)
+
     def _columns(self) -> list[tuple[str, str, NDArray[np.float64]]]:
         return [
             (f"{prefix}{port}.{name}", quantities.unit(name), np.asarray(quantities[name], dtype=np.float64))
@@ -294,20 +302,30 @@ class SimulationResult:
         with self.log() as log:
             return log.to_xarray()
 
-    def plot(self, *others: "SimulationResult") -> "Figure":
+    def plot(
+        self, *others: "SimulationResult", panels: Sequence[str] = (), width: float | str | None = None
+    ) -> "Figure":
         """Return a figure of position, torque and energy over time; `others` are drawn over it in dashed lines.
 
+        Args:
+            others: Further runs.
+            panels: Panels to draw, among path, position, velocity, torque, energy, surplus and motion; by default
+                those that are not zero.
+            width: Width of the figure [m], or a text with a unit ("88 mm"), for a paper.
+
         Raises:
-            InputError: matplotlib is not installed, or the run ended before its first cycle.
+            InputError: matplotlib is not installed, the run has no such panel, or ended before its first cycle.
 
         Example:
-            >>> guarded.plot(unprotected).savefig("both.png")  # doctest: +SKIP
+            >>> guarded.plot(unprotected, panels=["torque"], width="88 mm").savefig("both.pdf")  # doctest: +SKIP
         """
         from canhaptic.view.run_picture import energy_figure
 
         with ExitStack() as stack:
             log, *further = [stack.enter_context(run.log()) for run in (self, *others)]
-            figure: Figure = energy_figure(log, others=further, labels=[_label(run.scene) for run in others])
+            figure: Figure = energy_figure(
+                log, others=further, labels=[_label(run.scene) for run in others], panels=panels, width=width
+            )
         return figure
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:

@@ -159,7 +159,7 @@ def _check_files(arguments: argparse.Namespace) -> None:
             require_library(path)
     if arguments.repair is not None and not arguments.force:
         require_new(arguments.repair)
-    for path in filter(None, (arguments.png, arguments.svg)):
+    for path in filter(None, (arguments.png, arguments.svg, arguments.pdf)):
         check_picture(path, arguments.force)
     if arguments.html is not None:
         check_page(arguments.html, arguments.force)
@@ -168,7 +168,7 @@ def _check_files(arguments: argparse.Namespace) -> None:
 def _write_files(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) -> None:
     for path in filter(None, (getattr(arguments, suffix) for suffix in _EXPORTS)):
         export(log, path)
-    pictures = [*filter(None, (arguments.png, arguments.svg))]
+    pictures = [*filter(None, (arguments.png, arguments.svg, arguments.pdf))]
     if not pictures and arguments.html is None:
         return
     with ExitStack() as stack:
@@ -184,7 +184,8 @@ def _write_files(log: EnergyLog, result: Inspection, arguments: argparse.Namespa
 
                 draw_buzz(log, result["why"], rows_to_draw(log, arguments.start, arguments.stop), path)
             else:
-                draw_energy(log, path, arguments.start, arguments.stop, others)
+                span = arguments.start, arguments.stop
+                draw_energy(log, path, *span, others, arguments.panels, arguments.width)
             note_file("picture", path)
         if arguments.html is not None:
             from canhaptic.view.html_page import write_html
@@ -214,7 +215,7 @@ def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
 
 def _asks_for_account(arguments: argparse.Namespace) -> bool:
     """Return whether options need more of a bus log than its frames."""
-    return any(getattr(arguments, name) for name in ("check", "overlay", "png", "svg", "html", *_OF_ONE_LOG))
+    return any(getattr(arguments, name) for name in ("check", "overlay", "png", "svg", "pdf", "html", *_OF_ONE_LOG))
 
 
 def _why_of_frames(arguments: argparse.Namespace) -> int:

@@ -163,7 +163,15 @@ def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
         value = getattr(environment, key, None)
         if isinstance(value, str | float) and (value or key == "position"):
             attributes[f"{name}.wall_{key}"] = value
+    for key, own in (("low", "lower"), ("high", "upper")):  # of a display, or of a wall on two sides
+        value = getattr(environment, f"{own}_wall", getattr(environment, own, None))
+        if isinstance(value, float) and abs(value) < _NO_WALL:
+            attributes[f"{name}.wall_{key}"] = value
     return attributes
+
+
+_NO_WALL: Final = 1e3
+"""Position from which a wall counts as absent [m or rad]."""
 
 
 def _promise_attributes(name: str, parameters: object) -> dict[str, Attribute]:

@@ -6,6 +6,7 @@ width and style.
 
 import os
 from collections.abc import Iterator
+from colorsys import hls_to_rgb
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -26,8 +27,14 @@ from canhaptic.quantities import VERMILION as VERMILION
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-OVERLAID = ("black", PURPLE, SKY, PALE)
-"""Colours of overlaid runs, in turn."""
+_OVERLAID: Final = ("black", PURPLE, SKY, PALE)
+
+
+def overlaid(count: int) -> list[str]:
+    """Return a colour of its own for each of some overlaid runs."""
+    hues = (number / max(1, count - len(_OVERLAID)) for number in range(count - len(_OVERLAID)))
+    further = ("#" + "".join(f"{round(255 * part):02x}" for part in hls_to_rgb(hue, 0.42, 0.7)) for hue in hues)
+    return [*_OVERLAID, *further][:count]
 
 
 STYLE: Final[Any] = {
@@ -47,6 +54,9 @@ STYLE: Final[Any] = {
     "text.parse_math": False,  # a name may have dollars
 }
 """Settings for `matplotlib.rc_context`."""
+_SMALL: Final[Any] = {"font.size": 7.0, "axes.titlesize": 7.0, "legend.fontsize": 6.0, "axes.linewidth": 0.6}
+_AS_TEXT: Final[Any] = {"svg.fonttype": "none", "pdf.fonttype": 42}
+"""Letters of a figure stay letters in its file, which a reader can search and an editor can change."""
 _FOREIGN: Final = "matplotlibrc"  # of the current folder, which matplotlib reads before any other
 _LARGEST: Final = 1_000_000  # [bytes]
 _PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"), (1e-12, "p"))
@@ -73,8 +83,11 @@ def require_matplotlib() -> None:
 
 
 @contextmanager
-def drawing() -> "Iterator[type[Figure]]":
+def drawing(*, is_small: bool = False) -> "Iterator[type[Figure]]":
     """Yield matplotlib's `Figure` class, which needs no display; within the block the package's style applies.
+
+    Args:
+        is_small: Whether letters are as small as in a paper.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -85,8 +98,14 @@ def drawing() -> "Iterator[type[Figure]]":
 
     with rc_context():
         rcdefaults()  # what a `matplotlibrc` of the current folder or of the user says is not for these
-        rcParams.update(STYLE)
-        yield Figure
+        rcParams.update({**STYLE, **(_SMALL if is_small else {})})
+
+        class TextFigure(Figure):
+            def savefig(self, *words: Any, **named: Any) -> None:
+                with rc_context(_AS_TEXT):
+                    super().savefig(*words, **named)
+
+        yield TextFigure
 
 
 def save_picture(figure: "Figure", path: str | Path) -> None:

@@ -15,18 +15,20 @@ from canhaptic.audit.inspection import contacts, in_degrees, rows_between, rows_
 from canhaptic.axis_units import DEGREE, counted, si
 from canhaptic.control.ledger import without_dust
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
+from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
 from canhaptic.quantities import ACCOUNT
+from canhaptic.units import Unit
 from canhaptic.view.picture_style import (
     ALARM,
     BLUE,
     GREEN,
     GREY,
     ORANGE,
-    OVERLAID,
     SKY,
     drawing,
+    overlaid,
     save_picture,
     scale_of,
 )
@@ -41,6 +43,9 @@ _BUCKETS: Final = 2000  # about 4000 points a line, more than the picture has co
 _MAX_CONTACTS_SHADED: Final = 400  # more stripes than this are only grey
 _MAX_FAULTS_NAMED: Final = 4
 _ROUNDING: Final = 1e-6  # part of the energy that flowed, below which a surplus is no line to look at
+_ALWAYS: Final = ("position", "torque", "energy", "surplus", "motion")
+"""Panels that every run has."""
+_METRES_PER_INCH: Final = 0.0254
 _COLUMNS: Final = {
     "position": "position", "velocity": "torque_command", "torque": "torque_applied",
     "energy": "interaction", "surplus": "surplus",
@@ -76,6 +81,7 @@ class PortPicture:
         self._movers = [log.ports[axis] for axis in self._axes] or [port]
         self._is_display = port.unit("torque_command") != port.unit("torque_applied")
         self.scales: dict[str, float] = {}  # of each panel over time
+        self._units: dict[str, str] = {}  # of each panel over time, with the prefix of its scale
         self.plane = task_plane(log, name, rows)
         self._contacts = contacts(self._column("branch"))
         if len(self._contacts) > _MAX_CONTACTS_SHADED:
@@ -106,19 +112,21 @@ class PortPicture:
             elif name == "path" and self.plane is not None:
                 self._draw_path(axes, self.plane)
         if "motion" in panels:
-            self._draw_motion(panels, self.scales)
-        if len(self._log.ports) > 1 or self._axes:
-            panels["position"].set_title(f"{self._name}: position", fontweight="bold")
+            self._draw_motion(panels["motion"], self.scales)
+        first = "position" if "position" in panels else next(iter(panels))
+        if first != "path" and (len(self._log.ports) > 1 or self._axes):
+            title = panels[first].get_title(loc="left")
+            panels[first].set_title(f"{self._name}: {title}", fontweight="bold")
 
     def draw_over(self, panels: "Mapping[str, Axes]", scales: Mapping[str, float], name: str, colour: str) -> None:
         """Draw this run over the panels of another one, with the scales of those panels."""
-        for panel, scale in scales.items():
+        for panel, scale in ((panel, scale) for panel, scale in scales.items() if panel in panels):
             for number, (line, _) in enumerate(self._lines(panel)):
                 label = name if number == 0 else None
                 self._line(panels[panel], line, scale, color=colour, linewidth=0.7, linestyle=(0, (3, 2)), label=label)
             _add_legend(panels[panel])
         if "motion" in panels:
-            self._draw_motion(panels, scales, name, colour)
+            self._draw_motion(panels["motion"], scales, name, colour)
 
     def _column(self, name: str) -> Array:
         return self._port.read(name, self._rows.start, self._rows.stop)
@@ -159,14 +167,7 @@ class PortPicture:
         self._mark(axes, "in contact" if panel == "position" else "")
         common, own = self._lines(panel), self._own_lines(panel)
         lines = [*own, *common] if panel == "torque" else [*common, *own]
-        largest = max(abs(float(limit(line, initial=0.0))) for line, _ in lines for limit in (np.nanmin, np.nanmax))
-        if panel == "position":
-            largest = max([largest, *(abs(wall) for wall, _ in walls_of(self._log, self._name))])
-        self.scales[panel], prefix = scale_of(largest)
-        unit = self._movers[0].unit(_COLUMNS[panel])
-        if panel == "position" and in_degrees(self._log, self._name):
-            self.scales[panel], prefix, unit = DEGREE, "", "deg"
-        scale = self.scales[panel]
+        scale = self._scaled(panel)
         if panel == "energy":
             self._draw_energy(axes, scale, *(values for values, _ in common))
         else:
@@ -174,9 +175,25 @@ class PortPicture:
                 self._line(axes, values, scale, **look)
         if panel == "position":
             self._draw_wall(axes, scale)
-        title = "force" if panel == "torque" and unit == "N" else panel
-        _finish(axes, title + " commanded" * (panel == "velocity" and bool(self._axes)), f"{prefix}{unit}")
+        _finish(
+            axes, self._title(panel) + " commanded" * (panel == "velocity" and bool(self._axes)), self._units[panel]
+        )
         axes.margins(x=0.0)
+
+    def _title(self, panel: str) -> str:
+        return "force" if panel == "torque" and self._movers[0].unit(_COLUMNS[panel]) == "N" else panel
+
+    def _scaled(self, panel: str) -> float:
+        """Choose the scale and the unit of a panel over time, and return the scale."""
+        lines = [line for line, _ in (*self._lines(panel), *self._own_lines(panel))]
+        largest = max(abs(float(limit(line, initial=0.0))) for line in lines for limit in (np.nanmin, np.nanmax))
+        if panel == "position":
+            largest = max(largest, *(abs(wall) for wall, _ in walls_of(self._log, self._name)), 0.0)
+        self.scales[panel], prefix = scale_of(largest)
+        self._units[panel] = f"{prefix}{self._movers[0].unit(_COLUMNS[panel])}"
+        if panel == "position" and in_degrees(self._log, self._name):
+            self.scales[panel], self._units[panel] = DEGREE, "deg"
+        return self.scales[panel]
 
     def _draw_wall(self, axes: "Axes", scale: float) -> None:
         """Mark the notches of detents, or shade the inside of a wall."""
@@ -201,11 +218,10 @@ class PortPicture:
         axes.set_xlabel(f"[{prefix}{plane.unit}]")
         _finish(axes, f"{self._name}: path", f"{prefix}{plane.unit}")
 
-    def _draw_motion(
-        self, panels: "Mapping[str, Axes]", scales: Mapping[str, float], other: str = "", colour: str = ""
-    ) -> None:
+    def _draw_motion(self, axes: "Axes", scales: Mapping[str, float], other: str = "", colour: str = "") -> None:
         """Draw applied torque over position for each axis: the slope is the stiffness felt."""
-        axes, position, torque = (panels[name] for name in ("motion", "position", "torque"))
+        for name in () if other else ("position", "torque"):
+            self._scaled(name)
         places, efforts = self._of_movers("position"), self._of_movers("torque_applied")
         labels = self._axes or ("applied",)
         for place, effort, label, own in zip(places, efforts, labels, cycle(_OF_AXES)):
@@ -213,9 +229,9 @@ class PortPicture:
             across, along = place[shown] / scales["position"], effort[shown] / scales["torque"]
             axes.plot(across, along, color=colour or own, linewidth=0.9, label=other or label)
         if not other:
-            axes.set_xlabel(f"position {position.get_ylabel()}")
-            axes.set_ylabel(torque.get_ylabel())
-            axes.set_title(f"{torque.get_title(loc='left')} over position", fontweight="bold")
+            axes.set_xlabel(f"position [{self._units['position']}]")
+            axes.set_ylabel(f"[{self._units['torque']}]")
+            axes.set_title(f"{self._title('torque')} over position", fontweight="bold")
         _add_legend(axes)
 
     def _draw_energy(self, axes: "Axes", scale: float, taken_in: Array, dissipated: Array) -> None:
@@ -275,7 +291,10 @@ def _finish(axes: "Axes", title: str, unit: str) -> None:
 
 
 def _add_legend(axes: "Axes") -> None:
-    """Add the legend in one row, or in three columns where a row would be wider than the panel."""
+    """Add the legend above the panel, in rows that are no wider; in a figure for a paper inside, where it fits best."""
+    if axes.figure.bbox.width / axes.figure.dpi < _NARROW:
+        axes.legend(loc="best", frameon=True, framealpha=0.8, edgecolor="none", borderpad=0.2, labelspacing=0.2)
+        return
     letters = sum(_MARK + len(label) for label in axes.get_legend_handles_labels()[1])
     axes.legend(**_LEGEND | ({"ncols": 3} if letters > _LETTERS else {}))
 
@@ -285,6 +304,8 @@ _HEIGHTS: Final = {
 }  # fmt: skip
 """Heights of the panels, in units of `_INCH`."""
 _INCH: Final = 0.75  # per unit of height
+_NARROW: Final = 8.0  # [inch] width below which panels are lower, and letters smaller
+_WIDTHS: Final = (0.04, 1.0)  # [m] that a figure may have
 _ACROSS: Final = 2  # accounts next to each other; more continue below
 
 
@@ -294,6 +315,8 @@ def draw_energy(
     start: float | None = None,
     stop: float | None = None,
     others: Sequence[EnergyLog] = (),
+    panels: Sequence[str] = (),
+    width: float | str | None = None,
 ) -> None:
     """Draw a run into a file; its suffix gives the format (.png, .svg, .pdf).
 
@@ -306,11 +329,15 @@ def draw_energy(
         start: Time of the first SYNC to draw [s]; from the beginning by default.
         stop: Time of the first SYNC not to draw [s]; to the end by default.
         others: Further runs, whose ports are drawn over those of the same name in thin dashed lines.
+        panels: Panels to draw, among path, position, velocity, torque, energy, surplus and motion; by default those
+            that are not zero.
+        width: Width of the figure [m], or a text with a unit ("88 mm"), for a paper: letters of 7 points, no caption.
 
     Raises:
-        InputError: The log has no cycle in that time, matplotlib is not installed, or the file cannot be written.
+        InputError: The log has no cycle in that time or no such panel, the width is none, matplotlib is not installed,
+            or the file cannot be written.
     """
-    save_picture(energy_figure(log, start, stop, others), path)
+    save_picture(energy_figure(log, start, stop, others, panels=panels, width=width), path)
 
 
 def energy_figure(
@@ -319,8 +346,10 @@ def energy_figure(
     stop: float | None = None,
     others: Sequence[EnergyLog] = (),
     labels: Sequence[str] = (),
+    panels: Sequence[str] = (),
+    width: float | str | None = None,
 ) -> "Figure":
-    """Return the matplotlib figure of a run; arguments as for `draw_energy`.
+    """Return the matplotlib figure of a run; arguments and errors as for `draw_energy`.
 
     Args:
         log: An open energy log.
@@ -328,38 +357,74 @@ def energy_figure(
         stop: As for `draw_energy`.
         others: As for `draw_energy`.
         labels: Labels of the other runs; by default the names of their files.
+        panels: As for `draw_energy`.
+        width: As for `draw_energy`.
     """
     names = list(labels) or [other.path.name for other in others]
-    rows = rows_to_draw(log, start, stop)
-    with drawing() as figure_type:
+    rows, inches = rows_to_draw(log, start, stop), _inches(width)
+    with drawing(is_small=inches is not None) as figure_type:
         pictures = {name: PortPicture(log, name, rows) for name in log.ports if name not in log.group_of}
-        figure, columns = _layout(figure_type, pictures)
+        wanted = {name: _chosen(picture.draws(), panels) for name, picture in pictures.items()}
+        figure, columns = _layout(figure_type, wanted, inches)
         for name, picture in pictures.items():
             picture.draw(columns[name])
-            for other, label, colour in zip(others, names, cycle(OVERLAID)):
+            for other, label, colour in zip(others, names, overlaid(len(others)), strict=True):
                 if name in other.ports and other.rows:
                     overlay = PortPicture(other, name, rows_between(other, start, stop))
                     overlay.draw_over(columns[name], picture.scales, label, colour)
-            columns[name][_last_over_time(columns[name])].set_xlabel("time [s]" + picture.faults())
-        figure.suptitle(_caption(log), x=0.995, ha="right", fontsize=8.0, color="#707070")
+            if last := _last_over_time(columns[name]):
+                columns[name][last].set_xlabel("time [s]" + picture.faults() * (inches is None))
+        if inches is None:
+            figure.suptitle(_caption(log), x=0.995, ha="right", fontsize=8.0, color="#707070")
     return figure
 
 
+def _inches(width: float | str | None) -> float | None:
+    """Return the width of a figure [inch]; None for the usual one.
+
+    Raises:
+        InputError: It is no length, or out of range.
+    """
+    if width is None:
+        return None
+    try:
+        metres = float(str(Unit("m", "m").read(width)))
+    except ValueError as error:
+        raise InputError(f"width: got {width!r}, {error}, as in '88 mm'") from error
+    if not _WIDTHS[0] <= metres <= _WIDTHS[1]:
+        raise InputError(f"width: got {metres:g} m, expected {_WIDTHS[0]:g} to {_WIDTHS[1]:g} m; 88 mm is one column")
+    return metres / _METRES_PER_INCH
+
+
+def _chosen(drawn: Sequence[str], panels: Sequence[str]) -> list[str]:
+    """Return the panels to draw, in the order of the picture.
+
+    Raises:
+        InputError: The run has no such panel.
+    """
+    possible = [name for name in _HEIGHTS if name in drawn or name in _ALWAYS]
+    if missing := [name for name in panels if name not in possible]:
+        raise InputError(f"panels: got {missing[0]!r}, expected names among {', '.join(possible)}")
+    return [name for name in possible if name in (panels or drawn)]
+
+
 def _last_over_time(names: Iterable[str]) -> str:
-    return [name for name in names if name in _COLUMNS][-1]
+    return next((name for name in reversed(list(names)) if name in _COLUMNS), "")
 
 
 def _layout(
-    figure_type: "type[Figure]", pictures: Mapping[str, PortPicture]
+    figure_type: "type[Figure]", wanted: Mapping[str, Sequence[str]], width: float | None
 ) -> "tuple[Figure, dict[str, dict[str, Axes]]]":
     """Return an empty figure and the panels of each port by name; panels over time share one time axis."""
-    wanted = {name: picture.draws() for name, picture in pictures.items()}
     rows = [row for row in _HEIGHTS if any(row in names for names in wanted.values())]
     heights = [_HEIGHTS[row] for row in rows]
-    across = min(len(pictures), _ACROSS)
-    bands = -(-len(pictures) // _ACROSS)
-    figure = figure_type(figsize=(2.0 + 6.5 * across, _INCH * sum(heights) * bands), dpi=120)
-    figure.set_layout_engine("constrained", hspace=0.04, h_pad=0.06)
+    across = min(len(wanted), _ACROSS)
+    bands = -(-len(wanted) // _ACROSS)
+    usual = 2.0 + 6.5 * across
+    inch = _INCH if width is None else _INCH * max(0.5, min(1.0, width / usual))
+    figure = figure_type(figsize=(width or usual, inch * sum(heights) * bands), dpi=120 if width is None else 600)
+    pad = 0.06 if width is None else 0.02
+    figure.set_layout_engine("constrained", hspace=0.04, h_pad=pad)
     grid = figure.add_gridspec(len(rows) * bands, across, height_ratios=heights * bands)
     columns: dict[str, dict[str, Axes]] = {}
     first = None

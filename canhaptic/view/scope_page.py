@@ -5,23 +5,29 @@ zoom and new data.
 """
 
 import html
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from itertools import cycle
+from pathlib import Path
 from typing import Any, Final
 
 from bokeh.document import Document
-from bokeh.layouts import column
+from bokeh.layouts import column, row
 from bokeh.models import (
     BoxAnnotation,
     ColumnDataSource,
+    CustomJS,
     CustomJSHover,
     CustomJSTickFormatter,
     DataRange1d,
     Div,
+    GlobalInlineStyleSheet,
     HoverTool,
+    Model,
     Range,
+    Slider,
     Span,
+    Toggle,
 )
 from bokeh.plotting import figure
 
@@ -30,7 +36,7 @@ from canhaptic.logs.decoder import state_text
 from canhaptic.logs.hdf5 import Array
 from canhaptic.quantities import ACCOUNT
 from canhaptic.result import with_groups
-from canhaptic.view.html_page import verdict_bar
+from canhaptic.view.html_page import STYLE, verdict_bar
 from canhaptic.view.picture_style import ALARM, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY
 from canhaptic.view.scope_states import StatePanels
 from canhaptic.view.series import FAULTS, LiveLog, News, PortFacts, decimate_together
@@ -50,6 +56,15 @@ const digits = Math.min(12, Math.max(0, Math.ceil(-Math.log10(step / scale) - 1e
 return `${(tick / scale).toFixed(digits)} ${prefix}${unit}`;
 """
 )
+_LIVE: Final = Path(__file__).with_suffix(".css").read_text(encoding="utf-8")
+_BACK: Final = """
+if (!pause.active && back.value > 0) pause.active = true;
+for (const range of ranges) {
+  range.follow = pause.active ? null : "end";
+  range.tags = pause.active ? (range.tags.length ? range.tags : [range.end]) : [];
+  if (pause.active) range.setv({end: range.tags[0] - back.value, start: range.tags[0] - back.value - window});
+}
+"""
 _VALUE: Final = (
     _PREFIX
     + """
@@ -86,8 +101,40 @@ def new_panel(title: str, unit: str, time: Range, height: int) -> figure:
     panel.yaxis.axis_label = title
     panel.xaxis.formatter, panel.yaxis.formatter = si_ticks("s"), si_ticks(unit)
     panel.toolbar.logo = None
-    panel.grid.grid_line_color = "#E6E6E6"
     return panel
+
+
+class LivePage:
+    """Root of a live page, light or dark as the browser, with a button that pauses and a slider that goes back in time.
+
+    Args:
+        document: The visitor's Bokeh document.
+        title: Title of the page.
+        ranges: Time ranges of the panels.
+        window: Length of the shown time [s].
+    """
+
+    def __init__(self, document: Document, title: str, ranges: Sequence[Range], window: float) -> None:
+        self._document, document.title = document, title
+        self._pause = Toggle(label="pause", name="pause")
+        back = Slider(title="back [s]", start=0.0, end=2.0 * window, value=0.0, step=window / 100.0, name="back")
+        words = {"ranges": list(ranges), "pause": self._pause, "back": back, "window": window}
+        moved = CustomJS(args=words, code=_BACK)
+        self._pause.js_on_change("active", moved)
+        back.js_on_change("value", moved)
+        self.time = row(self._pause, back, name="time")
+        sheet = GlobalInlineStyleSheet(css=STYLE + _LIVE)
+        self._root = column(sizing_mode="stretch_width", name="root", stylesheets=[sheet])
+        document.add_root(self._root)
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether the visitor looks at what was."""
+        return bool(self._pause.active)
+
+    def show(self, children: Sequence[Model]) -> None:
+        """Replace the contents of the page."""
+        self._root.children = list(children)
 
 
 def si_ticks(unit: str) -> CustomJSTickFormatter:
@@ -116,6 +163,7 @@ def finished(panel: figure) -> figure:
     """Put the legend above the panel, where it cannot hide data."""
     legend = panel.legend[0]
     legend.orientation, legend.location, legend.click_policy = "horizontal", "right", "hide"
+    legend.background_fill_alpha, legend.label_text_color = 0.0, "#808080"
     legend.border_line_alpha, legend.padding, legend.margin, legend.spacing = 0.0, 0, 0, 16
     legend.label_text_font_size = "9pt"
     panel.add_layout(legend, "above")
@@ -270,7 +318,6 @@ class ScopePage:
     """
 
     def __init__(self, document: Document, log: LiveLog, window: float, period: float) -> None:
-        self._document = document
         self._log = log
         self._window = window
         self._status = Div(text=f"waiting for {html.escape(str(log.path))} ...", name="status")
@@ -278,13 +325,13 @@ class ScopePage:
         self._ports: dict[str, _LivePort] = {}
         self._common: dict[str, tuple[ColumnDataSource, figure]] = {}
         self._last: News | None = None  # look that found rows
-        document.title = f"canhaptic scope: {log.path.name}"
-        document.add_root(column(self._status, sizing_mode="stretch_width", name="root"))
+        self._page = LivePage(document, f"canhaptic scope: {log.path.name}", [self._time], window)
+        self._page.show([self._status])
         document.add_periodic_callback(self.update, max(50, round(1000 * period)))
 
     def update(self) -> None:
         """Add new data to the page."""
-        news = self._log.look()
+        news = None if self._page.is_paused else self._log.look()
         if news is None:
             if self._log.trouble:
                 self._status.text = f"waiting for {html.escape(str(self._log.path))}: {html.escape(self._log.trouble)}"
@@ -315,7 +362,7 @@ class ScopePage:
         for panel in common:
             panel.visible = False
         panels = [panel for port in self._ports.values() for panel in port.panels.values()]
-        self._document.roots[0].children = [self._status, *panels, *common]
+        self._page.show([self._status, self._page.time, *panels, *common])
 
 
 class _LivePort:

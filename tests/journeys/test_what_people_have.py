@@ -2,7 +2,9 @@
 
 import json
 import linecache
+import re
 import sys
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -13,6 +15,7 @@ import pytest
 
 import canhaptic
 from canhaptic.audit.recompute import recompute_all
+from canhaptic.cli.main import main
 from canhaptic.errors import InputError, SceneError
 from canhaptic.scene import given, own_code
 
@@ -175,3 +178,30 @@ def test_what_touch_takes_along_is_there_in_another_process(monkeypatch: pytest.
 
 def slope(state: float, stiffness: float = 7.0) -> float:
     return stiffness * state
+
+
+def test_figure_of_88_mm(tmp_path: Path) -> None:
+    result = canhaptic.simulate("demo", duration=1.3, progress=False)
+    figure = result.plot(panels=["position", "torque"], width="88 mm")
+    for name in ("figure.svg", "figure.pdf"):
+        figure.savefig(tmp_path / name)
+    svg = (tmp_path / "figure.svg").read_text()
+    assert 'width="249.448819pt"' in svg  # 88 mm
+    assert {"position", "force", "time [s]", "wall"} <= set(re.findall(r"<text[^>]*>([^<]*)", svg))
+    pdf = (tmp_path / "figure.pdf").read_bytes()
+    assert re.search(rb"/MediaBox \[ 0 0 249\.448\d* ", pdf)
+    assert b"/Type3" not in pdf  # letters as drawings
+    pages = [zlib.decompress(of) for of in re.findall(rb"FlateDecode.*?stream\r?\n(.*?)endstream", pdf, re.DOTALL)]
+    words = [
+        b"".join(re.findall(rb"\(\0(.)\)", of)) for page in pages for of in re.findall(rb"BT(.*?)ET", page, re.DOTALL)
+    ]
+    assert {b"position", b"force", b"wall"} <= set(words)
+    assert b"/ToUnicode" in pdf
+    log = result.save(tmp_path / "run.h5")
+    options = ["--pdf", str(tmp_path / "motion.pdf"), "--panels", "motion", "--width", "88 mm"]
+    assert main(["inspect", str(log), *options]) == 0
+    with canhaptic.EnergyLog(log) as opened:
+        assert [axes.get_title(loc="left") for axes in opened.plot(panels=["energy"], width=0.1).axes] == ["energy"]
+        for wrong, expected in (({"panels": ["enrgy"]}, "'enrgy', expected names among"), ({"width": "88 N"}, "88 mm")):
+            with pytest.raises(InputError, match=expected):
+                opened.plot(**wrong)

@@ -93,7 +93,7 @@ def test_a_picture_names_the_least_margin_the_wall_and_the_faults_and_shades_eve
         "1.5 s: emcy 0x8130 heartbeat lost",
         "applied",
     ):
-        assert f"<!-- {words} -->" in text
+        assert f">{words}</text>" in text
     assert touching == 2
     assert text.count('"fill: #4d4d4d; opacity: 0.05"') == 4 * touching + 1  # in each of the four panels, and a legend
     assert text.count('"fill: #4d4d4d; opacity: 0.1"') == 1  # inside the wall
@@ -233,5 +233,5 @@ def test_powers_of_ten_are_written_plainly_and_dollars_stay(tmp_path: Path) -> N
         save_picture(figure, tmp_path / "a.svg")
     drawn = (tmp_path / "a.svg").read_text(encoding="utf-8")
     assert "mathdefault" not in drawn
-    assert "<!-- 1e-06 -->" in drawn
-    assert "<!-- a $name$ -->" in drawn
+    assert ">1e-06</text>" in drawn
+    assert ">a $name$</text>" in drawn
