@@ -36,7 +36,7 @@ from canhaptic.view.terminal import visible
 if TYPE_CHECKING:
     from canhaptic.audit.inspection import Inspection
 
-_STYLE, _SCRIPT = (Path(__file__).with_suffix(suffix).read_text(encoding="utf-8") for suffix in (".css", ".js"))
+STYLE, _SCRIPT = (Path(__file__).with_suffix(suffix).read_text(encoding="utf-8") for suffix in (".css", ".js"))
 _LEAST_SIZE: Final = 0.6
 """Least size of a picture as a fraction of its full size; in a narrower window it scrolls."""
 _GREY: Final = re.compile(r"(?<=: )#([0-9a-f]{2})\1\1\b")
@@ -88,7 +88,7 @@ def write_page(path: Path, title: str, parts: Iterable[str | Table]) -> None:
     name = html.escape(title)
     text = (
         f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{name}</title>'
-        f"<style>\n{_STYLE}</style></head><body><h1>{name}</h1>{body}<script>\n{_SCRIPT}</script></body></html>"
+        f"<style>\n{STYLE}</style></head><body><h1>{name}</h1>{body}<script>\n{_SCRIPT}</script></body></html>"
     )
     try:
         with replacing(path) as page:

@@ -21,10 +21,11 @@ from canhaptic.lab.touch.hand_process import TouchHand, TouchNews, TouchStatus
 from canhaptic.lab.touch.two_sides import TouchScene, TouchSlider
 from canhaptic.view.html_page import verdict_bar
 from canhaptic.view.picture_style import BLUE, GREY, PALE, VERMILION
-from canhaptic.view.scope_page import finished, new_panel, si_ticks
+from canhaptic.view.scope_page import LivePage, add_hover, finished, new_panel, si_ticks
 from canhaptic.view.series import decimate
 
 _COLOURS: Final = (VERMILION, BLUE)
+_SHOWN: Final = 3.0  # [s]
 _DELAYS: Final = {"event": "no delay", "synchronous": "one sample late"}
 _SEND: Final = """
 pointer.data = {x: [cb_obj.x], y: [cb_obj.y], token: [performance.now()]};
@@ -64,12 +65,12 @@ class TouchPage:
             other.y_range = mine.y_range
             mine.y_range.renderers = [*mine.renderers, *other.renderers]
         self._controls = _Controls(hand, self._begin)
-        document.title = f"canhaptic touch: {scene_title(touched.scene.source)}"
+        ranges = [panel.x_range for side in self._sides for panel in side.panels]
+        self._page = LivePage(document, f"canhaptic touch: {scene_title(touched.scene.source)}", ranges, _SHOWN)
         sides = row(*(side.layout for side in self._sides), sizing_mode="stretch_width")
         room = "square" if touched.is_plane else "strip"
         hint = models.Div(text=f"Drag in a {room}: the pointer is the hand on both handles.")
-        rows = (hint, self._controls.layout, sides, self._status)
-        document.add_root(column(*rows, sizing_mode="stretch_width", name="root"))
+        self._page.show([hint, self._controls.layout, sides, self._page.time, self._status])
         self._looking = document.add_periodic_callback(self.update, max(20, round(1000 * period)))
 
     def end(self, text: str) -> None:
@@ -80,6 +81,8 @@ class TouchPage:
 
     def update(self) -> None:
         """Draw new rows after the browser has drawn the last ones, so that a slow browser does not fall behind."""
+        if self._page.is_paused:
+            return
         self._waited += 1
         if self._drawn.data["frame"][0] != self._frame and self._waited < 60:  # after which the page is asked again
             return
@@ -138,7 +141,29 @@ class _SideView:
         self.panels.append(self._panel("energy", "J", ["energy"]))
         self.panels[-1].add_layout(models.Span(location=0.0, dimension="width", line_color=GREY, line_dash="dashed"))
         title = models.Div(text=f"<b style='font-size:1.3em;color:{_COLOURS[number]}'>{html.escape(self._name)}</b>")
-        self.layout = column(*(title, self._verdict, self.scene, *self.panels), sizing_mode="stretch_width")
+        knob = [] if touched.is_plane or touched.unit == "m" else [self._new_knob(touched)]
+        self.layout = column(*(title, self._verdict, self.scene, *knob, *self.panels), sizing_mode="stretch_width")
+
+    def _new_knob(self, touched: TouchScene) -> figure:
+        """Return the knob as a disc, which turns as the handle moves, with walls and notches at its rim."""
+        around: Any = {"x_range": models.Range1d(-1.4, 1.4), "y_range": models.Range1d(-1.4, 1.4), "tools": ""}
+        around |= {"min_border": 0, "frame_align": False, "toolbar_location": None, "name": f"knob {self._number}"}
+        disc = figure(width=170, height=170, align="center", **around)
+        disc.axis.visible, disc.grid.visible, disc.outline_line_alpha = False, False, 0.0
+        for low, high in touched.solid:
+            disc.annular_wedge(
+                0, 0, 1.05, 1.35, low, min(high, low + 6.28), fill_color=GREY, fill_alpha=0.4, line_alpha=0
+            )
+        if touched.notches:
+            first, pitch = touched.notches
+            turn = first + pitch * np.arange(min(200, round(2.0 * np.pi / pitch)))
+            disc.ray(np.cos(turn), np.sin(turn), length=0.25, angle=turn, line_color=GREY, line_width=2)
+        disc.circle(
+            0, 0, radius=1.0, fill_color=_COLOURS[self._number], fill_alpha=0.25, line_color=_COLOURS[self._number]
+        )
+        disc.ray(0, 0, length=1.0, angle="hand_x", source=self.handle, line_color=PALE, line_width=3)
+        disc.ray(0, 0, length=1.0, angle="x", source=self.handle, line_color=_COLOURS[self._number], line_width=6)
+        return disc
 
     def _new_scene(self, touched: TouchScene, pointer: models.ColumnDataSource) -> figure:
         """Return the panel in which the handle is dragged."""
@@ -188,15 +213,16 @@ class _SideView:
 
     def _panel(self, title: str, unit: str, vectors: list[str]) -> figure:
         # A range of its own: a shared one stands still while any of its panels is scrolled out of sight.
-        panel = new_panel(title, unit, models.DataRange1d(follow="end", follow_interval=3.0, range_padding=0.0), 150)
+        panel = new_panel(title, unit, models.DataRange1d(follow="end", follow_interval=_SHOWN, range_padding=0.0), 150)
         shown = [name for vector in vectors for name in self._columns if name.split()[0] == vector]
         for name in shown:
             is_main, along = name.split()[0] == vectors[-1], not name.endswith(" y")
             panel.line(
                 "time", name, source=self._lines, color=_COLOURS[self._number] if is_main else GREY,
                 line_width=1.5 if is_main else 1.0, line_dash="solid" if along else "dashed",
-                legend_label=self._label(name),
+                legend_label=self._label(name), name=name,
             )  # fmt: skip
+        add_hover(panel, unit, {self._label(name): name for name in shown})
         panel.toolbar_location, panel.window_axis = None, "none"
         return finished(panel)
 
@@ -270,7 +296,8 @@ class _Controls:
             slider.on_change("value_throttled", self._moved)
         for group in (self._rate, self._delay):
             group.on_change("active", self._moved)
-        self.layout = row(*widgets, self._rate, self._delay, again, sizing_mode="stretch_width")
+        wrapped: Any = {"sizing_mode": "stretch_width", "styles": {"flex-wrap": "wrap"}}
+        self.layout = row(*widgets, self._rate, self._delay, again, **wrapped)
 
     def _moved(self, _name: str, _old: object, _new: object) -> None:
         changes = {"bus.rate": self._rates[self._rate.active], "bus.rpdo": list(_DELAYS)[self._delay.active]}
