@@ -29,8 +29,12 @@ _SIX: Final = "guarded,unprotected,a_priori_dissipation,internal_dissipation,pas
 _INTRODUCTION: Final = """\
 # Gallery
 
+For everybody who asks what it can do, and how a picture is made.
+
 Each picture was made by the command below it. The page and its pictures are made by `python -m tools.gallery`, and a
 test runs every command. Grey in comparisons is the continuous wall under the same hand.
+
+Where to go next: [touch a wall](tutorials/touch_a_wall.md), and the [commands](commands.md).
 """
 
 

@@ -29,6 +29,8 @@ search:
 
 # Configuration
 
+For everybody who writes a scene file.
+
 Every key of a scene file. The keys in **bold** are all that a first rig needs: `canhaptic new` writes them. A key that
 is a link is explained in [words](words.md). This page is made from the models by `python -m tools.make_configuration`.
 
@@ -43,6 +45,8 @@ names the nearest one. Any value can be replaced from the command line: `--set e
 and keys that the new one needs are listed with an example. With real drives nothing is dropped: it is an error.
 
 `canhaptic configs --schema` prints the same as JSON Schema, for editors.
+
+Where to go next: [words](words.md), and the [passivity guide](passivity_guide.md).
 """
 _HEAD: Final = "| key | value; default | |\n|---|---|---|"
 _LAST: Final = ("groups", "simulation")

@@ -79,6 +79,21 @@ def test_the_site_builds_strictly_and_asks_nothing_of_a_network(tmp_path: Path) 
         assert f'id="{name}"' in api
 
 
+def test_every_page_says_for_whom_it_is_and_where_to_go_next() -> None:
+    for page in sorted((ROOT / "docs").rglob("*.md")):
+        if "results" not in page.parts:
+            text = page.read_text(encoding="utf-8")
+            assert re.search(r"^# .+\n\nFor [a-z]", text, re.MULTILINE), page
+            assert "Where to go next: " in text, page
+
+
+def test_a_line_of_text_has_at_most_ninety_letters() -> None:
+    """On a wide screen too; a letter is at least 0.87 times as wide as a digit."""
+    style = (ROOT / "docs" / "stylesheets" / "tables.css").read_text(encoding="utf-8")
+    [digits] = re.findall(r"\.md-typeset :is\(p, li, [^)]*\) \{ max-width: (\d+)ch; \}", style)
+    assert int(digits) / 0.87 <= 90.0
+
+
 def test_the_api_lists_the_public_names_and_no_others() -> None:
     page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
     listed = re.findall(r"^::: [\w.]+\.(\w+)$", page, re.MULTILINE) + re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)

@@ -53,9 +53,9 @@ def test_two_builds_of_one_commit_are_the_same_bytes(installed: Path, tmp_path: 
     for name in ("first", "second"):
         copied = shutil.copytree(installed.parents[1] / "source", tmp_path / name, copy_function=shutil.copyfile)
         words: tuple[str | Path, ...] = (installed / "python", "-m", "tools.make_dist", tmp_path / "dist")
-        found.append(run("env", "SOURCE_DATE_EPOCH=1700000000", *words, folder=copied))
+        found.append(run("env", "SOURCE_DATE_EPOCH=1700000000", *words, folder=copied).splitlines()[-2:])
     assert found[0] == found[1]
-    assert found[0].count("canhaptic-") == 2
+    assert all("canhaptic-" in line for line in found[0])
 
 
 def test_a_fixture_replays_a_recording_from_the_wheel(installed: Path, tmp_path: Path) -> None:
