@@ -31,10 +31,11 @@ from tools.bench.truth import (
     run_all,
     table_of,
 )
-from tools.truth.faults import with_fault
-from tools.truth.judge import TOUCH, Outcome, _false_claims, judged
+from tools.truth.faults import FURTHER, with_fault
+from tools.truth.judge import TOUCH, Outcome, _false_claims, account_of, judged
 from tools.truth.known_ways import WAYS, is_closed, row_of
 from tools.truth.scenes import TruthScene, random_scene
+from tools.truth.stops import claims_after, left_after
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 SCENES = 150
@@ -317,7 +318,28 @@ def test_damping_of_the_device_alone_bounds_no_motion_inside_a_hold():
     assert outcome.false_claims == ()
 
 
-@pytest.mark.parametrize("seed", [114, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(500, 530))])
+@pytest.mark.parametrize("seed", [114, 7, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(500, 530))])
 def test_stopped_at_any_instant_the_account_is_true_to_the_very_end(seed: int) -> None:
     outcome = outcome_with_stop(seed)
     assert not outcome.declared or outcome.false_claims == ()
+
+
+@pytest.mark.parametrize("seed", [26, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (20, 57, 76, 160))])
+def test_a_second_sender_and_a_torque_that_was_not_commanded_leave_no_false_claim(seed: int) -> None:
+    outcome = outcome_with_fault(seed)
+    assert any(f"fault:{name}" in outcome.tags for name in FURTHER)
+    assert outcome.status == "stopped"
+    assert outcome.false_claims == ()
+    assert outcome.given_after < 1.0
+
+
+def test_what_a_motor_gives_after_the_account_of_an_operators_stop_is_a_claim() -> None:
+    """A control: a display and an axis, each with energy that no account holds."""
+    for name in ("demo", "admittance/virtual_mass"):
+        with build(load_scene(DEMO.parent / f"{name}.yaml"), "free") as experiment:
+            run(experiment.cycle, 30)
+            account = account_of(experiment.cycle, "stopped")
+            left = left_after(experiment, account)
+            assert claims_after(experiment, account, left) == []
+            given = {axis: energy - 100.0 for axis, energy in left.items()}
+            assert len(claims_after(experiment, account, given)) == 1

@@ -7,9 +7,10 @@ false of it and leaves it, made smaller, as a scene file. Faults that no frame c
 TPDO repeated to the bit, a motor whose sign turns in a run (docs/safety.md). A run counts when it lasted 1 s and
 something pushed or asked for 0.5 N, and any torque was sent: without one it proves nothing. `--faults` adds a fault to
 every scene (`tools/truth/faults.py`): lost, doubled and late frames, bus and host that stop, drives that fail,
-another master, on one bus or two. `--stops` ends every run by the operator at a random instant: its stop is part of
-the account, and what the motors exchange once that has ended must lie within its resolution. `--sums` makes every
-environment a sum, as far as it adds to others (`tools/truth/sums.py`).
+another master, on one bus or two. `--stops` ends every run by the operator at a random instant, every fourth of them
+that of an admittance display (`tools/truth/displays.py`): its stop is part of the account, and what the motors exchange
+once that has ended must lie within its resolution. Where a fault stopped a run, that energy is told. `--sums`
+makes every environment a sum, as far as it adds to others (`tools/truth/sums.py`).
 
 A yes is due where
 
@@ -41,6 +42,7 @@ from rich.table import Table
 
 from tools.bench.report import Row, kept_folder, out_folder, publish, write_result
 from tools.kept_runs import run_kept
+from tools.truth.displays import with_display
 from tools.truth.faults import with_fault
 from tools.truth.judge import ROUNDING, TOUCH, Outcome, judged
 from tools.truth.scenes import TruthScene, random_scene
@@ -68,7 +70,11 @@ def outcome_of(seed: int) -> Outcome:
 
 def outcome_with_stop(seed: int) -> Outcome:
     """Returns what the run of a seed came to that the operator stopped at a random instant."""
-    return judged(with_stop(random_scene(seed)))[1]
+    return judged(_stopped(random_scene(seed)))[1]
+
+
+def _stopped(scene: TruthScene) -> TruthScene:
+    return with_stop(with_display(scene))
 
 
 def outcome_of_sum(seed: int) -> Outcome:
@@ -84,7 +90,7 @@ def outcome_with_fault(seed: int) -> Outcome:
 _CHANGES: Final[dict[str, Callable[[TruthScene], TruthScene]]] = {
     "truth": lambda scene: scene,
     "truth_faults": with_fault,
-    "truth_stops": with_stop,
+    "truth_stops": _stopped,
     "truth_sums": lambda scene: random_scene(scene.seed, sums=1.0),
 }
 _RUNS_OF: Final = {
@@ -173,6 +179,7 @@ def fault_table(outcomes: list[Outcome]) -> list[dict[str, Any]]:
                 "stopped by": ", ".join(f"{reason} {count}" for reason, count in reasons.most_common()),
                 "SYNCs to zero, median": syncs[len(syncs) // 2] if syncs else "-",
                 "most": syncs[-1] if syncs else "-",
+                "given after, most [mJ]": round(1e3 * max((o.given_after for o in stopped), default=0.0), 3),
                 "yes of due": f"{sum(o.says_yes for o in those if o.is_due)} of {sum(o.is_due for o in those)}",
                 "false claims": sum(map(is_false, those)),
                 "lost more and went on": sum(outcome.went_on for outcome in those),
@@ -226,6 +233,11 @@ def _fault_figures(outcomes: list[Outcome], wrong: int, went_on: int) -> list[Ro
         Row("of these with a torque of 0.5 N", len(with_torque), "1"),
         Row("of those, yes with a certificate", shares[1], "1", target=">= 0.8", met=shares[1] >= 0.8),
         Row("runs that a fault stopped", sum(o.status == "stopped" for o in outcomes), "1"),
+        Row(
+            "energy given after the account of such a run, most",
+            max((o.given_after for o in outcomes), default=0.0),
+            "J",
+        ),
         Row("scenes refused", sum(o.status == "refused" for o in outcomes), "1"),
     ]
 

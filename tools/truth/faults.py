@@ -62,9 +62,21 @@ _TRIGGERED: Final[dict[str, Callable[["FaultWatch"], None]]] = {
     "foreign_shutdown": lambda watch: watch.send(0x600 + _NODE, 0x2B, 0x40, 0x60, 0, 0x06, 0, 0, 0),
     "encoder_jump": lambda watch: watch.jump(),
     "torque_not_finite": lambda watch: watch.break_controller(),
+    "twin": lambda watch: watch.answer_twice(),
 }
+_TORQUES: Final[dict[str, Callable[[np.random.Generator], dict[str, Any]]]] = {
+    "torque_twice": lambda _: {"kind": "twice"},
+    "torque_minus": lambda _: {"kind": "minus"},
+    "torque_more": lambda chance: {"kind": "more", "torque": chance.choice([-1.0, 1.0]) * chance.uniform(1.0, 8.0)},
+    "torque_stuck": lambda _: {"kind": "stuck"},
+}
+_TWIN: Final = "twin"
+FURTHER: Final = (*_TORQUES, _TWIN)
+"""Faults in the place of another in a part of the scenes, drawn by themselves, so that every other seed keeps its own:
+another torque acts than the commanded one, and is read; a second sender has the COB-ID of the TPDO."""
+_FURTHER_SHARE: Final = 0.15
 _IN_TURN: Final = "losses_in_turn"
-NAMES: Final = (*_ON_THE_BUS, *_OF_THE_BUS, *_TRIGGERED, _IN_TURN)
+NAMES: Final = (*_ON_THE_BUS, *_OF_THE_BUS, *(name for name in _TRIGGERED if name != _TWIN), _IN_TURN)
 """All faults; the last one takes the axes of a group in turn."""
 
 
@@ -78,7 +90,7 @@ def with_fault(scene: TruthScene) -> TruthScene:
     names = NAMES if "groups" in values else NAMES[:-1]
     if "drive:read_none" in tags:
         names = tuple(name for name in names if name != "foreign_rpdo")
-    name = names[int(chance.integers(len(names)))]
+    name = _further(scene.seed, tags) or names[int(chance.integers(len(names)))]
     begin = float(chance.uniform(_LATE, 0.8)) * scene.duration
     period = 1.0 / values["bus"]["rate"]
     values["bus"] = {**values["bus"], "channel": f"truth {scene.seed}"}  # on which another node may be
@@ -86,12 +98,22 @@ def with_fault(scene: TruthScene) -> TruthScene:
     effects = _effects(name, begin, period, chance)
     if effects:
         simulation["bus"] = _plain(effects)
+    if name in _TORQUES:
+        fault = {"at": begin, **_TORQUES[name](chance), "shown": "actual" if "drive:read_actual" in tags else "both"}
+        simulation["drive"] = {**simulation.get("drive", {}), "fault": [_plain(fault)]}
     if "group:coupled_handles" in tags and chance.random() < 0.5 and name not in _TRIGGERED:
         tags.add("two_buses")
         first, second = values["axes"]
         values["bus"] = [{"name": "left", **values["bus"]}, {"name": "right", "channel": f"{scene.seed} right"}]
         values["axes"] = [{**first, "bus": "left"}, {**second, "bus": "right", "node_id": 1}]
     return replace(scene, values=values, tags=frozenset(tags), begin=begin)
+
+
+def _further(seed: int, tags: set[str]) -> str:
+    """Returns one of `FURTHER`, in a part of the scenes; what no frame shows is left out."""
+    chance = np.random.default_rng([seed, 51])
+    is_drawn, names = chance.random() < _FURTHER_SHARE, (_TWIN,) if "drive:read_none" in tags else FURTHER
+    return names[int(chance.integers(len(names)))] if is_drawn else ""
 
 
 def _effects(name: str, begin: float, period: float, chance: np.random.Generator) -> dict[str, Any]:
@@ -129,7 +151,7 @@ class FaultWatch:
     """
 
     def __init__(self, experiment: Experiment, scene: TruthScene) -> None:
-        self._experiment = experiment
+        self._experiment, self._seed = experiment, scene.seed
         name = next((tag.partition(":")[2] for tag in scene.tags if tag.startswith("fault:")), "")
         self._trigger = _TRIGGERED.get(name)
         self._at = round(scene.begin / experiment.rig.bus.sample_time)
@@ -176,6 +198,13 @@ class FaultWatch:
         """Turns the highest bit but one of every position of the first axis from now on."""
         link: Any = self._experiment.rig.drives[0].link
         link._bus = JumpingBus(link._bus)  # noqa: SLF001 - in between
+
+    def answer_twice(self) -> None:
+        """Lets a second sender answer for the first drive from now on, a random distance away."""
+        chance = np.random.default_rng([self._seed, 48])
+        link: Any = self._experiment.rig.drives[0].link
+        moved = int(chance.choice([-1, 1])) * int(10.0 ** chance.uniform(0.0, 3.0))
+        link._bus = TwinBus(link._bus, _TPDO, moved, is_first=chance.random() < 0.5)  # noqa: SLF001 - in between
 
     def break_controller(self) -> None:
         """Makes torques of the first controller that are no number."""

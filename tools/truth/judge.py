@@ -30,7 +30,7 @@ from tools.truth.hand_watch import HandWatch
 from tools.truth.loss_watch import LossWatch
 from tools.truth.programs import Asking
 from tools.truth.scenes import SOURCE, TruthScene
-from tools.truth.stops import left_after
+from tools.truth.stops import claims_after, left_after
 
 ROUNDING: Final = 1e-9
 """Energy that counts as none [J]."""
@@ -44,6 +44,8 @@ _UNCHECKED: Final = "hold:not_checked"
 _PROMISES_NO_YES: Final = frozenset(("timing:stall", _UNCHECKED))
 """A host that stalls makes a hold longer than is declared; of an unchecked hold no certificate says yes."""
 _TRIES: Final = 4
+_DECLARED_BY: Final = {"velocity_loop": "loop_gain"}
+"""Certificate -> key that declares what it rests on, where that has another name."""
 _ESTIMATE: Final = 1.1
 """Factor within which a resolution that the account calls an estimate has to be right; no verdict may rest on it."""
 FINE: Final = 1.0 / 20.0
@@ -74,6 +76,7 @@ class Outcome:
     losses: int = 0  # most cycles in a row in which a bus lost process data
     declared_losses: int = 0  # of these that are declared
     skipped: int = 0  # SYNCs that the rig left out
+    given_after: float = 0.0  # true energy that a motor gave after the last hold of the account, of the worst axis [J]
     open_share: float = 0.0  # resolution over the energy that came in, of the worst port
 
     @property
@@ -171,7 +174,10 @@ def _run(scene: TruthScene, make: Make) -> tuple[Outcome, HandWatch | None]:
     status, text = "completed", ""
     with experiment:
         watch, asked, faults = HandWatch(experiment, scene.outward), _Asked(experiment), FaultWatch(experiment, scene)
-        losses, moments = LossWatch(experiment), _Moments(experiment, scene.passivity)
+        losses, moments = (
+            LossWatch(experiment),
+            _Moments(experiment, scene.passivity, has_twin="fault:twin" in scene.tags),
+        )
         program = next((tag.partition(":")[2] for tag in scene.tags if tag.startswith("program:")), "")
         if program:
             experiment.cycle.turn = asking = Asking(experiment, scene.seed, program)
@@ -189,17 +195,20 @@ def _run(scene: TruthScene, make: Make) -> tuple[Outcome, HandWatch | None]:
             status, text = "stopped", str(error)
         account = account_of(experiment.cycle, status)
         moments.judge(account)
-        left = left_after(experiment, account) if status == "completed" else []
+        left = left_after(experiment, account)
+        is_told = status == "completed" and not any(tag.startswith("fault:torque") for tag in scene.tags)
+        after = claims_after(experiment, account, left) if is_told else []  # a broken drive goes on until it is off
         reaction, to_zero = "", 0
         if status == "stopped":
             reaction, to_zero = experiment.rig.stop_reason.name, faults.syncs_to_zero()
     outcome = _outcome(scene, account, watch, asked, status, text)
     if program:
         outcome = replace(outcome, asked=asking.asked)
-    outcome = replace(outcome, false_claims=(*outcome.false_claims, *moments.claims, *left))
+    outcome = replace(outcome, false_claims=(*outcome.false_claims, *moments.claims, *after))
     declared = int(scene.passivity.get("max_consecutive_losses", 0))
     outcome = replace(outcome, losses=losses.longest, declared_losses=declared, skipped=losses.skipped)
-    return replace(outcome, reaction=reaction, to_zero=to_zero), watch
+    given_after = max(0.0, *(-energy for energy in left.values()))
+    return replace(outcome, reaction=reaction, to_zero=to_zero, given_after=given_after), watch
 
 
 def _refused(scene: TruthScene, text: str) -> Outcome:
@@ -216,7 +225,8 @@ class _Asked:
     def __init__(self, experiment: Experiment) -> None:
         self._rig = experiment.rig
         self._plants = experiment.plants
-        self._axes = [axis for axis in experiment.scene.axes if not axis.group]
+        alone = [axis for axis in experiment.scene.axes if not axis.group]
+        self._axes = [axis for axis in alone if axis.parameters.admittance is None]  # a display asks for no force
         self.peak = self.asked = 0.0
 
     def __call__(self) -> None:
@@ -233,15 +243,19 @@ class _Asked:
 class _Moments:
     """Holds what an account claims at every moment against what the plant did up to then.
 
+    Where a second sender answers each SYNC too, the first answer is taken until the other is heard with the next SYNC:
+    an error is then held against the resolution of that one.
+
     Once a true sum was below minus allowance and resolution, no later resolution makes a promise of it true again.
     """
 
-    def __init__(self, experiment: Experiment, section: Mapping[str, Any]) -> None:
-        self._cycle, self._section = experiment.cycle, section
+    def __init__(self, experiment: Experiment, section: Mapping[str, Any], *, has_twin: bool = False) -> None:
+        self._cycle, self._section, self._has_twin = experiment.cycle, section, has_twin
         groups = experiment.cycle.groups
         self._names = [*(axis.parameters.name for axis in experiment.scene.axes), *(group.name for group in groups)]
         grouped = {axis for group in groups for axis in group.axes}
         self._places = [place for place in range(len(self._names)) if place not in grouped]
+        self._known = [0.0] * len(self._names)  # largest error that was judged before
         self._error, self._active = [0.0] * len(self._names), [0] * len(self._names)
         self._below: set[tuple[int, str]] = set()
         self._cycles = 0
@@ -256,10 +270,11 @@ class _Moments:
             port, name = self._cycle.meters.ports[place], self._names[place]
             resolution = port.measured().energy_resolution
             most = resolution * (_ESTIMATE if port.activity.limits.floor == -inf else 1.0)
-            if judge.believed_error[place] > max(self._error[place], most + ROUNDING):
-                claim = f"error {judge.believed_error[place]:.3g} J, resolution {resolution:.3g} J"
-                self._claim(name, "error", claim)
-            self._error[place] = judge.believed_error[place]
+            found, self._error[place] = self._error[place], judge.believed_error[place]
+            error, known = (found, self._known[place]) if self._has_twin else (self._error[place], found)
+            if error > max(known, most + ROUNDING):
+                self._claim(name, "error", f"error {error:.3g} J, resolution {resolution:.3g} J")
+            self._known[place] = error
             sums = {"least_interaction": judge.least[place], "least_at_handle": judge.least_at_handle[place]}
             for key, least in sums.items():
                 if least < -resolution - allowance - ROUNDING and (place, key) not in self._below:
@@ -386,7 +401,7 @@ def _false_claims(
     # with declared damping or friction the promise is that of the handle, whichever certificate is the weakest of a run
     below = truth[_promised(section)]
     for certificate in certificates(port):
-        if certificate != "exact" and section.get(certificate) is None:
+        if certificate != "exact" and section.get(_DECLARED_BY.get(certificate, certificate)) is None:
             claims.append(f"{name}: certificate {certificate}, which is not declared")
         if below < -resolution - allowance - ROUNDING:
             claims.append(f"{name}: certificate {certificate}, true least {below:.3g} J")

@@ -20,15 +20,29 @@ def with_stop(scene: TruthScene) -> TruthScene:
     return replace(scene, duration=share * scene.duration, tags=scene.tags | {"stop:random"})
 
 
-def left_after(experiment: Experiment, account: Mapping[str, Any]) -> list[str]:
-    """Returns a claim for each axis whose motor gave or took energy after the last hold of the account."""
-    if experiment.far_side is None:
-        return []
-    resolution = max(port.get("energy_resolution", 0.0) for port in account["ports"].values())
-    claims = []
-    for axis, drive in zip(experiment.scene.axes, experiment.far_side.drives, strict=True):
-        name, energy = axis.parameters.name, -drive.truth().energy.motor
-        left = energy - account["truth"][name]["interaction"]
-        if abs(left) > resolution + _NONE and axis.parameters.admittance is None:
-            claims.append(f"{name}: {left:.3g} J after the account had ended")
-    return claims
+def left_after(experiment: Experiment, account: Mapping[str, Any]) -> dict[str, float]:
+    """Returns what went into each motor after the last hold of the account [J]; of a display, what came by its sensor.
+
+    Negative is energy that a person was given, which no account holds.
+    """
+    far_side, truth = experiment.far_side, account["truth"]
+    drives = () if far_side is None else far_side.drives
+    names = [axis.parameters.name for axis in experiment.scene.axes]
+    return {
+        name: -drive.truth().energy.motor - truth[name]["interaction"]
+        for name, drive in zip(names, drives, strict=False)
+    }
+
+
+def claims_after(experiment: Experiment, account: Mapping[str, Any], left: Mapping[str, float]) -> list[str]:
+    """Returns a claim for each axis of a run that the operator stopped whose motor went on to exchange energy.
+
+    The hand may go on to push a display that stands still: what it puts in is no claim, what it gets is one.
+    """
+    resolution = max(port.get("energy_resolution", 0.0) for port in account["ports"].values()) + _NONE
+    displays = {axis.parameters.name for axis in experiment.scene.axes if axis.parameters.admittance is not None}
+    return [
+        f"{name}: {energy:.3g} J after the account had ended"
+        for name, energy in left.items()
+        if energy < -resolution or (energy > resolution and name not in displays)
+    ]
