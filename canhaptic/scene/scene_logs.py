@@ -153,7 +153,7 @@ def _axis_attributes(axis: AxisScene) -> dict[str, Attribute]:
         attributes[f"{name}.{FRICTION_DECLARED}"] = json.dumps(asdict(friction))
     environment: Any = axis.environment.parameters
     damping = getattr(environment, "damping", None)
-    if axis.environment.parts and axis.is_read:  # the damping of a sum depends on the place
+    if getattr(environment, "damps_by_place", False):  # a sum
         damping = 0.0
         ends = zip(("low", "high"), environment.rests(), strict=True) if environment.low < environment.high else ()
         attributes |= {f"{name}.wall_{key}": end for key, end in ends if isfinite(end)}

@@ -11,6 +11,7 @@ from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.multi_axis.unprotected_group import UnprotectedGroup
 from canhaptic.errors import SceneError
 from canhaptic.lab.batch.cases import why_not_batchable
+from canhaptic.lab.touch.two_sides import two_sides
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
@@ -117,6 +118,17 @@ def test_own_code_adds_to_what_is_built_in_and_its_log_gives_the_same_again(tmp_
     result = canhaptic.simulate(KNOB, {"environment": [Gel, stops]}, duration=0.3)
     assert result.account.raw["ports"]["knob"]["environment"].endswith("two_sided_wall")
     assert result.account.verdict == "yes"
+
+
+def test_friction_in_a_medium_keeps_its_strain_and_writes_a_log(tmp_path):
+    rubber = "[{type: coulomb_surface, friction: 2, stiffness: 900, damping: 1}, {type: viscous_medium, damping: 3}]"
+    scene, log = load_scene("demo", [f"environment={rubber}"]), tmp_path / "run.h5"
+    assert two_sides(scene).sliders[-1].title == "viscous_medium: damping"
+    with build(scene, "free", log) as experiment:
+        assert experiment.run_through(200)[1] is None
+    with EnergyLog.open(log) as read:
+        assert read.attributes["handle.damping_asked"] == 4.0
+        assert read.attributes["handle.environment"] == "coulomb_surface + viscous_medium"
 
 
 def test_the_walls_of_a_sum_and_its_notches_are_in_its_log(tmp_path):

@@ -297,9 +297,10 @@ def _line(scene: Scene, axis: AxisScene) -> TouchScene:
     names = _DISPLAY_SLIDERS if is_display else felt
     solid = () if notches else (_walls if is_display else _solid)(environment, shown)
     sliders = sliders_of("environment", environment, names, axis.parameters.unit)
-    if axis.environment.parts:
+    if getattr(environment, "damps_by_place", False):
         ends = ((shown[0], environment.low), (environment.high, shown[1]))
         solid = tuple(end for end in ends if end[0] < end[1] and environment.low < environment.high)
+    if axis.environment.parts:
         sliders = _sliders_of_parts("environment", parts, axis.parameters.unit)
     return TouchScene(
         on_two_buses(scene, axes, sides), sides, axis.parameters.unit, (shown,), (start,), solid, sliders,
