@@ -15,6 +15,8 @@ from typing import Any, Final
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 
 from canhaptic.control.passivity import RANGES
+from canhaptic.registry import load
+from canhaptic.scene import buses
 from canhaptic.scene.models import LOOP_KEYS, SCALING_KEYS, SIMULATION_PARTS, scene_adapter
 from canhaptic.units import Parameters
 
@@ -42,6 +44,8 @@ def _attributes(docstring: str) -> dict[str, str]:
 
 
 Schema = JsonSchemaValue
+_OF_CAN: Final = {"enum": ["can"], "description": "Kind of bus."}
+_NULL: Final = {"type": "null"}
 
 _TEXTS: Final[dict[str, dict[str, str]]] = tomllib.loads(
     Path(__file__).with_name("words.toml").read_text(encoding="utf-8")
@@ -115,6 +119,11 @@ def _or_null(schema: Schema) -> Schema:
     return {"anyOf": [schema, {"type": "null"}]}
 
 
+def _faults(defined: Schema) -> Schema:
+    faults = _model(load({"": "canhaptic.sim.drive.ethercat.cable:CableEffects"}, "", "model"), defined)
+    return {**faults, "title": "faults of an EtherCAT line"}
+
+
 def _optional(schema: Schema, *keys: str) -> Schema:
     """Return a schema in which some keys are not required, or none is if no key is given."""
     left = [key for key in schema.get("required", ()) if keys and key not in keys]
@@ -144,15 +153,28 @@ def _with_loop(choices: Schema, defined: Schema) -> Schema:
 
 def _bus(scene: Schema, defined: Schema) -> Schema:
     """Return the schema of one bus, or of a list of buses whose first entry has the common values."""
-    one = {**defined["CanBusParameters"], "title": "the only one, or the first"}
+    can = defined["CanBusParameters"]
+    one = {**can, "title": "the only one, or the first", "properties": {"type": _OF_CAN, **can["properties"]}}
+    line = _model(buses.part("ethercat", "bus"), defined)
     further = {**defined["FurtherBus"], "title": "the second and those behind it"}
     name = further["properties"]["name"]
-    first = {**one, "properties": {"name": name, **one["properties"]}, "required": ["name", *one["required"]]}
-    return {"anyOf": [one, {"type": "array", "minItems": 1, "prefixItems": [first], "items": further}]}
+    further["properties"] = {"type": _OF_CAN, **further["properties"]}
+    named = [{**of, "properties": {"name": name, **of["properties"]}, "required": ["name", *of["required"]]}
+             for of in (one, line)]  # fmt: skip
+    several = {"type": "array", "minItems": 1, "prefixItems": [{"anyOf": named}], "items": further}
+    return {"anyOf": [one, line, several]}
+
+
+def _model(model: type[Parameters], defined: Schema) -> Schema:
+    """Return the schema of a model that no field of `Scene` names, and add what it refers to."""
+    schema = model.model_json_schema(schema_generator=_WithWords)
+    for name, of in schema.pop("$defs", {}).items():
+        defined.setdefault(name, of)
+    return schema
 
 
 def _axis(defined: Schema, environment: Schema, passivity: Schema) -> Schema:
-    schema = defined["AxisParameters"]
+    schema = _on_either_bus(defined["AxisParameters"], _model(buses.part("ethercat", "axis"), defined))
     own = {
         "bus": {"type": "string"},
         "drive": {"type": "string"},
@@ -160,6 +182,18 @@ def _axis(defined: Schema, environment: Schema, passivity: Schema) -> Schema:
         "passivity": {"anyOf": [_optional(choice) for choice in passivity["anyOf"]]},
     }
     return {**schema, "properties": {**schema["properties"], **_described(own, _TEXTS["axis"])}}
+
+
+def _on_either_bus(on_can: Schema, on_ethercat: Schema) -> Schema:
+    """Return the schema of an axis with the keys of both kinds of bus, of which it has those of its own."""
+    properties = {**on_can["properties"], **on_ethercat["properties"]}
+    needed = {"CAN": ("node_id", "eds"), "EtherCAT": ("position", "esi")}
+    for kind, keys in needed.items():
+        for key in keys:
+            properties[key] = {**properties[key], "taken": f"required on {kind}"}
+    required = [key for key in on_can["required"] if key not in needed["CAN"]]
+    pairs = {first: [second] for first, second in needed.values()}
+    return {**on_can, "properties": properties, "required": required, "dependentRequired": pairs}
 
 
 def _group(defined: Schema) -> Schema:
@@ -186,7 +220,7 @@ def _simulation(scene: Schema, parts: Schema, defined: Schema) -> Schema:
     keys = {
         **parts,
         **defined["SimulationParameters"]["properties"],
-        "bus": _or_null(defined["BusEffects"]),
+        "bus": {"anyOf": [{**defined["BusEffects"], "title": "faults of CAN buses"}, _faults(defined), _NULL]},
         "mechanisms": _or_null({"type": "array", "items": _laid_under(of["mechanism"], further, "axes")}),
         "axes": {"type": "object", "additionalProperties": _mapping(of_axis)},
     }

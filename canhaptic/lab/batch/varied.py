@@ -42,7 +42,7 @@ def scene_with(scene: Scene, values: Mapping[str, float]) -> Scene:
     for key, value in values.items():
         section, name = split_key(key)
         if section == "bus":
-            bus = CanBusParameters(**{**bus.model_dump(), name: value})
+            bus = type(bus)(**{**bus.model_dump(), name: value})
         elif section == "loop":
             bus = CanBusParameters(**{**bus.model_dump(), "rpdo": "synchronous" if value else "event"})
         elif section == "passivity" and name in _LOOP:

@@ -23,7 +23,6 @@ from canhaptic.control.environments import Environment
 from canhaptic.control.ledger import Ledger, LedgerSummary
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.passivity import ALGORITHMS, Controller, LoopProperties, build_controller
-from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.clock import ProcessorClock
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.kernels import new
@@ -309,7 +308,7 @@ def at_rate(scene: Scene, rate: float) -> Scene:
     Raises:
         ParameterError: The rate is out of range.
     """
-    bus = CanBusParameters(**{**scene.bus.model_dump(), "rate": rate})
+    bus = type(scene.bus)(**{**scene.bus.model_dump(), "rate": rate})
     time, axes = bus.sample_time, []
     for axis in scene.axes:
         window = axis.loop.torque_window and min(axis.loop.torque_window, 0.5 * time)
