@@ -12,6 +12,9 @@ from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.stepped import towards_zero
 from canhaptic.kernels import OFTEN_ZERO, Buffer, Indices, Matrix, list_of_zeros, zeros
 
+_SLOWLY: Final = 1.9
+"""Largest b T / m at which damping and hand force count in one sum; at 2 the largest share is unbounded by rounding."""
+
 
 class GroupTiming(NamedTuple):
     """Declared timing of a group's holds as the certificates use it; see `hold_timing`. Shapes (axes,)."""
@@ -72,6 +75,9 @@ class AxisLimits(NamedTuple):
     counts: Buffer  # encoder counts [m or rad]
     coarse: bool  # whether any of them is above 0
     squares: Buffer  # 4 b / (T + theta): square of a torque over its need of the damping [N^2/J]; 0: not known
+    damps_slowly: Annotated[
+        bool, OFTEN_ZERO
+    ]  # whether hand force and damping are declared, holds are even, and b T < 1.9 m for every axis
     timing: GroupTiming
 
 
@@ -112,6 +118,14 @@ def axes_of(loops: tuple[LoopProperties, ...], hand_force: float | None, hand_sp
         counts=[loop.encoder_count for loop in loops],
         coarse=any(loop.encoder_count for loop in loops),
         squares=[4.0 * value * (1.0 - tail) for value, tail in zip(damping, timing.tail, strict=True)],
+        damps_slowly=by_hand
+        and all(value > 0.0 for value in damping)
+        and not timing.is_uneven
+        and all(
+            max(loop.device_damping or 0.0, loop.device_damping_bound or 0.0) * sample_time
+            < _SLOWLY * (loop.moving_mass or 0.0)
+            for loop in loops
+        ),
         timing=timing,
     )
 

@@ -15,6 +15,7 @@ from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalanc
 from canhaptic.control.certificates.certified_torque import keep
 from canhaptic.control.damping import modulated_damping
 from canhaptic.control.multi_axis import group_account, group_certificates, group_kernel
+from canhaptic.control.multi_axis.along import certainly_free, certified_shares
 from canhaptic.control.multi_axis.group_account import (
     Accounting,
     QueuedTorques,
@@ -23,9 +24,7 @@ from canhaptic.control.multi_axis.group_account import (
     end_group_gap,
     end_group_hold,
     fade,
-    free_energy,
     quotient,
-    shares,
 )
 from canhaptic.control.multi_axis.group_certificates import inward_first, taken_by_mover
 from canhaptic.control.multi_axis.group_kernel import (
@@ -294,7 +293,7 @@ def book(run: GuardedRun, at: Accounting, h_i: float, h_pas: float, lost: float)
     h_s, surplus = account.h_s + h_i - h_pas, account.h_dis - h_pas
     slack = 0.0
     if lost > 0.0 or h_s > ceiling:
-        free = free_energy(at, h_s - surplus + run.settings.credit)
+        free = certainly_free(at, h_s - surplus + run.settings.credit)
         slack = min(free, h_s)
     account.h_s, account.h_dis, h_r, deficit, leak, paid = settle(h_s, surplus, lost, ceiling, slack)
     account.unrecovered += h_r + leak - paid
@@ -417,7 +416,7 @@ def certify(run: GuardedRun, at: Accounting, energy: float, most: float, covered
         for i in range(len(sent)):
             sent[i] = torques[i]
         return 1.0, _UNBOUNDED
-    by_force, by_damping, by_speed = shares(at, torques, energy)
+    by_force, by_damping, by_speed = certified_shares(at, torques, energy)
     factor, largest = most, max(by_force, by_damping, by_speed)
     if factor > largest:
         factor, covered = largest, False
@@ -454,7 +453,7 @@ def put_on_grid(run: GuardedRun, at: Accounting, energy: float, factor: float) -
             sent[i] = towards_zero(factor * run.memory.torques[i], run.settings.quanta[i])
         if len(sent) == 1 or not acts(sent):
             return factor
-        by_force, by_damping, by_speed = shares(at, sent, energy)
+        by_force, by_damping, by_speed = certified_shares(at, sent, energy)
         share = max(by_force, by_damping, by_speed)
         if share >= 1.0:
             return factor
