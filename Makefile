@@ -63,6 +63,7 @@ test-campaigns: $(VENV)/.installed-dev $(VENV)/.installed-report,export
 	$(BIN)/python tools/bench/truth.py
 	$(BIN)/python tools/bench/truth.py --faults
 	$(BIN)/python tools/bench/truth.py --stops
+	$(BIN)/python tools/bench/truth.py --false --runs 2000
 
 # Linux's own CAN stack in a virtual machine; the packages it needs are named in tests/socketcan_vm/README.md.
 test-socketcan: $(VENV)/.installed-dev

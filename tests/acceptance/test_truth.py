@@ -24,6 +24,7 @@ from tools.bench.truth import (
     false_table,
     fault_table,
     is_false,
+    miss_table,
     outcome_of,
     outcome_of_sum,
     outcome_with_fault,
@@ -31,6 +32,7 @@ from tools.bench.truth import (
     run_all,
     table_of,
 )
+from tools.truth.falsehoods import differences, falsified, outcome_of_falsehood
 from tools.truth.faults import FURTHER, with_fault
 from tools.truth.judge import TOUCH, Outcome, _false_claims, account_of, judged
 from tools.truth.known_ways import WAYS, is_closed, row_of
@@ -343,3 +345,30 @@ def test_what_a_motor_gives_after_the_account_of_an_operators_stop_is_a_claim() 
             assert claims_after(experiment, account, left) == []
             given = {axis: energy - 100.0 for axis, energy in left.items()}
             assert len(claims_after(experiment, account, given)) == 1
+
+
+class TestFalseDeclarations:
+    def test_a_yes_that_the_plant_denies_is_a_miss_and_a_doubt_or_a_stop_is_found(self):
+        empty = outcome_of_falsehood(8)  # a display
+        assert empty.tags == ("admittance", "algorithm:guarded", "false:commands")
+        denied = replace(empty, tags=("false:hold",), status="completed", verdict="yes", certificates=("exact",))
+        denied = replace(denied, false_claims=("handle: error",))
+        doubted, stopped = replace(denied, verdict="in doubt"), replace(denied, status="stopped")
+        fine = replace(denied, false_claims=(), least=0.0)
+        [row] = miss_table([denied, doubted, stopped, fine])
+        assert (row["runs"], row["mattered"], row["found"], row["missed"]) == (4, 3, 2, 1)
+        assert row["share"] == 0.333
+
+    def test_command_line_simulate_and_cycle_say_the_same_of_a_false_hold(self):
+        scene = falsified(4)
+        _, outcome = judged(scene)
+        assert "false:hold" in outcome.tags
+        assert differences(scene, outcome) == []
+        assert len(differences(scene, replace(outcome, verdict="another"))) == 2
+
+    @pytest.mark.slow
+    def test_no_false_hold_is_missed(self):
+        outcomes = [judged(scene)[1] for scene in map(falsified, range(40)) if "false:hold" in scene.tags]
+        [row] = miss_table(outcomes)
+        assert row["missed"] == 0
+        assert row["mattered"] >= 2

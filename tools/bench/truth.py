@@ -10,7 +10,9 @@ every scene (`tools/truth/faults.py`): lost, doubled and late frames, bus and ho
 another master, on one bus or two. `--stops` ends every run by the operator at a random instant, every fourth of them
 that of an admittance display (`tools/truth/displays.py`): its stop is part of the account, and what the motors exchange
 once that has ended must lie within its resolution. Where a fault stopped a run, that energy is told. `--sums`
-makes every environment a sum, as far as it adds to others (`tools/truth/sums.py`).
+makes every environment a sum, as far as it adds to others (`tools/truth/sums.py`). `--false` makes one declaration of
+every scene or display false (`tools/truth/falsehoods.py`), and runs some by the command line and `canhaptic.simulate`
+too: where the plant denies what is said, a run that stopped or says no yes has found it, any other has missed it.
 
 A yes is due where
 
@@ -43,6 +45,7 @@ from rich.table import Table
 from tools.bench.report import Row, kept_folder, out_folder, publish, write_result
 from tools.kept_runs import run_kept
 from tools.truth.displays import with_display
+from tools.truth.falsehoods import SHOWN, WAYS, falsified, outcome_of_falsehood
 from tools.truth.faults import with_fault
 from tools.truth.judge import ROUNDING, TOUCH, Outcome, judged
 from tools.truth.scenes import TruthScene, random_scene
@@ -55,9 +58,10 @@ _KEPT: Final = {
     "truth_faults": "truth_fault_runs.jsonl",
     "truth_stops": "truth_stop_runs.jsonl",
     "truth_sums": "truth_sum_runs.jsonl",
+    "truth_false": "truth_false_runs.jsonl",
 }
 _SHRUNK_AT_MOST: Final = 5
-_IN_WORDS: Final = ("named", "fault", "stopped by", "declared falsely")
+_IN_WORDS: Final = ("named", "fault", "stopped by", "declared falsely", "frames show it")
 _WANTED: Final = 20_000
 _RUNS: Final = 24_000
 """Seeds by default: of seven, six make a run that counts."""
@@ -92,12 +96,14 @@ _CHANGES: Final[dict[str, Callable[[TruthScene], TruthScene]]] = {
     "truth_faults": with_fault,
     "truth_stops": _stopped,
     "truth_sums": lambda scene: random_scene(scene.seed, sums=1.0),
+    "truth_false": lambda scene: falsified(scene.seed),
 }
 _RUNS_OF: Final = {
     "truth": outcome_of,
     "truth_faults": outcome_with_fault,
     "truth_stops": outcome_with_stop,
     "truth_sums": outcome_of_sum,
+    "truth_false": outcome_of_falsehood,
 }
 
 
@@ -157,6 +163,37 @@ def false_table(outcomes: list[Outcome]) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def miss_table(outcomes: list[Outcome]) -> list[dict[str, Any]]:
+    """Returns one row for each kind of false declaration: where it mattered, whether the run found it.
+
+    It mattered where the rig stopped for it, or the plant denies what the account says or gave out more than it leaves
+    open.
+    """
+    rows = []
+    for name in sorted({tag for outcome in outcomes for tag in outcome.tags if tag.startswith("false:")}):
+        those = [outcome for outcome in outcomes if name in outcome.tags and outcome.status != "refused"]
+        mattered = [o for o in those if o.status == "stopped" or o.false_claims or o.least < -o.resolution - ROUNDING]
+        missed = [outcome for outcome in mattered if is_missed(outcome)]
+        rows.append(
+            {
+                "declared falsely": name.partition(":")[2],
+                "frames show it": SHOWN.get(name, "never"),
+                "runs": len(those),
+                "mattered": len(mattered),
+                "found": len(mattered) - len(missed),
+                "missed": len(missed),
+                "share": round(len(missed) / max(1, len(mattered)), 3),
+                "of these in detents": sum("environment:detents" in outcome.tags for outcome in missed),
+            }
+        )
+    return rows
+
+
+def is_missed(outcome: Outcome) -> bool:
+    """Whether a run said yes to what its plant denies, and nothing stopped it."""
+    return outcome.status == "completed" and outcome.says_yes
 
 
 def fault_table(outcomes: list[Outcome]) -> list[dict[str, Any]]:
@@ -220,6 +257,19 @@ def _figures(outcomes: list[Outcome], *, faults: bool) -> list[Row]:
     ]
 
 
+def _miss_figures(outcomes: list[Outcome]) -> list[Row]:
+    rows = miss_table(outcomes)
+    in_the_run = [row for row in rows if "run" in row["frames show it"]]
+    missed, mattered = (sum(row[key] for row in in_the_run) for key in ("missed", "mattered"))
+    differ = sum(any(claim.startswith(WAYS) for claim in outcome.false_claims) for outcome in outcomes)
+    return [
+        Row("runs with one false declaration", len(outcomes), "1"),
+        Row("runs that say something else by another way of running", differ, "1", target="0", met=differ == 0),
+        Row("missed of what a run's own frames show", missed, "1", target="0", met=missed == 0, note=f"of {mattered}"),
+        *(Row(f"{row['declared falsely']}: share missed", row["share"], "1") for row in rows),
+    ]
+
+
 def _fault_figures(outcomes: list[Outcome], wrong: int, went_on: int) -> list[Row]:
     due = [outcome for outcome in outcomes if outcome.is_due]
     with_torque = [outcome for outcome in due if outcome.peak >= TOUCH]
@@ -278,8 +328,9 @@ def main() -> None:
         "--stops", action="store_true", help="with a stop by the operator at a random instant of each run"
     )
     kind.add_argument("--sums", action="store_true", help="each environment a sum, as far as it adds to others")
+    kind.add_argument("--false", action="store_true", help="with one false declaration in each run")
     arguments = parser.parse_args()
-    kinds = ("faults", "stops", "sums")
+    kinds = ("faults", "stops", "sums", "false")
     name = "_".join(["truth", *(one for one in kinds if getattr(arguments, one))])
     if arguments.only is not None:
         explain(arguments.only, _CHANGES[name])
@@ -292,10 +343,15 @@ def main() -> None:
     show(rows)
     false = false_table(outcomes)
     show(false, "false declarations: which of them a run notices")
+    missed = miss_table(outcomes)
+    show(missed, "false declarations: found and missed, where they mattered")
     for outcome in list(filter(is_false, outcomes))[:_SHRUNK_AT_MOST]:
         print(f"seed {outcome.seed}: {'; '.join(outcome.false_claims)}; {', '.join(outcome.tags)}")
-    publish(name, _figures(outcomes, faults=arguments.faults), _PACKAGES)
-    write_result(out_folder() / f"{name}_table.json", _PACKAGES, {"table": rows, "declared falsely": false})
+    figures = _miss_figures(outcomes) if arguments.false else _figures(outcomes, faults=arguments.faults)
+    publish(name, figures, _PACKAGES)
+    write_result(
+        out_folder() / f"{name}_table.json", _PACKAGES, {"table": rows, "declared falsely": false, "missed": missed}
+    )
 
 
 if __name__ == "__main__":
