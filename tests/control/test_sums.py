@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canhaptic.control.environments import outside_of, plain
+from canhaptic.control.environments import LinearSpring, outside_of, plain
 from canhaptic.control.environments.coulomb_surface import CoulombSurface
 from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.free_space import FreeSpace
@@ -28,6 +28,10 @@ class Rubber(OwnEnvironment):
 
     def effort(self, state: float) -> float:
         return 5.0 * math.tanh(80.0 * state)
+
+
+class Bristle(LinearSpring):
+    """Follows the axis from where it was touched first."""
 
 
 class Notches(OwnEnvironment):
@@ -150,7 +154,8 @@ REFUSED: dict[str, tuple[list[Any], str]] = {
     "a strain and a position": ([("a", CoulombSurface(friction=1.0, stiffness=9.0)), STOPS], "a and axes.stops"),
     "press": ([STOPS, ("b", SpringDamperWall(stiffness=9.0, position=0.005))], "b and axes.stops: .*press against"),
     "no notch": ([("a", Detents(peak=1.0, pitch=0.02, position=0.01)), STOPS], "a: .* no notch from -0.004 to 0.004"),
-    "own zones": ([("my.py:Notches", Notches()), STOPS], "my.py:Notches: .*of its own"),
+    "own zones": ([("my.py:Notches", Notches()), STOPS], "my.py:Notches: .*zones of contact of its own"),
+    "a bristle": ([("my.py:Bristle", Bristle(stiffness=9.0)), STOPS], "my.py:Bristle: .*where it rests is not known"),
 }
 
 

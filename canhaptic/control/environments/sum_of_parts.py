@@ -211,10 +211,11 @@ def added(named: Sequence[tuple[str, Any]]) -> Any:
     if strained:
         return _strained(strained, [one for one in named if one not in strained])
     for name, part in named:
-        if not is_ours(part, "contact", "true_state", "admissible"):
+        is_known = isinstance(part, Detents) or hasattr(part, "rests")
+        if not is_known or not is_ours(part, "contact", "true_state", "admissible"):
             raise _refused(
-                name, "has a `contact`, `true_state` or `admissible` of its own, whose zones are not known to a sum",
-                "give it one `position` and a `side`",
+                name, "has zones of contact of its own, and where it rests is not known to a sum",
+                "give it one `position` and a `side`, as an `Environment` has, and no `contact`",
             )  # fmt: skip
     notched = [one for one in named if isinstance(one[1], Detents)]
     rests = [(name, *part.rests()) for name, part in named if not isinstance(part, Detents)]
