@@ -14,8 +14,8 @@ _MAGICS: Final = {
 }
 _TEXTS: Final = {  # pattern of the first element or the first letters, small
     r"<html|<!doctype html|<head|<body": "is a web page (HTML), not the file; download that (on GitHub: Raw)",
-    r"<ethercat": "is an ESI: it describes an EtherCAT drive, and this package speaks CAN; if the drive has a CANopen "
-    "version, give the EDS of that",
+    r"<ethercat": "is an ESI: it describes an EtherCAT drive, which a scene names by `esi` on a bus of "
+    "type: ethercat (see configs/ethercat.yaml); on CAN, give the EDS of the drive's CANopen version",
     r"<(?:[\w.-]+:)?iso15745|<canopenproject": f"is an XDD or XDC (CiA 311), {_TO_EDS}",
     r"<(?s:.*)<parameters?\b(?s:.*)symbolname=": f"is an EPF, {_TO_EDS}",
     r"<": f"is XML, {_TO_EDS}",

@@ -174,7 +174,7 @@ def test_types_that_the_file_defines_itself_are_followed(tmp_path: Path) -> None
         ("", "lists no object"),
         ("hello\nworld", "lists no object"),
         ("<?xml version='1.0'?>", "is XML"),
-        ("<?xml version='1.0'?><!-- made\nby hand --><EtherCATInfo Version='1.6'>", "EtherCAT drive, and this package"),
+        ("<?xml version='1.0'?><!-- made\nby hand --><EtherCATInfo Version='1.6'>", "EtherCAT drive, which a scene"),
         ("<x:ISO15745ProfileContainer xmlns:x='http://www.canopen.org/xml/1.0'/>", "is an XDD or XDC"),
         ("<EDS><Parameters><Group SymbolName='a'>", "is an EPF"),
         ("\n<!DOCTYPE html>\n<html>", "is a web page"),
