@@ -131,6 +131,7 @@ class Cable:
         self.counts = dict.fromkeys(Fault, 0)
         self._clock: _Clock | None = None
         self._epoch: int | None = None  # host time at which faults begin
+        self._layouts: dict[int, tuple[Sequence[tuple[int, int, bytes]], list[tuple[int, int, int, int, int]]]] = {}
         self._plans: dict[tuple[int, int, int], tuple[_Access, ...]] = {}
         last = self._reach - 1
         for place, drive in enumerate(self.drives):
@@ -173,6 +174,8 @@ class Cable:
         """Carry a frame now; return it as it comes back, or None where it does not until `deadline` [ns]."""
         clock = self._clock
         assert clock is not None, "call use(clock) first"  # noqa: S101
+        if self.draw is None and self._reach:
+            return self.carry(frame, clock.now())
         fault = self._fault(frame, clock.now())
         if fault is Fault.LATE:
             clock.wait_until(clock.now() + round(_LATENESS * self._sample_time))
@@ -238,24 +241,40 @@ class Cable:
         reached = self.drives[: self._reach]
         if left_out >= 0:
             reached = reached[:left_out] + reached[left_out + 1 :]
-        at, more = _FIRST, _MORE
-        while more and at + _HEAD + _TAIL <= end:
-            command, _, address, offset, length, _ = _DATAGRAM.unpack_from(buffer, at)
-            data, more = at + _HEAD, length & _MORE
-            stop = data + (length & _LENGTH)
-            at = stop + _TAIL
-            if at > end:
-                break
+        for command, address, offset, data, stop in self._layout(frame):
             if _LRD <= command <= _LRW:
                 counted = self._serve_image(buffer, command, address | offset << 16, data, stop, left_out)
             else:
                 counted = _serve_registers(buffer, command, address, offset, data, stop, reached)
-            if command in _COUNTED:
-                address = (address + len(reached)) & 0xFFFF
-                buffer[data - 8], buffer[data - 7] = address & 0xFF, address >> 8
+                if command in _COUNTED:
+                    address = (address + len(reached)) & 0xFFFF
+                    buffer[data - 8], buffer[data - 7] = address & 0xFF, address >> 8
             counter = buffer[stop] + (buffer[stop + 1] << 8) + counted
             buffer[stop], buffer[stop + 1] = counter & 0xFF, counter >> 8 & 0xFF
         return bytes(buffer)
+
+    def _layout(self, frame: bytes) -> "list[tuple[int, int, int, int, int]]":
+        """Return command, address, offset, begin and end of the data of each datagram; the frames of a cycle repeat."""
+        end = len(frame)
+        heads, layout = self._layouts.get(end, ((), []))
+        for at, command, head in heads:
+            if frame[at] != command or frame[at + 2 : at + 8] != head:
+                break
+        else:
+            if heads:
+                return layout
+        heads, layout, at, more = [], [], _FIRST, _MORE
+        while more and at + _HEAD + _TAIL <= end:
+            command, _, address, offset, length, _ = _DATAGRAM.unpack_from(frame, at)
+            more, data = length & _MORE, at + _HEAD
+            stop = data + (length & _LENGTH)
+            if stop + _TAIL > end:
+                break
+            heads.append((at, command, frame[at + 2 : at + 8]))
+            layout.append((command, address, offset, data, stop))
+            at = stop + _TAIL
+        self._layouts[end] = heads, layout
+        return layout
 
     # --- process image --------------------------------------------------------------------------------------------
 
