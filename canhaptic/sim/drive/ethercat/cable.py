@@ -140,6 +140,7 @@ class Cable:
         self._show_links()
 
     def _show_links(self) -> None:
+        self._reached = self.drives[: self._reach]
         for place, drive in enumerate(self.drives):
             struct.pack_into("<H", drive.esc.registers, DL_STATUS,
                              _WITH_NEXT if place + 1 < self._reach else _LAST_DRIVE)  # fmt: skip
@@ -238,7 +239,7 @@ class Cable:
         if end < _FIRST + _HEAD + _TAIL or frame[12:14] != _ETHERTYPE:
             return frame
         buffer[_SOURCE] |= 2  # the mark of a frame that has passed a drive
-        reached = self.drives[: self._reach]
+        reached = self._reached
         if left_out >= 0:
             reached = reached[:left_out] + reached[left_out + 1 :]
         for command, address, offset, data, stop in self._layout(frame):
@@ -372,13 +373,13 @@ def _spread(
 
 def _spread_time(buffer: bytearray, address: int, data: int, drives: Sequence[EthercatDrive]) -> int:
     """Serve the datagram that spreads the time of the reference clock; return what is added to its counter."""
-    time = int.from_bytes(buffer[data : data + 8], "little")
+    time = None
     for drive in drives:
         if drive.esc.station == address:
             time = drive.esc.system_time()
+            buffer[data : data + 8] = time.to_bytes(8, "little")
         else:
-            drive.esc.follow(time)
-    buffer[data : data + 8] = time.to_bytes(8, "little")
+            drive.esc.follow(int.from_bytes(buffer[data : data + 8], "little") if time is None else time)
     return len(drives)
 
 

@@ -43,7 +43,9 @@ class DistributedClock:
 
     def system(self, now: int) -> int:
         """Return the system time at a host time [ns], as its 64 bits show it."""
-        return (self.local(now) + self.offset) & _MASK
+        if self._drift:
+            now += now * self._drift // _PPB
+        return (now + self._epoch + self.offset) & _MASK
 
     def host(self, system: int) -> int:
         """Return the first host time at which the system time has come [ns]."""
