@@ -18,6 +18,8 @@ from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, 
 from canhaptic.drive.profile.fitness import Verdict, profile_findings
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import LinkError, ParameterError
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
 from canhaptic.signals import Sample
 from tests.drive.drive_bench import REPOSITORY, axis, private_channel
 
@@ -50,6 +52,18 @@ def test_a_drive_that_brakes_is_given_the_declared_time() -> None:
             Link(bus, VirtualClock()), of, read_dictionary(EDS, of.node_id), CanBusParameters(rate=1000.0)
         )
         assert drive.stop_time == 250_000_000
+
+
+@pytest.mark.parametrize(("mode", "near"), [("velocity", 0), ("position", 1024)])
+def test_a_start_goes_on_from_a_target_at_rest_alone(mode: str, near: int) -> None:
+    """A velocity of 0, or a position that a handle may reach between two readings (1024 counts)."""
+    scene = load_scene(REPOSITORY / "configs" / "admittance" / "virtual_mass.yaml", [f"axes.0.admittance.mode={mode}"])
+    with build(scene, "free") as experiment:
+        [drive] = experiment.rig.drives
+        experiment.rig.start()
+        rest = drive.position_counts if mode == "position" else 0
+        assert all(drive.rests_at(rest + moved) for moved in (-near, 0, near))
+        assert not any(drive.rests_at(rest + moved) for moved in (-near - 1, near + 1, 1 << 30, -(1 << 31)))
 
 
 def test_a_ramp_in_the_drive_below_the_acceleration_limit_is_refused() -> None:

@@ -449,7 +449,9 @@ CASES: dict[str, Case] = {
         changes=("bus.rate=40", f"simulation.bus={STALLS}", "axes.0.energy_loss_limit=none"),
         cycles=300,
     ),
-    # a display: its force sensor
+    # a display: its encoder, its force sensor
+    "position of a display 1.9 mm further": Case("display", R.FORCE_CONTRADICTED, 1, jumps(1900), name=DISPLAY),
+    "position of a display 2.1 mm further": Case("display", R.POSITION_JUMP, 1, jumps(2100), name=DISPLAY),
     "force beyond the range": Case("display", R.FORCE_RANGE, 1, force(lambda count: 32_000), name=DISPLAY),
     "force frozen": Case(
         "display",
