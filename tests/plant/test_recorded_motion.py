@@ -111,6 +111,7 @@ def test_a_table_of_another_program_is_read(tmp_path: Path, text: str, column: s
         ("Zeit [ms];position", {"time_column": "Zeit"}),
         ("t (ms);x", {"column": "x"}),
         ("", {"time_column": "t [ms]"}),
+        ("frame;position", {"time_column": "frame [1 ms]"}),
     ],
 )
 def test_a_column_and_the_unit_of_the_time_can_be_named(tmp_path: Path, heading: str, options: dict[str, str]) -> None:

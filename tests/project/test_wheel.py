@@ -61,7 +61,7 @@ def test_two_builds_of_one_commit_are_the_same_bytes(installed: Path, tmp_path: 
 def test_a_fixture_replays_a_recording_from_the_wheel(installed: Path, tmp_path: Path) -> None:
     """pytest finds it by the entry point of the installed package, and it fails where a key changed."""
     run(installed / "python", "-m", "pip", "install", "--quiet", "pytest", folder=tmp_path)
-    words = ["run", "demo", "--duration", "3", "--set", "run.duration=3", "--bus-log", "rig.log"]
+    words = ["run", "demo", "--duration", "3", "--bus-log", "rig.log"]
     run(installed / "canhaptic", *words, folder=tmp_path)
     run(installed / "canhaptic", "configs", "--copy", tmp_path / "shipped", folder=tmp_path)
     scene = (tmp_path / "shipped" / "configs" / "demo.yaml").read_text()

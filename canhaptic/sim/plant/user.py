@@ -85,7 +85,8 @@ class RecordedMotion(Parameters):
     than `true.handle.position`. With a unit, as in `x [mm]`, for a heading without one."""
     time_column: PrintableText = ""
     """Heading of the time column, with a unit as in `t [ms]` for a heading without one; by default `time`, `t` or
-    `timestamp`, in seconds. A long table whose steps would be half a second or more is refused without a unit."""
+    `timestamp`, in seconds. Frames are counted as in `frame [8.333 ms]`. A long table whose steps would be half a second
+    or more is refused without a unit."""
 
     _rows: tuple[tuple[float, float], ...] = ()
     _digest: str = ""
@@ -254,8 +255,8 @@ def _column(heads: list[str], name: str, unit: Unit, motion: Any) -> tuple[int, 
         why = f"{', '.join(titles[place] for place in found)}: name one by `column`" if found else f"no column {name!r}"
         remedy = "" if found else f"; name another by `{'time_column' if unit is _SECONDS else 'column'}`"
         raise ValueError(f"{why}; the heading has: {', '.join(heads)[:200] or 'nothing'}{remedy}")
-    written = own_unit or parts[found[0]][2]
-    factor = unit.read(f"1 {written}", motion) if written.strip() else 1.0
+    written = (own_unit or parts[found[0]][2]).strip()
+    factor = unit.read(written if written[:1].isdigit() else f"1 {written}", motion) if written else 1.0
     return found[0], float(str(factor))
 
 
