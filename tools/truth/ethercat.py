@@ -23,7 +23,7 @@ _NOT_THERE: Final = frozenset(("group:xy_box", "group:five_bar", "rpdo:event", "
 def ethercat_scene(seed: int) -> tuple[TruthScene, CableEffects]:
     """Returns the scene of a seed, and the faults of its line."""
     scene = random_scene(seed)
-    while scene.tags & _NOT_THERE:
+    while scene.tags & _NOT_THERE or "mechanisms" in scene.values["simulation"]:
         scene = random_scene(scene.seed + _APART)
     chance = np.random.default_rng([seed, 61])
     values, tags = copy.deepcopy(scene.values), {tag for tag in scene.tags if not tag.startswith("timing:")}
