@@ -8,6 +8,7 @@ from canhaptic.cycle import run
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene
 from tools.bench.demo import CONFIG, IN_CONTACT
+from tools.truth.ethercat import outcome_of
 from tools.truth.ethercat_twin import TwinExperiment
 from tools.truth.judge import account_of
 
@@ -38,3 +39,19 @@ def test_a_scene_has_the_same_torques_and_energies_on_can_and_on_ethercat(cycles
     assert any(torque for (torque,) in can)
     assert can == ethercat
     assert energies == pytest.approx(can_energies, rel=0.0, abs=1e-12)
+
+
+def false_claims(seeds: range) -> dict[int, tuple[str, ...]]:
+    outcomes = [(seed, outcome_of(seed)) for seed in seeds]
+    assert sum(of.says_yes for _, of in outcomes) > 0.2 * len(outcomes)
+    is_true = [(seed, of) for seed, of in outcomes if not any(tag.startswith("false:") for tag in of.tags)]
+    return {seed: of.false_claims for seed, of in is_true if of.declared and of.false_claims}
+
+
+def test_a_random_scene_with_drifting_clocks_and_lost_frames_claims_nothing_false() -> None:
+    assert false_claims(range(25, 28)) == {}
+
+
+@pytest.mark.slow
+def test_random_scenes_with_drifting_clocks_and_lost_frames_claim_nothing_false() -> None:
+    assert false_claims(range(80)) == {}
