@@ -41,6 +41,7 @@ from canhaptic.view.picture_style import ALARM, BLUE, GREEN, GREY, ORANGE, PURPL
 from canhaptic.view.scope_states import StatePanels
 from canhaptic.view.series import FAULTS, LiveLog, News, PortFacts, decimate_together
 
+_MIDDLE: Final = "#808080"  # grey that is seen on light and dark pages
 _TOOLS: Final = "xpan,xwheel_zoom,xbox_zoom,reset,save"
 _PREFIX: Final = """
 const near = (value) => prefixes.find(([scale]) => Math.abs(value) >= scale * (1 - 1e-9)) ?? prefixes.at(-1);
@@ -60,9 +61,14 @@ _LIVE: Final = Path(__file__).with_suffix(".css").read_text(encoding="utf-8")
 _BACK: Final = """
 if (!pause.active && back.value > 0) pause.active = true;
 for (const range of ranges) {
-  range.follow = pause.active ? null : "end";
-  range.tags = pause.active ? (range.tags.length ? range.tags : [range.end]) : [];
-  if (pause.active) range.setv({end: range.tags[0] - back.value, start: range.tags[0] - back.value - window});
+  if (pause.active) {
+    if (!range.tags.length) range.tags = [range.end];
+    const end = range.tags[0] - back.value;
+    range.setv({follow: null, end, start: end - window});
+  } else if (range.tags.length) {
+    range.tags = [];
+    range.reset();
+  }
 }
 """
 _VALUE: Final = (
@@ -163,7 +169,7 @@ def finished(panel: figure) -> figure:
     """Put the legend above the panel, where it cannot hide data."""
     legend = panel.legend[0]
     legend.orientation, legend.location, legend.click_policy = "horizontal", "right", "hide"
-    legend.background_fill_alpha, legend.label_text_color = 0.0, "#808080"
+    legend.background_fill_alpha, legend.label_text_color = 0.0, _MIDDLE
     legend.border_line_alpha, legend.padding, legend.margin, legend.spacing = 0.0, 0, 0, 16
     legend.label_text_font_size = "9pt"
     panel.add_layout(legend, "above")
@@ -302,9 +308,9 @@ _ENERGY_LABELS: Final = {
 
 
 def _add_wall(panel: figure, wall: float, side: str) -> None:
-    panel.hspan(y=[wall], line_color=GREY, line_dash="dashed", legend_label="wall", name="wall")
+    panel.hspan(y=[wall], line_color=_MIDDLE, line_dash="dashed", legend_label="wall", name="wall")
     edge = {"top" if side == "below" else "bottom": wall}
-    panel.add_layout(BoxAnnotation(**edge, fill_color=GREY, fill_alpha=0.10, line_alpha=0.0, level="underlay"))
+    panel.add_layout(BoxAnnotation(**edge, fill_color=_MIDDLE, fill_alpha=0.2, line_alpha=0.0, level="underlay"))
 
 
 class ScopePage:
