@@ -25,7 +25,7 @@ from canhaptic.view.run_picture import draw_energy
 from canhaptic.view.terminal import note_file, write_json, write_line
 
 _EXPORTS: Final = ("csv", "parquet", "mat", "mcap")
-_OF_ONE_LOG: Final = ("compare", "recompute", "bus_log", "repair", *_EXPORTS)
+_OF_ONE_LOG: Final = ("compare", "recompute", "bus_log", "repair", "export", *_EXPORTS)
 """Options that take one log."""
 
 
@@ -150,6 +150,9 @@ def _require_one_log(arguments: argparse.Namespace) -> None:
 
 def _check_files(arguments: argparse.Namespace) -> None:
     """Refuse output files that could not be written, before anything is read."""
+    if arguments.export is not None:
+        check_place(arguments.export, arguments.force)
+        require_library(arguments.export)
     for suffix in _EXPORTS:
         path = getattr(arguments, suffix)
         if path is not None:
@@ -166,7 +169,7 @@ def _check_files(arguments: argparse.Namespace) -> None:
 
 
 def _write_files(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) -> None:
-    for path in filter(None, (getattr(arguments, suffix) for suffix in _EXPORTS)):
+    for path in filter(None, (arguments.export, *(getattr(arguments, suffix) for suffix in _EXPORTS))):
         export(log, path)
     pictures = [*filter(None, (arguments.png, arguments.svg, arguments.pdf))]
     if not pictures and arguments.html is None:

@@ -12,6 +12,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.export import export
 from canhaptic.logs.writer_process import EnergyLogWriter
 from tests.logs.log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing
+from tests.view import typed
 
 ROWS = 700
 
@@ -119,3 +120,24 @@ def test_a_table_that_cannot_be_written_is_one_clear_error(path: Path, tmp_path:
 def test_another_suffix_is_refused_with_those_that_exist(path: Path, tmp_path: Path) -> None:
     with EnergyLog.open(path) as log, pytest.raises(InputError, match=r"\.csv, \.parquet, \.mat"):
         export(log, tmp_path / "run.xlsx")
+
+
+def test_an_installed_package_exports_in_its_own_format(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    about = tmp_path / "site" / "my_tables-1.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: my-tables\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(
+        "[canhaptic.exporters]\nxyz = my_tables_for_tests:write\nbad = absent:write\n"
+    )
+    module_text = "def write(log, path):\n    path.write_text(f'{log.rows} rows of {list(log.ports)}')\n"
+    (about.parent / "my_tables_for_tests.py").write_text(module_text)
+    monkeypatch.syspath_prepend(str(about.parent))
+    assert typed.inspect(path, "--export", tmp_path / "run.xyz") == 0
+    with EnergyLog.open(path) as log:
+        assert (tmp_path / "run.xyz").read_text() == f"{log.rows} rows of {list(log.ports)}"
+        with pytest.raises(InputError, match=r"the exporter absent:write failed \(.*absent"):
+            export(log, tmp_path / "run.bad")
+        with pytest.raises(InputError, match=r"expected one of: \.csv, .*\.xyz, \.bad"):
+            export(log, tmp_path / "run.abc")
