@@ -20,6 +20,7 @@ A yes is due where
 * the true sum of interaction never fell below zero, and hand and device were within what is declared, which allows no
   energy to be given out on purpose (`energy_allowance`);
 * more than 20 times the resolution came in: below that no certificate says yes for certain (`control.verdict`);
+* the hold in which its torques act was found, or is that of the scene by construction; neither unchecked nor undecided;
 * timing and losses were within it too: no SYNC was skipped, no host stalled beyond `sync_jitter`, and in no more cycles
   in a row than `max_consecutive_losses` was a frame lost, as the drives and the samples show it
   (`tools/truth/loss_watch.py`). A scene declares up to four losses as soon as its bus makes them, as it does with the

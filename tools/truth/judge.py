@@ -19,6 +19,7 @@ from math import inf
 from typing import Any, Final
 
 from canhaptic.commission.torque_tests import checked_holds
+from canhaptic.control.verdict import NOT_CHECKED, UNDECIDED
 from canhaptic.cycle import Cycle, run
 from canhaptic.errors import CanHapticError
 from canhaptic.result import RunResult, run_result
@@ -41,8 +42,9 @@ LOSS_LIMIT: Final = 0.01
 _MOST_LOSSES: Final = 4
 """Cycles in a row with a loss that a scene declares, once its bus has really lost so many."""
 _UNCHECKED: Final = "hold:not_checked"
-_PROMISES_NO_YES: Final = frozenset(("timing:stall", _UNCHECKED))
-"""A host that stalls makes a hold longer than is declared; of an unchecked hold no certificate says yes."""
+_UNDECIDED: Final = "hold:undecided"
+_PROMISES_NO_YES: Final = frozenset(("timing:stall", _UNCHECKED, _UNDECIDED))
+"""A host that stalls makes a hold longer than is declared; of a hold that nothing has found no account says yes."""
 _TRIES: Final = 4
 _DECLARED_BY: Final = {"velocity_loop": "loop_gain"}
 """Certificate -> key that declares what it rests on, where that has another name."""
@@ -329,7 +331,8 @@ def _outcome(
     section = scene.passivity
     hand = _of_hand(watch)
     within = all(section.get(key) is None or seen <= section[key] for key, seen in hand.items())
-    is_unchecked = any(axis.get("hold") == "not checked" for axis in account["ports"].values())
+    found = {axis.get("hold") for axis in account["ports"].values()}
+    is_unchecked, noted = NOT_CHECKED in found, {NOT_CHECKED: _UNCHECKED, UNDECIDED: _UNDECIDED}
     declared = scene.is_true and (within or not scene.promises) and not (is_unchecked and "hold:other" in scene.tags)
     claims = [
         claim for name, port in ports.items() for claim in _false_claims(name, port, account["truth"][name], section)
@@ -340,7 +343,7 @@ def _outcome(
     handles = [port["passive_at_handle"] for port in ports.values() if "passive_at_handle" in port]
     return Outcome(
         seed=scene.seed,
-        tags=tuple(sorted({*scene.tags, *([_UNCHECKED] if is_unchecked else [])})),
+        tags=tuple(sorted({*scene.tags, *(noted[hold] for hold in found if hold in noted)})),
         status=status,
         verdict=str(account["passive"]),
         at_handle=max(handles, key=("yes", "in doubt", "no").index) if handles else "",
