@@ -159,13 +159,13 @@ class Port:
         shortest = samples * settings.sample_time * (1.0 - settings.jitter)
         slew, acceleration, change = settings.force_slew, settings.handle_acceleration, force - self.force
         error, count = settings.force_error, settings.encoder_count
+        fastest = (way + count) / shortest + 0.5 * acceleration * length
         if not settings.is_mean:
-            mean, rise = 0.5 * (force + self.force), abs(change)
-            fastest = (way + count) / shortest + 0.5 * acceleration * length
-            room = slew * slew * length * length - rise * rise
-            doubt = rise * acceleration * length * length / 12.0
+            mean, rise, square = 0.5 * (force + self.force), abs(change), length * length
+            room = slew * slew * square - rise * rise
+            doubt = rise * acceleration * square / 12.0
             if room > 0.0:  # between two samples the force leaves their line by the slew, or by what bends it
-                doubt += fastest * min(room / (4.0 * slew), settings.force_bend * length * length * length / 12.0)
+                doubt += fastest * min(room / (4.0 * slew), settings.force_bend * length * square / 12.0)
         elif samples == 1 or settings.is_impulse:
             mean = force
             doubt = slew * acceleration * length * length * length / 12.0
@@ -184,4 +184,4 @@ class Port:
         self.mean = mean
         self.doubt += doubt
         energy = mean * moved
-        return energy - doubt, (way + count) / shortest + 0.5 * acceleration * length, energy + doubt
+        return energy - doubt, fastest, energy + doubt
