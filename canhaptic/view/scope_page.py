@@ -41,7 +41,7 @@ from canhaptic.view.picture_style import ALARM, BLUE, GREEN, GREY, ORANGE, PURPL
 from canhaptic.view.scope_states import StatePanels
 from canhaptic.view.series import FAULTS, LiveLog, News, PortFacts, decimate_together
 
-_MIDDLE: Final = "#808080"  # grey that is seen on light and dark pages
+MIDDLE: Final = "#808080"  # grey that is seen on light and dark pages
 _TOOLS: Final = "xpan,xwheel_zoom,xbox_zoom,reset,save"
 _PREFIX: Final = """
 const near = (value) => prefixes.find(([scale]) => Math.abs(value) >= scale * (1 - 1e-9)) ?? prefixes.at(-1);
@@ -169,7 +169,7 @@ def finished(panel: figure) -> figure:
     """Put the legend above the panel, where it cannot hide data."""
     legend = panel.legend[0]
     legend.orientation, legend.location, legend.click_policy = "horizontal", "right", "hide"
-    legend.background_fill_alpha, legend.label_text_color = 0.0, _MIDDLE
+    legend.background_fill_alpha, legend.label_text_color = 0.0, MIDDLE
     legend.border_line_alpha, legend.padding, legend.margin, legend.spacing = 0.0, 0, 0, 16
     legend.label_text_font_size = "9pt"
     panel.add_layout(legend, "above")
@@ -308,9 +308,9 @@ _ENERGY_LABELS: Final = {
 
 
 def _add_wall(panel: figure, wall: float, side: str) -> None:
-    panel.hspan(y=[wall], line_color=_MIDDLE, line_dash="dashed", legend_label="wall", name="wall")
+    panel.hspan(y=[wall], line_color=MIDDLE, line_dash="dashed", legend_label="wall", name="wall")
     edge = {"top" if side == "below" else "bottom": wall}
-    panel.add_layout(BoxAnnotation(**edge, fill_color=_MIDDLE, fill_alpha=0.2, line_alpha=0.0, level="underlay"))
+    panel.add_layout(BoxAnnotation(**edge, fill_color=MIDDLE, fill_alpha=0.2, line_alpha=0.0, level="underlay"))
 
 
 class ScopePage:

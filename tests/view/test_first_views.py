@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 import canhaptic
+from canhaptic.audit.inspection import walls_of
 from canhaptic.cli.main import main
+from canhaptic.view.picture_style import overlaid
 from canhaptic.view.run_picture import energy_figure
 from canhaptic.view.series import notches_of
 from canhaptic.view.terminal import RunProgress, run_progress
@@ -127,3 +129,16 @@ def test_a_plain_line_says_the_share(tmp_path: Path, monkeypatch: pytest.MonkeyP
             progress(1024)
         monkeypatch.undo()
     assert (tmp_path / "piped").read_text() == "   25 %   1024 of 4096 cycles\n"
+
+
+def test_every_overlaid_run_has_a_colour_of_its_own() -> None:
+    assert len(set(overlaid(12))) == 12
+    assert overlaid(2) == overlaid(12)[:2]
+
+
+@pytest.mark.slow
+def test_the_wall_of_an_admittance_display_is_drawn() -> None:
+    result = canhaptic.simulate("admittance/wall", duration=0.1, progress=False)
+    with result.log() as log:
+        assert [(place, side) for place, side in walls_of(log, next(iter(log.ports)))] == [(-0.05, "below")]
+        assert "wall" in [line.get_label() for line in log.plot(panels=["position"]).axes[0].lines]

@@ -21,7 +21,7 @@ from canhaptic.lab.touch.hand_process import TouchHand, TouchNews, TouchStatus
 from canhaptic.lab.touch.two_sides import TouchScene, TouchSlider
 from canhaptic.view.html_page import verdict_bar
 from canhaptic.view.picture_style import BLUE, GREY, PALE, VERMILION
-from canhaptic.view.scope_page import LivePage, add_hover, finished, new_panel, si_ticks
+from canhaptic.view.scope_page import MIDDLE, LivePage, add_hover, finished, new_panel, si_ticks
 from canhaptic.view.series import decimate
 
 _COLOURS: Final = (VERMILION, BLUE)
@@ -152,12 +152,12 @@ class _SideView:
         disc.axis.visible, disc.grid.visible, disc.outline_line_alpha = False, False, 0.0
         for low, high in touched.solid:
             disc.annular_wedge(
-                0, 0, 1.05, 1.35, low, min(high, low + 6.28), fill_color=GREY, fill_alpha=0.4, line_alpha=0
+                0, 0, 1.05, 1.35, low, min(high, low + 6.28), fill_color=MIDDLE, fill_alpha=0.4, line_alpha=0
             )
         if touched.notches:
             first, pitch = touched.notches
             turn = first + pitch * np.arange(min(200, round(2.0 * np.pi / pitch)))
-            disc.ray(np.cos(turn), np.sin(turn), length=0.25, angle=turn, line_color=GREY, line_width=2)
+            disc.ray(np.cos(turn), np.sin(turn), length=0.25, angle=turn, line_color=MIDDLE, line_width=2)
         disc.circle(
             0, 0, radius=1.0, fill_color=_COLOURS[self._number], fill_alpha=0.25, line_color=_COLOURS[self._number]
         )
@@ -176,7 +176,7 @@ class _SideView:
         plane.xaxis.formatter = plane.yaxis.formatter = si_ticks(touched.unit)
         plane.yaxis.visible = touched.is_plane
         self._draw_solid(plane, touched, (low, high))
-        plane.varea("x", -1.0, "y", source=self._notches, fill_color=GREY, fill_alpha=0.25)
+        plane.varea("x", -1.0, "y", source=self._notches, fill_color=MIDDLE, fill_alpha=0.3)
         plane.segment("x", "y", "hand_x", "hand_y", source=self.handle, line_color=PALE, line_width=3)
         plane.scatter("hand_x", "hand_y", source=self.handle, marker="cross", size=22, line_color=GREY, line_width=2)
         plane.scatter("x", "y", source=self.handle, size=26, fill_color=_COLOURS[self._number], line_color="white")
@@ -196,7 +196,7 @@ class _SideView:
             self._notches.data = {"x": across, "y": 0.8 * np.sin(np.pi * (across - place) / pitch) ** 2 - 0.9}
 
     def _draw_solid(self, plane: figure, touched: TouchScene, shown: tuple[float, float]) -> None:
-        look = {"fill_color": GREY, "fill_alpha": 0.25, "line_color": GREY}
+        look = {"fill_color": MIDDLE, "fill_alpha": 0.3, "line_color": MIDDLE}
         if touched.path:
             x, y = zip(*touched.path, strict=True)
             plane.line(x, y, line_color=PALE, line_width=8, line_alpha=0.5)
