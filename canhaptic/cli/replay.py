@@ -64,7 +64,7 @@ def execute(arguments: argparse.Namespace) -> int:
 def why_failed(result: ReplayResult, covers: Covered, *, allow_empty: bool) -> list[str]:
     """Return why a replay fails: another frame, and ports that it does not test."""
     faults = [] if (found := result["difference"]) is None else [f"different at line {found['number']}"]
-    if covers["untested"] and not allow_empty:
+    if covers["untested"] and not allow_empty and not faults:  # of a replay that ended early nothing more is said
         text = "not tested: no torque was sent, so any environment and algorithm would be identical; record a contact"
         faults.append(f"{', '.join(covers['untested'])}: {text}, or allow it with --allow-empty")
     return faults

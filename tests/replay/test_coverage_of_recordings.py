@@ -52,6 +52,14 @@ def test_a_key_leaves_a_trace_where_another_value_sends_other_frames() -> None:
     assert tried & set(found["untraced"]) == {"passivity.hand_push"}
 
 
+def test_a_replay_that_ends_at_another_frame_says_no_more_than_that(capsys: pytest.CaptureFixture[str]) -> None:
+    """It ended before the first torque, which the recording has."""
+    assert main(["replay", str(RECORDED), "--config", str(DEMO), "--set", "environment.stiffness=900"]) == 1
+    out = capsys.readouterr().out
+    assert "different at line" in out
+    assert "not tested: no torque" not in out
+
+
 def _lines() -> list[str]:
     return RECORDED.read_text().splitlines()
 

@@ -4,9 +4,10 @@ import argparse
 from math import isnan
 from typing import Final
 
+from canhaptic.files import scene_title
 from canhaptic.lab.commands.results import check_files, write_files
 from canhaptic.lab.render.map_picture import draw_map, write_map
-from canhaptic.lab.studies.chunk import UNRENDERED, UNTOUCHED
+from canhaptic.lab.studies.chunk import REFUSED, UNRENDERED, UNTOUCHED
 from canhaptic.lab.studies.map import (
     JUDGEMENTS,
     Chosen,
@@ -37,14 +38,17 @@ def execute(arguments: argparse.Namespace) -> int:
         fields = fields_of(table, arguments.axis, allow_code=arguments.allow_code)
         chosen = Chosen(arguments.x, arguments.y, arguments.metric, arguments.by)
         columns = panels_of(fields, chosen)
-        caption = f"{table.note('source')}   {'  '.join(entry['given'] for entry in table.identity['varied'])}"
+        caption = (
+            f"{scene_title(table.note('source'))}   {'  '.join(entry['given'] for entry in table.identity['varied'])}"
+        )
         for line in table.note("plant_errors").splitlines():
             write_note(f"  {line}")
         by = {one.algorithm: arguments.by or usual_judgement(one) for one in fields}
         remarks = [] if fields[0].is_display else [_WALLS]
         shares = {one.algorithm: passing_share(one, by[one.algorithm]) for one in fields}
+        ran = {one.algorithm: max(1, int((~one.has_status(REFUSED)).sum())) for one in fields}
         left_out = {
-            key: {one.algorithm: float(one.has_status(number).mean()) for one in fields}
+            key: {one.algorithm: float(one.has_status(number).sum() / ran[one.algorithm]) for one in fields}
             for key, number in (("no_contact", UNTOUCHED), ("nothing_rendered", UNRENDERED))
         }
     if arguments.json:

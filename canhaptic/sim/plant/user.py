@@ -85,8 +85,8 @@ class RecordedMotion(Parameters):
     than `true.handle.position`. With a unit, as in `x [mm]`, for a heading without one."""
     time_column: PrintableText = ""
     """Heading of the time column, with a unit as in `t [ms]` for a heading without one; by default `time`, `t` or
-    `timestamp`, in seconds. Frames are counted as in `frame [8.333 ms]`. A long table whose steps would be half a second
-    or more is refused without a unit."""
+    `timestamp`, in seconds. Frames are counted as in `frame [8.333 ms]`. A long table whose steps would be half a
+    second or more is refused without a unit."""
 
     _rows: tuple[tuple[float, float], ...] = ()
     _digest: str = ""
