@@ -22,6 +22,7 @@ def knob(person: Person) -> str:
     return str(path)
 
 
+@pytest.mark.slow
 def test_a_knob_with_stops_is_felt_at_the_first_try(person: Person) -> None:
     scene, picture = knob(person), person.folder / "knob.png"
     assert "the wall is felt" in person.types("check", scene)

@@ -113,9 +113,10 @@ def test_the_forces_and_energies_of_networks_add():
         assert torques[0] == pytest.approx(torques[1] + torques[2], rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_own_code_adds_to_what_is_built_in_and_its_log_gives_the_same_again(tmp_path):
     stops = {"type": "two_sided_wall", "lower": -0.3, "upper": 0.3, "stiffness": 0.5}
-    result = canhaptic.simulate(KNOB, {"environment": [Gel, stops]}, duration=0.3)
+    result = canhaptic.simulate(KNOB, {"environment": [Gel, stops]}, duration=0.1)
     assert result.account.raw["ports"]["knob"]["environment"].endswith("two_sided_wall")
     assert result.account.verdict == "yes"
 
@@ -125,7 +126,7 @@ def test_friction_in_a_medium_keeps_its_strain_and_writes_a_log(tmp_path):
     scene, log = load_scene("demo", [f"environment={rubber}"]), tmp_path / "run.h5"
     assert two_sides(scene).sliders[-1].title == "viscous_medium: damping"
     with build(scene, "free", log) as experiment:
-        assert experiment.run_through(200)[1] is None
+        assert experiment.run_through(40)[1] is None
     with EnergyLog.open(log) as read:
         assert read.attributes["handle.damping_asked"] == 4.0
         assert read.attributes["handle.environment"] == "coulomb_surface + viscous_medium"
@@ -134,7 +135,7 @@ def test_friction_in_a_medium_keeps_its_strain_and_writes_a_log(tmp_path):
 def test_the_walls_of_a_sum_and_its_notches_are_in_its_log(tmp_path):
     log = tmp_path / "run.h5"
     with build(load_scene(KNOB), "free", log) as experiment:
-        assert experiment.run_through(300)[1] is None
+        assert experiment.run_through(60)[1] is None
     with EnergyLog.open(log) as read:
         assert [side for _, side in walls_of(read, "knob")] == ["below", "above"]
         assert notches_of(read, "knob", -0.4, 0.4) == pytest.approx([-np.pi / 12, 0.0, np.pi / 12])
