@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from canhaptic.drive.safety.link_policy import StopReason
-from tests.edges.cases import CASES, Case
+from tests.edges.cases import CASES, DISPLAY, Case
 from tests.edges.short_run import Outcome, pressed
 
 
@@ -43,3 +43,14 @@ def test_a_case_ends_for_its_reason_with_zero_torque_first_or_goes_on(name: str,
 def test_every_way_out_has_a_case() -> None:
     """A new `StopReason` joins the cases in the same commit."""
     assert set(StopReason) - {case.reason for case in CASES.values()} == {StopReason.NONE}
+
+
+def test_a_drive_that_brakes_is_left_to_brake_for_its_time_before_anything_else_disables_it() -> None:
+    """A display that loses its sensor while it moves: a disable by SDO would let it coast."""
+    seen = pressed(
+        CASES["force beyond the range"].deed, "axes.0.admittance.stop_time=0.2", name=DISPLAY, at=300, cycles=400
+    )
+    disabled_by_sdo = [frame for frame in seen.frames if frame.can_id > 0x600 and frame.data[:3] == b"\x2b\x40\x60"]
+    assert seen.edge.syncs > 8  # it took longer than two rounds of SDO would wait
+    assert not disabled_by_sdo
+    assert seen.is_disabled_or_said
