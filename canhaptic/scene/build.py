@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from math import inf
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Literal, Self
+from typing import TYPE_CHECKING, Any, Final, Literal, Self, cast
 
 import can
 
@@ -23,9 +23,12 @@ from canhaptic.control.ledger import DEFAULT_GROWTH, DEFAULT_LIMIT, EnergyLossMe
 from canhaptic.control.verdict import GUARANTEEING, PortResult
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.axis_parameters import CanBusParameters
+from canhaptic.drive.bus_cycle import BusCycle
 from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
+from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CanHapticError, InputError, cause_of
 from canhaptic.host.interfaces import opening_error
@@ -43,10 +46,12 @@ from canhaptic.scene.parts import (
 from canhaptic.signals import SimulatedPeer, Truth
 
 if TYPE_CHECKING:
+    from canhaptic.drive.ethercat.bus_cycle import EthercatBusCycle
     from canhaptic.logs.writer_process import BusLogWriter, EnergyLogWriter
     from canhaptic.scene.own_code import CodeProcess
     from canhaptic.sim.bus.faulty_bus import FaultyBus
-    from canhaptic.sim.drive.can.drive_node import DriveGroup, Drives
+    from canhaptic.sim.drive.can.drive_node import DriveGroup, Drives, SimulatedDrive
+    from canhaptic.sim.drive.ethercat.cable import Cable
     from canhaptic.sim.plant.plant import Plant
 
 _ECHOING: Final = frozenset({"udp_multicast"})  # interfaces that return sent frames, with any setting
@@ -148,36 +153,42 @@ def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
     return notes
 
 
-def _opened(named: Sequence[CanBusParameters], stack: ExitStack) -> list[can.BusABC]:
+def _opened(named: Sequence[CanBusParameters], stack: ExitStack) -> list[can.BusABC | None]:
     """Return one connection to each CAN bus, closed with the stack; None for a line of another kind."""
-    buses: list[Any] = []
+    buses: list[can.BusABC | None] = []
     for of in named:
-        buses.append(open_bus(of, of.channel) if kind_of(of) == "can" else None)
-        if buses[-1] is not None:
-            stack.callback(buses[-1].shutdown)
+        bus = open_bus(of, of.channel) if kind_of(of) == "can" else None
+        buses.append(bus)
+        if bus is not None:
+            stack.callback(bus.shutdown)
     return buses
 
 
 def _simulated_side(
     scene: Scene, named: Sequence[CanBusParameters], stack: ExitStack
-) -> "tuple[list[Any], Drives | None]":
+) -> "tuple[list[DriveGroup | Cable], Drives | None]":
     """Return the simulated drives of each bus, and of all buses in the order of the axes; none with real drives."""
     if not scene.simulated:
         return [], None
     from canhaptic.scene.far_side import build_cable, build_drive_group
     from canhaptic.sim.drive.can.drive_node import AllDrives
 
-    groups, drives = list[Any](), dict[str, Iterator[Any]]()
+    groups, drives = list["DriveGroup | Cable"](), dict[str, "Iterator[SimulatedDrive]"]()
     for bus, of in zip(_opened(named, stack), scene.buses, strict=True):
-        cable, on_line = build_cable(scene, of.name) if bus is None else (None, ())
-        groups.append(build_drive_group(scene, bus, of.name) if cable is None else cable)
-        drives[of.name] = iter(groups[-1].drives if cable is None else on_line)
-    if len(groups) == 1 and kind_of(scene.bus) == "can":
-        return groups, groups[0]
+        if bus is None:
+            cable, on_line = build_cable(scene, of.name)
+            groups.append(cable)
+            drives[of.name] = cast("Iterator[SimulatedDrive]", iter(on_line))
+            continue
+        group = build_drive_group(scene, bus, of.name)
+        if not scene.further_buses:
+            return [group], group
+        groups.append(group)
+        drives[of.name] = iter(group.drives)
     return groups, AllDrives(tuple(next(drives[axis.bus]) for axis in scene.axes))
 
 
-def _faulty_buses(scene: Scene, buses: "Sequence[can.BusABC]", stack: ExitStack) -> "dict[int, FaultyBus]":
+def _faulty_buses(scene: Scene, buses: "Sequence[can.BusABC | None]", stack: ExitStack) -> "dict[int, FaultyBus]":
     """Return the master's connections to the buses with simulated faults, by index of the bus."""
     from canhaptic.scene.far_side import with_effects
 
@@ -220,16 +231,16 @@ class Experiment:
             is_faulty = scene.simulated and scene.bus_effects is not None
             faulty = _faulty_buses(scene, buses, stack) if is_faulty else {}
             self.faulty_buses = {scene.buses[n].name: faulty_bus for n, faulty_bus in faulty.items()}
-            lines = {of.name: groups[n] for n, of in enumerate(scene.buses) if scene.simulated and buses[n] is None}
-            self.cables = {name: cable for name, cable in lines.items() if scene.cable_effects is not None}
+            lines = zip(scene.buses, groups, strict=False) if scene.cable_effects is not None else ()
+            self.cables = {of.name: cast("Cable", line) for of, line in lines if kind_of(of.parameters) != "can"}
             self.clock = clock = _build_clock(pace, scene.bus.spin_margin, groups, faulty)
             self._open_logs(energy_log, bus_log, meters, stack, dry_run=no_torque)
             records = [self.bus_log.on(n) if self.bus_log else None for n in range(len(buses))]
             links = [
-                part("ethercat", "line")(groups[n], clock, of)
-                if buses[n] is None
-                else Link(faulty.get(n, buses[n]), clock, records[n], echoes=echoes(of))
-                for n, of in enumerate(named)
+                part("ethercat", "line")(groups[n], clock, named[n])
+                if bus is None
+                else Link(faulty.get(n, bus), clock, records[n], echoes=echoes(named[n]))
+                for n, bus in enumerate(buses)
             ]
             self.rig = _build_rig(scene, links, dry_run=no_torque)
             # A simulation in real time is as uneven as this computer; the declared jitter is that of the simulated bus.
@@ -418,7 +429,7 @@ def require_buildable(scene: Scene) -> None:
 
 
 def _build_clock(
-    pace: _Pace, spin_margin: float, groups: "Sequence[DriveGroup]", faulty: "Mapping[int, FaultyBus]"
+    pace: _Pace, spin_margin: float, groups: "Sequence[DriveGroup | Cable]", faulty: "Mapping[int, FaultyBus]"
 ) -> Clock:
     """Return the clock, which also runs the simulated drives and the faults of their buses."""
     peers: list[SimulatedPeer] = [faulty[n].around(group) if n in faulty else group for n, group in enumerate(groups)]
@@ -429,22 +440,21 @@ def _build_clock(
     return clock
 
 
-def _build_rig(scene: Scene, links: Sequence[Any], *, dry_run: bool) -> Rig:
+def _build_rig(scene: Scene, links: "Sequence[Link | EthercatBusCycle]", *, dry_run: bool) -> Rig:
     by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
-    drives: list[Any] = []
+    drives: list[TorqueAxis] = []
     for axis in scene.axes:
         link, bus = by_name[axis.bus]
-        if kind_of(bus) == "can":
+        if isinstance(link, Link):
             drives.append(build_servo_drive(axis, link, bus, dry_run=dry_run))
         else:
             drives.append(build_ethercat_drive(axis, link, dry_run=dry_run))
     for drive, axis in zip(drives, scene.axes, strict=True):
         drive.hold = scene.hold_of(axis)
-    buses: list[Any] = []
-    on_can = [drive for drive in drives if kind_of(drive.bus) == "can"]
+    buses: list[BusCycle] = []
+    on_can = [drive for drive in drives if isinstance(drive, ServoDrive)]
     for of, link in zip(scene.buses, links, strict=True):
-        is_can = kind_of(of.parameters) == "can"
-        buses += can_buses(link, on_can, of.parameters) if is_can else [link]
+        buses += can_buses(link, on_can, of.parameters) if isinstance(link, Link) else [link]
     return Rig(buses, drives, scene.bus, scene.group_places)
 
 
@@ -479,7 +489,7 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
         **durations,
         **{f"realtime_{name}": answer for name, answer in experiment.rig.realtime.report.items()},
     }
-    totals = {name: bus.totals() for name, bus in experiment.faulty_buses.items()}
+    totals: dict[str, Mapping[str, object]] = {name: bus.totals() for name, bus in experiment.faulty_buses.items()}
     totals |= {name: cable.totals() for name, cable in experiment.cables.items()}
     if totals:
         account["bus_effects"] = totals.get("", totals)  # the only bus may have no name

@@ -9,7 +9,7 @@ from pydantic import ValidationInfo, ValidatorFunctionWrapHandler
 
 from canhaptic.registry import load
 from canhaptic.scene.document import MarkedMapping
-from canhaptic.units import Parameters
+from canhaptic.units import Parameters, UnitContext
 
 BUSES: Final = {
     "can": {
@@ -44,17 +44,17 @@ def part(kind: str, name: str) -> Any:
     return load(BUSES[kind], name, f"part of a bus {kind}")
 
 
-def read_bus(value: object, read: ValidatorFunctionWrapHandler, info: ValidationInfo[Any]) -> Any:
+def read_bus(value: object, read: ValidatorFunctionWrapHandler, info: ValidationInfo[UnitContext]) -> object:
     """Read the section of a bus with the model of its kind."""
     return _read("bus", value, read, info)
 
 
-def read_axis(value: object, read: ValidatorFunctionWrapHandler, info: ValidationInfo[Any]) -> Any:
+def read_axis(value: object, read: ValidatorFunctionWrapHandler, info: ValidationInfo[UnitContext]) -> object:
     """Read the section of an axis with the model of the kind of its bus."""
     return _read("axis", value, read, info)
 
 
-def _read(name: str, value: object, read: ValidatorFunctionWrapHandler, info: ValidationInfo[Any]) -> Any:
+def _read(name: str, value: object, read: ValidatorFunctionWrapHandler, info: ValidationInfo[UnitContext]) -> object:
     if not isinstance(value, MarkedMapping) or value.bus_kind == "can":
         return read(value)
     model: type[Parameters] = part(value.bus_kind, name)

@@ -1,9 +1,10 @@
 """Checks of a scene that need more than one of its sections."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from canhaptic.axis_units import effort_unit
+from canhaptic.canopen.eds import DriveDictionary
 from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.drive.can.bus_budget import require_budget, shortest_answer
 from canhaptic.drive.can.pdo_map import AxisMap, check_dictionary, choose_map
@@ -261,8 +262,9 @@ def _check_dictionary(of: _Checked, faults: Diagnostics) -> AxisMap | None:
     return None if refusals or kind != "can" else choose_map(dictionary, given)
 
 
-def findings_on(dictionary: Any, axis: AxisParameters, bus: CanBusParameters) -> list[Finding]:
+def findings_on(dictionary: DriveDictionary, axis: AxisParameters, bus: CanBusParameters) -> list[Finding]:
     """Return the findings on the dictionary of a drive for its kind of bus."""
     if (kind := kind_of(bus)) == "can":
         return check_dictionary(dictionary, axis, bus)
-    return [*profile_findings(dictionary, axis, bus.sample_time_ns), *part(kind, "findings")(dictionary, axis)]
+    of_image: list[Finding] = part(kind, "findings")(dictionary, axis)
+    return [*profile_findings(dictionary, axis, bus.sample_time_ns), *of_image]

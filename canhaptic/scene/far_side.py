@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import inf
-from typing import TYPE_CHECKING, Any, Final, Literal, cast
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar, cast
 
 import can
 
@@ -27,11 +27,16 @@ if TYPE_CHECKING:
     from canhaptic.control.passivity import LoopProperties
     from canhaptic.drive.axis_parameters import CanBusParameters
     from canhaptic.sim.bus.faulty_bus import BusEffects, FaultyBus
+    from canhaptic.sim.drive import SimulatedDriveParameters
     from canhaptic.sim.drive.can.drive_node import DriveGroup
+    from canhaptic.sim.drive.ethercat.cable import Cable
+    from canhaptic.sim.drive.ethercat.drive_node import EthercatDrive
+    from canhaptic.sim.drive.profile.servo import Motor
     from canhaptic.sim.plant.effects import Effect
     from canhaptic.sim.plant.mechanism import Mechanism, MechanismMotor, MechanismParameters
     from canhaptic.sim.plant.plant import Plant
 
+_Made = TypeVar("_Made")
 _SEEDS_APART: Final = 1_000_003  # from one bus to the next
 _ANY: Final = 1e6  # [N or N*m]
 _OF_A_WINDING: Final = ("supply", "back_emf", "resistance")
@@ -121,13 +126,13 @@ def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) ->
     """
     from canhaptic.sim.drive.can.drive_node import DriveGroup, SimulatedDrive
 
-    def made(axis: AxisScene, motor: Any, drive: Any, period: int) -> SimulatedDrive:
+    def made(axis: AxisScene, motor: "Motor", drive: "SimulatedDriveParameters", period: int) -> SimulatedDrive:
         return SimulatedDrive(bus, axis.parameters.node_id, axis.parameters.eds, motor, drive, period)
 
     return DriveGroup(bus, _drives_of(scene, name, made))
 
 
-def build_cable(scene: Scene, name: str) -> "tuple[Any, list[Any]]":
+def build_cable(scene: Scene, name: str) -> "tuple[Cable, list[EthercatDrive]]":
     """Return the cable of a simulated EtherCAT line, and its drives in the order of their axes.
 
     Args:
@@ -152,7 +157,9 @@ def build_cable(scene: Scene, name: str) -> "tuple[Any, list[Any]]":
     return cable, drives
 
 
-def _drives_of(scene: Scene, name: str | None, made: Callable[[AxisScene, Any, Any, int], Any]) -> list[Any]:
+def _drives_of(
+    scene: Scene, name: str | None, made: "Callable[[AxisScene, Motor, SimulatedDriveParameters, int], _Made]"
+) -> "list[_Made]":
     """Return what `made` makes of each axis on a bus, its motor, the parameters of its drive and the sample time [ns].
 
     Raises:
@@ -160,7 +167,7 @@ def _drives_of(scene: Scene, name: str | None, made: Callable[[AxisScene, Any, A
     """
     if scene.accuracy_tolerance is not None:
         scene = with_accuracy(scene)
-    period, drives = scene.bus.sample_time_ns, list[Any]()
+    period, drives = scene.bus.sample_time_ns, list["_Made"]()
     motors = _shared_motors(scene.mechanisms, period) if scene.mechanisms else {}
     for axis in (axis for axis in scene.axes if name in (None, axis.bus)):
         try:
@@ -169,8 +176,8 @@ def _drives_of(scene: Scene, name: str | None, made: Callable[[AxisScene, Any, A
             elif axis.simulated_drive is not None:
                 motor = motors[axis.parameters.name]
                 drives.append(made(axis, motor, axis.simulated_drive, period))
-                if hasattr(drives[-1], "servo"):
-                    motor.connect(partial(getattr, drives[-1].servo, "torque"))
+                if (servo := getattr(drives[-1], "servo", None)) is not None:
+                    motor.connect(partial(getattr, servo, "torque"))
         except ParameterError as error:
             raise ParameterError(f"{scene.source}: simulation.drive of {axis.parameters.name}: {error}") from error
     if not drives:

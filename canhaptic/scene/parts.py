@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from math import inf
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Final, cast
 
 from canhaptic.control.admittance import build_display_controller
 from canhaptic.control.axis_meter import Accuracy, AxisMeter, SilentMeter
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from canhaptic.control.mechanisms.kinematics import Kinematics
     from canhaptic.control.motion_checks import FrictionDeclared
     from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupController, NetworkEnvironment
+    from canhaptic.drive.ethercat.bus_cycle import EthercatBusCycle
+    from canhaptic.drive.ethercat.servo_drive import EthercatDrive
 
 _OF_THE_DEVICE: Final = ("device_damping", "device_friction", "device_damping_bound", "device_friction_bound")
 _SETTLED: Final = 3.0
@@ -197,11 +199,12 @@ def check_group(group: GroupScene) -> None:
         raise ParameterError(f"{text}, expected the {len(group.axes)} of the group: {', '.join(group.axes)}")
 
 
-def build_ethercat_drive(axis: AxisScene, line: Any, *, dry_run: bool = False) -> Any:
+def build_ethercat_drive(axis: AxisScene, line: "EthercatBusCycle", *, dry_run: bool = False) -> "EthercatDrive":
     """Return the master's image of the drive of one axis on an EtherCAT line; raise DictionaryError."""
     known = axis.parameters.model_copy(update={"torque_limit": axis.loop.torque_limit})  # less if not verified
     dictionary = axis.parameters.dictionary()
-    return part("ethercat", "drive")(line, known, dictionary, dry_run=dry_run, lateness=_lateness(axis))
+    kind: type[EthercatDrive] = part("ethercat", "drive")
+    return kind(line, known, dictionary, dry_run=dry_run, lateness=_lateness(axis))  # type: ignore[arg-type]
 
 
 def _lateness(axis: AxisScene) -> float:

@@ -31,7 +31,7 @@ class EthercatBusParameters(CycleParameters):
 
     @property
     def channel(self) -> None:
-        """A line has no channel beside its interface."""
+        """A line has no channel of its interface."""
 
     @property
     def rpdo(self) -> Literal["synchronous"]:
