@@ -19,6 +19,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 WORDS = ["--pace", "real", "--set", "simulation.user.rest=-0.2 m", "--set", "bus.rate=200"]
+WORDS += ["--set", "axes.0.energy_uncertainty_limit=none"]  # of a busy machine
 
 
 @contextmanager
