@@ -300,3 +300,10 @@ def test_asking_for_more_gives_no_less_after_long_leaning(hand: str, rate: float
     found = [felt(HANDS[hand], asked, 1e-5, rate) for asked in (5e3, 1e4, 3e4, 1e5)]
     assert worst_of(found) >= LEAST
     assert found[-1] > 7e3
+
+
+def test_energy_for_tremor_and_a_lead_out_of_a_soft_wall_keep_it_stiff() -> None:
+    """Without the energy 6.1 kN/m, without that lead 8.1, and 7.1 where a fast motion in is held back."""
+    found = felt_stiffness(load_scene(PREMIUM, sets_of(HANDS["arm"], 3e4, 1e-5, 250.0)).axes[0])
+    assert found is not None
+    assert found[0] > 8.3e3
