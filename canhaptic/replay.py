@@ -565,6 +565,47 @@ def replay_bus_log(
     return again if again["status"] == "identical" else found
 
 
+class LineReplay(NamedTuple):
+    """Outcome of a replay of an EtherCAT line."""
+
+    recorded: int  # frames of the master in the log
+    compared: int  # of these found equal
+    difference: str  # the first other frame, in words; empty where every frame is the recorded one
+
+
+def replay_line(bus_log: str | Path, scene: Scene, *, dry_run: bool = False) -> LineReplay:
+    """Replay the log of a simulated EtherCAT line: every frame of the master must be the recorded one, at its time.
+
+    Args:
+        bus_log: The log of a run in virtual time that was not interrupted.
+        scene: Scene of the run.
+        dry_run: Whether it was a dry run.
+
+    Raises:
+        InputError: The log cannot be read, or the scene has no simulated EtherCAT line of its own.
+    """
+    from canhaptic.logs.frame_log import ReplayDepartureError, read_frame_log
+    from canhaptic.scene.build import Experiment
+
+    frames, difference = read_frame_log(bus_log), ""
+    if len(scene.buses) > 1 or not scene.simulated or getattr(scene.bus, "type", "can") != "ethercat":
+        raise InputError(f"{bus_log}: is the log of a simulated EtherCAT line; give the scene of one such line")
+    duration = scene.run.duration
+    cycles = None if duration is None else max(1, round(duration / scene.bus.sample_time))
+    with Experiment(scene, "free", None, None, no_torque=dry_run, recorded=frames) as experiment:
+        try:
+            run(experiment.cycle, cycles)
+        except ReplayDepartureError as error:
+            difference = str(error)
+        except RigError:
+            pass  # the run ended for its reason, as in the recording, or the frames differ
+        played = experiment.played
+    compared, left = (0, 0) if played is None else (played.compared, played.left)
+    if left and not difference:
+        difference = f"frame {len(frames) - left + 1}: recorded, and not sent"
+    return LineReplay(sum(not frame.is_answer for frame in frames), compared, difference)
+
+
 _LONGEST_STOP: Final = 2.0  # [s]: a brake sets within 1 s
 
 

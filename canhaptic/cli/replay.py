@@ -12,8 +12,9 @@ from canhaptic.audit.replay_coverage import Covered, covered, scene_next_to
 from canhaptic.cli.options import check_place, scene_of
 from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.frame_log import is_frame_log
 from canhaptic.logs.repair import require_readable
-from canhaptic.replay import FrameWords, ReplayResult, replay_bus_log
+from canhaptic.replay import FrameWords, ReplayResult, replay_bus_log, replay_line
 from canhaptic.view.energy_table import energy_report
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.terminal import write_json
@@ -25,6 +26,11 @@ def execute(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: The recording or the scene cannot be used.
     """
+    return (_replay_line if is_frame_log(arguments.bus_log) else _replay_buses)(arguments)
+
+
+def _replay_buses(arguments: argparse.Namespace) -> int:
+    """Replay the log of CAN buses."""
     if arguments.junit is not None:
         check_place(arguments.junit, force=True)
     dry_run = arguments.no_torque
@@ -59,6 +65,24 @@ def execute(arguments: argparse.Namespace) -> int:
         if arguments.account:
             console.print(energy_report(result["account"]))
     return 1 if faults else 0
+
+
+def _replay_line(arguments: argparse.Namespace) -> int:
+    """Replay the log of an EtherCAT line."""
+    if arguments.config is None:
+        arguments.config = scene_next_to(arguments.bus_log)
+    result = replay_line(arguments.bus_log, scene_of(arguments), dry_run=arguments.no_torque)
+    if arguments.json:
+        write_json(result._asdict())
+    else:
+        text = " identical: the master sent every frame byte for byte as recorded, at its time"
+        outcome = (
+            Text(text, style="green") if not result.difference else Text(f" {result.difference}", style="bold red")
+        )
+        console = make_console()
+        console.print(f" {result.compared} of {result.recorded} frames of the master compared")
+        console.print(outcome, soft_wrap=True)
+    return 1 if result.difference else 0
 
 
 def why_failed(result: ReplayResult, covers: Covered, *, allow_empty: bool) -> list[str]:

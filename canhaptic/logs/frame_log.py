@@ -52,7 +52,7 @@ class LoggedFrame(NamedTuple):
 
 
 class FrameLog:
-    """A log that is written; closed at the end of a `with` block.
+    """A log that is written, in place of any earlier one; closed at the end of a `with` block.
 
     Raises:
         LogWriteError: The file cannot be made or written.
@@ -61,7 +61,7 @@ class FrameLog:
     def __init__(self, path: str | Path) -> None:
         self._path = Path(path)
         try:
-            self._file = self._path.open("xb")
+            self._file = self._path.open("wb")
             self._file.write(_HEAD.pack(_MAGIC, 2, 4, 0, 0, _LARGEST, _ETHERNET))
         except OSError as error:
             raise LogWriteError(f"{path}: cannot be written ({error.strerror}); choose another file") from error
@@ -83,6 +83,15 @@ class FrameLog:
 
     def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
         self.close()
+
+
+def is_frame_log(path: str | Path) -> bool:
+    """Return whether a file begins as a log of frames does."""
+    try:
+        with Path(path).open("rb") as file:
+            return file.read(4) == _MAGIC.to_bytes(4, "little")
+    except OSError:
+        return False
 
 
 def read_frame_log(path: str | Path) -> list[LoggedFrame]:

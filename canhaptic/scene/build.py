@@ -32,6 +32,7 @@ from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CanHapticError, InputError, cause_of
 from canhaptic.host.interfaces import opening_error
+from canhaptic.registry import load
 from canhaptic.result import RunResult, run_result
 from canhaptic.scene.buses import kind_of, part
 from canhaptic.scene.models import AxisScene, Scene
@@ -47,6 +48,7 @@ from canhaptic.signals import SimulatedPeer, Truth
 
 if TYPE_CHECKING:
     from canhaptic.drive.ethercat.bus_cycle import EthercatBusCycle
+    from canhaptic.logs.frame_log import FrameLog, LoggedFrame, RecordedLine
     from canhaptic.logs.writer_process import BusLogWriter, EnergyLogWriter
     from canhaptic.scene.own_code import CodeProcess
     from canhaptic.sim.bus.faulty_bus import FaultyBus
@@ -199,6 +201,7 @@ def _faulty_buses(scene: Scene, buses: "Sequence[can.BusABC | None]", stack: Exi
 
 
 _Pace = Literal["real", "free"]
+_FRAME_LOGS: Final = {"new": "canhaptic.logs.frame_log:FrameLog"}  # imported only for a line that is logged
 
 
 class Experiment:
@@ -213,13 +216,16 @@ class Experiment:
         cables: Simulated EtherCAT lines with faults, by name of the bus.
         cycle: Rig, controllers and accounts, ready for `canhaptic.cycle.run`.
         energy_log: Energy log, with every cycle; None without one.
-        bus_log: Bus log, with every frame; None without one.
+        bus_log: Bus log of CAN buses, with every frame; None without one.
+        frame_log: Log of an EtherCAT line, with every frame; None without one.
+        played: Log of a line that is played in its place; None without one.
         code: Process in which user code runs; None where it runs in the cycle, or there is none.
     """
 
     def __init__(
-        self, scene: Scene, pace: _Pace, energy_log: Path | None, bus_log: Path | None, *, no_torque: bool = False
-    ) -> None:
+        self, scene: Scene, pace: _Pace, energy_log: Path | None, bus_log: Path | None, *, no_torque: bool = False,
+        recorded: "Sequence[LoggedFrame] | None" = None,
+    ) -> None:  # fmt: skip
         self.scene, self.pace, self._log_failure = scene, pace, ""
         self.config_hash = scene.config_hash()  # now: it reads the dictionaries, and a run may use up every descriptor
         controllers, meters = build_axis_controllers(scene), build_axis_meters(scene)
@@ -237,7 +243,7 @@ class Experiment:
             self._open_logs(energy_log, bus_log, meters, stack, dry_run=no_torque)
             records = [self.bus_log.on(n) if self.bus_log else None for n in range(len(buses))]
             links = [
-                part("ethercat", "line")(groups[n], clock, named[n])
+                part("ethercat", "line")(self._logged(groups[n], recorded), clock, named[n])
                 if bus is None
                 else Link(faulty.get(n, bus), clock, records[n], echoes=echoes(named[n]))
                 for n, bus in enumerate(buses)
@@ -247,7 +253,8 @@ class Experiment:
             is_exact = pace == "free" or not scene.simulated
             jitters = [axis.loop.sync_jitter or 0.0 for axis in scene.axes] if is_exact else None
             known = build_axis_groups(scene), meters, build_loss_meters(scene), jitters
-            self.cycle = Cycle(self.rig, controllers, self.energy_log, _truths(self.far_side), *known)
+            truths = _truths(self.far_side) if recorded is None else None
+            self.cycle = Cycle(self.rig, controllers, self.energy_log, truths, *known)
             self.code = self._start_code(stack)
             if self._log_failure:  # before the cycle existed
                 self.cycle.fail_log(self._log_failure)
@@ -262,6 +269,8 @@ class Experiment:
     ) -> None:  # fmt: skip
         self.energy_log: EnergyLogWriter | None = None
         self.bus_log: BusLogWriter | None = None
+        self.frame_log: FrameLog | None = None
+        self.played: RecordedLine | None = None
         if not (energy_log or bus_log):
             return
         from canhaptic.scene.scene_logs import open_bus_log, open_energy_log
@@ -270,9 +279,22 @@ class Experiment:
         if energy_log:
             self.energy_log = open_energy_log(scene, meters, energy_log, pace, lose, dry_run=dry_run)
             stack.callback(self.energy_log.close, "failed")
-        if bus_log:
+        if bus_log and kind_of(scene.bus) != "can":
+            self.frame_log = stack.enter_context(load(_FRAME_LOGS, "new", "log")(bus_log))
+        elif bus_log:
             self.bus_log = open_bus_log(scene, bus_log, pace, lose)
             stack.callback(self.bus_log.close)
+
+    def _logged(self, line: Any, recorded: "Sequence[LoggedFrame] | None") -> Any:
+        """Return what carries the frames of a line: it, with a log of them, or a log of them in its place."""
+        if recorded is None and self.frame_log is None:
+            return line
+        from canhaptic.logs.frame_log import RecordedLine, RecordingLine
+
+        if self.frame_log is not None:
+            return RecordingLine(line, self.clock, self.frame_log.note)
+        self.played = RecordedLine(list(recorded or ()), self.clock)
+        return self.played
 
     def _start_code(self, stack: ExitStack) -> "CodeProcess | None":
         """Start the process of user code; None where the cycle runs it, or none exists."""
@@ -368,7 +390,7 @@ def build(
         pace: "real" or "free"; by default free where the drives are simulated in this process, else real.
         energy_log: Energy log (HDF5) to write, replacing any earlier one; by default none. Only the command `run` uses
             the paths under `log` of the scene.
-        bus_log: Bus log (candump text) to write; by default none.
+        bus_log: Bus log to write, of CAN as candump text, of an EtherCAT line as pcap; by default none.
         no_torque: Whether the torque sent is always 0: a dry run.
 
     Raises:
@@ -384,8 +406,8 @@ def build(
         text = f"{scene.source}: pace 'free' needs drives simulated in this process (bus.interface"
         raise InputError(f"{text}: virtual and a `simulation`); real drives run at pace 'real'")
     chosen: _Pace = pace or ("free" if scene.simulated else "real")
-    if bus_log is not None and any(kind_of(bus.parameters) != "can" for bus in scene.buses):
-        raise InputError(f"{scene.source}: a bus log of an EtherCAT line is not offered yet; leave --bus-log out")
+    if bus_log is not None and len(scene.buses) > 1 and any(kind_of(bus.parameters) != "can" for bus in scene.buses):
+        raise InputError(f"{scene.source}: a bus log has CAN buses, or one EtherCAT line; leave --bus-log out")
     for axis in scene.axes if no_torque else ():
         require_torque_axis(axis)  # before a log is made
     logs = (None if path is None else Path(path) for path in (energy_log, bus_log))

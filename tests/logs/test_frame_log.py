@@ -88,7 +88,7 @@ def test_what_is_no_log_of_frames_is_refused(tmp_path: Path) -> None:
         log.note(5, bytes(60))
     assert read_frame_log(path) == [LoggedFrame(5, bytes(60))]
     with pytest.raises(LogWriteError, match="choose another file"):
-        FrameLog(path)
+        FrameLog(tmp_path)
     whole = path.read_bytes()
     for cut, said in ((whole[:-1], "frame 1: got 60 bytes"), (whole[:30], "ends within it"), (whole[4:], "no pcap")):
         path.write_bytes(cut)

@@ -127,9 +127,9 @@ def test_a_line_that_is_not_the_first_bus_is_refused() -> None:
         scene_from_mapping(scene, str(SCENE))
 
 
-def test_a_bus_log_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="a bus log of an EtherCAT line is not offered yet"):
-        build(load_scene(SCENE), bus_log=tmp_path / "frames.log")
+def test_a_bus_log_of_a_line_and_a_can_bus_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="has CAN buses, or one EtherCAT line; leave --bus-log out"):
+        build(scene_from_mapping(both(), str(SCENE)), bus_log=tmp_path / "frames.log")
 
 
 def test_a_can_rig_loads_nothing_of_ethercat() -> None:
