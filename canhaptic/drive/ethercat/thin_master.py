@@ -52,6 +52,7 @@ _TRIGGERS_WATCHDOG: Final = 0x40  # in the control byte of a sync manager
 _LARGEST_OBJECT: Final = 1 << 16  # [bytes]
 _OUTPUTS, _INPUTS = 2, 3  # sync managers
 _MASK32: Final = (1 << 32) - 1
+_MASK64: Final = (1 << 64) - 1
 _READ: Final = FrameKind.READ
 _tuple: Final = tuple.__new__  # makes a record at half the cost of calling its class
 
@@ -301,7 +302,7 @@ class ThinMaster:
                 self._reference, reference = drive, (behind, local)
             delay = (reference[0] - behind) // 2  # half of the way there and back between them
             offset = reference[1] + delay - local
-            self.register(place, _OFFSET, struct.pack("<qi", offset, delay))
+            self.register(place, _OFFSET, struct.pack("<QI", offset & _MASK64, delay & _MASK32))
         self._make_frames()
 
     # --- cycle ----------------------------------------------------------------------------------------------------
