@@ -89,7 +89,9 @@ RECORDINGS: Final = {
     "paper_fig8_100hz": Plan("configs/paper_fig8_100hz.yaml", 4.0),
     "two_axes": Plan("tests/recordings/two_axes.yaml", 0.8),
     "emergency": Plan("configs/demo.yaml", 0.4, _IN_CONTACT, fault_cycle=_EMCY_CYCLE),
-    "lost_frames": Plan("configs/demo.yaml", 0.6, _IN_CONTACT, loses=_lost),
+    "lost_frames": Plan(
+        "configs/demo.yaml", 0.6, (*_IN_CONTACT, "axes.handle.energy_uncertainty_limit=none"), loses=_lost
+    ),
     "bound_hand_force": Plan("configs/demo.yaml", 0.8, (*_AT_A_BOUND, "passivity.hand_force=2")),
     "bound_late_torque": Plan(
         "configs/demo.yaml",

@@ -95,7 +95,7 @@ def _draw(energy_log: Path, arguments: argparse.Namespace) -> None:
 
 
 def _note_buzz(energy_log: Path | None, scene: Scene) -> None:
-    """Note that the run buzzed, unless that cannot be found out; it has ended and told its account."""
+    """Note that the run buzzed, unless that cannot be found out; it has ended and shown its account."""
     if energy_log is not None:
         with suppress(CanHapticError, OSError, ImportError, MemoryError):
             from canhaptic.cli.why import note_buzz

@@ -23,7 +23,7 @@ PLUG_INS: Final = "canhaptic.exporters"
 def export(log: EnergyLog, path: str | Path) -> None:
     """Write a log as a table; the suffix gives the format: .csv, .parquet, .mat or .mcap, or that of a plug-in.
 
-    Floats in CSV are the shortest text that reads back to the same bits. Beside .mcap is a layout for Foxglove: a plot
+    Floats in CSV are the shortest text that reads back to the same bits. With .mcap comes a layout for Foxglove: a plot
     for each unit, of the quantities that have a colour.
 
     Raises:

@@ -241,7 +241,8 @@ def _brief(result: Result) -> Iterator[RenderableType]:
     runs = [result, *result.get("others", ())]
     for run in runs:
         said = headlines(run) if run.get("cycles", 1) else [Text(" the log holds no cycle", style="bold red")]
-        yield from (_header(run), *said, *account_lines(run), heading(run), *losses(run))
+        first = [_header(run)] if "file" in run else []
+        yield from (*first, *said, *account_lines(run), heading(run), *losses(run))
     if any(run.get("ports") and run.get("cycles", 1) for run in runs):
         yield brief_table(*runs)
     for run in runs:

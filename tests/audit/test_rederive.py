@@ -78,7 +78,7 @@ def test_a_bus_log_alone_can_be_inspected_with_its_scene(
     assert typed.inspect(logs[1], "--config", DEMO, "--check", "deficit == 0") == 0
     shown = capsys.readouterr().out
     assert "derived from the frames of run.log" in shown
-    assert re.search(r"algorithm +guarded", shown)
+    assert re.search(r"stiffness rendered, of requested +\d", shown)
     assert typed.inspect(logs[1]) == 0  # without a scene its frames are all that can be said
     assert re.search(r"\b080 .*SYNC", capsys.readouterr().out)
 

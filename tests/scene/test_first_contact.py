@@ -280,7 +280,7 @@ def test_a_contact_is_kept_for_its_own_loop_algorithm_limits_and_speed_alone(mon
 
 @pytest.mark.parametrize(("count", "most"), [(1e-5, 8e3), (1e-6, 3e4)])
 def test_asking_for_more_is_felt_as_no_less(count: float, most: float) -> None:
-    """Of what is asked up to 30 kN/m, with dry friction that sustains 4 kN/m at 10 um and 40 kN/m at 1 um."""
+    """What is asked up to 30 kN/m, with dry friction that sustains 4 kN/m at 10 um and 40 kN/m at 1 um."""
     found = []
     for asked in (5e3, 3e4):
         scene = load_scene(PREMIUM, sets_of(HANDS["tip"], asked, count, 1000.0))

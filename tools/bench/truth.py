@@ -9,7 +9,7 @@ something pushed or asked for 0.5 N, and any torque was sent: without one it pro
 every scene (`tools/truth/faults.py`): lost, doubled and late frames, bus and host that stop, drives that fail,
 another master, on one bus or two. `--stops` ends every run by the operator at a random instant, every fourth of them
 that of an admittance display (`tools/truth/displays.py`): its stop is part of the account, and what the motors exchange
-once that has ended must lie within its resolution. Where a fault stopped a run, that energy is told. `--sums`
+once that has ended must lie within its resolution. Where a fault stopped a run, that energy is listed. `--sums`
 makes every environment a sum, as far as it adds to others (`tools/truth/sums.py`). `--false` makes one declaration of
 every scene or display false (`tools/truth/falsehoods.py`), and runs some by the command line and `canhaptic.simulate`
 too: where the plant denies what is said, a run that stopped or says no yes has found it, any other has missed it.

@@ -36,7 +36,7 @@ SHOWN: Final = {
 }
 """False declarations that frames can show, and when; none shows a wrong `counts_per_unit`."""
 WAYS: Final = ("command line", "simulate")
-"""Ways of running a scene, beside the cycle."""
+"""Ways of running a scene, other than the cycle."""
 _DISPLAYS: Final = 0.2
 _DETENTS: Final = 0.5
 _RUN_ALIKE: Final = 0.1

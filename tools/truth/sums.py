@@ -12,7 +12,7 @@ from canhaptic.registry import load
 from tools.chance import Chance
 
 SHARE: Final = 0.06
-"""Of all scenes."""
+"""Share of all scenes."""
 _STRAINED: Final = ("viscoelastic_medium", "coulomb_surface")
 _TRIES: Final = 8
 

@@ -259,7 +259,7 @@ def test_the_bound_of_energy_counts_what_an_encoder_hides_and_limits_spring_and_
 def test_a_storage_from_which_the_damper_took_everything_is_at_rest():
     stored = 0.5 * 5000.0 * 1e-3**2
     storage = Storage(zone=1, true=-1e-3, state=-1e-3, velocity=-1.0, h_s=stored)
-    settings: Any = SimpleNamespace(damping=2.0)
+    settings: Any = SimpleNamespace(damping=2.0, by_place=False)
     hold = Hold(-1e-4, -20.0, 0.0, 0.0, 1e-3, -0.1, 0.0, 0)  # its damper would dissipate 0.2 J
     account = a_priori_dissipation.exchange(WALL, settings, storage, hold)
     assert account.h_r == pytest.approx(stored)
