@@ -66,6 +66,7 @@ def test_an_option_is_where_a_person_expects_it() -> None:
             assert ("--duration" in has) == (name not in NO_LENGTH), name
 
 
+@pytest.mark.slow
 def test_a_run_and_a_comparison_write_their_page(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     assert main(["run", "demo", "--duration", "0.05", "--html", str(page)]) == 0

@@ -76,7 +76,7 @@ def test_a_second_save_is_one_clear_error_unless_overwrite_is_given(tmp_path: Pa
 SCENES = sorted(path for path in (ROOT / "configs").rglob("*.yaml") if path.parent.name != "drives")
 
 
-@pytest.mark.slow_but("two_axes")
+@pytest.mark.slow_but("demo")
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 def test_inspect_fits_on_a_screen_and_tells_the_rest_when_asked(

@@ -180,6 +180,7 @@ def slope(state: float, stiffness: float = 7.0) -> float:
     return stiffness * state
 
 
+@pytest.mark.slow
 def test_figure_of_88_mm(tmp_path: Path) -> None:
     result = canhaptic.simulate("demo", duration=1.3, progress=False)
     figure = result.plot(panels=["position", "torque"], width="88 mm")
