@@ -71,6 +71,7 @@ MENDED_FURTHER = {
     7002760: "energy_bounding with steps of torque as large as its torques",
     3001843: "the sum at the handle of a group whose wall a mover moves",
     9001984: "an estimate, 0.2 % too small where an unprotected medium buzzes",
+    4000216: "a push against late torques, which the judge did not count: hand_push was declared too small",
     2098: "a measured torque, which is rounded, at a moment before the resolution has grown",
 }
 
@@ -81,6 +82,13 @@ def test_what_was_mended_of_further_scenes_stays_mended(seed: int) -> None:
     outcome = outcome_of(seed)
     assert outcome.declared
     assert outcome.false_claims == ()
+
+
+def test_where_torques_come_late_a_push_against_them_has_to_be_declared_too() -> None:
+    scene = random_scene(4000216)  # 19 N towards a wall, through its drag
+    raised, outcome = judged(replace(scene, duration=0.04))
+    assert outcome.false_claims == ()
+    assert scene.passivity["hand_push"] < 19.0 < raised.passivity["hand_push"]
 
 
 def test_no_verdict_may_rest_on_a_resolution_that_is_an_estimate() -> None:

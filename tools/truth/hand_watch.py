@@ -30,10 +30,12 @@ class HandWatch:
         outward: Sign of the direction out of the wall, of each axis; 0 where it is that of the torque.
 
     Attributes:
-        pull: Largest force out of the wall while a torque points there; per axis [N or N*m]. Where an environment of
-            one axis turns: along the torque of its effort where the handle is, while any torque acts.
-        push: Largest force into the wall while a torque points there; per axis [N or N*m]. Where an environment turns:
-            against that torque, and either way without an effort.
+        pull: Largest force out of the wall while a torque points there; per axis [N or N*m]. Where torques come late:
+            while any torque acts, because what moves the axis meanwhile is bounded by pull and push at once (L1 of
+            `docs/theory/late_torques.md`). Where an environment of one axis turns: along the torque of its effort where
+            the handle is, while any torque acts.
+        push: Largest force into the wall while a torque points there, or where torques come late any torque acts; per
+            axis [N or N*m]. Where an environment turns: against that torque, and either way without an effort.
         speed: Largest mean speed of a hold; per axis [m/s or rad/s].
     """
 
@@ -43,6 +45,10 @@ class HandWatch:
         self._outward = tuple(outward)
         self._turning: list[Any] = [
             None if side or axis.group else axis.environment.parameters
+            for side, axis in zip(outward, experiment.scene.axes, strict=True)
+        ]
+        self._is_late = [
+            bool(side) and axis.loop.timing.late > 0.0
             for side, axis in zip(outward, experiment.scene.axes, strict=True)
         ]
         self._seen: list[deque[float]] = [deque(maxlen=_MEMORY) for _ in self._forces]
@@ -68,7 +74,8 @@ class HandWatch:
                 self._take_words(axis)
                 continue
             for sign in (1, -1):
-                if any(torque * sign > 0.0 for torque in self._torques[axis]):
+                acting = (torque if self._is_late[axis] else torque * sign > 0.0 for torque in self._torques[axis])
+                if any(acting):
                     self._take(axis, sign, max(force * sign for force in self._seen[axis]))
 
     def _take_words(self, axis: int) -> None:

@@ -197,7 +197,8 @@ class GuardedParameters(Parameters):
     energy is kept."""
     drag: Annotated[float, quantity("N", "N*m", ge=0.0)] = 0.0
     """Largest braking force in free motion, until `earned_energy` is stored; 0: none. In free motion too, the hand has
-    to pull away from the environment with no more than `hand_force`."""
+    to pull away from the environment with no more than `hand_force`, and where torques come late to push towards it
+    with no more than `hand_push`."""
     alpha: Alpha = 0.0
     """Modulated damping per joule of surplus (eq. 19), always with its unit; 0: the surplus is not removed."""
     max_consecutive_losses: Annotated[int, quantity("count", ge=0, le=16)] = 0
