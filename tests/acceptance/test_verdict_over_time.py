@@ -109,6 +109,7 @@ def test_an_allowance_moves_the_limit_of_account_and_plant() -> None:
     assert (port["passive"], port["plant_passive"], port["energy_allowance"]) == ("yes", "yes", 1.0)
 
 
+@pytest.mark.slow
 def test_a_group_was_active_by_its_sum_and_no_axis_by_itself() -> None:
     changes = {"groups.stage.network.stiffness": 40000, "groups.stage.network.damping": 0,
                "groups.stage.passivity.moving_mass": 0.75}  # fmt: skip

@@ -131,7 +131,7 @@ def test_a_damaged_column_is_one_error_that_names_it(
         assert live.trouble == message
 
 
-@pytest.mark.slow_for("inf-13")
+@pytest.mark.slow
 @pytest.mark.parametrize("step", EVERY_THIRTEENTH_OR_ALL)
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_value_that_is_no_finite_number_is_a_finding_and_no_check_passes(

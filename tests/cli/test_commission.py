@@ -72,6 +72,7 @@ def felt(scene: Path, capsys: pytest.CaptureFixture[str]) -> float:
     return float(port["rendered"]["stiffness"])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("walked_once")
 def test_the_whole_scene_is_written_and_says_what_was_measured(
     capsys: pytest.CaptureFixture[str], tmp_path: Path

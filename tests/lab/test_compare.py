@@ -121,6 +121,7 @@ def test_what_the_continuous_axis_still_moves_is_no_limit_cycle():
     assert found["limit_cycle"] == pytest.approx(2e-4, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_over_can_every_figure_is_the_same_to_the_last_bit(scene):
     chosen = load_scene(REPOSITORY / "configs" / "hard" / "torque_saturation.yaml")
     for overrides in (chosen, scene("axes.0.rated_torque=10 N", "axes.0.counts_per_unit=1e6", "bus.rpdo=synchronous")):

@@ -49,6 +49,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_every_quantity_of_every_row_is_read_back_as_it_was_written(finished: Path) -> None:
     with EnergyLog.open(finished) as log:
         assert log.rows == ROWS

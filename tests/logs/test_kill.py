@@ -79,7 +79,7 @@ def test_killing_the_controller_at_any_moment_loses_no_row(tmp_path: Path, seed:
         assert file["timing/sync_index"].shape[0] >= last + 1
 
 
-@pytest.mark.slow_for("1")
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [*range(2), *(pytest.param(n, marks=pytest.mark.slow) for n in range(2, 20))])
 def test_killing_the_writer_loses_no_row_because_another_takes_over(tmp_path: Path, seed: int) -> None:
     path = tmp_path / "run.h5"

@@ -41,6 +41,7 @@ def test_a_recording_without_torque_fails_unless_that_is_allowed(
     assert main([*words, "--allow-empty"]) == 0
 
 
+@pytest.mark.slow
 def test_a_key_leaves_a_trace_where_another_value_sends_other_frames() -> None:
     scene = load_scene(DEMO)
     result = replay_bus_log(RECORDED, scene)

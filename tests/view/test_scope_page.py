@@ -120,6 +120,7 @@ def test_a_group_has_the_energy_and_its_axes_the_positions(tmp_path: Path) -> No
     assert "x: free" not in status_of(document)
 
 
+@pytest.mark.slow
 def test_the_status_ends_with_the_last_four_events(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     write_run(path, cycles=300)

@@ -61,6 +61,7 @@ def test_a_scene_without_a_contact_counts_neither_as_passive_nor_as_active(capsy
     assert "100 %" not in shown
 
 
+@pytest.mark.slow
 def test_a_wall_of_which_nothing_is_rendered_is_no_pass_as_a_run_of_the_same_scene_says(
     capsys: Captured, tmp_path: Path
 ) -> None:
