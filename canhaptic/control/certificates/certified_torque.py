@@ -605,17 +605,19 @@ def largest_in_sum(
     for_all = for_any_hand(declared, energy + for_any(bound) - by_any)
     energy += bound.dissipated
     by_force = for_all
+    damped, friction, gain = declared.damping / declared.sample_time, declared.friction, declared.response.during
     if declared.by_hand_force:
         budget, base = left_under_way(declared, bound, memory, sign, energy, 0.0)
         any_hand = for_any_hand(declared, budget)
-        by_force = max(for_all, any_hand, by_reach(declared, budget, base, any_hand))
+        by_force = max(for_all, any_hand, by_reach(damped, friction, gain, budget, base, any_hand))
     if declared.hand_speed == 0.0:
         return by_force, for_all, by_force
     budget, base = left_under_way(declared, bound, memory, sign, energy, declared.hand_speed)
     any_hand = for_any_hand(declared, budget)
-    largest = max(by_force, any_hand, by_reach(declared, budget, base, any_hand))
+    largest = max(by_force, any_hand, by_reach(damped, friction, gain, budget, base, any_hand))
     if budget > 0.0:
-        largest = max(largest, by_fastest(declared, budget, declared.hand_speed * declared.sample_time, any_hand))
+        fastest = declared.hand_speed * declared.sample_time
+        largest = max(largest, by_fastest(damped, friction, budget, fastest, any_hand))
     return largest, for_all, by_force
 
 
@@ -639,12 +641,21 @@ def for_any_hand(declared: Declared, budget: float) -> float:
     return declared.friction + sqrt(4.0 * declared.damping / declared.sample_time * budget)
 
 
-def by_reach(declared: Declared, budget: float, base: float, for_all: float) -> float:
-    """Return the largest torque that the reach of the hand's force permits [N or N*m]; 0 if `base` is infinite."""
+def by_reach(damped: float, friction: float, gain: float, budget: float, base: float, for_all: float) -> float:
+    """Return the largest torque that the reach of the hand's force permits [N or N*m]; 0 if `base` is infinite.
+
+    For torques l W of a group, `damped`, `gain` and `base` are in [J], and the result is the share l.
+
+    Args:
+        damped: Certain damping over the sample time [N/m or N*m/rad].
+        friction: Certain dry friction [N or N*m].
+        gain: Displacement per torque in the hold [m/N or rad/(N*m)].
+        budget: Energy that may be taken, the device's dissipation included [J].
+        base: Largest displacement in the hold without a torque [m or rad].
+        for_all: Largest torque for any hand [N or N*m].
+    """
     if base == inf:
         return 0.0
-    friction, gain = declared.friction, declared.response.during
-    damped = declared.damping / declared.sample_time
     if budget < 0.0:
         return hand_force_bound(budget, base, gain)
     share = damped * gain
@@ -656,11 +667,13 @@ def by_reach(declared: Declared, budget: float, base: float, for_all: float) -> 
     return largest
 
 
-def by_fastest(declared: Declared, budget: float, fastest: float, for_all: float) -> float:
-    """Return the largest torque for a hand that moves no farther than `fastest` [m or rad] in a hold [N or N*m]."""
-    damped = declared.damping / declared.sample_time
-    largest = declared.friction + budget / fastest + damped * fastest
-    return for_all if 2.0 * damped * fastest > largest - declared.friction else largest
+def by_fastest(damped: float, friction: float, budget: float, fastest: float, for_all: float) -> float:
+    """Return the largest torque for a hand that moves no farther than `fastest` [m or rad] in a hold [N or N*m].
+
+    The other arguments are those of `by_reach`.
+    """
+    largest = friction + budget / fastest + damped * fastest
+    return for_all if 2.0 * damped * fastest > largest - friction else largest
 
 
 class LateMotion(NamedTuple):

@@ -6,7 +6,7 @@ is the share l, and the certificates of one axis add up as they do there (A4, A5
 
 from math import sqrt
 
-from canhaptic.control.certificates.scalar_bounds import hand_force_bound
+from canhaptic.control.certificates.certified_torque import by_fastest, by_reach
 from canhaptic.control.multi_axis.group_account import Accounting, extraction_of, free_energy, shares, worst_case
 from canhaptic.control.multi_axis.group_certificates import AxisLimits, damping_need, gain_of, path_need
 from canhaptic.control.port_hamiltonian.network import dot
@@ -87,15 +87,8 @@ def share_in_sum(at: Accounting, torques: Buffer, energy: float, path: float) ->
         budget -= taken if dot(acting, torques) >= 0.0 else max(0.0, taken)
     base, gain = worst_case(at, torques, under_way.holds), gain_of(axes, torques)
     damped = 0.25 / needed
-    most = sqrt(4.0 * damped * budget) if budget > 0.0 else 0.0
-    if budget < 0.0:
-        return hand_force_bound(budget, base, gain)
-    share, fraction = most, damped * gain
-    largest = hand_force_bound(budget + damped * base * base, base * (1.0 - 2.0 * fraction), gain * (1.0 - fraction))
-    if 2.0 * damped * (base + gain * largest) <= largest:
-        share = max(share, largest)
-    if path > 0.0:
-        largest = budget / path + damped * path
-        if 2.0 * damped * path <= largest:
-            share = max(share, largest)
+    any_hand = sqrt(4.0 * damped * budget) if budget > 0.0 else 0.0
+    share = max(any_hand, by_reach(damped, 0.0, gain, budget, base, any_hand))
+    if path > 0.0 and budget > 0.0:
+        share = max(share, by_fastest(damped, 0.0, budget, path, any_hand))
     return share

@@ -18,7 +18,7 @@ from canopen.sdo.exceptions import SdoAbortedError
 
 from canhaptic.canopen.objects import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SdoAbort
 from canhaptic.drive.can.link import Link
-from canhaptic.drive.profile.torque_axis import COMMANDS, Written
+from canhaptic.drive.profile.torque_axis import COMMANDS, Written, note_write
 from canhaptic.errors import LinkError, SdoError
 
 ABORT: Final = 0x80  # command specifier of an abort, either way
@@ -336,7 +336,7 @@ class SdoChannel:
         """
         data = self.encode(index, subindex, value, size)
         if self.changes is not None and index not in COMMANDS:
-            self._note(self.changes, Written((index, subindex), None, value, len(data)))
+            note_write(self.changes, Written((index, subindex), None, value, len(data)), self.read)
         self._value_of("write", index, subindex, download(index, subindex, data))
 
     def clear(self, index: int, subindex: int = 0) -> int:
@@ -357,17 +357,6 @@ class SdoChannel:
             if error.code is None:
                 raise
         return left
-
-    def _note(self, changes: list[Written], change: Written) -> None:
-        """Record a write and the value before it, known from an earlier write or read from the drive."""
-        earlier = next((c.after for c in reversed(changes) if c.place == change.place), None)
-        if earlier is None:
-            try:
-                earlier = self.read(*change.place)
-            except SdoError as error:
-                if error.code is None:
-                    raise
-        changes.append(change._replace(before=earlier))
 
     def decode(self, index: int, subindex: int, data: bytes) -> int:
         """Return the integer in the bytes of an object, with the length and sign given by the dictionary."""

@@ -4,7 +4,7 @@ from typing import Final
 
 from canhaptic.canopen.objects import DataType, Dictionary
 from canhaptic.drive.ethercat.segment import Segment
-from canhaptic.drive.profile.torque_axis import COMMANDS, Written
+from canhaptic.drive.profile.torque_axis import COMMANDS, Written, note_write
 from canhaptic.errors import SdoError
 
 _SIZES: Final = {
@@ -55,7 +55,7 @@ class CoeAccess:
                 index, subindex,
             ) from error  # fmt: skip
         if self.changes is not None and index not in COMMANDS:
-            self._note(self.changes, Written((index, subindex), None, value, length))
+            note_write(self.changes, Written((index, subindex), None, value, length), self.read)
         try:
             self._segment.write(self._drive, index, subindex, data)
         except SdoError as error:
@@ -65,17 +65,6 @@ class CoeAccess:
         """Return an object as `0x6072:00 Max torque`."""
         variable = self._dictionary.get_variable(index, subindex)
         return f"{index:#06x}:{subindex:02x}" + (f" {variable.name}" if variable is not None else "")
-
-    def _note(self, changes: list[Written], change: Written) -> None:
-        """Record a write and the value before it, known from an earlier write or read from the drive."""
-        earlier = next((c.after for c in reversed(changes) if c.place == change.place), None)
-        if earlier is None:
-            try:
-                earlier = self.read(*change.place)
-            except SdoError as error:
-                if error.code is None:
-                    raise
-        changes.append(change._replace(before=earlier))
 
     def _type_of(self, index: int, subindex: int) -> tuple[int, bool] | None:
         """Return size [bytes] and sign of an object; None where the dictionary does not say."""

@@ -7,6 +7,7 @@ reads and writes single objects by `ObjectAccess`.
 import math
 from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Callable
 from typing import Any, Final, NamedTuple, Protocol
 
 from canhaptic.canopen import objects as od
@@ -18,6 +19,7 @@ from canhaptic.drive.safety.limiter import DryRunLimiter, TorqueLimiter
 from canhaptic.drive.safety.link_policy import LinkPolicy, StopReason
 from canhaptic.drive.safety.power_states import ENABLED_MASK, ENABLED_VALUE, FAULTED, PowerState, drive_state
 from canhaptic.drive.safety.torque_check import TorqueCheck
+from canhaptic.errors import SdoError
 from canhaptic.signals import Sample
 
 
@@ -28,6 +30,22 @@ class Written(NamedTuple):
     before: int | None  # None: the drive does not say
     after: int
     size: int  # [bytes]
+
+
+def note_write(changes: list[Written], change: Written, read: Callable[[int, int], int]) -> None:
+    """Record a write and the value before it, known from an earlier write or read from the drive.
+
+    Raises:
+        SdoError: The drive does not answer.
+    """
+    earlier = next((c.after for c in reversed(changes) if c.place == change.place), None)
+    if earlier is None:
+        try:
+            earlier = read(*change.place)
+        except SdoError as error:
+            if error.code is None:
+                raise
+    changes.append(change._replace(before=earlier))
 
 
 class ObjectAccess(Protocol):

@@ -32,9 +32,10 @@ from canhaptic.sim.drive.can.process_data import Content, Handler, ProcessData
 from canhaptic.sim.drive.can.sdo_server import SdoServer
 from canhaptic.sim.drive.profile import emergency as emcy
 from canhaptic.sim.drive.profile.object_store import ObjectStore
+from canhaptic.sim.drive.profile.reactions import Reactions
 from canhaptic.sim.drive.profile.servo import Motor, Servo
 from canhaptic.sim.drive.profile.state_machine import DriveState
-from canhaptic.sim.drive.profile.timers import NEVER, Timers
+from canhaptic.sim.drive.profile.timers import TimedDrives, Timers
 
 if TYPE_CHECKING:
     from canhaptic.sim.drive.can.sensor_node import SensorNode
@@ -43,7 +44,6 @@ _COMMUNICATION_OBJECTS: Final = range(0x1000, 0x2000)
 _FAULT: Final = 1  # value of 0x6007; used when a dictionary has no such object
 _PRE_OPERATIONAL, _STOPPED = 0, 2  # values of 0x1029: where a lost heartbeat leads
 _tuple: Final = tuple.__new__  # makes a truth at half the cost of calling its class
-_TRANSIENT: Final = frozenset((DriveState.FAULT_REACTION_ACTIVE, DriveState.QUICK_STOP_ACTIVE))
 _FAULTY: Final = frozenset((DriveState.FAULT_REACTION_ACTIVE, DriveState.FAULT))
 
 
@@ -110,7 +110,7 @@ class SimulatedDrive:
         self._channel = getattr(bus, "channel_id", None)
         self._routes: dict[int, Handler] = {}
         self._are_routes_stale = True
-        self._settle_timer = timers.add(lambda _due: self.servo.settle())
+        self._reactions = Reactions(self.servo, self._emergency, timers, self._sync_period, self.servo.settle)
         timers.start(timers.add(self._power_on), 0)
 
     def _servo_and_sensor(self, motor: Any, parameters: SimulatedDriveParameters) -> "tuple[Servo, SensorNode | None]":
@@ -258,8 +258,7 @@ class SimulatedDrive:
         self._send_heartbeat()
         self.nmt_state = NmtState.PRE_OPERATIONAL
         self._producer.restart()
-        if self.servo.state in _TRANSIENT:
-            self._start_reaction()
+        self._reactions.restart()
         self._build_routes()
 
     def _start(self) -> None:
@@ -297,30 +296,16 @@ class SimulatedDrive:
         if self.servo.state not in _FAULTY:
             self._emergency.withdraw(emcy.HEARTBEAT_LOST)
 
-    def _start_reaction(self) -> None:
-        period = self._process_data.sync_period() or self._sample_time
-        self.timers.start(self._settle_timer, self.servo.now + period * 3 // 2)  # so that exactly one SYNC shows it
+    def _sync_period(self) -> int:
+        return self._process_data.sync_period() or self._sample_time
 
     def follow_up(self) -> None:
         """Act on a change of state: announce faults, time reactions, send event-driven TPDOs."""
-        servo = self.servo
-        if servo.fault_code:
-            self._emergency.announce(servo.fault_code)
-            servo.fault_code = 0
-            servo.fault()
-        if not servo.has_event:
-            return
-        servo.has_event = False
-        if servo.state in _TRANSIENT and not self.timers.is_running(self._settle_timer):
-            self._start_reaction()
-        if servo.was_reset:
-            servo.was_reset = False
-            self._emergency.withdraw()
-        if self._process_data.is_operational:
+        if self._reactions.follow() and self._process_data.is_operational:
             self._process_data.send_events()
 
 
-class DriveGroup:
+class DriveGroup(TimedDrives):
     """Simulated drives on one bus connection (a `SimulatedPeer`); they do not receive each other's frames.
 
     Args:
@@ -333,7 +318,7 @@ class DriveGroup:
         self._take: Callable[[], can.Message | None] = partial(bus.recv, 0.0)
         if isinstance(waiting := getattr(bus, "waiting", None), deque):
             self._waiting, self._take = waiting, waiting.popleft
-        self.drives = tuple(drives)
+        self.drives: tuple[SimulatedDrive, ...] = tuple(drives)
         self._asleep = list(self.drives)
         self._hearers: dict[int, tuple[tuple[SimulatedDrive, Handler], ...]] = {}  # by COB-ID
         for drive in self.drives:
@@ -377,15 +362,6 @@ class DriveGroup:
                 drive.servo.now = now
                 drive.guard.answer()
                 drive.follow_up()
-
-    def next_due(self) -> int:
-        """Return when the next timer of any drive is due [ns]."""
-        earliest = NEVER
-        for drive in self.drives:
-            due = drive.timers.next_due()
-            if due < earliest:
-                earliest = due
-        return earliest
 
 
 class AllDrives(NamedTuple):

@@ -13,7 +13,7 @@ from typing import Annotated, Final, NamedTuple, Protocol
 
 from canhaptic.sim.drive.ethercat.drive_node import EthercatDrive
 from canhaptic.sim.drive.ethercat.esc import AL_STATUS, DL_STATUS, SYSTEM_TIME, SyncManager
-from canhaptic.sim.drive.profile.timers import NEVER
+from canhaptic.sim.drive.profile.timers import TimedDrives
 from canhaptic.units import Parameters, quantity
 
 _HOP_NS: Final = 600  # [ns] from one drive to the next
@@ -106,7 +106,7 @@ class _Access(NamedTuple):
     writes: tuple["_Part", ...]
 
 
-class Cable:
+class Cable(TimedDrives):
     """Drives in the order of the cable.
 
     Args:
@@ -124,7 +124,7 @@ class Cable:
     def __init__(
         self, drives: Sequence[EthercatDrive], sample_time_ns: int, effects: CableEffects | None = None, seed: int = 0
     ) -> None:
-        self.drives = tuple(drives)
+        self.drives: tuple[EthercatDrive, ...] = tuple(drives)
         self._reach = len(self.drives)
         self._sample_time, self._effects, self._dice = sample_time_ns, effects or CableEffects(), random.Random(seed)
         self.draw: Callable[[], Fault] | None = None if effects is None else partial(effects.draw, self._dice)
@@ -159,15 +159,6 @@ class Cable:
         """Run every drive up to `now` [ns]."""
         for drive in self.drives:
             drive.advance(now)
-
-    def next_due(self) -> int:
-        """Return when the next event of any drive is due [ns]."""
-        earliest = NEVER
-        for drive in self.drives:
-            due = drive.timers.next_due()
-            if due < earliest:
-                earliest = due
-        return earliest
 
     # --- frames ---------------------------------------------------------------------------------------------------
 

@@ -17,6 +17,7 @@ from canhaptic.sim.drive.ethercat.mailbox import Mailbox
 from canhaptic.sim.drive.ethercat.process_image import ProcessImage
 from canhaptic.sim.drive.profile import emergency as emcy
 from canhaptic.sim.drive.profile.object_store import ObjectStore
+from canhaptic.sim.drive.profile.reactions import Reactions
 from canhaptic.sim.drive.profile.servo import Motor, Servo
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from canhaptic.sim.drive.profile.timers import Timers
@@ -31,7 +32,6 @@ _SYNC_LIMIT: Final = (0x10F1, 2)
 _MISS, _HIT = 3, 1  # what a SYNC0 without new outputs adds to the counter of sync errors, and one with them takes away
 _FAULT: Final = 1  # value of 0x6007; used when a dictionary has no such object
 _CLOCKED, _AT_OUTPUTS = 2, 1  # values of 0x1C32:01
-_TRANSIENT: Final = frozenset((DriveState.FAULT_REACTION_ACTIVE, DriveState.QUICK_STOP_ACTIVE))
 _FAULTY: Final = frozenset((DriveState.FAULT_REACTION_ACTIVE, DriveState.FAULT))
 _NEXT: Final = {_INIT: _PRE_OP, _PRE_OP: _SAFE_OP, _SAFE_OP: _OP}
 _tuple: Final = tuple.__new__
@@ -92,7 +92,8 @@ class EthercatDrive:
         self._emergency = emcy.EmergencyProducer(store, self._send_emergency)
         self.image = ProcessImage(store, self.servo, parameters.syncs_late, lambda: self.al_state == _PRE_OP)
         self._shows_next_torque = parameters.torque_read_back == "after_update"
-        self._sync_timer, self._settle_timer = timers.add(self._on_sync0), timers.add(lambda _due: self._settle())
+        self._sync_timer = timers.add(self._on_sync0)
+        self._reactions = Reactions(self.servo, self._emergency, timers, self._sync_period, self._settle)
         self._watchdog = timers.add(self._on_silence)
         self._sync_limit = store.find(*_SYNC_LIMIT)
         self._sync_errors, self._has_outputs, self._has_synced, self._left_over = 0, False, False, False
@@ -126,7 +127,7 @@ class EthercatDrive:
     def inject_fault(self, code: int = 0x5000) -> None:
         """Inject a fault with an error code (0x603F), as if hardware had failed."""
         self.servo.fault_code = code
-        self._follow_up()
+        self._reactions.follow()
 
     def leave_op(self, code: int = _SYNC_ERROR) -> None:
         """Fall to SAFE-OP with an AL status code, as if the firmware had found a reason."""
@@ -241,7 +242,7 @@ class EthercatDrive:
                 self.servo.abort_connection(option.number)
             if self.servo.torque:  # 0x6007 = 0 leaves the torque; a drive out of OP has none
                 self.servo.fault()
-        self._follow_up()
+        self._reactions.follow()
 
     def _watch(self) -> None:
         if self.al_state == _OP and (limit := self.esc.watchdog_ns):
@@ -300,7 +301,7 @@ class EthercatDrive:
         if acts and not self._shows_next_torque:
             self.image.take(outputs)
         if servo.has_event or servo.fault_code:
-            self._follow_up()
+            self._reactions.follow()
 
     def _show_inputs(self) -> None:
         if self.image.input_size > 0:
@@ -333,7 +334,7 @@ class EthercatDrive:
         if self.al_state != _INIT:
             self.servo.now = self.esc.now
             self.mailbox.take(mail)
-            self._follow_up()
+            self._reactions.follow()
 
     def mail_taken(self) -> None:
         """Show the next mail, now that the master has read one."""
@@ -354,24 +355,10 @@ class EthercatDrive:
 
     def _settle(self) -> None:
         self.servo.settle()
-        self._follow_up()
+        self._reactions.follow()
 
-    def _follow_up(self) -> None:
-        """Act on a change of state: announce faults, time reactions."""
-        servo = self.servo
-        if servo.fault_code:
-            self._emergency.announce(servo.fault_code)
-            servo.fault_code = 0
-            servo.fault()
-        if not servo.has_event:
-            return
-        servo.has_event = False
-        if servo.state in _TRANSIENT and not self.timers.is_running(self._settle_timer):
-            period = self._clock.period or self._sample_time
-            self.timers.start(self._settle_timer, servo.now + period * 3 // 2)  # so that exactly one SYNC0 shows it
-        if servo.was_reset:
-            servo.was_reset = False
-            self._emergency.withdraw()
+    def _sync_period(self) -> int:
+        return self._clock.period or self._sample_time
 
 
 def _servo_of(store: ObjectStore, motor: Any, parameters: SimulatedDriveParameters) -> Servo:

@@ -1,7 +1,7 @@
 """Timers of a simulated drive, in integer nanoseconds of a clock that the owner supplies."""
 
 from collections.abc import Callable
-from typing import Final
+from typing import Final, Protocol
 
 NEVER: Final = 1 << 62  # [ns], later than any clock
 
@@ -63,3 +63,23 @@ class Timers:
             timer = times.index(due)
             times[timer], self._is_exact = NEVER, False
             self._actions[timer](due)
+
+
+class _Timed(Protocol):
+    @property
+    def timers(self) -> Timers: ...
+
+
+class TimedDrives:
+    """Simulated drives of one bus, each with its timers."""
+
+    drives: tuple[_Timed, ...]
+
+    def next_due(self) -> int:
+        """Return when the next timer of any drive is due [ns]."""
+        earliest = NEVER
+        for drive in self.drives:
+            due = drive.timers.next_due()
+            if due < earliest:
+                earliest = due
+        return earliest
