@@ -1,34 +1,21 @@
 """One scene on CAN and on EtherCAT: the same torques to the bit, the same energies, the same verdict."""
 
-from typing import Any
-
 import pytest
 
-from canhaptic.cycle import run
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene
 from tools.bench.demo import CONFIG, IN_CONTACT
 from tools.truth.ethercat import outcome_of
-from tools.truth.ethercat_twin import TwinExperiment
+from tools.truth.ethercat_twin import TwinExperiment, torques_of, true_energies
 from tools.truth.judge import account_of
 
 
 def torques_and_energies(experiment: Experiment, cycles: int) -> tuple[list[tuple[float, ...]], list[float]]:
     """Run a scene; return the torques of each cycle, and the true energies and the booked one at the end."""
-    torques, rig = list[tuple[float, ...]](), experiment.rig
-    write = rig.write_torques
-
-    def noted(given: Any) -> None:
-        torques.append(tuple(given))
-        write(given)
-
-    setattr(rig, "write_torques", noted)  # noqa: B010
-    run(experiment.cycle, cycles)
-    assert experiment.far_side is not None
-    energies = [energy for drive in experiment.far_side.drives for energy in drive.truth().energy]
+    torques = torques_of(experiment, cycles)
     ports = account_of(experiment.cycle, "completed")["ports"].values()
     booked = [port[key] or 0.0 for port in ports for key in ("stored", "dissipated", "generated")]
-    return torques, [*energies, *booked]
+    return torques, [*true_energies(experiment), *booked]
 
 
 @pytest.mark.parametrize("cycles", [400, pytest.param(10_000, marks=pytest.mark.slow)])

@@ -30,7 +30,7 @@ from tools.bench.report import Row, kept_folder, publish
 from tools.bench.truth import is_false
 from tools.kept_runs import run_kept
 from tools.truth.ethercat import outcome_of
-from tools.truth.ethercat_twin import TwinExperiment
+from tools.truth.ethercat_twin import TwinExperiment, torques_of, true_energies
 from tools.truth.judge import Outcome
 
 _ROOT: Final = Path(__file__).resolve().parents[2]
@@ -52,18 +52,8 @@ _LINES: Final = 2_700
 
 
 def _run(experiment: Experiment, cycles: int) -> tuple[list[tuple[float, ...]], list[float]]:
-    torques, rig = list[tuple[float, ...]](), experiment.rig
-    write = rig.write_torques
-
-    def noted(given: Any) -> None:
-        torques.append(tuple(given))
-        write(given)
-
-    setattr(rig, "write_torques", noted)  # noqa: B010
     with experiment:
-        run(experiment.cycle, cycles)
-        far: Any = experiment.far_side
-        return torques, [energy for drive in far.drives for energy in drive.truth().energy]
+        return torques_of(experiment, cycles), true_energies(experiment)
 
 
 def same_scene(cycles: int) -> Iterator[Row]:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from canhaptic.canopen.esi import read_esi
-from canhaptic.cycle import Cycle
+from canhaptic.cycle import Cycle, run
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.cycle_parameters import CycleParameters
 from canhaptic.drive.ethercat.bus_cycle import EthercatBusCycle
@@ -75,3 +75,23 @@ class TwinExperiment(Experiment):
         of = EthercatAxisParameters.model_construct(**given, position=place, esi=ESI)
         late = (axis.loop.torque_window or 0.0) + _SETTLED * (axis.loop.current_lag or 0.0)
         return MasterDrive(self.line, of, read_esi(ESI), lateness=late)
+
+
+def torques_of(experiment: Experiment, cycles: int) -> list[tuple[float, ...]]:
+    """Runs an experiment without closing it, and returns the torques that were written in each cycle [N or N*m]."""
+    torques, rig = list[tuple[float, ...]](), experiment.rig
+    write = rig.write_torques
+
+    def noted(given: Any) -> None:
+        torques.append(tuple(given))
+        write(given)
+
+    setattr(rig, "write_torques", noted)  # noqa: B010
+    run(experiment.cycle, cycles)
+    return torques
+
+
+def true_energies(experiment: Experiment) -> list[float]:
+    """Returns the energies of the plants of a simulated experiment [J]."""
+    far: Any = experiment.far_side
+    return [energy for drive in far.drives for energy in drive.truth().energy]
