@@ -665,7 +665,7 @@ def wall_of(log: EnergyLog, name: str) -> float | None:
 
 
 def walls_of(log: EnergyLog, name: str) -> list[tuple[float, str]]:
-    """Return where the walls of a port begin [m or rad], and their sides, below or above; those of a sum may be two."""
+    """Return the positions of the walls [m or rad] and their sides, `below` or `above`; a sum may have two walls."""
     ends = [(log.number(f"{name}.wall_{key}", inf), side) for key, side in (("low", "below"), ("high", "above"))]
     if walls := [(place, side) for place, side in ends if isfinite(place)]:
         return walls

@@ -2,7 +2,7 @@
 
 It tolerates what vendors write: numbers as `#x1A`, `0x1A`, `#x0x1A` or decimal, `DefaultData` as little-endian bytes
 or `DefaultValue` and `DefaultString`, and PDOs of which no dictionary lists the maps. A file may describe several
-devices, and several revisions of one; they differ in what they can do.
+devices, and several revisions of one device. Revisions differ in their objects and modes.
 """
 
 import re

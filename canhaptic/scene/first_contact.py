@@ -29,9 +29,9 @@ _PRESS: Final = 1.0
 _MET: Final = 0.03
 """Speed at which a leaning hand meets the wall, as a fraction of the largest."""
 _LEANS: Final = 1000
-"""Number of holds of the lean by which a stiffness is judged."""
+"""Number of holds for which the simulated hand leans on the wall when its stiffness is judged."""
 _TREMOR: Final = 0.1
-"""Part of its force by which a leaning hand trembles."""
+"""Tremor of a leaning hand, as a share of its force."""
 _TREMBLES: Final = 8.0
 """Times that it does so meanwhile."""
 _LOST: Final = (0.001, 0.003, 0.01, 0.03, 0.1)
@@ -275,7 +275,7 @@ def kept_through_losses(axis: AxisScene, speed: float) -> list[tuple[float, floa
 
 
 def felt_stiffness(axis: AxisScene) -> tuple[float, float] | None:
-    """Return the stiffness that a leaning hand feels, and that of the wall [N/m or N*m/rad]; None for no spring.
+    """Return the stiffness felt by a leaning hand and that of the wall [N/m or N*m/rad]; None without a spring.
 
     The hand meets the wall at `_MET` of the largest speed and leans on it for `_LEANS`, with up to `LEAN` of the torque
     limit, and not beyond `hand_push`. Mass, friction and counts are those declared.

@@ -493,7 +493,7 @@ _OVER_A_RUN: Final = 0.745, 1.115
 """Least and largest mass over the expected one, within which 19 of 20 random displays are felt over a run."""
 _OF_RANDOM: Final = "as 19 of 20 random displays moved to and fro at 0.5 to 4 Hz for 2 s"
 _LIGHTER: Final = 0.33
-"""Power of M + c tau over the mass requested, by which a guarded display is felt heavier than requested."""
+"""Exponent for the mass that is felt: it is the requested mass times ((M + c tau) / requested mass) to this power."""
 
 
 def run_mass(asked: float, never: float) -> tuple[float, float]:

@@ -711,7 +711,7 @@ def _eliminate(matrix: Matrix, right: Buffer, column: int) -> None:
 
 
 def joined(networks: Sequence[Network]) -> Network:
-    """Return networks without functions as one, whose states and ports are those of the first, the second, ..."""
+    """Return one network that joins several networks without functions. Its states and ports are theirs, in order."""
     every = [network.tables for network in networks]
     found = object.__new__(Network)
     found.states, found.ports = sum(of.states for of in networks), sum(of.ports for of in networks)

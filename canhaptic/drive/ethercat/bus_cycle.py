@@ -142,7 +142,7 @@ class EthercatBusCycle:
             drive.read_al_status()
 
     def written(self, bit: int) -> None:
-        """Note that the outputs of a drive are new; once those of all are, send them."""
+        """Note that a drive has new outputs. Send the frame when every drive has new outputs."""
         self._written |= bit
         if self._written == self._all and self._first_kind is _READ:
             self._send_outputs()

@@ -51,7 +51,7 @@ class PhaseLock:
         return (dc_time - self.first) // self._period
 
     def follow(self, dc_time: int) -> int:
-        """Return the time by which the next frame must leave earlier [ns], from the system time of a frame [ns]."""
+        """Return how much earlier the next frame must leave [ns], given the system time of the last frame [ns]."""
         period = self._period
         half = period // 2
         self.error = error = (dc_time - self.first - self._target + half) % period - half

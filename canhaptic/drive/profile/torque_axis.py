@@ -109,7 +109,7 @@ class CycleRules(NamedTuple):
     silence: int  # of the drive that is tolerated [ns]
     loss_limit: float  # share of the SYNCs whose sample or command may be lost for ever
     lateness: float  # longest time from a hold's begin until its torque has settled [s]
-    more_holds: int = 0  # by which a torque acts later than that
+    more_holds: int = 0  # additional holds before a torque acts
 
 
 class TorqueAxis(ABC):
