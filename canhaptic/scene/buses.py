@@ -22,6 +22,7 @@ BUSES: Final = {
         "findings": "canhaptic.drive.ethercat.image_map:image_findings",
         "line": "canhaptic.drive.ethercat.door:line_on",
         "drive": "canhaptic.drive.ethercat.servo_drive:EthercatDrive",
+        "display": "canhaptic.drive.ethercat.display_drive:EthercatDisplay",
         "simulated": "canhaptic.sim.drive.ethercat.door:cable_of",
     },
 }

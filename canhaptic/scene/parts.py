@@ -201,10 +201,14 @@ def check_group(group: GroupScene) -> None:
 
 def build_ethercat_drive(axis: AxisScene, line: "EthercatBusCycle", *, dry_run: bool = False) -> "EthercatDrive":
     """Return the master's image of the drive of one axis on an EtherCAT line; raise DictionaryError."""
-    known = axis.parameters.model_copy(update={"torque_limit": axis.loop.torque_limit})  # less if not verified
-    dictionary = axis.parameters.dictionary()
-    kind: type[EthercatDrive] = part("ethercat", "drive")
-    return kind(line, known, dictionary, dry_run=dry_run, lateness=_lateness(axis))  # type: ignore[arg-type]
+    if dry_run:
+        require_torque_axis(axis)
+    known, is_display = axis.parameters, axis.parameters.admittance is not None
+    if not is_display:
+        known = known.model_copy(update={"torque_limit": axis.loop.torque_limit})  # less if not verified
+    kind: type[EthercatDrive] = part("ethercat", "display" if is_display else "drive")
+    late = 0.0 if is_display else _lateness(axis)
+    return kind(line, known, known.dictionary(), dry_run=dry_run, lateness=late)  # type: ignore[arg-type]
 
 
 def _lateness(axis: AxisScene) -> float:

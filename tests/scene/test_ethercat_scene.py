@@ -52,6 +52,32 @@ def test_the_same_scene_on_can_and_on_ethercat_has_the_same_torques_and_the_same
     assert on_ethercat[1]["ports"]["handle"]["verdict"] == "yes"
 
 
+def display_on(bus: str, name: str) -> Scene:
+    """Return a shipped scene of admittance displays, on its CAN bus or on a line."""
+    path = ROOT / "configs/admittance" / name
+    scene = yaml.load(path.read_text(), yaml.BaseLoader)
+    if bus == "ethercat":
+        scene["bus"] = {"type": "ethercat", "rate": scene["bus"]["rate"]}
+        for place, axis in enumerate(scene["axes"]):
+            del axis["node_id"], axis["eds"]
+            axis |= {"position": place, "esi": "ethercat_servo.xml"}
+    return scene_from_mapping(scene, str(path))
+
+
+@pytest.mark.parametrize("name", ["wall.yaml", pytest.param("virtual_mass.yaml", marks=pytest.mark.slow)])  # mode 8, 9
+def test_an_admittance_display_moves_and_is_accounted_for_on_ethercat_as_on_can(name: str) -> None:
+    on_can, on_line = (run(display_on(bus, name), 150) for bus in ("can", "ethercat"))
+    assert any(command for *_, command in on_can[0])
+    assert on_can[0] == on_line[0]
+    assert on_can[1]["ports"] == on_line[1]["ports"]
+    assert on_line[2] is None
+
+
+def test_a_force_sensor_with_a_can_node_of_its_own_is_refused_on_a_line() -> None:
+    with pytest.raises(SceneError, match=r"admittance\.force\.node is a node of a CAN bus, expected force\.object"):
+        display_on("ethercat", "force_node.yaml")
+
+
 def test_one_frame_a_cycle_costs_a_hold_and_the_verdict_is_still_right() -> None:
     scene = load_scene(SCENE, [SOON, "bus.frames=1"])
     assert scene.axes[0].loop.delay == 2

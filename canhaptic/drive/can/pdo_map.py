@@ -27,7 +27,16 @@ from canhaptic.canopen.objects import COB_ID_INVALID, SYNCHRONOUS_EVERY_SYNC, Da
 from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.drive.can.sdo import SdoChannel
 from canhaptic.drive.profile import fitness
-from canhaptic.drive.profile.fitness import Finding, ObjectUse, Verdict, judged, listed, mapping_objection, objection
+from canhaptic.drive.profile.fitness import (
+    Finding,
+    ObjectUse,
+    Verdict,
+    force_object,
+    judged,
+    listed,
+    mapping_objection,
+    objection,
+)
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.profile.torque_axis_parameters import ReadBack
 from canhaptic.errors import DictionaryError, SdoError
@@ -229,19 +238,10 @@ def _read_back(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Read
 
 def _force(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[ReadBack, MappedObject | None]:
     """Return the force object of an admittance display, which replaces the torque; no torque is read back."""
-    if axis.admittance is None or (place := axis.admittance.force.place) is None:
+    if (found := force_object(dictionary, axis)) is None:
         return "none", None
-    index, subindex = place
-    variable = listed(dictionary, index, subindex)
-    bits = {DataType.INTEGER16: 16, DataType.INTEGER32: 32}.get(getattr(variable, "data_type", None) or DataType.DOMAIN)
-    if bits is None:
-        seen = f"admittance.force.object {axis.admittance.force.object} is not "
-        seen += "in the dictionary" if variable is None else "INTEGER16 or INTEGER32"
-        raise DictionaryError(
-            f"{axis.name}: {axis.eds}: {seen}; set admittance.force.object to the "
-            "object of the drive that holds the force"
-        )
-    return "none", MappedObject(index, subindex, bits, signed=True)
+    index, subindex, kind = found
+    return "none", MappedObject(index, subindex, 16 if kind is DataType.INTEGER16 else 32, signed=True)
 
 
 def _is_mappable(dictionary: ObjectDictionary, wanted: MappedObject) -> bool:

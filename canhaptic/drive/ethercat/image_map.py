@@ -11,7 +11,7 @@ from typing import Final, Literal
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import DataType, Dictionary
-from canhaptic.drive.profile.fitness import Finding, Verdict, mapping_objection
+from canhaptic.drive.profile.fitness import Finding, Verdict, force_object, mapping_objection
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.profile.torque_axis import ObjectAccess
 from canhaptic.drive.profile.torque_axis_parameters import ReadBack, TorqueAxisParameters
@@ -100,7 +100,11 @@ def image_findings(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[F
 
 def _read_back(dictionary: Dictionary, axis: TorqueAxisParameters) -> tuple[ReadBack, Entry | None]:
     if axis.admittance is not None:
-        raise DictionaryError(f"{axis.name}: an admittance display on EtherCAT is not offered; put it on a CAN bus")
+        if (found := force_object(dictionary, axis)) is None:
+            text = "admittance.force.node is a node of a CAN bus, expected force.object, an object of the drive"
+            raise DictionaryError(f"{axis.name}: {text}; connect the sensor to the drive, or put the axis on a CAN bus")
+        index, subindex, kind = found
+        return "none", Entry(index, kind, subindex)
     for name, entry in _TORQUES.items():
         if axis.read_back not in ("auto", name) or (name == "demand" and not quirks_of(axis.quirks).maps_demand):
             continue

@@ -90,6 +90,26 @@ def _type_name(data_type: int | None) -> str:
     return DataType(data_type).name if data_type in DataType.__members__.values() else f"{data_type:#06x}"
 
 
+def force_object(dictionary: Dictionary, axis: TorqueAxisParameters) -> tuple[int, int, DataType] | None:
+    """Return index, subindex and type of the object that shows the force of a display; None for a sensor of its own.
+
+    Raises:
+        DictionaryError: The dictionary does not list it as INTEGER16 or INTEGER32.
+    """
+    if axis.admittance is None or (place := axis.admittance.force.place) is None:
+        return None
+    variable = listed(dictionary, *place)
+    kind = getattr(variable, "data_type", None)
+    if kind not in (DataType.INTEGER16, DataType.INTEGER32):
+        seen = f"admittance.force.object {axis.admittance.force.object} is not "
+        seen += "in the dictionary" if variable is None else "INTEGER16 or INTEGER32"
+        raise DictionaryError(
+            f"{axis.name}: {axis.dictionary_path}: {seen}; set admittance.force.object to the object of the drive that "
+            "holds the force"
+        )
+    return *place, DataType(kind)
+
+
 def mapping_objection(
     dictionary: Dictionary, kind: Literal["RPDO", "TPDO"], index: int, data_type: DataType, subindex: int = 0
 ) -> str | None:
