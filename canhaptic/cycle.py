@@ -225,7 +225,7 @@ class Cycle:
     def _lost(self, meter: EnergyLossMeter, samples: Sequence[Sample]) -> str:
         """Return the text on a port that generated too much energy, and how much; "" unless that is certain."""
         uncertainty = sum(self._likely_doubt(axis) + self._lost_to_friction(axis, samples) for axis in meter.axes)
-        supplied = sum(g.supplied + g.balance.supplied for g in self.groups if g.name == meter.name)
+        supplied = sum(g.ledger.supplied + g.balance.account.supplied for g in self.groups if g.name == meter.name)
         if meter.energy + supplied + uncertainty >= meter.floor:
             return ""
         limit = f"limit {meter.limit:.3g} J beyond the {meter.allowance:.3g} J declared"

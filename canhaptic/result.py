@@ -145,7 +145,7 @@ def _accounts(cycle: Cycle, truth: Mapping[str, TruthResult]) -> dict[str, PortR
         account: PortResult = {
             "unit": axes[group.axes[0]].unit,
             **port_account(known[place], sums, promise_of(group.controller), sample_time),
-            "supplied": group.supplied,
+            "supplied": group.ledger.supplied,
             "uncertainty": group.uncertainty,
             "limits": dict(group.limits),
         }

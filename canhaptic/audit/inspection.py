@@ -20,7 +20,7 @@ from canhaptic.control.motion_checks import FrictionDeclared, FrictionWatch, Mas
 from canhaptic.control.verdict import PortResult
 from canhaptic.errors import InputError, LogFormatError
 from canhaptic.logs.columns import DIGEST, FRICTION_DECLARED
-from canhaptic.logs.energy_reader import EnergyLog, read_safely
+from canhaptic.logs.energy_reader import EnergyLog, Quantities, read_safely
 from canhaptic.logs.hdf5 import Array
 from canhaptic.meters import ActiveLimits, PortFigures, Promise, limits_of
 from canhaptic.quantities import with_old_names
@@ -159,7 +159,8 @@ class PortRecord(PortFigures):
             return
         branch, torque = port.read("branch", start, stop), port.read("torque_command", start, stop)
         h_i = port.read("interaction", start, stop)
-        self._in += float(h_i[h_i > 0.0].sum())
+        came_in = h_i - _read(port, "supplied", slice(start, stop))
+        self._in += float(came_in[came_in > 0.0].sum())
         running = self._interaction + np.cumsum(h_i, dtype=np.longdouble)
         self._interaction = running[-1]
         self._least = min(self._least, float(running.min()))
@@ -466,12 +467,19 @@ def _first_below(log: EnergyLog, running: Array, start: int) -> int | None:
     return int(log.deadlines(row, row + 1)[0])
 
 
+def _read(port: Quantities, name: str, rows: slice) -> Array:
+    """Return rows of a column; what was supplied is 0 in a log of an earlier release."""
+    if name == "supplied" and name not in port:
+        return np.zeros(len(port.read("interaction", rows.start, rows.stop)))
+    return port.read(name, rows.start, rows.stop)
+
+
 def _port(log: EnergyLog, port_name: str, rows: slice) -> PortResult:
     """Return the account of one port, read a column at a time: an hour of all columns would not fit in memory."""
     port = log.ports[port_name]
 
     def column(name: str) -> Array:
-        return port.read(name, rows.start, rows.stop)
+        return _read(port, name, rows)
 
     record = PortRecord(log, port_name, rows.start)
     record.take(log, rows.start, rows.stop)
@@ -489,7 +497,7 @@ def _port(log: EnergyLog, port_name: str, rows: slice) -> PortResult:
 
 def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> LedgerSummary:
     """Return the sums over some rows; a `Ledger` that takes one row at a time gives equal sums."""
-    h_i, h_r = column("interaction"), column("dissipated")
+    h_i, h_r, supplied = column("interaction"), column("dissipated"), column("supplied")
     margin, margin_row = _least(_running(h_i - h_r))
     margin = without_dust(margin, _sum(np.abs(h_i)))
     margin_row = margin_row if margin else 0
@@ -501,11 +509,12 @@ def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> Led
     certificates = _known(log, "certificate", column("certificate"), len(Certificate))
     rendered = column("damping_rendered")[(branch != Branch.FREE) & (branch != Branch.EXIT)]
     return LedgerSummary(
-        energy_in=_sum(np.maximum(h_i, 0.0)),
-        energy_out=-_sum(np.minimum(h_i, 0.0)),
+        energy_in=_sum(np.maximum(h_i - supplied, 0.0)),
+        energy_out=-_sum(np.minimum(h_i - supplied, 0.0)),
         stored=_last(column("stored")),
         dissipated=_sum(h_r),
         generated=_sum(column("gen")),
+        supplied=_sum(supplied),
         surplus_end=_last(surplus),
         surplus_max=float(surplus.max(initial=0.0)),
         recovered=_sum(column("h_pas")),
@@ -551,13 +560,19 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> TruthResult:
     Energies count from the first row of the part.
     """
     interaction = _taken_in(log, name, rows)
+    if name not in log.groups:  # of a group the column has it
+        supplied = _supplied(log, name, rows)
+        interaction = interaction + _running(supplied) - (0.0 if rows.start else supplied[:1].sum())
     if not len(interaction):
         return with_old_names(
             TruthResult(interaction=0.0, least_interaction=0.0, least_at_handle=0.0, accounted_error=0.0)
         )
     axes = log.groups.get(name, (name,))
     by_motors = sum(_taken_in(log, axis, rows) for axis in axes)
-    h_i = np.sum([log.ports[axis].read("interaction", rows.start, rows.stop) for axis in axes], axis=0)
+    columns = [
+        (log.ports[axis].read("interaction", rows.start, rows.stop), _supplied(log, axis, rows)) for axis in axes
+    ]
+    h_i = np.sum([by_axis - supplied for by_axis, supplied in columns], axis=0)
     accounted = _running(h_i) if rows.start else _running(h_i) - h_i[0]
     booked = log.ports[axes[0]].read("branch", rows.start, rows.stop) != Branch.HELD
     dissipated = log.truth[name].read("dissipated", rows.start, rows.stop)
@@ -568,6 +583,10 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> TruthResult:
         "accounted_error": float(np.abs((accounted - by_motors)[booked]).max(initial=0.0)),
     }
     return with_old_names(truth)
+
+
+def _supplied(log: EnergyLog, name: str, rows: slice) -> Array:
+    return _read(log.ports[name], "supplied", rows)
 
 
 def _taken_in(log: EnergyLog, name: str, rows: slice) -> Array:

@@ -51,7 +51,6 @@ _ROUNDING: Final = 1e-12
 _LAST_OLD_FORMAT: Final = 2
 """Newest format of the logs of earlier releases."""
 _BLOCK: Final = 65_536  # rows held in memory at a time
-_ALL: Final = struct.Struct(f"{len(_OUTPUTS)}d")
 _ONE: Final = struct.Struct("d")
 
 
@@ -91,7 +90,8 @@ def recompute(
     found: dict[str, Mismatch] = {}
     names = (*axes, *(group.name for group in controllers.groups))
     inputs = [logged_rows(log, name, _INPUTS) for name in axes]
-    outputs = [logged_rows(log, name, _OUTPUTS) for name in names]
+    known = [name for name in _OUTPUTS if all(name in log.ports[port] for port in names)]  # an older log has fewer
+    outputs, every = [logged_rows(log, name, known) for name in names], struct.Struct(f"{len(known)}d")
     rows = zip(periods_of(log), zip(*inputs, strict=True), zip(*outputs, strict=True), strict=False)
     programs = [(program, efforts_asked(log, axes[axis])) for axis, program in controllers.programs]
     stopping = row_of_stop(log)
@@ -105,9 +105,9 @@ def recompute(
         for name, balance, logged in zip(names, balances, expected, strict=True):
             if logged[_CERTIFICATE] == _NONE:  # withdrawn for the length of a hold, which is no input
                 balance = balance._replace(certificate=_NONE)
-            if name not in found and _ALL.pack(*balance) != _ALL.pack(*logged):
-                pairs = enumerate(zip(balance, logged, strict=True))
-                number = next(n for n, (now, was) in pairs if _ONE.pack(now) != _ONE.pack(was))
+            if name not in found and every.pack(*(now := balance[: len(known)])) != every.pack(*logged):
+                pairs = enumerate(zip(now, logged, strict=True))
+                number = next(n for n, (new, was) in pairs if _ONE.pack(new) != _ONE.pack(was))
                 cycle = int(log.timing["sync_index"][row])
                 found[name] = Mismatch(name, cycle, _OUTPUTS[number], logged[number], balance[number])
     return list(found.values())

@@ -93,7 +93,7 @@ class EnergyBalance(NamedTuple):
     """
 
     torque: float  # command for the next free hold [N*m or N]
-    h_i: float  # interaction: energy that came in with the whole applied torque (eq. 2)
+    h_i: float  # interaction: energy that came in with the whole applied torque (eq. 2), and what was `supplied`
     h_pas: float  # part of h_i taken in by the modulated damper (eq. 19), signed
     h_m: float  # h_i - h_pas: what the model received
     h_r: float  # dissipated by the model's damper, >= 0
@@ -107,12 +107,13 @@ class EnergyBalance(NamedTuple):
     damping_rendered: float  # damping of model plus modulated damper inside the command [N*s/m or N*m*s/rad]
     certificate: int  # Certificate
     state: float  # displacement of the storage after this step [m or rad]
+    supplied: float = 0.0  # part of h_i that no motor of the port received, less what was given away, signed
 
 
 OUT_OF_CONTACT: Final = (Branch.FREE.value, Branch.EXIT.value, Branch.HELD.value, Branch.GROUP.value)
 """Values of `Branch` that do not count as contact; a prolonged hold (HELD) is booked and counted with the next."""
 
-AT_REST: Final = EnergyBalance(*(0.0,) * 11, Branch.FREE.value, 0.0, Certificate.EXACT.value, 0.0)
+AT_REST: Final = EnergyBalance(*(0.0,) * 11, Branch.FREE.value, 0.0, Certificate.EXACT.value, 0.0, 0.0)
 """The balance of the first call after a reset: nothing held, nothing stored."""
 
 

@@ -21,8 +21,8 @@ class EnergyAudit:
         groups: Axes that render together.
 
     Attributes:
-        least: Least true sum of h_i after any hold, of each axis, then of each group, the energy from movers of its
-            walls included [J].
+        least: Least true sum of h_i after any hold, of each axis, then of each group, with what was supplied by
+            movers of its walls or a far side [J].
         least_at_handle: The same, including what friction and bearings have dissipated [J].
         interaction: True sum of h_i, per axis and group [J].
         dissipated: Energy dissipated by friction and bearings, per axis and group [J].
@@ -46,12 +46,16 @@ class EnergyAudit:
         """
         for axis in self._axes:
             _, (motor, _, dissipated, _) = truths[axis]
-            self._take(axis, -motor, dissipated, ledgers[axis].interaction, balances[axis].branch != _HELD)
+            ledger = ledgers[axis]
+            self._take(axis, ledger.supplied - motor, dissipated, ledger.interaction, balances[axis].branch != _HELD)
         for place, group in self._groups:
             true = -sum([truths[axis].energy.motor for axis in group.axes])
             dissipated = sum([truths[axis].energy.dissipated for axis in group.axes])
             accounted = sum([ledgers[axis].interaction for axis in group.axes])
-            supplied, booked = group.supplied + group.balance.supplied, balances[group.axes[0]].branch != _HELD
+            supplied, booked = (
+                group.ledger.supplied + group.balance.account.supplied,
+                balances[group.axes[0]].branch != _HELD,
+            )
             self._take(place, true, dissipated, accounted, booked, supplied)
 
     def _take(

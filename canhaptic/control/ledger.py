@@ -90,8 +90,9 @@ def without_dust(margin: float, flowed: float) -> float:
 class LedgerSummary(NamedTuple):
     """The account of one port over a run. Energies in [J]."""
 
-    energy_in: float  # sum of the positive h_i
-    energy_out: float  # minus the sum of the negative h_i
+    energy_in: float  # sum of the positive h_i, what was supplied left out
+    energy_out: float  # minus the sum of the negative ones
+    supplied: float  # from elsewhere than the port's motors, less what was given away
     stored: float  # at the end
     dissipated: float  # sum of h_r
     generated: float  # sum of gen
@@ -128,6 +129,7 @@ class LedgerSummary(NamedTuple):
             **({} if below is None else {"first_active": below * sample_time}),
             "in": self.energy_in,
             "out": self.energy_out,
+            **({"supplied": self.supplied} if self.supplied else {}),
             "stored": self.stored,
             "dissipated": self.dissipated,
             "generated": self.generated,
@@ -155,14 +157,15 @@ class Ledger:
 
     Attributes:
         interaction: Sum of h_i so far [J] (eq. 3).
+        supplied: Part of it that came from elsewhere than the port's motors, less what was given away [J].
     """
 
     def __init__(self) -> None:
-        self._interaction, self._in, self._dissipated = RunningSum(), RunningSum(), RunningSum()
+        self._interaction, self._in, self._dissipated, self._supplied = (RunningSum() for _ in range(4))
         self._corrections = tuple(RunningSum() for _ in range(5))  # of h_pas, gen, leak, paid and deficit
         self._branches = [0] * len(Branch)
         self._last = AT_REST
-        self.interaction = self._least_interaction = self._least_margin = self._surplus_max = 0.0
+        self.interaction = self.supplied = self._least_interaction = self._least_margin = self._surplus_max = 0.0
         self._least_margin_cycle = self._least_margin_deadline = 0
         self._first_below: int | None = None
         self._certificates = 0  # one bit each
@@ -180,15 +183,17 @@ class Ledger:
             cycle: Index of the SYNC.
             deadline: Sample times to that SYNC; None: no SYNC was skipped.
         """
-        torque, h_i, h_pas, _, h_r, _, surplus, gen, deficit, leak, paid, branch, rendered, certificate, _ = balance
+        torque, h_i, h_pas, _, h_r, _, surplus, gen, deficit, leak, paid, branch, rendered, certificate, _, supplied = (
+            balance
+        )
         self._branches[branch] += 1
         self._last = balance
         if surplus > self._surplus_max:
             self._surplus_max = surplus
         if torque or (h_i and certificate == _NONE):  # without one nothing was to be bounded
             self._certificates |= 1 << certificate
-        if h_i or h_r:
-            self._add_flows(h_i, h_r, cycle, cycle if deadline is None else deadline)
+        if h_i or h_r or supplied:
+            self._add_flows(h_i, h_r, supplied, cycle, cycle if deadline is None else deadline)
         if h_pas or leak or deficit or gen:
             for total, term in zip(self._corrections, (h_pas, gen, leak, paid, deficit), strict=True):
                 if term:
@@ -199,11 +204,15 @@ class Ledger:
             if rendered > self._damping_most:
                 self._damping_most = rendered
 
-    def _add_flows(self, h_i: float, h_r: float, cycle: int, deadline: int) -> None:
+    def _add_flows(self, h_i: float, h_r: float, supplied: float, cycle: int, deadline: int) -> None:
         self.interaction = interaction = add(self._interaction, h_i)
-        if h_i > 0.0:
-            add(self._in, h_i)
-        elif interaction < self._least_interaction:
+        came_in = h_i
+        if supplied:
+            self.supplied = add(self._supplied, supplied)
+            came_in -= supplied
+        if came_in > 0.0:
+            add(self._in, came_in)
+        if interaction < self._least_interaction:
             self._least_interaction = interaction
             if self._first_below is None and interaction < -PASSIVE_TOLERANCE:
                 self._first_below = deadline
@@ -219,7 +228,8 @@ class Ledger:
         recovered, generated, leaked, paid, deficit = (total.value for total in self._corrections)
         return LedgerSummary(
             energy_in=energy_in,
-            energy_out=energy_in - self._interaction.value,
+            energy_out=energy_in + self._supplied.value - self._interaction.value,
+            supplied=self._supplied.value,
             stored=self._last.h_s,
             dissipated=self._dissipated.value,
             generated=generated,

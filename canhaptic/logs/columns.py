@@ -8,8 +8,10 @@ from canhaptic.logs.ring import RingShape
 from canhaptic.quantities import ACCOUNT, NEW_COLUMNS
 from canhaptic.signals import CycleTiming, Measured, PlantEnergy, Sample
 
-FORMAT_VERSION: Final = 4
-"""Version of the format: 2 added `timing/deadline_index` and the quantities of `Measured`, 3 `active`, 4 `digest`."""
+FORMAT_VERSION: Final = 5
+"""Version of the format: 2 added `timing/deadline_index` and the quantities of `Measured`, 3 `active`, 4 `digest`, 5
+`supplied`."""
+_LAST_WITHOUT_SUPPLIED: Final = 4
 _LAST_WITHOUT_DIGEST: Final = 3
 DIGEST: Final = "digest"
 """Path of the column with the CRC-32 of each row (`row_digests`), which the writer process adds."""
@@ -133,7 +135,8 @@ def _port_columns(port: PortDescription, version: int) -> list[_LogColumn]:
     names = NEW_COLUMNS | ({"torque_command": "velocity_command"} if port.commands_velocity else {})
     measured = Measured._fields if version > 2 else Measured._fields[:-1] if version > 1 else ()
     columns = [_LogColumn("", "1", "i8")]  # the SYNC index is in /timing, once for all ports
-    for field in (*Sample._fields[1:], *EnergyBalance._fields, *measured):
+    balance = EnergyBalance._fields if version > _LAST_WITHOUT_SUPPLIED else EnergyBalance._fields[:-1]
+    for field in (*Sample._fields[1:], *balance, *measured):
         stored = _BALANCE_NAMES.get(field, field)
         name = names.get(stored, stored)
         motion = port.state_unit or port.unit if name == "state" else port.unit

@@ -192,11 +192,11 @@ def test_what_a_mover_supplies_is_in_the_account_and_never_in_the_truth_of_the_m
     with logged("xy_box", 3000, tmp_path, pushed) as (experiment, log):
         [group], judge = experiment.cycle.groups, experiment.cycle.judge
         assert judge is not None
-        assert group.supplied > 1e-3  # the wall pushes hand and stage
+        assert group.ledger.supplied > 1e-3  # the wall pushes hand and stage
         assert judge.interaction[0] + judge.interaction[1] < -1e-4  # the motors alone gave out energy
         accounted = group.ledger.interaction
         assert accounted == pytest.approx(
-            sum(each.interaction for each in experiment.cycle.ledgers) + group.supplied, abs=1e-12
+            sum(each.interaction for each in experiment.cycle.ledgers) + group.ledger.supplied, abs=1e-12
         )
         assert accounted >= -1e-6
         supplied = np.cumsum(log.ports["stage"]["h_i"] - log.ports["x"]["h_i"] - log.ports["y"]["h_i"])

@@ -50,7 +50,7 @@ def columns(path: Path) -> list[str]:
     found: list[str] = []
     with h5py.File(path) as file:
         file.visititems(lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None)
-    assert len(found) == 42  # each once, by one of its names
+    assert len(found) == 43  # each once, by one of its names
     names = (name.rpartition("/") for name in found)
     return [
         f"{at}{slash}{OLD_COLUMNS.get(name, name) if at.startswith('ports/') else name}" for at, slash, name in names

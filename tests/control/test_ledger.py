@@ -56,6 +56,20 @@ def test_a_run_that_never_loses_has_its_least_margin_before_it_began():
     assert (ledger.summary().margin_value, ledger.summary().margin_cycle) == (0.0, 0)
 
 
+def test_what_is_given_to_a_far_side_counts_at_rest_and_while_the_hand_brings_in_less():
+    ledger = Ledger()
+    ledger.add(hold(h_i=0.5), 0)
+    ledger.add(hold(h_i=-0.4, supplied=-0.4), 1)  # at rest
+    ledger.add(hold(h_i=0.1 - 0.3, supplied=-0.3), 2)  # 0.1 comes in, and 0.3 goes
+    ledger.add(hold(h_i=0.0, supplied=-0.2), 3)  # 0.2 comes in and goes
+    ledger.add(hold(h_i=0.7, supplied=0.7), 4)
+    summary = ledger.summary()
+    assert summary.energy_in == pytest.approx(0.5 + 0.1 + 0.2)
+    assert (summary.energy_out, summary.supplied) == pytest.approx((0.0, -0.4 - 0.3 - 0.2 + 0.7))
+    assert (summary.least_interaction, summary.margin_cycle, summary.first_below) == (pytest.approx(-0.1), 2, 2)
+    assert "supplied" not in Ledger().summary().as_json(1e-3)
+
+
 def test_energy_drawn_before_any_was_put_in_is_seen():
     ledger = Ledger()
     ledger.add(hold(-0.25), 0)

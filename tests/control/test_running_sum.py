@@ -29,7 +29,7 @@ def test_a_sum_of_terms_of_every_size_is_exact_to_the_last_place() -> None:
 
 def test_a_new_sum_is_zero_and_the_balance_at_rest_holds_nothing() -> None:
     assert (RunningSum().total, RunningSum().error, RunningSum().value) == (0.0, 0.0, 0.0)
-    assert tuple(AT_REST) == (0.0,) * 15
+    assert tuple(AT_REST) == (0.0,) * 16
 
 
 def test_the_numbers_of_certificates_and_of_active_ports_in_old_logs_keep_their_meaning() -> None:

@@ -220,8 +220,8 @@ def test_foreign_and_newer_files_are_named_as_such(tmp_path: Path, finished: Pat
     newer = tmp_path / "newer.h5"
     newer.write_bytes(finished.read_bytes())
     with h5py.File(newer, "r+") as file:
-        file.attrs["format_version"] = 5
-    with pytest.raises(LogFormatError, match="version 5, this program reads up to 4"):
+        file.attrs["format_version"] = 6
+    with pytest.raises(LogFormatError, match="version 6, this program reads up to 5"):
         EnergyLog.open(newer)
     lacking = tmp_path / "lacking.h5"
     lacking.write_bytes(finished.read_bytes())

@@ -488,7 +488,7 @@ class GuardedAdmittance(AdmittanceController):
         branch = _DEPLETED if deficit > 0.0 else _FREE if commands.speed == 0.0 and before == 0.0 else _EXACT
         return new(EnergyBalance, (
             commands.speed, h_i, 0.0, h_i, h_r, h_s, self._surplus, 0.0, deficit, leak, paid, branch,
-            environment.damping, certificate, environment.stretch(position),
+            environment.damping, certificate, environment.stretch(position), 0.0,
         ))  # fmt: skip
 
     def _certified(self, request: float) -> tuple[float, int]:

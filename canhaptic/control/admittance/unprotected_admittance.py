@@ -77,7 +77,7 @@ class UnprotectedAdmittance(AdmittanceController):
         branch = _EXACT if commands.speed != 0.0 or before != 0.0 else _FREE
         return new(EnergyBalance, (
             commands.speed, hold.energy, h_pas, hold.energy - h_pas, h_r, h_s, 0.0, max(0.0, -rest), 0.0,
-            max(0.0, rest), 0.0, branch, environment.damping, _NONE, environment.stretch(position),
+            max(0.0, rest), 0.0, branch, environment.damping, _NONE, environment.stretch(position), 0.0,
         ))  # fmt: skip
 
     def lasted(self, periods: float) -> None:

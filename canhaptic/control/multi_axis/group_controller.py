@@ -21,14 +21,13 @@ class GroupBalance(NamedTuple):
     """One step of a group: the torques to apply next, and the account of the hold that ended. Energies in [J].
 
     `account` keeps the identity of `canhaptic.control.balance` for the whole group. Its `h_i` is
-    sum(interactions) + supplied - uncertainty; its `torque` is the Euclidean norm of `torques`, for plots only; its
-    `state` is the first state of the network.
+    sum(interactions) + supplied - uncertainty, with `supplied` from the mover of a moving wall; its `torque` is the
+    Euclidean norm of `torques`, for plots only; its `state` is the first state of the network.
     """
 
     torques: tuple[float, ...]  # command for the next free hold, one per motor axis [N*m or N]
     account: EnergyBalance  # of the whole group
     interactions: tuple[float, ...]  # h_i of each motor axis
-    supplied: float = 0.0  # energy that came in at ports that no motor drives, as by the mover of a moving wall
     uncertainty: float = 0.0  # uncertainty due to lost samples, subtracted from h_i
     limit: int = 0  # `kinematics.Limit`: reason for zero torques
 
@@ -105,8 +104,6 @@ class AxisGroup:
         ledger: The account of the group.
         balance: Balance of the last step.
         limits: Number of holds in each `Limit` except NONE.
-        supplied: Energy received other than by motors, as from the mover of a wall [J]; part of the ledger's
-            interaction.
         uncertainty: Uncertainty due to lost samples, subtracted from the ledger's interaction [J].
     """
 
@@ -117,7 +114,7 @@ class AxisGroup:
         self.ledger = Ledger()
         self.balance: GroupBalance = group_at_rest(len(self.axes))
         self.limits = {limit.name.lower(): 0 for limit in Limit if limit is not Limit.NONE}
-        self.supplied = self.uncertainty = 0.0
+        self.uncertainty = 0.0
         self._limit = Limit.NONE.value
 
     def step(self, samples: Sequence[Sample]) -> GroupBalance:
@@ -148,7 +145,6 @@ class AxisGroup:
             Message about the limit if the step before did not reach it; empty otherwise.
         """
         self.ledger.add(self.balance.account, sync_index, deadline)
-        self.supplied += self.balance.supplied
         self.uncertainty += self.balance.uncertainty
         limit, before = self.balance.limit, self._limit
         self._limit = limit
@@ -179,4 +175,4 @@ class AxisGroup:
         """
         energies = [truths[axis].energy for axis in self.axes]
         motor, user, dissipated, stored = (sum(parts) for parts in zip(*energies, strict=True))
-        return Truth(0.0, PlantEnergy(motor - self.supplied, user, dissipated, stored))
+        return Truth(0.0, PlantEnergy(motor - self.ledger.supplied, user, dissipated, stored))

@@ -564,7 +564,6 @@ class GroupHold(NamedTuple):
     """Account of the hold that ended, for a group; see `GroupBalance`."""
 
     account: EnergyBalance
-    supplied: float
     uncertainty: float
     further: float  # largest excess of the energy beyond the subtracted uncertainty [J]
     limit: int
@@ -680,7 +679,7 @@ class SteppedGroup:
                 f"expected {self.axes} finite numbers each; torque is zero and the controller was reset; check "
                 "the encoders"
             )
-        account, supplied, uncertainty, further, limit, place = self._step(self._missed, positions, torques_applied)
+        account, uncertainty, further, limit, place = self._step(self._missed, positions, torques_applied)
         torques = tuple(self._torques[place])
         if not isfinite(sum(torques)):
             self.reset()
@@ -690,5 +689,5 @@ class SteppedGroup:
             )
         self.energy_resolution += further
         self._started, self._missed, self._newest = True, 0, place
-        self._last = GroupBalance(torques, account, tuple(self._interactions), supplied, uncertainty, limit)
+        self._last = GroupBalance(torques, account, tuple(self._interactions), uncertainty, limit)
         return self._last

@@ -199,7 +199,7 @@ def step(
     run = Run(settings, state, memory)  # not by `new`: compiled, no function returns a record
     if not group.started:
         begin(world, run, positions)
-        return new(GroupHold, (AT_REST, 0.0, 0.0, 0.0, 0, 0))
+        return new(GroupHold, (AT_REST, 0.0, 0.0, 0, 0))
     group.oldest = end_holds(commands, ended, settings.loop.largest, group.oldest, missed, positions, torques_applied)
     follow(world, settings.loop.motion, motion, memory.group.motion, positions, ended.displacement, missed + 1)
     for i in range(len(ended.displacement)):
@@ -224,8 +224,9 @@ def step(
     balance = new(EnergyBalance, (
         norm(commands.torques[group.oldest - 1]), h_i, h_pas, h_i - h_pas, h_r, account.h_s, account.h_dis, 0.0,
         deficit, leak, paid, branch, rendered, certificate, memory.group.motion.network.state[0],
+        supplied,
     ))  # fmt: skip
-    return new(GroupHold, (balance, supplied, uncertainty, further, motion.limit, group.oldest - 1))
+    return new(GroupHold, (balance, uncertainty, further, motion.limit, group.oldest - 1))
 
 
 def begin(world: group_kernel.GroupModel, run: GuardedRun, positions: Buffer) -> None:

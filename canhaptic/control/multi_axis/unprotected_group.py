@@ -92,7 +92,7 @@ def step(
     if not group.started:
         begin_group(world, settings.loop.motion, group, memory.group, positions)
         state.h_s = motion.energy
-        return new(GroupHold, (AT_REST, 0.0, 0.0, 0.0, 0, 0))
+        return new(GroupHold, (AT_REST, 0.0, 0.0, 0, 0))
     group.oldest = end_holds(commands, ended, settings.loop.largest, group.oldest, missed, positions, torques_applied)
     place, doubt = group.oldest, doubt_of_gap(ended, memory.previous, missed)
     follow(world, settings.loop.motion, motion, memory.group.motion, positions, ended.displacement, missed + 1)
@@ -110,9 +110,9 @@ def step(
     rendered = send(world, run)
     balance = new(EnergyBalance, (
         norm(commands.torques[place]), h_i, 0.0, h_i, h_r, state.h_s, state.h_dis, gen, 0.0, leak, paid, branch,
-        rendered, _NONE, memory.group.motion.network.state[0],
+        rendered, _NONE, memory.group.motion.network.state[0], supplied,
     ))  # fmt: skip
-    return new(GroupHold, (balance, supplied, doubt, doubt, motion.limit, place))
+    return new(GroupHold, (balance, doubt, doubt, motion.limit, place))
 
 
 def supplied_by_mover(run: UnprotectedRun) -> float:

@@ -91,7 +91,7 @@ def step(environment: AskedEffort, run: AskedRun, position: float, torque_applie
         h_i, h_r = h_i + reserved, h_r + reserved
     return new(EnergyBalance, (
         torque, h_i, 0.0, h_i, h_r, state.h_s, axis.h_dis, 0.0, deficit, leak, paid,
-        _DEPLETED if deficit > 0.0 else branch, 0.0, certificate, 0.0,
+        _DEPLETED if deficit > 0.0 else branch, 0.0, certificate, 0.0, 0.0,
     ))  # fmt: skip
 
 

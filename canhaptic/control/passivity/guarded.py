@@ -831,7 +831,7 @@ def step(environment: Environment, run: GuardedRun, position: float, torque_appl
     stored = true if h_s >= ceiling else environment.state_of_energy(h_s, true)
     return new(EnergyBalance, (
         torque, h_i, h_pas, h_i - h_pas, h_r, h_s, axis.h_dis, 0.0, deficit, leak, paid,
-        _DEPLETED if deficit > 0.0 else branch, rendered, certificate, stored,
+        _DEPLETED if deficit > 0.0 else branch, rendered, certificate, stored, 0.0,
     ))  # fmt: skip
 
 

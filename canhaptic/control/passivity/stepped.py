@@ -387,7 +387,7 @@ def close_hold(
     axis.oldest = send(run.memory.axis.commands, axis.oldest, torque, damper, modulated)
     return new(EnergyBalance, (
         torque, h_i, h_pas, h_i - h_pas, h_r, h_s, h_dis, gen, deficit, leak, paid, branch, rendered,
-        run.settings.hold.certificate, state,
+        run.settings.hold.certificate, state, 0.0,
     ))  # fmt: skip
 
 

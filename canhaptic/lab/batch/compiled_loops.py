@@ -282,7 +282,7 @@ def write(row: Buffer, at: int, balance: EnergyBalance) -> None:
     row[at + 4], row[at + 5], row[at + 6], row[at + 7] = balance.h_r, balance.h_s, balance.h_dis, balance.gen
     row[at + 8], row[at + 9], row[at + 10] = balance.deficit, balance.leak, balance.paid
     row[at + 11], row[at + 12] = balance.branch, balance.damping_rendered
-    row[at + 13], row[at + 14] = balance.certificate, balance.state
+    row[at + 13], row[at + 14], row[at + 15] = balance.certificate, balance.state, balance.supplied
 
 
 def keep(

@@ -104,7 +104,7 @@ def respond_as_group(control: GroupControl, room: Room, place: CycleState) -> En
     torques = control.memory.group.commands.torques[hold.place]
     for i in range(len(room.commands)):
         room.commands[i] = torques[i]
-    place.supplied += hold.supplied
+    place.supplied += hold.account.supplied
     account: EnergyBalance = hold.account
     return account
 

@@ -139,7 +139,7 @@ def miss(
     nothing, surplus = 0.0, meter.surplus
     balance = new(EnergyBalance, (
         nothing, nothing, nothing, nothing, nothing, nothing, surplus, nothing, nothing, nothing, nothing, _HELD,
-        nothing, 0, nothing,
+        nothing, 0, nothing, nothing,
     ))  # fmt: skip
     take(environment, settings, meter, cycle, 0.0, true_position, torque, interaction, balance)
 

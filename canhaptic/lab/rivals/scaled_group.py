@@ -546,7 +546,7 @@ def step(
     if not group.started:
         begin_group(world, loop.motion, group, memory.group, positions)
         begin_state(world, run)
-        return new(GroupHold, (AT_REST, 0.0, 0.0, 0.0, 0, 0))
+        return new(GroupHold, (AT_REST, 0.0, 0.0, 0, 0))
     commands = memory.group.commands
     group.oldest = end_holds(commands, ended, loop.largest, group.oldest, missed, positions, torques_applied)
     place, uncertainty = group.oldest, doubt_of_gap(ended, memory.previous, missed)
@@ -566,9 +566,9 @@ def step(
     rendered = send(world, run)
     balance = new(EnergyBalance, (
         norm(commands.torques[place]), h_i, h_pas, h_i - h_pas, h_r, state.h_s, state.h_dis, gen, deficit,
-        leak, paid, branch, rendered, _NONE, memory.group.motion.network.state[0],
+        leak, paid, branch, rendered, _NONE, memory.group.motion.network.state[0], supplied,
     ))  # fmt: skip
-    return new(GroupHold, (balance, supplied, uncertainty, uncertainty, motion.limit, place))
+    return new(GroupHold, (balance, uncertainty, uncertainty, motion.limit, place))
 
 
 def send(world: GroupModel, run: ScaledRun) -> float:

@@ -253,7 +253,7 @@ def test_a_wall_that_moves_pushes_with_the_energy_of_its_mover():
 
     def note(balance, plant):
         nonlocal supplied, total, least, furthest
-        supplied += balance.supplied
+        supplied += balance.account.supplied
         total = plant.interaction + supplied
         least, furthest = min(least, total), max(furthest, plant.q[0])
 

@@ -24,9 +24,9 @@ def test_a_row_holds_what_a_recorder_takes(motors):
     pytest.importorskip("numba")
     from canhaptic.lab.batch.compiled_loops import keep
 
-    width = 16 + 3 * motors
+    width = 17 + 3 * motors
     values = [float(i) for i in range(width)]
-    balance = EnergyBalance(*values[-15:])  # type: ignore[arg-type]
+    balance = EnergyBalance(*values[-16:])  # type: ignore[arg-type]
     rows, recorder = [[0.0] * width, [0.0] * width], Recorder(motors)
     room, place = room_for(motors), CycleState(cycle=1, supplied=3.0, work=3.0)
     buffers = zip((room.seen, room.true, room.held), (1, 1 + motors, 1 + 2 * motors), strict=True)
