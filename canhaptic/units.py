@@ -375,3 +375,37 @@ class OnDemand:
         self, schema: CoreSchema, handler: Callable[[CoreSchema], JsonSchemaValue]
     ) -> JsonSchemaValue:
         return handler(core_schema.chain_schema([self.model_of().__pydantic_core_schema__]))
+
+
+class OwnModel(OnDemand):
+    """Annotation of a field whose section is read by the user-defined subclass that its key `type` names.
+
+    Args:
+        path: "module:Class" of the model for a section without `type`.
+        kind: Kind of model, for messages and plug-ins.
+    """
+
+    def __init__(self, path: str, kind: str) -> None:
+        super().__init__(path)
+        self._kind = kind
+
+    def __get_pydantic_core_schema__(self, source: object, handler: object) -> CoreSchema:
+        plain = core_schema.plain_serializer_function_ser_schema(_with_type)
+        return core_schema.with_info_plain_validator_function(self.read, serialization=plain)
+
+    def read(self, value: object, info: ValidationInfo[Any]) -> object:
+        """Return the parameters of a section."""
+        if not isinstance(value, Mapping) or "type" not in value or info.context is None:
+            return super().read(value, info)
+        return load(_OWN_MODEL, "own model", "reader")(value, info.context, self.model_of(), self._kind)
+
+
+_OWN_MODEL: Final = {"own model": "canhaptic.scene.own_code:own_model"}
+
+
+def _with_type(value: Parameters | None) -> dict[str, object] | None:
+    """Return the values of a model, with `type` first if it is a user's own class."""
+    if value is None:
+        return None
+    is_own = not type(value).__module__.startswith("canhaptic.")
+    return {**({"type": type(value).__name__} if is_own else {}), **value.model_dump(mode="json")}

@@ -1,4 +1,4 @@
-"""`canhaptic configs`: list the scenes of the package, or copy them for editing."""
+"""`canhaptic configs`: list the scenes of the package and what other packages offer, or copy the scenes for editing."""
 
 import argparse
 import re
@@ -8,6 +8,7 @@ from typing import Final
 
 from canhaptic.errors import InputError
 from canhaptic.files import FOLDERS, shipped
+from canhaptic.registry import GROUPS, installed, package_of
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.table import Table
 from canhaptic.view.terminal import note_file, write_json
@@ -17,16 +18,19 @@ _SENTENCE_END: Final = re.compile(r"\.\s+(?=[A-Z])")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """List every scene with its description, or copy them all."""
+    """List every scene with its description, and every installed plug-in; or copy all scenes."""
     if arguments.copy is not None:
         _copy(arguments.copy)
         return 0
     folder = shipped("configs")
     scenes = {path.relative_to(folder).as_posix(): _about(path) for path in sorted(folder.rglob("*.yaml"))}
+    plug_ins = {kind: {name: package_of(of) for name, of in installed(kind).items()} for kind in GROUPS}
     if arguments.json:
-        write_json({"folder": str(folder), "configs": scenes})
+        write_json({"folder": str(folder), "configs": scenes, "plug_ins": plug_ins})
         return 0
     make_console().print(Table(str(folder), ("file", "what it is"), list(scenes.items())))
+    if rows := [(kind, name, package) for kind, named in plug_ins.items() for name, package in named.items()]:
+        make_console().print(Table("installed plug-ins", ("kind", "name", "package"), rows))
     return 0
 
 

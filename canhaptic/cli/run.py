@@ -4,7 +4,7 @@ import argparse
 import importlib
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from itertools import chain
 from math import inf
 from pathlib import Path
@@ -43,8 +43,9 @@ def execute(arguments: argparse.Namespace) -> int:
         if not arguments.force:
             require_new(*filter(None, (energy_log, bus_log)))
         _check_files(arguments)
-        if energy_log is None and (arguments.png or arguments.html):
+        if energy_log is None and (arguments.png or arguments.html or arguments.sink):
             energy_log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.h5"
+        sinks = _sinks(arguments.sink, energy_log)  # one that cannot be loaded is named before a drive is touched
         require_no_guesses(scene)
         _require_allowed(scene, most=inf if arguments.large_allowance else _LARGE)
         for text in chain(elsewhere, _preflight(scene)):
@@ -54,6 +55,7 @@ def execute(arguments: argparse.Namespace) -> int:
         experiment = build(scene, arguments.pace, energy_log, bus_log, no_torque=arguments.no_torque)
         for text in notes(scene):
             write_note(f"  {text}")
+        stack.enter_context(sinks)
         stack.callback(experiment.close, "interrupted")  # by then closed already, unless a second signal came
         result, error = _run(experiment, arguments.duration or scene.run.duration, stop)
         _report(result, error, arguments)  # before the picture, whose disk may be full
@@ -67,6 +69,18 @@ def execute(arguments: argparse.Namespace) -> int:
     if error is not None:
         return error.exit_status
     return stop.exit_status or (_NOT_PASSIVE if arguments.strict and _fails(result) else 0)
+
+
+def _sinks(names: list[str], energy_log: Path | None) -> AbstractContextManager[None]:
+    """Return what gives the rows of a log to the sinks that were asked for, once the log is open."""
+    if energy_log is None or not names:
+        return nullcontext()
+    from canhaptic.logs.row_sinks import fed
+    from canhaptic.registry import function_of
+
+    for name in names:
+        function_of("sink", name)
+    return fed(names, energy_log)
 
 
 def _check_files(arguments: argparse.Namespace) -> None:

@@ -35,9 +35,14 @@ def execute(arguments: argparse.Namespace) -> int:
     """Serve the page until the process is interrupted; return 130 after SIGINT and 143 after SIGTERM.
 
     Raises:
-        InputError: No log is named, Bokeh is not installed, or the port is taken.
+        InputError: No log is named, Bokeh is not installed, the port is taken, or no package offers the display.
     """
     path = _log_of(arguments)
+    if arguments.display is not None:
+        from canhaptic.registry import function_of
+
+        function_of("display", arguments.display)(path)
+        return 0
     if not 0.0 < arguments.window <= 3600.0:
         raise InputError(f"--window {arguments.window:g}: expected 0 < seconds <= 3600")
 

@@ -5,19 +5,17 @@ import importlib
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Final
 
-from canhaptic.errors import InputError, cause_of
+from canhaptic.errors import InputError
 from canhaptic.extras import install_hint
 from canhaptic.files import replacing
 from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.quantities import ACCOUNT
+from canhaptic.registry import function_of, installed
 
 _BLOCK: Final = 65_536  # rows held in memory at a time
-PLUG_INS: Final = "canhaptic.exporters"
-"""Group of the entry points of exporters: suffix without its dot -> function of an open energy log and a path."""
 
 
 def export(log: EnergyLog, path: str | Path) -> None:
@@ -33,9 +31,9 @@ def export(log: EnergyLog, path: str | Path) -> None:
     writers: dict[str, Callable[[EnergyLog, Path], object]] = {
         ".csv": _write_csv, ".parquet": _write_parquet, ".mat": _write_mat, ".mcap": _write_mcap
     }  # fmt: skip
-    plug_ins = {f".{found.name}": found for found in entry_points(group=PLUG_INS)}
+    plug_ins = [f".{name}" for name in installed("exporter")]
     if path.suffix not in writers and path.suffix in plug_ins:
-        writers[path.suffix] = _of_plug_in(plug_ins[path.suffix])
+        writers[path.suffix] = function_of("exporter", path.suffix[1:])
     if path.suffix not in writers:
         known = ", ".join((*writers, *plug_ins))
         raise InputError(f"{path}: cannot export to {path.suffix!r}, expected one of: {known}")
@@ -48,20 +46,6 @@ def export(log: EnergyLog, path: str | Path) -> None:
                 file.write_text(json.dumps(_layout(_topics(log)), indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: the table cannot be written ({error}); name another file") from error
-
-
-def _of_plug_in(found: EntryPoint) -> Callable[[EnergyLog, Path], object]:
-    """Return the writer of an installed package, whose errors name it."""
-
-    def write(log: EnergyLog, path: Path) -> None:
-        try:
-            found.load()(log, path)
-        except OSError:
-            raise
-        except Exception as error:  # foreign code may raise anything
-            raise InputError(f"{path}: the exporter {found.value} failed ({cause_of(error)}); correct it") from error
-
-    return write
 
 
 def require_library(path: Path) -> None:

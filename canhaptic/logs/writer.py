@@ -102,7 +102,7 @@ def _serve(area: SharedArea, sink: LogSink, parent: int) -> None:
     sink.finish(area.text("status") or (_INTERRUPTED if gone else "complete"))
 
 
-def _become_ordinary(patient: bool) -> None:
+def become_ordinary(patient: bool) -> None:
     """Give up real-time priority and processor pinning inherited from the controlling process.
 
     Args:
@@ -141,7 +141,7 @@ def main() -> None:
     """Read the job, report `ready` once the file is open, and serve."""
     job = json.load(sys.stdin)
     sys.path += job["folders"]  # behind the installation: an isolated interpreter has neither of this process's
-    _become_ordinary(patient=job["pace"] == "real")
+    become_ordinary(patient=job["pace"] == "real")
     area, sink = make_sink(job, int(sys.argv[1]))
     try:
         with _opened(job, sink):

@@ -99,7 +99,7 @@ class WriterProcess:
                 "macOS; run without logs, or use Linux (WSL on Windows)"
             )
         shapes = tuple(shapes)
-        self._job = {**job, "shapes": shapes, "parent": os.getpid(), "folders": _trusted_folders()}
+        self._job = {**job, "shapes": shapes, "parent": os.getpid(), "folders": trusted_folders()}
         self._free, self._on_failure = job["pace"] == "free", on_failure
         self.dropped, self.failure, self.restarts = 0, "", 0
         self._is_closed = False
@@ -210,7 +210,7 @@ class WriterProcess:
             self._on_failure(self.failure)
 
 
-def _trusted_folders() -> list[str]:
+def trusted_folders() -> list[str]:
     """Return the folders from which this process imports, without the working folder, where others may write."""
     working = Path.cwd().resolve()
     return [folder for folder in sys.path if os.path.isabs(folder) and Path(folder).resolve() != working]

@@ -1,6 +1,6 @@
 """Annotations for fields of a scene whose parameter model is chosen by a name in the file, or defined by the user."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
@@ -17,10 +17,9 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 
 from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.errors import ParameterError
-from canhaptic.own_results import GIVEN
 from canhaptic.registry import load
 from canhaptic.scene.document import MarkedMapping
-from canhaptic.units import OnDemand, Parameters, UnitContext, shown
+from canhaptic.units import Parameters, UnitContext, shown
 
 READY: Final = "ready"
 """Type of a pydantic error whose text is final: the seen value is not put in front of it."""
@@ -30,7 +29,6 @@ CodeUse = Literal["refused", "run", "left"]
 """Treatment of user code that a scene names: refused with an error, run, or left unread."""
 _ON_DEMAND: Final = {
     "own code": "canhaptic.scene.own_code:OwnCode",
-    "own model": "canhaptic.scene.own_code:own_model",
     "override": "canhaptic.scene.overrides:without_old_keys",
     "environment": "canhaptic.control.environments.sum_of_parts:added",
     "network": "canhaptic.control.port_hamiltonian.sum_of_networks:added",
@@ -138,8 +136,12 @@ class ComponentOf:
 
         return self if self._displays is None else max(self, self._displays, key=known)
 
-    def model_named(self, name: str) -> type[Parameters]:
+    def model_named(self, name: str, offered: Iterable[str] = ()) -> type[Parameters]:
         """Return the model of an entry of the table.
+
+        Args:
+            name: Its name.
+            offered: Further names for the error, those of plug-ins.
 
         Raises:
             ParameterError: The table has no such entry.
@@ -147,7 +149,7 @@ class ComponentOf:
         if name in self._others[0] and name not in self.table:
             known = ", ".join(sorted(self.table))
             raise ParameterError(f"got {name!r}, {self._others[1]}; expected one of: {known}")
-        return _parameters_of(load(self.table, name, self.kind))
+        return _parameters_of(load(self.table, name, self.kind, offered))
 
     def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
         plain = core_schema.plain_serializer_function_ser_schema(lambda spec: spec.as_plain(self.selector))
@@ -217,7 +219,8 @@ class ComponentOf:
                     written = dict(value.without(self.selector, *self.apart))
                     return ComponentSpec(name, UnreadParameters(written=written))
                 own = code.find(name, self.kind)
-            model = self.model_named(name) if own is None else _own_parameters(own, name)
+            offered = code.offered(self.kind) if name not in self.table and own is None else ()
+            model = self.model_named(name, offered) if own is None else _own_parameters(own, name)
         except ParameterError as error:
             raise self.refused(str(error)) from error
         except ImportError as error:
@@ -250,39 +253,6 @@ class ComponentOf:
         required = [key for key in model.get("required", []) if key != self.selector]
         properties = {self.selector: {"const": name}, **own}
         return {**model, "properties": properties, "required": [self.selector, *required]}
-
-
-class OwnModel(OnDemand):
-    """Annotation of a field whose section is read by the user-defined subclass that its key `type` names.
-
-    Args:
-        path: "module:Class" of the model for a section without `type`.
-        kind: Kind of model, for messages and plug-ins.
-    """
-
-    def __init__(self, path: str, kind: str) -> None:
-        super().__init__(path)
-        self._kind = kind
-
-    def __get_pydantic_core_schema__(self, source: object, handler: object) -> CoreSchema:
-        plain = core_schema.plain_serializer_function_ser_schema(_with_type)
-        return core_schema.with_info_plain_validator_function(self.read, serialization=plain)
-
-    def read(self, value: object, info: ValidationInfo[Any]) -> object:
-        """Return the parameters of a section."""
-        if not isinstance(value, MarkedMapping) or "type" not in value:
-            return super().read(value, info)
-        return load(_ON_DEMAND, "own model", "reader")(value, info.context, self.model_of(), self._kind)
-
-
-def _with_type(value: Parameters | None) -> dict[str, object] | None:
-    """Return the values of a model, with `type` first if it is a user's own class."""
-    if value is None:
-        return None
-    own = type(value).__module__.startswith(OWN_MODULE) or any(
-        type(value) is getattr(of, "own", None) for of in GIVEN.values()
-    )
-    return {**({"type": type(value).__name__} if own else {}), **value.model_dump(mode="json")}
 
 
 def _is_of_displays(info: ValidationInfo[SceneContext]) -> bool:

@@ -33,11 +33,13 @@ from canhaptic.units import Parameters
 
 _KINDS: Final = {
     "environment": "environment", "user": "hand", "effects": "effect", "passivity": "passivity algorithm",
+    "sensor": "sensor",
 }  # fmt: skip
 """Key of a scene -> kind of the part that a function there is."""
 _OF_FUNCTIONS: Final = {
     "environment": ("canhaptic.control.environments.own_environment:Environment", "effort", ("state",)),
     "hand": ("canhaptic.sim.plant.user:OwnHand", "force", ("time", "position", "velocity")),
+    "sensor": ("canhaptic.sim.plant.velocity_drive:OwnSensor", "indicates", ("time", "force")),
     "effect": ("canhaptic.sim.plant.user:ForceEffect", "force", ("time", "position", "velocity")),
     "passivity algorithm": (
         "canhaptic.control.passivity.stepped:SteppedController", "respond", ("run", "hold", "asked")

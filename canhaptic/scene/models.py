@@ -40,12 +40,12 @@ from canhaptic.drive.cycle_parameters import CycleParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import InputError
 from canhaptic.scene.buses import DICTIONARIES, kind_of, read_axis, read_bus
-from canhaptic.scene.components import READY, ComponentOf, ComponentSpec, OwnModel, SceneContext
+from canhaptic.scene.components import READY, ComponentOf, ComponentSpec, SceneContext
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.effects import EFFECTS
 from canhaptic.sim.plant.mechanism import MECHANISMS
-from canhaptic.units import Name, OnDemand, Parameters, PrintablePath, PrintableText, quantity
+from canhaptic.units import Name, OnDemand, OwnModel, Parameters, PrintablePath, PrintableText, quantity
 
 BusName = Annotated[Name, Field(pattern=r"^\S+$")]
 

@@ -29,7 +29,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
@@ -44,7 +44,7 @@ from canhaptic.files import read_regular
 from canhaptic.logs.ring import allocate
 from canhaptic.logs.writer_process import isolated_program
 from canhaptic.own_results import GIVEN, GIVEN_MARK, watch
-from canhaptic.registry import load
+from canhaptic.registry import installed, load, loaded, package_of
 from canhaptic.scene.components import OWN_MODULE, READY, CodeUse, SceneContext
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.scene.models import Scene
@@ -55,18 +55,14 @@ from canhaptic.units import Parameters, shown
 _RETURN_NUMBERS: Final[Mapping[str, tuple[str, ...]]] = {
     "environment": ("potential", "effort", "true_state", "admissible", "stored_energy", "state_of_energy", "relaxed"),
     "passivity algorithm": ("step", "hold"),
+    "sensor": ("indicates",),
 }
 """Kind -> methods whose results are checked; the plant adds the methods of hands and effects."""
 _MARK: Final = ".py"  # of `file.py` and `file.py:Class`
 _OF_FUNCTION: Final = {"class of": "canhaptic.scene.given:class_of"}
 _LARGEST: Final = 1_000_000  # [bytes]
-ENTRY_POINT_GROUPS: Final[Mapping[str, str]] = {
-    "environment": "canhaptic.environments",
-    "passivity algorithm": "canhaptic.algorithms",
-    "effect": "canhaptic.effects",
-    "hand": "canhaptic.hands",
-}
-"""Kind of user-defined part -> entry point group of its plug-ins."""
+_OWN: Final = ("environment", "passivity algorithm", "effect", "hand", "sensor")
+"""Kinds of parts that a scene can take from a file or a plug-in."""
 
 
 def own_model(section: MarkedMapping, reading: SceneContext, model: type[Parameters], kind: str) -> object:
@@ -93,14 +89,9 @@ def own_model(section: MarkedMapping, reading: SceneContext, model: type[Paramet
         raise PydanticCustomError(READY, "{text}", {"text": str(error)}) from error
     if not (isinstance(own, type) and issubclass(own, model)):
         seen = "which is unknown" if own is None else f"which is no {model.__name__}"
-        raise ValueError(f"type: got {name!r}, {seen}; expected FILE.py:Class, a subclass of {model.__name__}")
+        known = " or ".join(("FILE.py:Class", *code.offered(kind)))
+        raise ValueError(f"type: got {name!r}, {seen}; expected {known}, a subclass of {model.__name__}")
     return own.of_section(section.without("type"), reading)
-
-
-def installed(kind: str) -> dict[str, EntryPoint]:
-    """Return the entry points of installed plug-ins for a kind of component, by name, without importing them."""
-    group = ENTRY_POINT_GROUPS.get(kind)
-    return {} if group is None else {found.name: found for found in entry_points(group=group)}
 
 
 def _is_file(reference: str) -> bool:
@@ -134,6 +125,10 @@ class OwnCode:
         self.left.append(reference)
         return True
 
+    def offered(self, kind: str) -> tuple[str, ...]:
+        """Return the names of the plug-ins that a scene can name as such a part."""
+        return tuple(installed(kind))
+
     def find(self, reference: str, kind: str) -> Any:
         """Return the user-defined class that a name refers to; None for any other name.
 
@@ -158,14 +153,9 @@ class OwnCode:
         return own
 
     def _plug_in(self, found: EntryPoint, kind: str) -> Any:
-        package = f"{found.dist.name} {found.dist.version}" if found.dist is not None else found.value
-        try:
-            chosen = found.load()
-            source = Path(str(sys.modules[chosen.__module__].__file__)).read_bytes()
-        except Exception as error:  # foreign code may raise anything
-            text = f"{found.name}: the plug-in {package} cannot be used ({type(error).__name__}: {error})"
-            raise ParameterError(text) from error
-        self.hashes[f"{found.name} ({package})"] = hashlib.sha256(source).hexdigest()
+        chosen, source = loaded(found)
+        self.hashes[f"{found.name} ({package_of(found)})"] = hashlib.sha256(source).hexdigest()
+        chosen = _class_of(chosen, found.name, kind)
         if isinstance(chosen, type):
             watch(chosen, _RETURN_NUMBERS.get(kind, ()))
         return chosen
@@ -177,8 +167,8 @@ class OwnCode:
             ParameterError: Not allowed, not a file of the two folders, or the code fails.
         """
         name, _, attribute = reference.partition(":")
-        if kind not in ENTRY_POINT_GROUPS:
-            *first, last = ENTRY_POINT_GROUPS
+        if kind not in _OWN:
+            *first, last = _OWN
             own = f"own code can be {', '.join(first)} or {last}"
             raise ParameterError(f"got {reference!r}, expected a built-in {kind}; {own}")
         if self._use != "run":
@@ -212,15 +202,19 @@ def _chosen(module: ModuleType, name: str, attribute: str, kind: str) -> type:
     classes = [key for key, of in own.items() if isinstance(of, type) and not key.startswith("_")]
     attribute = attribute or (classes[0] if len(classes) == 1 else "")
     chosen = own.get(attribute)
-    if inspect.isfunction(chosen):
-        try:
-            chosen = load(_OF_FUNCTION, "class of", "reader")(chosen, kind)
-        except TypeError as error:
-            raise ParameterError(f"{name}: {error}") from error
+    chosen = _class_of(chosen, name, kind)
     if not isinstance(chosen, type):
         seen = f"has no class {attribute!r}" if attribute else f"has {len(classes)} classes, name one as in {name}:NAME"
         raise ParameterError(f"{name}: {seen}, expected one of: {', '.join(own) or 'none'}")
     return chosen
+
+
+def _class_of(chosen: Any, name: str, kind: str) -> Any:
+    """Return the class that is made for a function; anything else as it is."""
+    try:
+        return load(_OF_FUNCTION, "class of", "reader")(chosen, kind) if inspect.isfunction(chosen) else chosen
+    except TypeError as error:
+        raise ParameterError(f"{name}: {error}") from error
 
 
 def require_same_code(ran: Mapping[str, str], recorded: Mapping[str, str], where: str) -> None:

@@ -137,7 +137,7 @@ def test_an_installed_package_exports_in_its_own_format(
     assert typed.inspect(path, "--export", tmp_path / "run.xyz") == 0
     with EnergyLog.open(path) as log:
         assert (tmp_path / "run.xyz").read_text() == f"{log.rows} rows of {list(log.ports)}"
-        with pytest.raises(InputError, match=r"the exporter absent:write failed \(.*absent"):
+        with pytest.raises(InputError, match=r"bad: the plug-in my-tables 1\.0 cannot be used \(.*absent"):
             export(log, tmp_path / "run.bad")
         with pytest.raises(InputError, match=r"expected one of: \.csv, .*\.xyz, \.bad"):
             export(log, tmp_path / "run.abc")

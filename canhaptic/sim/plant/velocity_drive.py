@@ -28,7 +28,7 @@ from canhaptic.sim.plant.effects.shaft_compliance import ShaftCompliance
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.propagator import TICKS, Array
 from canhaptic.sim.plant.user import UserParameters
-from canhaptic.units import Parameters, quantity
+from canhaptic.units import OwnModel, Parameters, quantity
 
 _NS_PER_S = 1e9
 
@@ -60,6 +60,24 @@ class SimulatedForceSensor(Parameters):
     """Time of the step `fault_offset`."""
 
 
+class OwnSensor(SimulatedForceSensor):
+    """Base of a user-defined force sensor: write what it indicates; resolution, latency and freezing follow.
+
+    class Creeping(OwnSensor):
+        def indicates(self, time: float, force: float) -> float:
+            return force * (1.0 + 0.02 * min(time, 10.0))
+    """
+
+    def indicates(self, time: float, force: float) -> float:
+        """Return the indicated value [N or N*m; of an impulse N*s or N*m*s].
+
+        Args:
+            time: Time since the start of the plant [s].
+            force: What the sensor would indicate with the other errors alone, in the same unit.
+        """
+        raise NotImplementedError(f"{type(self).__name__}: write indicates(time, force)")
+
+
 class ForceReading:
     """The readings of one force sensor, one at every SYNC.
 
@@ -70,6 +88,7 @@ class ForceReading:
 
     def __init__(self, sensor: SimulatedForceSensor, seed: int) -> None:
         self._sensor, self._seed = sensor, seed
+        self._own = sensor.indicates if isinstance(sensor, OwnSensor) else None
         self.reset()
 
     def reset(self) -> None:
@@ -109,6 +128,8 @@ class ForceReading:
                 since = elapsed - last if last > 0 else elapsed
                 force = change * _NS_PER_S / since if since else 0.0
             shown = sensor.gain * force + error
+        if self._own is not None:
+            shown = float(self._own(time, shown))
         if sensor.quantum:
             shown = round(shown / sensor.quantum) * sensor.quantum
         if self._late:
@@ -157,7 +178,9 @@ class AdmittanceSimulation(Parameters):
     """Velocity loop of the drive."""
     grip: GripParameters
     """Grip between sensor and hand."""
-    sensor: SimulatedForceSensor = SimulatedForceSensor()
+    sensor: Annotated[
+        SimulatedForceSensor, OwnModel("canhaptic.sim.plant.velocity_drive:SimulatedForceSensor", "sensor")
+    ] = SimulatedForceSensor()
     """The force sensor and its errors."""
 
 
