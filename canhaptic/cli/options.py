@@ -198,14 +198,6 @@ def _whole(least: int, most: int) -> Callable[[str], int]:
     return read
 
 
-def _samples(text: str) -> int:
-    """Return the number of points of a Latin hypercube from `lhs:N`."""
-    kind, _, points = text.partition(":")
-    if kind != "lhs":
-        raise argparse.ArgumentTypeError(f"got {text!r}, expected lhs:N with N from 1 to 10^8")
-    return _whole(1, 100_000_000)(points)
-
-
 _rate: Final = partial(_positive_number, units=("Hz", "Hz"), name="rate", most=1e6)
 _READERS: Final[dict[str, Callable[[str], object]]] = {
     "path": Path,
@@ -221,7 +213,6 @@ _READERS: Final[dict[str, Callable[[str], object]]] = {
     "rate": _rate,
     "rates": lambda text: list(dict.fromkeys(_rate(one) for one in _names(text))),
     "delays": _delays,
-    "samples": _samples,
 }
 """`type` of an argument in `options.toml` -> parser of its text."""
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from canhaptic.lab.studies.vary import Column
 
 _SWEEP_OPTIONS: Final = {
-    "controllers": "names", "metrics": "names", "samples": "samples", "seed": "int", "duration": "seconds",
+    "controllers": "names", "metrics": "names", "duration": "seconds",
     "cycles": "int", "engine": "word", "chunk": "int", "beyond_bus": "word", "resume": "word", "force": "word",
 }  # fmt: skip
 """Option of a sweep -> reader of its text."""
@@ -96,7 +96,7 @@ def sweep(
         out: Folder that keeps the sweep, for `canhaptic sweep --map` or for `resume=True`; None: it is not kept.
         changes: Values of the scene to replace, as for `simulate`.
         allow_code: Whether program files that the scene names may run.
-        options: As for the command: controllers, samples, seed, duration, cycles, metrics, engine, chunk, beyond_bus,
+        options: As for the command: controllers, duration, cycles, metrics, engine, chunk, beyond_bus,
             resume, force.
 
     Raises:

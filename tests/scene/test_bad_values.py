@@ -107,7 +107,6 @@ def test_a_name_that_no_file_can_have_is_an_error_and_no_traceback(capsys: pytes
         ["scope", "run.h5", "--port", "80000"],
         ["sweep", "x.yaml", "--workers", "0"],
         ["sweep", "x.yaml", "--chunk", "0"],
-        ["sweep", "x.yaml", "--sample", "lhs:²"],
     ],
 )
 def test_an_option_out_of_range_says_what_is_expected(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -33,7 +33,7 @@ from canhaptic.view.table import Table
 from canhaptic.view.terminal import note_file, write_note
 
 _OPTIONS: Final = (
-    "resume", "force", "controllers", "seed", "duration", "cycles", "metrics", "engine", "chunk", "beyond_bus",
+    "resume", "force", "controllers", "duration", "cycles", "metrics", "engine", "chunk", "beyond_bus",
     "allow_code",
 )  # fmt: skip
 """Command-line arguments with the same name as an option of a sweep."""
@@ -56,7 +56,7 @@ def execute(arguments: argparse.Namespace) -> int:
         progress = stack.enter_context(scene_progress())
         given = {name: getattr(arguments, name) for name in _OPTIONS}
         state = sweep(
-            scene, arguments.vary, out, executor, samples=arguments.sample, in_flight=in_flight,
+            scene, arguments.vary, out, executor, in_flight=in_flight,
             processes=arguments.workers is None, progress=progress, note=lambda text: write_note(f"  {text}"),
             stop_requested=stop.requested, **given,
         )  # fmt: skip
@@ -101,7 +101,6 @@ def summary(table: SweepTable) -> Row:
         "file": str(table.folder),
         "scene": table.note("source"),
         "varied": [varied["given"] for varied in table.identity["varied"]],
-        "samples": table.identity["samples"],
         "scenes": len(table),
         "finished": table.finished(),
         "status": dict(status),

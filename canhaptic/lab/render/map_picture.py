@@ -18,7 +18,6 @@ from canhaptic.view.table import Cell, Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
 
 
@@ -59,7 +58,7 @@ def draw_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: str 
 
 
 def write_map(columns: Sequence[Sequence[Panel | None]], caption: str, path: Path) -> None:
-    """Write a map as one self-contained page: the picture, and the numbers of every panel except scatter plots.
+    """Write a map as one self-contained page: the picture, and the numbers of every panel.
 
     Raises:
         InputError: matplotlib is not installed, or the page cannot be written.
@@ -76,7 +75,7 @@ def _table(panel: Panel) -> Table:
         ]
         return Table(panel.title, ("line", panel.x_label, panel.y_label), points, keys=1)
     title = f"{panel.title}; across: {panel.x_label}"
-    cells = [] if panel.dots else np.column_stack((panel.y, panel.values)).tolist()
+    cells = np.column_stack((panel.y, panel.values)).tolist()
     return Table(title, [panel.y_label, *(f"{x:.4g}" for x in panel.x)], cells, keys=0)
 
 
@@ -87,7 +86,7 @@ def _draw_row(figure: "Figure", axes: "Sequence[Axes]", panels: Sequence[Panel])
         place.set_title(panel.title, loc="left", fontweight="bold", fontsize=9.0)
         place.set(xlabel=panel.x_label, ylabel=panel.y_label)
         place.set(xscale="log" if x_log else "linear", yscale="log" if panel.y_log else "linear")
-        if x_log and len(marks) <= _FEW and not (isinstance(panel, Cells) and panel.dots):
+        if x_log and len(marks) <= _FEW:
             place.set_xticks(marks, [f"{float(f'{value:.3g}'):g}" for value in marks])
             place.set_xticks([], minor=True)
         if isinstance(panel, Lines):
@@ -132,27 +131,19 @@ def _draw_cells(figure: "Figure", place: "Axes", panel: Cells, limits: tuple[flo
     from matplotlib.colors import LogNorm, Normalize
 
     norm = (Normalize if panel.kind in ("share", "plain") else LogNorm)(*limits)
-    drawn: ScalarMappable
     colours = "YlOrRd" if panel.kind in _FAULTS else "viridis"  # neither ends in black, which looks like a gap
-    if panel.dots:
-        look: Row = {"norm": norm, "cmap": colours, "rasterized": True}
-        drawn = place.scatter(panel.x, panel.y, c=panel.values, s=14.0, edgecolors="none", **look)
-        x, y = panel.x, panel.y
-    else:
-        edges = edges_of(panel.x), edges_of(panel.y)
-        drawn = place.pcolormesh(*edges, panel.values, norm=norm, cmap=colours, rasterized=True)
-        if panel.kind == "share":
-            _draw_contour(place, panel)
-        x, y = np.meshgrid(panel.x, panel.y)
+    edges = edges_of(panel.x), edges_of(panel.y)
+    drawn = place.pcolormesh(*edges, panel.values, norm=norm, cmap=colours, rasterized=True)
+    if panel.kind == "share":
+        _draw_contour(place, panel)
+    x, y = np.meshgrid(panel.x, panel.y)
     for status, mask in panel.marked.items():
         if not mask.any():
             continue
-        if not panel.dots:
-            grey = np.where(mask, 0.3, np.nan)
-            place.pcolormesh(*edges, grey, cmap="Greys", vmin=0.0, vmax=1.0, rasterized=True)
-        ink = GREY if panel.dots else BLACK
-        place.scatter(x[mask], y[mask], color=ink, marker=_OF_STATUS[status], s=14.0, label=status)
-        place.legend(loc="best", fontsize=8.0, labelcolor=ink)
+        grey = np.where(mask, 0.3, np.nan)
+        place.pcolormesh(*edges, grey, cmap="Greys", vmin=0.0, vmax=1.0, rasterized=True)
+        place.scatter(x[mask], y[mask], color=BLACK, marker=_OF_STATUS[status], s=14.0, label=status)
+        place.legend(loc="best", fontsize=8.0, labelcolor=BLACK)
     figure.colorbar(drawn, ax=place, label=panel.value_label, pad=0.02)
 
 

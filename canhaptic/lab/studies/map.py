@@ -1,6 +1,6 @@
 """Maps of a sweep: the largest stiffness that passes over rate, damping and any other varied key, and its accuracy.
 
-`MapField` gives the figures of a sweep as arrays with one dimension per key of a grid, or as lists of samples.
+`MapField` gives the figures of a sweep as arrays with one dimension per key.
 `border_of` finds the Z-width: the largest stiffness that passes for all values of the keys that are not drawn, and the
 largest that is also accurate. `panels_of` chooses the panels of a map. The first shows all algorithms together with
 theory; there "passive" refers to the display with its device's dissipation, and to the hand of the scene.
@@ -56,8 +56,7 @@ class MapField:
 
     Attributes:
         keys: Numeric keys with more than one value, in the order given.
-        values: Values of each of these keys: all levels of a grid, or one value per scene for samples.
-        is_grid: Whether figures have one dimension per key.
+        values: Values of each of these keys.
         scene: Scene with only this axis under this algorithm, without varied values.
         algorithm: Name of its algorithm.
         is_display: Whether the axis is an admittance display.
@@ -66,22 +65,19 @@ class MapField:
     def __init__(self, table: SweepTable, axis: str, controller: str = "", *, allow_code: bool = False) -> None:
         self._table, self.axis = table, axis
         self.index, self._status = table.axes.index(axis), table.status(axis)
-        self.is_grid, varied = not table.points.samples, table.points.varied
+        varied = table.points.varied
         self._rows: Any = np.array(table.values(CONTROLLER)) == controller if controller else slice(None)
         self._levels = {one.key: len(one.values) for one in varied if one.key != CONTROLLER}
         numeric = [one for one in varied if one.is_number and len(one.values) > 1]
         self.keys = [one.key for one in numeric]
-        self.values = {
-            one.key: np.array(one.values) if self.is_grid else np.asarray(table.values(one.key))[self._rows]
-            for one in numeric
-        }
+        self.values = {one.key: np.array(one.values) for one in numeric}
         self.scene = _scene(table, axis, controller, allow_code)
         self.algorithm = self.scene.axes[0].passivity.name
         self.unit = self.scene.axes[0].parameters.unit
         self.is_display = is_display(self.scene)
 
     def figure(self, metric: str) -> Array:
-        """Return a figure, NaN for incomplete scenes; for a grid, one dimension per numeric key, other keys last."""
+        """Return a figure, NaN for incomplete scenes: one dimension per numeric key, other keys last."""
         found = self._shaped(self._table.figure(self.axis, metric))
         return np.where(self.has_status(COMPLETED), found, np.nan)
 
@@ -113,10 +109,8 @@ class MapField:
         return "".join(f", {words.rstrip()}" for words in said)
 
     def _shaped(self, column: NDArray[Any]) -> Any:
-        """Return the rows of this algorithm; for a grid one dimension per numeric key, all other keys last."""
+        """Return the rows of this algorithm, with one dimension per numeric key, all other keys last."""
         rows = column[self._rows]
-        if not self.is_grid:
-            return rows
         names = list(self._levels)
         order = [names.index(key) for key in self.keys]
         cube = np.moveaxis(rows.reshape(list(self._levels.values())), order, range(len(order)))
@@ -389,14 +383,14 @@ class Lines:
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """A panel of coloured cells, or of dots if the scenes are samples."""
+    """A panel of coloured cells."""
 
     title: str
     x_label: str
     y_label: str
-    x: Array  # of the columns, (nx,); of each dot, (n,)
-    y: Array  # of the rows, (ny,); of each dot, (n,)
-    values: Array  # (ny, nx), or (n,); NaN is blank
+    x: Array  # of the columns, (nx,)
+    y: Array  # of the rows, (ny,)
+    values: Array  # (ny, nx); NaN is blank
     value_label: str
     kind: Kind
     marked: Mapping[str, Mask] = field(default_factory=dict)  # status -> its scenes, of the shape of `values`
@@ -405,11 +399,6 @@ class Cells:
     def y_log(self) -> bool:
         """Whether the y axis is logarithmic."""
         return is_log(self.y)
-
-    @property
-    def dots(self) -> bool:
-        """Whether the scenes are samples."""
-        return self.values.ndim == 1
 
 
 Panel = Lines | Cells
@@ -548,8 +537,8 @@ def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel | None]
         InputError: A requested key was not varied, or the sweep did not compute a requested figure.
     """
     _check(fields[0], chosen)
-    if chosen.metric is not None or not fields[0].is_grid:
-        return [[_metric_panel(one, chosen, chosen.metric or "margin")] for one in fields]
+    if chosen.metric is not None:
+        return [[_metric_panel(one, chosen, chosen.metric)] for one in fields]
     if fields[0].is_display:
         return [[*_display_panels(one, chosen)] for one in fields]
     is_shared = chosen.judgement is None and len(fields[0].keys) > 1
@@ -642,17 +631,14 @@ def _metric_panel(field: MapField, chosen: Chosen, metric: str) -> Panel:
     values, label, kind = _shown(field, metric)
     title = f"{field.algorithm}: {label}"
     marked = {STATUS[number]: field.has_status(number) for number in (UNTOUCHED, UNRENDERED)}
-    places = field.values[x], field.values[y]
-    if field.is_grid:
-        keys = [field.keys.index(key) for key in (y, x)]
-        values = np.moveaxis(values, keys, [0, 1])
-        title += ", worst case over all other keys" if any(size > 1 for size in values.shape[2:]) else ""
-        columns, rows = (np.argsort(place) for place in places)
-        values, places = _worst(values, kind)[rows][:, columns], (places[0][columns], places[1][rows])
-        for status, mask in marked.items():
-            folded: Any = np.moveaxis(mask, keys, [0, 1]).any(axis=tuple(range(2, mask.ndim)))
-            marked[status] = folded[rows][:, columns]
-    marked = {status: mask & np.isnan(values) for status, mask in marked.items()}
+    keys, (columns, rows) = [field.keys.index(key) for key in (y, x)], (np.argsort(field.values[key]) for key in (x, y))
+    values = np.moveaxis(values, keys, [0, 1])
+    title += ", worst case over all other keys" if any(size > 1 for size in values.shape[2:]) else ""
+    values = _worst(values, kind)[rows][:, columns]
+    for status, mask in marked.items():
+        folded: Any = np.moveaxis(mask, keys, [0, 1]).any(axis=tuple(range(2, mask.ndim)))
+        marked[status] = folded[rows][:, columns] & np.isnan(values)
+    places = field.values[x][columns], field.values[y][rows]
     return Cells(title, field.label(x), field.label(y), *places, values, label, kind, marked)
 
 

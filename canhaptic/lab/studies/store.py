@@ -213,6 +213,8 @@ class SweepTable(Store):
         super().__init__(path, _SWEEP, writable=writable)
         self.identity: Row = self.document["identity"]
         self.chunk = int(self.document["chunk"])
+        if self.identity.get("samples"):
+            raise LogFormatError(f"{path}: is a Latin hypercube of an earlier release, expected a grid; sweep again")
         self.points = _points(self.identity)
         self.keys = [one.key for one in self.points.varied]
         self.axes: list[str] = self.identity["axes"]
@@ -351,7 +353,7 @@ def create(path: Path, chunk: int, identity: Row, notes: dict[str, str], *, repl
 def _points(identity: Row) -> Points:
     keys = [field.name for field in fields(Varied)]
     varied = ({key: one[key] for key in keys} | {"values": tuple(one["values"])} for one in identity["varied"])
-    return Points(tuple(Varied(**one) for one in varied), identity["samples"], identity["seed"])
+    return Points(tuple(Varied(**one) for one in varied))
 
 
 def _name(chunk: int) -> str:

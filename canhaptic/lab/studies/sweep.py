@@ -150,8 +150,6 @@ def make_sweep(
     vary: Sequence[str | Varied],
     *,
     controllers: Sequence[str] = (),
-    samples: int = 0,
-    seed: int = 0,
     duration: float | None = None,
     cycles: int | None = None,
     metrics: Sequence[str] | None = None,
@@ -165,8 +163,6 @@ def make_sweep(
         scene: Scene with simulated drives, from a file or text.
         vary: Varied keys, as for `--vary`.
         controllers: Passivity algorithms to run every point under; none: the scene's own.
-        samples: Points of a Latin hypercube; 0 for the grid of all values.
-        seed: Seed of the hypercube.
         duration: Length of every run [s]; by default the scene's.
         cycles: Number of SYNCs of every scene, instead of a duration.
         metrics: Names of `FIGURES`; by default `usual_figures`, which need no continuous run of each scene.
@@ -179,7 +175,7 @@ def make_sweep(
     Raises:
         InputError: A key, a value or an option is wrong.
     """
-    points = make_points([parse_vary(one) if isinstance(one, str) else one for one in vary], controllers, samples, seed)
+    points = make_points([parse_vary(one) if isinstance(one, str) else one for one in vary], controllers)
     metrics = [figure_name(name) for name in metrics or ()]
     if unknown := [name for name in metrics if name not in FIGURES]:
         raise InputError(f"unknown metric {unknown[0]!r}, expected one of: {', '.join(FIGURES)}")
@@ -222,8 +218,6 @@ def _is_long(asked: Asked) -> bool:
 def _together(recipe: Recipe, points: Points) -> int:
     """Return how many scenes of the sweep differ only in keys that may vary inside a batch."""
     apart = [v for v in points.varied if not is_batch_key(recipe, v.key) or (v.key == RATE and recipe.cycles is None)]
-    if points.samples and any(v.spacing != "list" for v in apart):
-        return 1
     return len(points) // math.prod(len(v.values) for v in apart)
 
 
@@ -240,8 +234,6 @@ def _identity(scene: Scene, recipe: Recipe, points: Points) -> Row:
     return {
         "configuration": scene.config_hash(),
         "varied": [{**asdict(v), "values": list(v.values), "given": str(v)} for v in points.varied],
-        "samples": points.samples,
-        "seed": points.seed if points.samples else 0,
         "duration": recipe.duration,
         "cycles": recipe.cycles,
         "metrics": list(recipe.metrics),
@@ -270,7 +262,7 @@ def _notes(scene: Scene, asked: Asked) -> dict[str, str]:
 def _looked_at(points: Points) -> list[int]:
     """Return the scenes whose error is estimated: first, last, and the first with each listed value of a plant key."""
     found = {0, len(points) - 1}
-    for varied in points.varied if not points.samples else ():
+    for varied in points.varied:
         if varied.spacing == "list" and varied.key.startswith("simulation."):
             numbers = points.numbers(varied.key)
             found |= {int(np.argmax(numbers == value)) for value in range(min(len(varied.values), _MOST_PLANTS))}

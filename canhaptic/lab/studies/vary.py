@@ -1,20 +1,16 @@
 """Varied keys of a sweep (`parse_vary`), and its scenes by global index (`Points`).
 
     KEY=LOW:HIGH:N            N values, evenly spaced          KEY=LOW:HIGH:log:N     evenly spaced in the logarithm
-    KEY=A,B,C                 exactly these, of any type       KEY=LOW:HIGH[:log]     a range, for a Latin hypercube
+    KEY=A,B,C                 exactly these, of any type
 
 For example `environment.stiffness=1e2:1e6:log:40`, `bus.rate=40,1 kHz`, `bus.rpdo=event,synchronous`. Numbers are in SI
-or have a unit, as in a scene, which checks the dimension.
-
-The scenes are a grid of all values or a Latin hypercube. The hypercube is computed with integers and one division (a
-keyed hash, sorted), so that it is the same on every machine, with any version of NumPy and any number of workers.
+or have a unit, as in a scene, which checks the dimension. The scenes are the grid of all values.
 """
 
 import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -42,17 +38,15 @@ class Varied:
 
     Attributes:
         key: Path in the scene, as for `--set`.
-        values: All values; for a range without a number of values, its two ends.
+        values: All values.
         unit: Unit as the user typed it; "" for SI.
         spacing: Spacing of a range; "list" for values given one by one.
-        is_open: Whether it is a range whose values a Latin hypercube chooses.
     """
 
     key: str
     values: tuple[Value, ...]
     unit: str
     spacing: Literal["list", "lin", "log"]
-    is_open: bool = False
 
     @property
     def is_number(self) -> bool:
@@ -66,16 +60,6 @@ class Varied:
             return self.values
         return tuple(dict.fromkeys((self.values[0], self.values[-1])))
 
-    def at(self, shares: Array) -> "Column":
-        """Return the values at fractions of the range, 0 <= share < 1, shape (n,), for a Latin hypercube.
-
-        Each value of a list gets an equal part of 0 to 1.
-        """
-        if self.spacing == "list":
-            return _picked(self, (shares * len(self.values)).astype(int))
-        low, high = (float(value) for value in (self.values[0], self.values[-1]))
-        return np.array([_within(low, high, share, self.spacing) for share in shares.tolist()])
-
     def yaml(self, value: Value, *, with_unit: bool = False) -> str:
         """Return a value as YAML text for an override, in SI; `with_unit`: in the typed unit, so that it is checked."""
         if isinstance(value, str):
@@ -88,8 +72,7 @@ class Varied:
         """Return the key and its values in one line, with six digits."""
         if self.spacing == "list":
             return f"{self.key}={','.join(short(value) for value in self.values)}"
-        count = "" if self.is_open else f":{len(self.values)}"
-        return f"{self.key}={short(self.values[0])}:{short(self.values[-1])}:{self.spacing}{count}"
+        return f"{self.key}={short(self.values[0])}:{short(self.values[-1])}:{self.spacing}:{len(self.values)}"
 
 
 def parse_vary(text: str) -> Varied:
@@ -160,12 +143,14 @@ def _range(text: str, key: str, parts: list[str]) -> Varied:
         raise _refused(text, f"cannot read the range {':'.join(parts)!r}", _SHAPES)
     if low[1] and high[1] and low[1] != high[1]:
         raise _refused(text, f"got the units {low[1]!r} and {high[1]!r}", "give both ends in one unit")
-    unit, [count] = high[1] or low[1], words or ["2"]
+    if not words:
+        raise _refused(text, "has no number of values", "add :N")
+    unit, [count] = high[1] or low[1], words
     if not count.isascii() or not count.isdigit():
         raise _refused(text, f"got {count!r} for the number of values", _SHAPES)
     scale = parse_unit(unit)[0] if unit else 1.0
     values = _spaced(text, low[0] * scale, high[0] * scale, int(count), spacing)
-    return Varied(key, values, unit, spacing, is_open=not words)
+    return Varied(key, values, unit, spacing)
 
 
 def _spaced(text: str, low: float, high: float, count: int, spacing: str) -> tuple[float, ...]:
@@ -175,11 +160,10 @@ def _spaced(text: str, low: float, high: float, count: int, spacing: str) -> tup
         raise _refused(text, f"got {low:g} to {high:g}", "expected finite ends, the lower one first")
     if spacing == "log" and not low > 0.0:
         raise _refused(text, f"got {low:g} as the lower end", "a logarithmic range begins above 0; use lin, or list 0")
-    return (low, *(_within(low, high, i / (count - 1), spacing) for i in range(1, count - 1)), high)
-
-
-def _within(low: float, high: float, share: float, spacing: str) -> float:
-    return low * math.pow(high / low, share) if spacing == "log" else low + (high - low) * share
+    shares = (i / (count - 1) for i in range(1, count - 1))
+    if spacing == "log":
+        return (low, *(low * math.pow(high / low, share) for share in shares), high)
+    return (low, *(low + (high - low) * share for share in shares), high)
 
 
 def _list(text: str, key: str, items: list[str]) -> Varied:
@@ -246,10 +230,8 @@ _MOST_SCENES: Final = 100_000_000
 Column = Array | list[Value]
 """Values of one key for consecutive scenes: numbers, or YAML texts."""
 
-_Hashes = NDArray[np.uint64]
 _SEED_STEP: Final = 0x9E3779B97F4A7C15
 _MIX: Final = ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))
-_MANTISSA: Final = 53
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,54 +239,39 @@ class Points:
     """The points of a sweep: the varied values of every scene, by its global index.
 
     Attributes:
-        varied: Keys with their values; in a grid the last key changes fastest.
-        samples: Points of a Latin hypercube; 0 for the grid of all values.
-        seed: Seed of the hypercube.
+        varied: Keys with their values; the last key changes fastest.
     """
 
     varied: tuple[Varied, ...]
-    samples: int = 0
-    seed: int = 0
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of the scenes: number of values of each key of a grid, or ([algorithms,] samples) of a hypercube."""
-        if not self.samples:
-            return tuple(len(varied.values) for varied in self.varied)
-        return (*(len(varied.values) for varied in self.varied if varied.key == CONTROLLER), self.samples)
+        """Number of values of each key."""
+        return tuple(len(varied.values) for varied in self.varied)
 
     def __len__(self) -> int:
         return math.prod(self.shape)
 
     def numbers(self, key: str) -> NDArray[np.intp]:
-        """Return, for every scene, the index of its value among the values of a key of the grid, shape (n,)."""
-        place = 0 if self.samples else [varied.key for varied in self.varied].index(key)
+        """Return, for every scene, the index of its value among the values of a key, shape (n,)."""
+        place = [varied.key for varied in self.varied].index(key)
         return np.unravel_index(np.arange(len(self)), self.shape)[place]
 
     def columns(self, start: int, stop: int) -> dict[str, "Column"]:
         """Return the values of scenes `start` to `stop` by key, each of length stop - start."""
         indices = np.unravel_index(np.arange(start, stop), self.shape)
-        if not self.samples:
-            return {v.key: _picked(v, index) for v, index in zip(self.varied, indices, strict=True)}
-        found: dict[str, Column] = {}
-        for order, varied in enumerate(self.varied):
-            shares = _shares(self.samples, self.seed, order)[indices[-1]]
-            found[varied.key] = _picked(varied, indices[0]) if varied.key == CONTROLLER else varied.at(shares)
-        return found
+        return {v.key: _picked(v, index) for v, index in zip(self.varied, indices, strict=True)}
 
 
-def make_points(varied: Sequence[Varied], controllers: Sequence[str] = (), samples: int = 0, seed: int = 0) -> Points:
-    """Return the points of a sweep, a grid or a Latin hypercube.
+def make_points(varied: Sequence[Varied], controllers: Sequence[str] = ()) -> Points:
+    """Return the points of a sweep.
 
     Args:
         varied: Keys with their values.
         controllers: Passivity algorithms to run every point under; empty: the scene's own.
-        samples: Points of a Latin hypercube; 0 for a grid.
-        seed: Seed of the hypercube.
 
     Raises:
-        InputError: Nothing varies, a key varies twice, a range of a grid has no number of values, or there are too many
-            scenes.
+        InputError: Nothing varies, a key varies twice, or there are too many scenes.
     """
     keys = [one.key for one in varied]
     twice = sorted({key for key in keys if keys.count(key) > 1})
@@ -314,44 +281,27 @@ def make_points(varied: Sequence[Varied], controllers: Sequence[str] = (), sampl
         varied = [listed(CONTROLLER, controllers), *varied]
     if not varied:
         raise InputError("nothing varies; give --vary KEY=LOW:HIGH:log:N or KEY=A,B,C, or --controllers A,B")
-    for one in varied:
-        if one.is_open and not samples:
-            raise InputError(f"--vary {one}: has no number of values; add :N, or sample it with --sample lhs:N")
-    points = Points(tuple(varied), samples, seed)
+    points = Points(tuple(varied))
     if len(points) > _MOST_SCENES:
-        raise InputError(
-            f"got {len(points)} scenes, expected at most {_MOST_SCENES}; take fewer values, or --sample lhs:N"
-        )
+        raise InputError(f"got {len(points)} scenes, expected at most {_MOST_SCENES}; take fewer values")
     return points
 
 
 def scene_seeds(base: int, indices: NDArray[np.intp]) -> Array:
-    """Return the random seeds of the scenes at the given indices of the whole sweep: whole numbers, shape (n,)."""
-    return (_hashed(base, 0xC0, indices.astype(np.uint64)) % np.uint64(1_000_000_001)).astype(float)
+    """Return the random seeds of the scenes at the given indices of the whole sweep: whole numbers, shape (n,).
+
+    It is the finaliser of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014) of base and index, the same on every machine.
+    """
+    mixed = np.array([base * 1024 + 0xC0], dtype=np.uint64)
+    for value in (np.uint64(0), indices.astype(np.uint64)):
+        mixed = (mixed ^ value) + np.uint64(_SEED_STEP)
+        for shift, factor in _MIX:
+            mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
+        mixed ^= mixed >> np.uint64(31)
+    return (mixed % np.uint64(1_000_000_001)).astype(float)
 
 
 def _picked(varied: Varied, index: NDArray[np.intp]) -> Column:
     if varied.is_number:
         return np.array(varied.values, dtype=np.float64)[index]
     return [varied.values[i] for i in index.tolist()]
-
-
-@lru_cache(maxsize=16)
-def _shares(samples: int, seed: int, order: int) -> Array:
-    """Return one point in each of `samples` equal strata of 0 to 1, shuffled, shape (samples,)."""
-    numbers = np.arange(samples, dtype=np.uint64)
-    strata = np.argsort(_hashed(seed, 2 * order, numbers), kind="stable")
-    within = (_hashed(seed, 2 * order + 1, numbers) >> np.uint64(64 - _MANTISSA)) * 2.0**-_MANTISSA
-    shares: Array = np.minimum((strata + within) / samples, np.nextafter(1.0, 0.0))
-    return shares
-
-
-def _hashed(seed: int, stream: int, numbers: _Hashes) -> _Hashes:
-    """Return the finaliser of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014) of seed, stream and each number."""
-    mixed = np.array([seed * 1024 + stream], dtype=np.uint64)
-    for value in (None, numbers):
-        mixed = (mixed if value is None else mixed ^ value) + np.uint64(_SEED_STEP)
-        for shift, factor in _MIX:
-            mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
-        mixed ^= mixed >> np.uint64(31)
-    return mixed

@@ -101,9 +101,7 @@ def test_bad_input_ends_with_2_and_one_clear_error(capsys: Captured, arguments: 
     assert message in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "arguments", [["--sample", "lhs"], ["--sample", "sobol:5"], ["--workers", "-1"], ["--duration", "5"]]
-)
+@pytest.mark.parametrize("arguments", [["--workers", "-1"], ["--duration", "5"]])
 def test_bad_options_are_refused_by_the_parser(capsys: Captured, arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as raised:
         main([*SMALL, *arguments])

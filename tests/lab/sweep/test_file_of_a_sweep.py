@@ -238,7 +238,6 @@ def test_a_folder_is_neither_overwritten_nor_mixed_with_another_sweep(demo, tmp_
     others = [
         (demo, VARY[:1], ONE, "varied"),
         (demo, VARY, ONE | {"cycles": 21}, "cycles"),
-        (demo, VARY, ONE | {"samples": 32}, "samples"),
         (demo, VARY, ONE | {"metrics": ["margin"]}, "metrics"),
         (load_scene(DEMO, ["environment.position=0"]), VARY, ONE, "configuration"),
     ]
