@@ -167,8 +167,8 @@ def test_an_algorithm_that_lacks_something_takes_the_plant_or_is_refused_with_it
 def test_what_two_algorithms_have_in_common_is_kept(scene):
     loaded = scene("passivity={algorithm: internal_dissipation, alpha: 200 s/m^2, velocity: windowed}")
     axis = loaded.axes[0]
-    assert with_algorithm(axis, "guarded").passivity.parameters.alpha == 200.0  # type: ignore[attr-defined]
-    assert with_algorithm(axis, "unprotected").passivity.parameters.velocity == "windowed"  # type: ignore[attr-defined]
+    assert with_algorithm(axis, "guarded").passivity.parameters.alpha == 200.0
+    assert with_algorithm(axis, "unprotected").passivity.parameters.velocity == "windowed"
     assert with_algorithm(axis, "internal_dissipation") is axis
     heavy = replace(axis, loop=axis.loop.model_copy(update={"moving_mass": 0.2}))
     told = able_under(heavy, "energy_bounding", loaded)  # which needs the damping of the device

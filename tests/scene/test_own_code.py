@@ -349,7 +349,7 @@ def test_a_sweep_gives_its_workers_the_code_of_the_flag_alone(folder: Path, caps
     words = ["sweep", str(path), "--set", ENVIRONMENT, "--vary", vary, "--cycles", "300", "--workers", "2"]
     assert main([*words, "--allow-code", "--json"]) == 0
     scene = load_scene(path, [ENVIRONMENT], allow_code=True)
-    points = make_points([parse_vary(vary)], [], 0, 0)
+    points = make_points([parse_vary(vary)])
     engine = chosen_engine("python", pays=False)
     recipe = make_recipe(scene, points, metrics=("margin",), engine=engine, cycles=10)
     assert recipe.allow_code

@@ -5,9 +5,9 @@ import argparse
 from canhaptic.cli.options import scene_of
 from canhaptic.errors import InputError
 from canhaptic.lab.commands.results import check_files, show, write_files
-from canhaptic.lab.loop.axis_loop import cycles_of
+from canhaptic.lab.loop.axis_loop import cycles_of, is_display
 from canhaptic.lab.render.comparison import comparison_report, draw_comparison, write_comparison_page
-from canhaptic.lab.studies.compare import are_displays, compare, compared_algorithms
+from canhaptic.lab.studies.compare import compare, compared_algorithms
 from canhaptic.scene.method import plant_errors
 from canhaptic.view.terminal import run_progress, write_note
 
@@ -19,7 +19,7 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: A scene, an algorithm or a picture cannot be used.
     """
     scene = scene_of(arguments)
-    displays = are_displays(scene)
+    displays = is_display(scene)
     for line in plant_errors(scene):
         write_note(f"  {line}")
     if arguments.png is not None and displays:

@@ -11,8 +11,8 @@ from canhaptic.axis_units import damping_unit, effort_unit, si, stiffness_unit
 from canhaptic.cli.options import scene_of
 from canhaptic.files import scene_title
 from canhaptic.lab.commands.results import scene_progress, show
+from canhaptic.lab.loop.axis_loop import is_display
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.compare import are_displays
 from canhaptic.lab.studies.design.search import design, display_design_report, display_snippet
 from canhaptic.lab.studies.runner import Progress
 from canhaptic.quantities import ACCOUNT
@@ -32,7 +32,7 @@ def execute(arguments: argparse.Namespace) -> int:
     scene = scene_of(arguments)
     for line in plant_errors(scene):
         write_note(f"  {line}")
-    displays = are_displays(scene)
+    displays = is_display(scene)
     with scene_progress("trying masses" if displays else "trying walls") as progress:
         found = design(
             scene, arguments.margin, arguments.tolerance, arguments.engine,

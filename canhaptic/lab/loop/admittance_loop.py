@@ -14,11 +14,6 @@ _STILL: Final = 1e-9  # smallest command that counts as motion [m/s or rad/s]
 _FEWEST: Final = 30  # fewest SYNCs for a fit of the apparent mass
 
 
-def is_display(scene: Scene) -> bool:
-    """Return whether all axes of a scene are admittance displays."""
-    return all(axis.parameters.admittance is not None for axis in scene.axes)
-
-
 @dataclass(frozen=True)
 class AdmittanceRun(LoopRun):
     """Result of one run; energies are sums over all axes, and `torque` holds velocity commands [m/s or rad/s]."""

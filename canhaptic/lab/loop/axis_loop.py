@@ -1,7 +1,7 @@
 """Loop of one axis without a bus: its case, made from a scene, and its result, a record of every hold.
 
-`loop_case` makes a case from a scene. `with_algorithm` and `able_under` exchange the algorithm of an axis: common
-parameters are kept, and properties that it needs and the scene does not declare are taken from the simulated plant.
+`loop_case` makes a case from a scene. `under` exchanges the algorithm of a scene: common parameters are kept, and
+properties that it needs and the scene does not declare are taken from the simulated plant.
 
 `microseconds_per_step` measures the time of a step. Times are valid for one machine at one moment; they compare the
 columns of one table and are never a pass mark.
@@ -396,36 +396,31 @@ def chosen_algorithms(algorithms: Sequence[str] | None, own: Sequence[str] = ())
 _Part = TypeVar("_Part", AxisScene, GroupScene)
 
 
-def with_algorithm(axis: AxisScene, name: str) -> AxisScene:
-    """Return an axis under another algorithm; parameters that both have (alpha, velocity, ...) are kept."""
-    return _under(axis, name, ALGORITHMS, "passivity algorithm")
+_TABLES: Final[Mapping[tuple[type, bool], tuple[Mapping[str, str], str]]] = {
+    (AxisScene, False): (ALGORITHMS, "passivity algorithm"),
+    (GroupScene, False): (GROUP_ALGORITHMS, "group algorithm"),
+    (AxisScene, True): (DISPLAY_ALGORITHMS, "admittance algorithm"),
+    (GroupScene, True): (DISPLAY_GROUP_ALGORITHMS, "algorithm of several admittance displays"),
+}
+"""Kind of part, and whether it is a display -> its algorithms, and their kind in messages."""
 
 
-def group_under(group: GroupScene, name: str) -> GroupScene:
-    """Return a group under another algorithm; parameters that both have are kept."""
-    return _under(group, name, GROUP_ALGORITHMS, "group algorithm")
+def with_algorithm(part: _Part, name: str, *, displays: bool = False) -> _Part:
+    """Return an axis or group under another algorithm; parameters that both have (alpha, ...) are kept.
 
-
-def display_under(axis: AxisScene, name: str) -> AxisScene:
-    """Return an admittance display under another algorithm, with the default parameters of that algorithm.
+    Args:
+        part: The axis or group.
+        name: Name of the algorithm.
+        displays: Whether it is an admittance display, which takes the default parameters of the algorithm.
 
     Raises:
         ParameterError: The algorithm needs parameters that the scene does not give.
     """
-    return _under(axis, name, DISPLAY_ALGORITHMS, "admittance algorithm", keeps=False)
-
-
-def display_group_under(group: GroupScene, name: str) -> GroupScene:
-    """Return a group of admittance displays under another algorithm; see `display_under`."""
-    return _under(group, name, DISPLAY_GROUP_ALGORITHMS, "algorithm of several admittance displays", keeps=False)
-
-
-def _under(part: _Part, name: str, table: Mapping[str, str], kind: str, *, keeps: bool = True) -> _Part:
-    """Return an axis or group under an algorithm of a table; `keeps`: whether parameters that both have are kept."""
     if part.passivity.name == name:
         return part
-    model, given = load(table, name, kind).parameters_type, part.passivity.parameters
-    common = [key for key in model.model_fields if keeps and key in type(given).model_fields]
+    (table, kind), given = _TABLES[type(part), displays], part.passivity.parameters
+    model = load(table, name, kind).parameters_type
+    common = [key for key in model.model_fields if not displays and key in type(given).model_fields]
     try:
         parameters = model().model_copy(update={key: getattr(given, key) for key in common})
     except ValueError as error:
@@ -441,7 +436,10 @@ def able_under(axis: AxisScene, name: str, scene: Scene) -> AbleAxis:
     Raises:
         ParameterError: The algorithm refuses the axis even with these properties.
     """
-    chosen = with_algorithm(axis, name)
+    displays = axis.parameters.admittance is not None
+    chosen = with_algorithm(axis, name, displays=displays)
+    if displays:
+        return AbleAxis(chosen)
     try:
         loop_case(chosen, scene).controller()
         return AbleAxis(chosen)
@@ -452,6 +450,42 @@ def able_under(axis: AxisScene, name: str, scene: Scene) -> AbleAxis:
         chosen = replace(chosen, loop=chosen.loop.model_copy(update=values))
         loop_case(chosen, scene).controller()
         return AbleAxis(chosen, from_plant)
+
+
+class UnderAlgorithm(NamedTuple):
+    """A scene under one algorithm, or the reason why there is none."""
+
+    scene: Scene | None  # None if it is refused
+    remark: str = ""  # reason of the refusal, or note on the properties taken from the plant
+    from_plant: tuple[str, ...] = ()  # names of these properties
+
+    def permitted(self) -> Scene:
+        """Return the scene, or raise if it is refused.
+
+        Raises:
+            InputError: The scene is refused.
+        """
+        if self.scene is None:
+            raise InputError(self.remark)
+        return self.scene
+
+
+def is_display(scene: Scene) -> bool:
+    """Return whether all axes of a scene are admittance displays."""
+    return all(axis.parameters.admittance is not None for axis in scene.axes)
+
+
+def under(scene: Scene, name: str) -> UnderAlgorithm:
+    """Return a scene with its groups, and its axes outside groups, under an algorithm; see `able_under`.
+
+    Raises:
+        ParameterError: The algorithm refuses the scene.
+    """
+    found = [AbleAxis(axis) if axis.group else able_under(axis, name, scene) for axis in scene.axes]
+    groups = tuple(with_algorithm(group, name, displays=is_display(scene)) for group in scene.groups)
+    last = next((able for able in reversed(found) if able.from_plant), found[-1])
+    axes = tuple(able.axis for able in found)
+    return UnderAlgorithm(replace(scene, axes=axes, groups=groups), last.remark, last.from_plant)
 
 
 _BLOCK: Final = 250

@@ -11,7 +11,7 @@ from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.ledger import LedgerSummary
 from canhaptic.cycle import Cycle, running
 from canhaptic.errors import CanHapticError, InputError, ParameterError, RigError
-from canhaptic.lab.loop.axis_loop import LoopRun, Recorder
+from canhaptic.lab.loop.axis_loop import LoopRun, Recorder, under
 from canhaptic.registry import load
 from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.models import Scene
@@ -99,7 +99,7 @@ def known_algorithms(table: Mapping[str, str], kind: str, algorithms: Sequence[s
 
 
 def accounts_over_can(
-    scene: Scene, names: Sequence[str], cycles: int, under: Callable[[Scene, str], Scene], progress: Progress | None
+    scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None
 ) -> dict[str, dict[str, Any]]:
     """Run a scene under each algorithm; return name -> account with `status` and `remark`.
 
@@ -109,7 +109,6 @@ def accounts_over_can(
         scene: Scene with all drives simulated in this process.
         names: Names of the algorithms.
         cycles: Number of SYNCs of each run.
-        under: (scene, name) -> the scene under that algorithm; a ParameterError means that it refuses the scene.
         progress: Called with the number of cycles done so far, of all runs together.
 
     Raises:
@@ -120,7 +119,7 @@ def accounts_over_can(
     found: dict[str, dict[str, Any]] = {}
     for number, name in enumerate(names):
         try:
-            experiment = build(under(scene, name), "free")
+            experiment = build(under(scene, name).permitted(), "free")
         except ParameterError as error:
             found[name] = {"status": "refused", "remark": str(error)}
             continue

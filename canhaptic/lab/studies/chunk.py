@@ -30,8 +30,7 @@ from canhaptic.lab.batch.scalar import display_figures, group_figures, group_met
 from canhaptic.lab.batch.varied import BATCH_KEYS
 from canhaptic.lab.figures.figures import ALL, DISPLAY_METRICS, METRICS, OUTCOMES
 from canhaptic.lab.loop import axis_loop
-from canhaptic.lab.loop.admittance_loop import is_display
-from canhaptic.lab.loop.axis_loop import Array
+from canhaptic.lab.loop.axis_loop import Array, UnderAlgorithm, is_display
 from canhaptic.lab.loop.over_can import known_algorithms
 from canhaptic.lab.studies.vary import CONTROLLER, Column, Points, Value, Varied, scene_seeds
 from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, parse_yaml
@@ -145,24 +144,6 @@ class Recipe:
     own_code: tuple[tuple[str, str], ...] = ()
 
 
-class Built(NamedTuple):
-    """A scene, or the reason why there is none."""
-
-    scene: Scene | None  # None if it is refused
-    remark: str  # reason of the refusal, or note on the properties taken from the plant
-    from_plant: tuple[str, ...] = ()  # names of the loop properties taken from the plant
-
-    def permitted(self) -> Scene:
-        """Return the scene, or raise if it is refused.
-
-        Raises:
-            InputError: The scene is refused.
-        """
-        if self.scene is None:
-            raise InputError(self.remark)
-        return self.scene
-
-
 def make_recipe(scene: Scene, points: Points, *, allow_code: bool = False, **options: Any) -> Recipe:
     """Return the recipe of a sweep, after each value was checked by itself.
 
@@ -192,7 +173,7 @@ def make_recipe(scene: Scene, points: Points, *, allow_code: bool = False, **opt
         tuple(places[v.key] for v in points.varied),
         tuple(axis_loop.parts_of(scene)),
         scene.simulation.seed if scene.simulation else 0,
-        displays=all(axis.parameters.admittance is not None for axis in scene.axes),
+        displays=is_display(scene),
         allow_code=allow_code or bool(scene.own_code),
         own_code=tuple(scene.own_code.items()),
         **options,
@@ -203,7 +184,7 @@ def make_recipe(scene: Scene, points: Points, *, allow_code: bool = False, **opt
 
 
 @lru_cache(maxsize=256)
-def scene_of(recipe: Recipe, row: Row) -> Built:
+def scene_of(recipe: Recipe, row: Row) -> UnderAlgorithm:
     """Return the scene of a recipe with the values of a row, checked like a scene file with these values.
 
     Args:
@@ -219,8 +200,16 @@ def scene_of(recipe: Recipe, row: Row) -> Built:
         if rate is not None:
             scene = axis_loop.at_rate(scene, float(rate))
     except InputError as error:
-        return Built(None, _first_line(error))
-    return Built(scene, "") if controller is None else _under(scene, str(controller))
+        return UnderAlgorithm(None, _first_line(error))
+    if controller is None:
+        return UnderAlgorithm(scene)
+    if scene.groups:
+        name = scene.groups[0].name
+        return UnderAlgorithm(None, f"{CONTROLLER} {controller}: group {name!r} has algorithms of its own")
+    try:
+        return axis_loop.under(scene, str(controller))
+    except ParameterError as error:
+        return UnderAlgorithm(None, _first_line(error))
 
 
 def seeded(recipe: Recipe, scene: Scene, index: int) -> Scene:
@@ -308,23 +297,6 @@ def _overrides(recipe: Recipe, values: Mapping[str, Value], *, with_unit: bool =
             text = varied.yaml(values[varied.key], with_unit=with_unit)
             texts += [f"{place}={text}" for place in places]
     return texts
-
-
-def _under(scene: Scene, controller: str) -> Built:
-    """Return the scene with every axis under an algorithm; needed properties that are missing come from the plant."""
-    if scene.groups:
-        return Built(None, f"{CONTROLLER} {controller}: group {scene.groups[0].name!r} has algorithms of its own")
-    try:
-        found = [
-            axis_loop.able_under(axis, controller, scene)
-            if axis.parameters.admittance is None
-            else axis_loop.AbleAxis(axis_loop.display_under(axis, controller))
-            for axis in scene.axes
-        ]
-    except ParameterError as error:
-        return Built(None, _first_line(error))
-    last = next((able for able in reversed(found) if able.from_plant), found[-1])
-    return Built(replace(scene, axes=tuple(able.axis for able in found)), last.remark, last.from_plant)
 
 
 def _first_line(error: Exception) -> str:
@@ -446,7 +418,7 @@ class _Chunk:
         if reason or self._recipe.is_alone:
             self._one_by_one(rows, reason)
 
-    def _closed_form(self, built: Built, rows: _Rows, batched: Sequence[str]) -> str:
+    def _closed_form(self, built: UnderAlgorithm, rows: _Rows, batched: Sequence[str]) -> str:
         """Store the spectral radius if the loop is linear; return "", else why it is not."""
         reason = ""
         for index, name in enumerate(self._recipe.axes):
@@ -459,7 +431,7 @@ class _Chunk:
             self._figures[f"{name}/{RADIUS}"][rows] = radii
         return reason
 
-    def _in_arrays(self, built: Built, rows: _Rows, batched: Sequence[str]) -> str:
+    def _in_arrays(self, built: UnderAlgorithm, rows: _Rows, batched: Sequence[str]) -> str:
         """Run the rows as one batch for each axis; return "", else the reason why they cannot run in a batch."""
         recipe, cycles = self._recipe, cycles_in(self._recipe, built.permitted())
         metrics = [metric for metric in recipe.metrics if metric != RADIUS]
@@ -485,7 +457,9 @@ class _Chunk:
             self._note(int(rows[row]), _FAILED, engine, text)
         return ""
 
-    def _varied(self, built: Built, scene: Scene, index: int, rows: _Rows, batched: Sequence[str]) -> dict[str, Array]:
+    def _varied(
+        self, built: UnderAlgorithm, scene: Scene, index: int, rows: _Rows, batched: Sequence[str]
+    ) -> dict[str, Array]:
         """Return the values that vary within a batch of one axis, by key of `BATCH_KEYS`."""
         varied: dict[str, Array] = {}
         for key in batched:
@@ -537,7 +511,7 @@ def row_of(columns: Mapping[str, Column], row: int, keys: set[str] | None = None
     )
 
 
-def _alone(built: Built, name: str) -> Scene:
+def _alone(built: UnderAlgorithm, name: str) -> Scene:
     """Return the scene with only one axis or group."""
     return axis_loop.parts_of(built.permitted())[name]
 
@@ -554,7 +528,7 @@ def _figures_alone(recipe: Recipe, scene: Scene, asked: Sequence[str]) -> tuple[
     return group_figures(group_meter(case, cycles, recipe.engine), asked), is_compiled, case.why_not
 
 
-def _remark_of(built: Built, *, is_batched: bool = False) -> str:
+def _remark_of(built: UnderAlgorithm, *, is_batched: bool = False) -> str:
     """Return the note on properties taken from the plant, and on bus effects that the loop omits."""
     return _joined(built.remark, not_in_loop(built.permitted(), is_batched=is_batched))
 

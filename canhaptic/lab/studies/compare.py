@@ -51,18 +51,13 @@ class Comparison:
     sample_time: float
 
 
-def are_displays(scene: Scene) -> bool:
-    """Whether every axis is an admittance display."""
-    return all(axis.parameters.admittance is not None for axis in scene.axes)
-
-
 def compared_algorithms(scene: Scene, algorithms: Sequence[str] | None) -> list[str]:
     """Return the requested algorithms without repetitions; for None all that fit the scene's axes, displays or groups.
 
     Raises:
         ParameterError: A name is unknown.
     """
-    if are_displays(scene):
+    if axis_loop.is_display(scene):
         every = DISPLAY_GROUP_ALGORITHMS if all(axis.group for axis in scene.axes) else DISPLAY_ALGORITHMS
         return known_algorithms(DISPLAY_ALGORITHMS, "admittance algorithm", algorithms or list(every))
     if scene.groups:
@@ -99,7 +94,7 @@ def compare(
         InputError: Nothing is simulated, an algorithm is unknown, axes are of several kinds, or a rate is given with
             CAN.
     """
-    names, displays = compared_algorithms(scene, algorithms), are_displays(scene)
+    names, displays = compared_algorithms(scene, algorithms), axis_loop.is_display(scene)
     if rate is not None:
         _require_rate(scene, displays=displays, over_can=over_can)
         scene = axis_loop.at_rate(scene, rate)
@@ -237,8 +232,8 @@ def _of_axis(
 
 def _over_can(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> dict[str, Row]:
     """Return the accounts of each display or group over the whole CAN path, by algorithm."""
-    runs = accounts_over_can(scene, names, cycles, _under, progress)
-    account = _of_display if are_displays(scene) else _of_group
+    runs = accounts_over_can(scene, names, cycles, progress)
+    account = _of_display if axis_loop.is_display(scene) else _of_group
     return {part: {name: account(part, of) for name, of in runs.items()} for part in axis_loop.parts_of(scene)}
 
 
@@ -273,14 +268,6 @@ def _of_groups(scene: Scene, names: Sequence[str], cycles: int, engine: Engine, 
     return {**heading_of(scene, cycles, "can" if chosen == "python" else "direct"), "groups": groups}
 
 
-def _under(scene: Scene, name: str) -> Scene:
-    """Return a scene with its displays, or its groups, under an algorithm."""
-    displays = are_displays(scene)
-    group_under = axis_loop.display_group_under if displays else axis_loop.group_under
-    axes = tuple(axis_loop.display_under(a, name) if displays and not a.group else a for a in scene.axes)
-    return replace(scene, axes=axes, groups=tuple(group_under(group, name) for group in scene.groups))
-
-
 def _of_group(name: str, found: Row) -> Row:
     account = {"status": found["status"], "remark": found["remark"], "engine": "python"}
     if "ports" in found:
@@ -301,7 +288,7 @@ def _groups_compiled(scene: Scene, names: Sequence[str], cycles: int, progress: 
 def _compiled(scene: Scene, name: str, cycles: int) -> Row:
     """Return the account of one group; the plant's own energies say whether it was passive."""
     try:
-        run = render_group("numba", _under(scene, name), cycles)
+        run = render_group("numba", axis_loop.under(scene, name).permitted(), cycles)
     except ParameterError as error:
         return {"status": "refused", "remark": str(error), "engine": None}
     account: Row = {**run.summary.as_json(scene.bus.sample_time)}

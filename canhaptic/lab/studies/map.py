@@ -31,8 +31,7 @@ from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch.marching import spectral_radius
 from canhaptic.lab.batch.varied import scene_with
 from canhaptic.lab.figures.figures import NEAR, stiffest_walls
-from canhaptic.lab.loop.admittance_loop import is_display
-from canhaptic.lab.loop.axis_loop import Array, display_under, viscous_friction, with_algorithm
+from canhaptic.lab.loop.axis_loop import Array, is_display, viscous_friction, with_algorithm
 from canhaptic.lab.studies.chunk import BATCHED, COMPLETED, RADIUS, STATUS, UNRENDERED, UNTOUCHED, batch_key
 from canhaptic.lab.studies.store import SweepTable
 from canhaptic.lab.studies.vary import CONTROLLER
@@ -145,10 +144,9 @@ def _scene(table: SweepTable, axis: str, controller: str, allow_code: bool) -> S
     overrides = json.loads(table.note("overrides"))
     scene = scene_from_text(table.note("scene"), table.note("source"), overrides, allow_code=allow_code)
     chosen = next(one for one in scene.axes if axis in (one.parameters.name, one.group))
-    if not controller:
-        return replace(scene, axes=(chosen,))
-    under = with_algorithm if chosen.parameters.admittance is None else display_under
-    return replace(scene, axes=(under(chosen, controller),))
+    if controller:
+        chosen = with_algorithm(chosen, controller, displays=chosen.parameters.admittance is not None)
+    return replace(scene, axes=(chosen,))
 
 
 def _unit_of(scene: Scene, key: str) -> str:

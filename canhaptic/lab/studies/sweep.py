@@ -33,8 +33,7 @@ from canhaptic.lab.batch import (
 )
 from canhaptic.lab.batch.cases import why_not_batchable
 from canhaptic.lab.batch.group_loop import group_case
-from canhaptic.lab.loop.admittance_loop import is_display
-from canhaptic.lab.loop.axis_loop import cycles_of, parts_of, with_algorithm
+from canhaptic.lab.loop.axis_loop import cycles_of, is_display, parts_of, with_algorithm
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.chunk import (
     FIGURES,

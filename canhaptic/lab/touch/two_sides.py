@@ -21,7 +21,7 @@ from canhaptic.control.multi_axis.unprotected_group import UnprotectedGroupParam
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.guided_path import GuidedPath
 from canhaptic.errors import InputError
-from canhaptic.lab.loop.axis_loop import able_under, display_group_under, display_under
+from canhaptic.lab.loop.axis_loop import able_under, with_algorithm
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, FurtherBus, GroupScene, MechanismScene, Scene
@@ -159,7 +159,7 @@ def display_plane(scene: Scene, name: str) -> TouchScene:
         )
     members = [scene.axis(axis) for axis in group.axes]
     guarded = group if group.passivity.name != PLAIN else replace(group, passivity=_guard_of(*members))
-    both = (display_group_under(group, PLAIN), guarded)
+    both = (with_algorithm(group, PLAIN, displays=True), guarded)
     sides = _side(both[0].passivity, group.axes), _side(guarded.passivity, group.axes)
     axes = [_held_axis(axis, side, f"{side.name} {axis.parameters.name}") for side in sides for axis in members]
     groups = tuple(replace(one, name=side.group, axes=side.axes) for one, side in zip(both, sides, strict=True))
@@ -278,7 +278,7 @@ def _line(scene: Scene, axis: AxisScene) -> TouchScene:
     """Return the handles of one axis or admittance display: unprotected, and under the algorithm of the scene."""
     is_display, environment = axis.parameters.admittance is not None, cast(Any, axis.environment.parameters)
     if is_display:
-        plain = display_under(axis, PLAIN)
+        plain = with_algorithm(axis, PLAIN, displays=True)
         guarded = axis if axis.passivity.name != PLAIN else replace(axis, passivity=_guard_of(axis))
     else:
         plain = able_under(axis, PLAIN, scene).axis

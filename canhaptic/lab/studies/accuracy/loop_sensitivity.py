@@ -34,7 +34,7 @@ from canhaptic.lab.judge.reference_group import DisplayModel
 from canhaptic.lab.judge.reference_model import MotionError
 from canhaptic.lab.judge.solvers import located
 from canhaptic.lab.loop import axis_loop
-from canhaptic.lab.loop.admittance_loop import AdmittanceRun, is_display
+from canhaptic.lab.loop.admittance_loop import AdmittanceRun
 from canhaptic.lab.loop.axis_loop import at_rate, parts_of
 from canhaptic.lab.reference import ContinuousRun
 from canhaptic.lab.studies import Row
@@ -223,30 +223,13 @@ def _algorithms(base: Scene, names: Iterable[str]) -> Iterator[Variant]:
     for name in names:
         if name != _algorithm_of(base):
             try:
-                changed, remark = _under(base, name)
+                found = axis_loop.under(base, name)
+                changed = found.permitted()
+                if changed.groups and not axis_loop.is_display(changed):
+                    build_group(changed, changed.groups[0])
             except ParameterError:
                 continue
-            yield Variant("algorithm", name, changed, remark=remark)
-
-
-def _under(scene: Scene, name: str) -> tuple[Scene, str]:
-    """Return an axis or group under another algorithm, and which values this took from the plant.
-
-    Raises:
-        ParameterError: The algorithm needs values that the scene does not give.
-    """
-    displays = is_display(scene)
-    if scene.groups:
-        change = axis_loop.display_group_under if displays else axis_loop.group_under
-        changed = replace(scene, groups=(change(scene.groups[0], name),))
-        if not displays:
-            build_group(changed, changed.groups[0])
-        return changed, ""
-    (axis,) = scene.axes
-    able = (
-        axis_loop.AbleAxis(axis_loop.display_under(axis, name)) if displays else axis_loop.able_under(axis, name, scene)
-    )
-    return replace(scene, axes=(able.axis,)), able.remark
+            yield Variant("algorithm", name, changed, remark=found.remark)
 
 
 def _filters(base: Scene) -> Iterator[Variant]:
@@ -545,7 +528,7 @@ def _ideal(scene: Scene, steps: int) -> Scene:
         sensor = SimulatedForceSensor(sampling="mean")
         return _with(axis, known, 1e3, delay=0, loop=loop.model_copy(update=ideal), sensor=sensor)
 
-    finer = at_rate(_under(scene, _PLAIN)[0], steps / scene.bus.sample_time)
+    finer = at_rate(axis_loop.under(scene, _PLAIN).permitted(), steps / scene.bus.sample_time)
     bus = finer.bus.model_copy(update={"rpdo": "event"})  # a command acts at once
     return replace(finer, bus=bus, axes=tuple(map(changed, finer.axes)))
 

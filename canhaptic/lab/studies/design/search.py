@@ -30,10 +30,10 @@ from canhaptic.errors import CheckFailedError, InputError
 from canhaptic.files import scene_title
 from canhaptic.lab.batch import Engine
 from canhaptic.lab.batch.scalar import display_figures
-from canhaptic.lab.loop.axis_loop import Array, parts_of, require_design_room
+from canhaptic.lab.loop.axis_loop import Array, is_display, parts_of, require_design_room
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.chunk import places_of
-from canhaptic.lab.studies.compare import are_displays, compare
+from canhaptic.lab.studies.compare import compare
 from canhaptic.lab.studies.design import trial as trials
 from canhaptic.lab.studies.design.contact_quality import felt_of
 from canhaptic.lab.studies.runner import pool_of
@@ -100,7 +100,7 @@ def design(
         InputError: The scene cannot be designed for, or a margin or tolerance is out of range.
         CheckFailedError: Not even the softest wall passes.
     """
-    if are_displays(scene):
+    if is_display(scene):
         return design_displays(scene, margin, tolerance, progress)
     require_design_room(margin, tolerance)
     if not scene.groups:
