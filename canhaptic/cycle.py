@@ -15,7 +15,7 @@ from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.control.ledger import EnergyLossMeter, Ledger
 from canhaptic.control.passivity import Controller
-from canhaptic.control.verdict import BY_CONSTRUCTION, NOT_CHECKED, UNDECIDED
+from canhaptic.control.verdict import BY_CONSTRUCTION, COUNTS_DISAGREE, NOT_CHECKED, UNDECIDED
 from canhaptic.drive.clock import DurationHistogram, VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.safety.link_policy import LossBudget, StopReason, reason_of
@@ -304,17 +304,21 @@ class Cycle:
                 self._event(0, "setting", drive.axis.name, text)
 
     def note_found_holds(self) -> None:
-        """Log what the test of a dithered axis has found of its hold, which its verdict needs."""
+        """Log what the run itself has found of the hold of an axis, which its verdict needs."""
         for axis, found in self.found_holds().items():
             self._event(self.rig.sync_index, "hold", self.rig.drives[axis].axis.name, found)
 
     def found_holds(self) -> dict[int, str]:
-        """Return for each dithered axis what is known of its hold: by commissioning, else by the test of the run."""
-        known: dict[int, str] = {}
+        """Return what the run itself has found of the hold of each axis.
+
+        For a dithered axis it is what is known: by commissioning, else by the test of the run.
+        """
+        known = {axis: COUNTS_DISAGREE for axis in self._axes if self.rig.drives[axis].disagreement}
         grouped = {axis for group in self.groups for axis in group.axes}
         alone = (axis for axis in self._axes if axis not in grouped)
         for axis, controller in zip(alone, self.controllers, strict=False):
-            if (found := getattr(controller, "hold_found", "")) and not self.rig.dry_run:
+            found = "" if axis in known else getattr(controller, "hold_found", "")
+            if found and not self.rig.dry_run:
                 before = self.rig.drives[axis].hold
                 known[axis] = before if found == UNDECIDED and before not in (NOT_CHECKED, BY_CONSTRUCTION) else found
         return known
@@ -481,7 +485,11 @@ def running(cycle: Cycle) -> Iterator[None]:
         except BaseException:
             rig.stop(ramp=False)
             raise
-        rig.stop(ramp=False, reason=StopReason.OPERATOR)
+        try:
+            rig.stop(ramp=False, reason=StopReason.OPERATOR)
+        except RigError as error:
+            cycle.note_fault(error)
+            raise
     finally:
         cycle.note_found_holds()
         cycle.note_link()

@@ -36,6 +36,7 @@
        |  |- CommandLostError                3   a drive does not act on its RPDO
        |  |- FramesLostError                 3   too many samples or commands were lost
        |  |- TpdoContradictedError           3   different TPDOs with one COB-ID answered one SYNC
+       |  |- HoldsContradictedError          3   host and drive count different holds without a new torque
        |  |- SecondMasterError               3   another master sends on the bus
        |  `- BusFailedError                  3   a frame could not be sent, or none be read
        |- SyncsSkippedError                  3   this computer was late for too many SYNCs
@@ -319,6 +320,10 @@ class FramesLostError(LinkError):
 
 class TpdoContradictedError(LinkError):
     """SYNCs were answered by process data with one COB-ID and different content."""
+
+
+class HoldsContradictedError(LinkError):
+    """Host and drive counted different holds in which an old torque acted on."""
 
 
 class SecondMasterError(LinkError):

@@ -19,7 +19,7 @@ from canhaptic.control.ledger import LedgerSummary, without_dust
 from canhaptic.control.motion_checks import FrictionDeclared, FrictionWatch, MassAsked, MassFelt
 from canhaptic.control.verdict import PortResult
 from canhaptic.errors import InputError, LogFormatError
-from canhaptic.logs.columns import DIGEST, FRICTION_DECLARED
+from canhaptic.logs.columns import DIGEST, FRICTION_DECLARED, PHASE
 from canhaptic.logs.energy_reader import EnergyLog, Quantities, read_safely
 from canhaptic.logs.hdf5 import Array
 from canhaptic.meters import ActiveLimits, PortFigures, Promise, limits_of
@@ -433,7 +433,7 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
             **overall(ports),
             "ports": ports,
             "truth": truth,
-            "timing": _timing(log, rows),
+            "timing": _timing(log, rows) | _phase(log, rows),
             "link": _link(log, rows),
             "contacts": stretches,
             "events": [event for event in events if (start or 0.0) <= event["time"] < (inf if stop is None else stop)],
@@ -610,6 +610,11 @@ def _timing(log: EnergyLog, rows: slice) -> dict[str, int | dict[str, float]]:
         return {}  # in lock-step virtual time does not advance within a cycle: all durations are 0
     missed = int((late > log.sample_time_ns).sum())
     return {"deadlines_missed": missed} | result | {"cycle_time": _quantiles(cycle_time)}
+
+
+def _phase(log: EnergyLog, rows: slice) -> dict[str, dict[str, float]]:
+    """Return how far the host was from the phase to keep, to either side; nothing of a run that leads its own cycle."""
+    return {PHASE: _quantiles(np.abs(log.timing.read(PHASE, rows.start, rows.stop)))} if PHASE in log.timing else {}
 
 
 def _quantiles(durations: Array) -> dict[str, float]:

@@ -50,6 +50,8 @@ LATE: Final = "acts a hold late, run canhaptic commission"
 """Values of `hold` by that test; with the last two no torque of the run has a certificate."""
 BY_CONSTRUCTION: Final = "by construction"
 """Value of `hold` of a simulated drive that acts in the hold that its scene declares."""
+COUNTS_DISAGREE: Final = "refuted by the counts of held torques"
+"""Value of `hold` if host and drive counted different holds without a new torque: no account of the run is true."""
 BY_CERTIFICATE: Final = "by certificate"
 """Value of `why` if every torque was certified and nothing refutes the certificates."""
 UNCHECKED: Final = frozenset({NOT_CHECKED, UNDECIDED})
@@ -245,8 +247,8 @@ def _too_coarse(resolution: float, energy_in: float) -> str:
 
 
 def worst_hold(holds: Iterable[str]) -> str:
-    """Return what is known of the hold of several axes: of one that was not checked, if there is one; "" of none."""
-    return max(holds, key=UNCHECKED.__contains__, default="")
+    """Return what is known of the hold of several axes, the worst first: refuted, not checked, checked; "" of none."""
+    return max(holds, key=lambda hold: (hold == COUNTS_DISAGREE, hold in UNCHECKED), default="")
 
 
 def is_certified(account: PortResult) -> bool:
@@ -286,6 +288,8 @@ def handle_verdict(account: PortResult) -> tuple[Verdict, str] | None:
         return None
     if "active_at_handle_since" in account:
         return "no", ""
+    if account.get("hold") == COUNTS_DISAGREE:
+        return "no", COUNTS_DISAGREE
     certain = account.get("least_certain_at_handle")
     found, why = _verdict_of(account, least, account["energy_resolution"], is_certified(account), certain)
     return ("in doubt", "the device may have dissipated more") if found == "no" else (found, why)
@@ -299,7 +303,9 @@ def _verdict_of(
         has_open_hold=account.get("open_hold", False), allowance=account.get("energy_allowance", 0.0),
         is_estimated=account.get("resolution_is_estimated", False), books_least=account.get("books_least", False),
     )  # fmt: skip
-    if found == "yes" and (hold := account.get("hold")) in UNCHECKED:
+    if (hold := account.get("hold")) == COUNTS_DISAGREE:
+        return "no", hold
+    if found == "yes" and hold in UNCHECKED:
         remedy = "render for longer, or harder" if hold == UNDECIDED else "run canhaptic commission, or set check_hold"
         return "in doubt", f"the hold of its torques was {hold}: {remedy}"
     is_other = account.get("uncommanded_cycles", 0) > 0  # the read-back may be of another hold than declared
@@ -357,6 +363,8 @@ def headline(account: PortResult) -> Headline:
     """
     if account.get("dry_run"):
         return "dry run"
+    if account.get("hold") == COUNTS_DISAGREE:
+        return "no"
     passive = account.get("plant_passive", account["passive"])
     at_handle = account.get("plant_passive_at_handle", account.get("passive_at_handle"))
     found: Verdict = "yes" if at_handle == "yes" else passive

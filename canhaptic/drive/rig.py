@@ -308,6 +308,7 @@ class Rig:
 
         Raises:
             RigError: A drive did not confirm that it is disabled, or a fault was met while a weight was held.
+            HoldsContradictedError: The drives are disabled, and a drive's count of held torques contradicts the host's.
         """
         if not self.is_running:
             return
@@ -324,6 +325,12 @@ class Rig:
         if unconfirmed:
             text = f"not confirmed to be disabled: {'; '.join(unconfirmed)}; cut the power of the drive"
             raise RigError(text, self.records)
+        contradicted = next((drive for drive in self.drives if drive.disagreement), None)
+        if contradicted is not None and self.stop_reason is StopReason.OPERATOR:
+            self.stop_reason, name = StopReason.HOLDS_CONTRADICTED, contradicted.axis.name
+            rule = STOP_TABLE[self.stop_reason]
+            text = f"{name}: {rule.meaning}: {contradicted.disagreement}; {rule.remedy} [{self.stop_reason.name}]"
+            raise rule.error(text, self.records, name)
 
     def begin_stop(self) -> int:
         """Command every brake to set, once nothing but the weights acts; return the SYNCs for which they are held on.
@@ -385,6 +392,7 @@ class Rig:
         unconfirmed = self._disable(Trust.NONE if issubclass(error, LinkError) else Trust.SOME)
         if unconfirmed:
             text += f"; NOT confirmed to be disabled: {'; '.join(unconfirmed)}"
+        text += "".join(f"; {of.axis.name}: {of.disagreement}" for of in self.drives if of.disagreement)
         return error(f"{text} [{reason.name}]", self.records, axis)
 
     def _disable(self, trust: Trust) -> list[str]:
@@ -424,6 +432,7 @@ class Rig:
             StopReason.EMERGENCY: str(drive.emergency),
             StopReason.POSITION_JUMP: f"limit {drive.axis.largest_speed:g} {drive.axis.unit}/s",
             StopReason.NMT_STATE_LEFT: drive.state_text,
+            StopReason.HOLDS_CONTRADICTED: drive.disagreement,
         }
         return details.get(reason, f"state {drive.state.value}, statusword {drive.statusword:#06x}")
 

@@ -23,6 +23,9 @@ _PORTS: Final = "ports/"
 GROUP_AXES: Final = "group_axes"
 """`NAME.group_axes`: names of the axes of a group (JSON). The port of a group has an account but no position."""
 
+PHASE: Final = "phase"
+"""Column of `timing` of a run that follows the clock of a drive, such as on EtherCAT."""
+
 ACTIVE_LIMITS: Final = "active_limits"
 """`NAME.active_limits`: the finite bounds (`ActiveLimits`) from which the column `active` is computed (JSON)."""
 
@@ -47,6 +50,7 @@ _MEANINGS: Final = {
     "certificate": ", ".join(f"{member.value} {member.name.lower()}" for member in Certificate),
     "dropped_before": "cycles lost between the row before and this one because the ring was full",
     "sync_index": "index k of the SYNC",
+    "phase": "phase of the last frame that was read, of its SYNC0, minus the phase to keep",
     "deadline_index": "sample times since SYNC 0, more than sync_index after skipped SYNCs; times sample_time_ns: time",
     DIGEST: "CRC-32 of the row: every other column in the order of the format, each as 8 bytes, little endian",
 }
@@ -105,6 +109,7 @@ class LogSchema(NamedTuple):
     synchronise: bool  # after each chunk the file is forced to the disk
     attributes: dict[str, Attribute]
     version: int = FORMAT_VERSION  # of the format
+    has_phase: bool = False  # of the host against SYNC0, of a run whose cycle follows the clock of a drive
 
     def columns(self) -> list[_LogColumn]:
         """Return the columns in the order in which the ring's record holds them."""
@@ -112,6 +117,8 @@ class LogSchema(NamedTuple):
         columns += [_LogColumn(f"timing/{name}", "ns", "i8") for name in CycleTiming._fields]
         if self.version > 1:
             columns.append(_LogColumn("timing/deadline_index", "1", "i8"))
+        if self.has_phase:
+            columns.append(_LogColumn(f"timing/{PHASE}", "ns", "i8"))
         for port in self.ports:
             columns += _port_columns(port, self.version)
         if self.with_truth:

@@ -87,7 +87,8 @@ def found_columns(path: Path, file: Hdf5File, ports: Sequence[str]) -> tuple[Col
     """
     version = int(file.attributes.get("format_version", log_format.FORMAT_VERSION))
     described = tuple(log_format.PortDescription(name, "m") for name in ports)
-    schema = log_format.LogSchema(described, 1, bool(file.names("truth")), 1, False, {}, version)
+    has_phase = log_format.PHASE in file.names("timing")
+    schema = log_format.LogSchema(described, 1, bool(file.names("truth")), 1, False, {}, version, has_phase)
     rows = {column.path: _column(path, file, column.path, column.dtype) for column in schema.stored()}
     return rows, {name: _column(path, file, name, dtype) for name, dtype in log_format.EVENT_COLUMNS.items()}
 

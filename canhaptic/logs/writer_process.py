@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, Final, Literal, cast
+from typing import IO, Any, Final, Literal, Protocol, cast
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.errors import LogStoppedError, LogWriteError, ParameterError
@@ -297,6 +297,13 @@ class BusLogWriter(WriterProcess):
         return self._frames.recorder(bus, partial(self.insist, self._frames))
 
 
+class FollowedClock(Protocol):
+    """The clock of a drive that the cycle follows."""
+
+    error: int
+    """Phase of the last frame minus the phase to keep [ns]."""
+
+
 class EnergyLogWriter(WriterProcess):
     """Writes one energy log (HDF5).
 
@@ -309,10 +316,14 @@ class EnergyLogWriter(WriterProcess):
         attributes: Attributes of the run: configuration text and hash, versions, clock base, bit rate, ...
         sample_time_ns: Sample time [ns].
         with_truth: Whether a simulation supplies true values.
+        with_phase: Whether the cycle follows the clock of a drive, so that `clock` must be set before the first cycle.
         pace: "real" or "free".
         ring_rows: Capacity of the ring.
         on_failure: Called once, from another thread, with the reason when the log can no longer be written; cycles are
             then dropped and counted at every pace.
+
+    Attributes:
+        clock: Clock of a drive that the cycle follows; None without one.
 
     Raises:
         LogWriteError: The file cannot be created.
@@ -326,6 +337,7 @@ class EnergyLogWriter(WriterProcess):
         *,
         sample_time_ns: int,
         with_truth: bool = False,
+        with_phase: bool = False,
         pace: Literal["real", "free"] = "real",
         ring_rows: int = _RING_ROWS,
         on_failure: Callable[[str], None] | None = None,
@@ -335,13 +347,15 @@ class EnergyLogWriter(WriterProcess):
         self.path = Path(path).absolute()
         chunk = _FREE_CHUNK if pace == "free" else max(16, min(_FREE_CHUNK, _FLUSH_TIME_NS // sample_time_ns))
         schema = LogSchema(
-            tuple(ports), sample_time_ns, with_truth, min(chunk, ring_rows // 2), pace == "real", dict(attributes)
-        )
+            tuple(ports), sample_time_ns, with_truth, min(chunk, ring_rows // 2), pace == "real", dict(attributes),
+            has_phase=with_phase,
+        )  # fmt: skip
         job = {"kind": "energy", "path": str(self.path), "pace": pace, "schema": schema}
         super().__init__(job, [schema.ring(ring_rows), EVENT_RING], on_failure)
         self._rows, self._events = self.rings
         self._push = self._rows.push
         self._unreported = 0
+        self.clock: FollowedClock | None = None
 
     def append(
         self,
@@ -369,7 +383,8 @@ class EnergyLogWriter(WriterProcess):
         """
         due = sync_index if deadline is None else deadline
         known = measured or self._nothing
-        row: list[float] = [self._unreported, sync_index, *timing, due, *samples[0], *balances[0], *known[0]]
+        phase = () if self.clock is None else (self.clock.error,)
+        row: list[float] = [self._unreported, sync_index, *timing, due, *phase, *samples[0], *balances[0], *known[0]]
         for port in self._further:
             row += (*samples[port], *balances[port], *known[port])
         if truths is not None:

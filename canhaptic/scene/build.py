@@ -248,6 +248,8 @@ class Experiment:
                 else Link(faulty.get(n, bus), clock, records[n], echoes=echoes(named[n]))
                 for n, bus in enumerate(buses)
             ]
+            if self.energy_log is not None:
+                self.energy_log.clock = next((lock for of in links if (lock := getattr(of, "lock", None))), None)
             self.rig = _build_rig(scene, links, dry_run=no_torque)
             # A simulation in real time is as uneven as this computer; the declared jitter is that of the simulated bus.
             is_exact = pace == "free" or not scene.simulated

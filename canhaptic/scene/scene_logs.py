@@ -56,10 +56,11 @@ def open_energy_log(
     names = [axis.parameters.name for axis in scene.axes]
     attributes = _run_attributes(scene, pace) | _active_attributes(scene.ports, names, meters)
     attributes |= {DRY_RUN: 1} if dry_run else {}
-    period, with_truth = scene.bus.sample_time_ns, scene.simulated
+    period, has_phase = scene.bus.sample_time_ns, kind_of(scene.bus) == "ethercat"
     return EnergyLogWriter(
-        path, ports, attributes, sample_time_ns=period, with_truth=with_truth, pace=pace, on_failure=on_failure
-    )
+        path, ports, attributes, sample_time_ns=period, with_truth=scene.simulated, with_phase=has_phase, pace=pace,
+        on_failure=on_failure,
+    )  # fmt: skip
 
 
 def open_bus_log(scene: Scene, path: Path, pace: _Pace, on_failure: _OnFailure) -> BusLogWriter:

@@ -20,6 +20,7 @@ from canhaptic.axis_units import counted, si
 from canhaptic.control.verdict import Headline, PortResult
 from canhaptic.errors import InputError
 from canhaptic.files import replacing
+from canhaptic.logs.columns import PHASE
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.hdf5 import Array
 from canhaptic.signals import CycleTiming
@@ -246,7 +247,11 @@ def _further(log: EnergyLog, rows: slice) -> tuple[_Panels, list[str]]:
         if name not in log.group_of:
             lines = {"damping": thinned(port.read("damping_rendered", *span))}
             panels[f"{name}: damping rendered"] = port.unit("damping_rendered"), lines
-    timing = {name.replace("_", " "): thinned(log.timing.read(name, *span)) for name in CycleTiming._fields}
+    timing = {
+        name.replace("_", " "): thinned(log.timing.read(name, *span))
+        for name in (*CycleTiming._fields, PHASE)
+        if name in log.timing
+    }
     panels["timing"] = "s", {name: (at, values * _S_PER_NS) for name, (at, values) in timing.items()}
     panels["lost"] = "", {name: thinned(np.cumsum(of)) for name, of in losses(log, *span).items() if of.any()}
     shown = {name: panel for name, panel in panels.items() if any(line.any() for _, line in panel[1].values())}

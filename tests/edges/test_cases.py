@@ -42,7 +42,8 @@ def test_a_case_ends_for_its_reason_with_zero_torque_first_or_goes_on(name: str,
 
 def test_every_way_out_has_a_case() -> None:
     """A new `StopReason` joins the cases in the same commit."""
-    assert set(StopReason) - {case.reason for case in CASES.values()} == {StopReason.NONE}
+    on_a_line = {StopReason.HOLDS_CONTRADICTED}  # in tests/drive/ethercat: no drive on CAN counts its holds
+    assert set(StopReason) - {case.reason for case in CASES.values()} == {StopReason.NONE} | on_a_line
 
 
 def test_a_drive_that_brakes_is_left_to_brake_for_its_time_before_anything_else_disables_it() -> None:

@@ -15,6 +15,7 @@ from canhaptic.errors import (
     ForceRangeError,
     FramesLostError,
     HeartbeatLostError,
+    HoldsContradictedError,
     NmtStateLeftError,
     NotFollowingError,
     OwnCodeLateError,
@@ -40,6 +41,7 @@ REASONS = {  # the numbers are in logs that exist
     "SYNCS_SKIPPED": 15,
     "FRAMES_LOST": 16,
     "TPDO_CONTRADICTED": 17,
+    "HOLDS_CONTRADICTED": 18,
     "EMERGENCY": 20,
     "DRIVE_FAULT": 21,
     "STATE_LEFT": 22,
@@ -80,6 +82,7 @@ RAISED = {
     "OWN_CODE_LATE": OwnCodeLateError,
     "FRAMES_LOST": FramesLostError,
     "TPDO_CONTRADICTED": TpdoContradictedError,
+    "HOLDS_CONTRADICTED": HoldsContradictedError,
     "TORQUE_CONTRADICTED": TorqueContradictedError,
     "ENERGY_UNCERTAIN": EnergyUncertainError,
 }

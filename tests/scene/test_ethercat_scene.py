@@ -3,11 +3,15 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
+from canhaptic.audit.inspection import inspect
+from canhaptic.control.verdict import COUNTS_DISAGREE
 from canhaptic.drive.safety.link_policy import StopReason
-from canhaptic.errors import InputError, SceneError
+from canhaptic.errors import HoldsContradictedError, InputError, SceneError
+from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene, scene_from_mapping
 from canhaptic.scene.models import Scene
@@ -93,6 +97,29 @@ def test_faults_of_the_line_are_counted_and_the_account_holds() -> None:
     assert min(account["bus_effects"].values()) > 0
     truth, port = account["truth"]["handle"], account["ports"]["handle"]
     assert port["least_certain"] <= truth["least_interaction"] + 1e-12
+
+
+def test_a_count_of_held_torques_that_contradicts_the_host_is_a_no_in_run_and_log_which_has_the_phase(
+    tmp_path: Path,
+) -> None:
+    experiment = build(load_scene(SCENE, [SOON, "simulation.bus={drift: 80 ppm}"]), energy_log=tmp_path / "run.h5")
+    drive: Any = experiment.cables[""].drives[0]
+    counter = drive.store.find(0x1C32, 11)
+
+    def miscount(cycle: int) -> None:
+        counter.value += cycle == 120
+
+    account, error = experiment.run_through(200, progress=miscount)
+    assert isinstance(error, HoldsContradictedError)
+    assert experiment.rig.stop_reason is StopReason.HOLDS_CONTRADICTED
+    handle = account["ports"]["handle"]
+    assert (handle["passive"], handle["verdict"], handle["why"]) == ("no", "no", COUNTS_DISAGREE)
+    with EnergyLog(tmp_path / "run.h5") as log:
+        assert 1 < np.abs(log.timing["phase"]).max() < 1000  # [ns]
+        seen = inspect(log)
+    assert [seen["ports"]["handle"][key] for key in ("passive", "verdict", "why")] == ["no", "no", COUNTS_DISAGREE]
+    assert 1e-9 < seen["timing"]["phase"]["max"] < 1e-6
+    assert {"fault", "hold"} < {event["kind"] for event in seen["events"]}
 
 
 @pytest.mark.parametrize(

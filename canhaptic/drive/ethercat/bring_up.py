@@ -191,16 +191,22 @@ class EthercatBringUp(BringUp):
         return next((value for value in (stated, of_file) if value is not None), _ASSIGN_ACTIVATE)
 
     def _lock_phase(self) -> None:
-        """Run cycles until the phase has been within 5 % of the period for 1 s."""
+        """Run cycles until the phase has been within 5 % of the period for 1 s, and the clock of every drive is."""
         line = self._drive.line
-        end = line.clock.now() + _LOCK_SECONDS * 1_000_000_000
-        while not line.lock.is_locked:
+        end, apart = line.clock.now() + _LOCK_SECONDS * 1_000_000_000, ""
+        while not line.lock.is_locked or (apart := self._apart()):
             require_none()
             if line.clock.now() >= end:
                 share = 100.0 * line.lock.error / self._drive.sample_time_ns
-                raise self.refusal("phase lock", f"an error of {share:.3g} % of the period after {_LOCK_SECONDS} s",
-                                   "at most 5 % for 1 s")  # fmt: skip
+                seen = apart or f"an error of {share:.3g} % of the period after {_LOCK_SECONDS} s"
+                raise self.refusal("phase lock", seen, "at most 5 % of the period for 1 s")
             line.idle()
+
+    def _apart(self) -> str:
+        """Return which clock does not follow the reference clock yet, in words; "" where every one does."""
+        with self.step("phase lock"):
+            found = {drive.axis.name: drive.clock_objection() for drive in self._drive.line.drives}
+        return "; ".join(f"{name}: {text}" for name, text in found.items() if text)
 
     def enter_safe_op(self) -> None:
         """Take the drive to SAFE-OP, and check that it runs on SYNC0; raise StartError."""

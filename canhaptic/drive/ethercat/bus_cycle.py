@@ -6,6 +6,7 @@ counter is used either. Every answer carries the AL status of all drives, since 
 """
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
 from canhaptic.drive.clock import Clock
@@ -15,7 +16,7 @@ from canhaptic.drive.ethercat.phase_lock import PhaseLock
 from canhaptic.drive.ethercat.segment import AlState, Cycle, FrameKind, Identity, Segment
 from canhaptic.drive.pace import Pace
 from canhaptic.drive.profile.torque_axis import ReceivedEmergency
-from canhaptic.errors import InputError
+from canhaptic.errors import InputError, LinkError
 
 if TYPE_CHECKING:
     from canhaptic.drive.bus_cycle import BackgroundLine
@@ -62,7 +63,7 @@ class EthercatBusCycle:
         self._pace = Pace(self._period)
         self._first_kind = _READ if bus.frames == 2 else _BOTH
         self._keep_alive: Callable[[], int] | None = None
-        self._keep_alive_due = self._mailbox = self._since_mail = 0
+        self._keep_alive_due = self._looks = self._since_mail = 0
         self._mail_cycles = bus.mail_cycles
         self.is_running = False
         self.begin()
@@ -158,13 +159,17 @@ class EthercatBusCycle:
         self._send_outputs()
 
     def beat(self) -> None:
-        """Look, now and then, into the mailbox of one drive after the other for an emergency."""
+        """Look, now and then, into the mailbox of one drive after the other for an emergency, and at its clock."""
         self._since_mail += 1
         if self._since_mail < self._mail_cycles or not self.is_running or not self.drives:
             return
         self._since_mail = 0
-        self._mailbox = (self._mailbox + 1) % len(self.drives)
-        drive = self.drives[self._mailbox]
+        self._looks += 1
+        drive = self.drives[self._looks // 2 % len(self.drives)]
+        if self._looks % 2:
+            with suppress(LinkError):  # its next turn comes
+                drive.look_at_clock()
+            return
         found = self.segment.mail(drive.axis.position)
         if found is not None and found.code and drive.emergency is None:
             drive.emergency = ReceivedEmergency(found.code, found.register, found.vendor)

@@ -63,5 +63,4 @@ class HeldTorques:
         counted = (drive - before) % _WRAP
         if counted <= until % _WRAP <= counted + self.unanswered or until >= _WRAP // 2:
             return ""
-        seen = f"the drive counts {counted}, the host {until} and {self.unanswered} frames without answer"
-        return f"the counts of held torques disagree: {seen}"
+        return f"the drive counts {counted}, the host {until} and {self.unanswered} frames without answer"

@@ -8,7 +8,7 @@ from canhaptic.drive.cycle_parameters import CycleParameters
 from canhaptic.drive.profile.torque_axis_parameters import TorqueAxisParameters
 from canhaptic.units import PrintablePath, PrintableText, quantity
 
-_MAIL_NS: Final = 20_000_000  # between two looks into the mailboxes for an emergency
+_MAIL_NS: Final = 10_000_000  # between two looks: into a mailbox for an emergency, or at the clock of a drive
 _QUIET_NS: Final = 100_000_000
 
 
@@ -50,7 +50,7 @@ class EthercatBusParameters(CycleParameters):
 
     @property
     def mail_cycles(self) -> int:
-        """Sample times between two looks into a mailbox."""
+        """Sample times between two looks into a mailbox or at a clock."""
         return max(1, round(_MAIL_NS / self.sample_time_ns))
 
     @property

@@ -24,12 +24,12 @@ class PhaseLock:
     Attributes:
         first: System time of some SYNC0 [ns].
         error: Phase of the last frame minus the target, -period/2 .. period/2 [ns].
-        close: Consecutive frames whose error was at most 5 % of the period.
+        close: Consecutive frames whose error was at most 5 % of the period, which is `close_ns` [ns].
     """
 
     def __init__(self, period: int, target: int) -> None:
         self._period, self._target = period, target
-        self._close = round(_LOCKED * period)
+        self.close_ns = round(_LOCKED * period)
         self._needed = -(-_SECOND // period)
         self.begin(0)
 
@@ -55,7 +55,7 @@ class PhaseLock:
         period = self._period
         half = period // 2
         self.error = error = (dc_time - self.first - self._target + half) % period - half
-        if -self._close <= error <= self._close:
+        if -self.close_ns <= error <= self.close_ns:
             self.close += 1
         else:
             self.close = 0

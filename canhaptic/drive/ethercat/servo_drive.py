@@ -14,6 +14,7 @@ from canhaptic.drive.ethercat.image_map import ImageMap, choose_image
 from canhaptic.drive.ethercat.parameters import EthercatAxisParameters
 from canhaptic.drive.ethercat.segment import AlState, ImageSlice, al_remedy, al_text, state_name
 from canhaptic.drive.profile.torque_axis import CycleRules, TorqueAxis
+from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.drive.safety.power_states import PowerState
 from canhaptic.errors import LinkError, RigError, SdoError
 from canhaptic.registry import load
@@ -23,6 +24,8 @@ AL_STATUS: Final = 0x0130
 SYSTEM_TIME: Final = 0x0910
 SYNC_ACTIVATION: Final = 0x0980
 WATCHDOG: Final = 0x0420
+_DIFFERENCE: Final = 0x092C  # of its system time from that of the reference clock; bit 31: it is behind
+_MAGNITUDE: Final = 0x7FFF_FFFF
 _REACTION_NS: Final = 100_000_000
 _POLL_NS: Final = 1_000_000
 _SLOTS: Final = (od.STATUSWORD, od.POSITION_ACTUAL)
@@ -43,7 +46,6 @@ class EthercatDrive(TorqueAxis):
         map: Its process data.
         al_status, al_code: Registers 0x0130 and 0x0134 as read last.
         missed_before: 0x1C32:0B as the host began to count; None where the drive has none.
-        disagreement: How the counts of held torques contradict each other, in words; "" where they do not.
 
     Raises:
         DictionaryError: The dictionary is not fit for cyclic torque.
@@ -73,7 +75,6 @@ class EthercatDrive(TorqueAxis):
         self._output = self._input = 0
         self._bit = 1 << len(line.drives)
         self.al_status = self.al_code = 0
-        self.disagreement = ""
         line.add(self)
         self.reset()
 
@@ -82,7 +83,6 @@ class EthercatDrive(TorqueAxis):
         super().reset()
         self.al_status = self.al_code = 0
         self.missed_before: int | None = None
-        self.disagreement = ""
 
     def bring_up(self) -> Any:
         """Return the steps that start the drive in its mode: an `EthercatBringUp`."""
@@ -140,6 +140,22 @@ class EthercatDrive(TorqueAxis):
         self.al_status, self.al_code = data[0], int.from_bytes(data[4:6], "little")
         self.is_operational = self.al_status == AlState.OP
 
+    def clock_objection(self) -> str:
+        """Return how far the clock of the drive is from the reference clock, in words; "" where it follows it.
+
+        Raises:
+            LinkError: The frame was lost.
+        """
+        apart = int.from_bytes(self.line.segment.register(self.axis.position, _DIFFERENCE, size=4), "little")
+        apart, most = apart & _MAGNITUDE, self.line.lock.close_ns
+        text = f"its clock is {apart / 1e3:g} us from the reference clock (0x092C), limit {most / 1e3:g} us"
+        return text if apart > most else ""
+
+    def look_at_clock(self) -> None:
+        """End the run where the clock of the drive does not follow the reference clock; raise LinkError."""
+        if found := self.clock_objection():
+            self.disagreement, self._distrust = found, StopReason.HOLDS_CONTRADICTED
+
     def read_state(self) -> PowerState:
         """Ask the drive for its power state, after a fault reaction that is under way; raise SdoError."""
         end = self.now() + _REACTION_NS
@@ -194,11 +210,10 @@ class EthercatDrive(TorqueAxis):
         if self.missed_before is not None and line.held.hold is not None:
             until = line.held.until(int.from_bytes(line.segment.register(place, SYSTEM_TIME, size=8), "little"))
             with suppress(SdoError):  # a drive that fails to tell is no contradiction
-                self.disagreement = line.held.objection(self.sdo.read(*SM_EVENT_MISSED), self.missed_before, until)
+                self.disagreement = self.disagreement or line.held.objection(
+                    self.sdo.read(*SM_EVENT_MISSED), self.missed_before, until
+                )
             self.missed_before = None
-            if self.disagreement:
-                self.uncommanded += 1  # no torque of the run is known to have acted in its hold
-                self.remarks.append(self.disagreement)
 
     def await_pre_operational(self) -> None:
         """Take the drive to PRE-OP, and switch its SYNC0 off."""

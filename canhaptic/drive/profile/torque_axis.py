@@ -162,6 +162,8 @@ class TorqueAxis(ABC):
         longest_gap: Most sample times between two SYNCs since the last `reset`: 1 where none was skipped.
         open_time, open_torque: Sample times before the last whole sample in which another torque than its own may have
             acted, and the largest difference between them [N*m or N].
+        disagreement: How the drive's count of held torques contradicts the host's at the end, in words; "" where it
+            does not, or the drive has none.
         emergency: The first EMCY with an error code since the last `reset`; None when there was none.
     """
 
@@ -211,6 +213,7 @@ class TorqueAxis(ABC):
         self.alive_at = self.now()
         self.emergency: ReceivedEmergency | None = None
         self.outputs: int | None = None
+        self.disagreement = ""
         self.remarks: list[str] = []
         self.controlword = int(od.Controlword.DISABLE_VOLTAGE)
         self._values: tuple[int, ...] | list[int] = (0, 0, 0)  # statusword, position counts, torque per mille

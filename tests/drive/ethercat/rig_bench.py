@@ -1,5 +1,6 @@
 """A rig on a line of simulated EtherCAT drives, in virtual time."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from canhaptic.drive.clock import VirtualClock
@@ -26,13 +27,14 @@ class Bench:
         axis: Keys of every axis.
         bus: Keys of the line.
         drive: Keys of every simulated drive.
+        clocks: Clocks of the drives; None: by `drift`.
     """
 
     def __init__(
         self, count: int = 1, drift: int = 0, effects: CableEffects | None = None, axis: Any = None, drive: Any = None,
-        **bus: Any,
+        clocks: Sequence[ClockParameters] | None = None, **bus: Any,
     ) -> None:  # fmt: skip
-        clocks = [ClockParameters(drift - 30_000 * n if drift else 0, 123_456_789 * n) for n in range(count)]
+        clocks = clocks or [ClockParameters(drift - 30_000 * n if drift else 0, 123_456_789 * n) for n in range(count)]
         self.drives = [make_drive(clock, **(drive or {})) for clock in clocks]
         self.cable = Cable(self.drives, PERIOD, effects, seed=1)
         self.clock = VirtualClock((self.cable,))

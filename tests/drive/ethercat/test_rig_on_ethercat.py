@@ -3,8 +3,9 @@
 import pytest
 
 from canhaptic.drive.safety.link_policy import StopReason
-from canhaptic.errors import NmtStateLeftError, RigError, StartError, TpdoLostError
+from canhaptic.errors import HoldsContradictedError, NmtStateLeftError, RigError, StartError, TpdoLostError
 from canhaptic.sim.drive.ethercat.cable import CableEffects
+from canhaptic.sim.drive.ethercat.drive_node import ClockParameters
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.ethercat.rig_bench import Bench
 from tests.sim_drive.ethercat_line import PERIOD
@@ -57,14 +58,35 @@ def test_lost_and_late_frames_cost_samples_and_the_counts_of_held_torques_agree(
     assert all(axis.uncommanded == 0 for axis in b.axes)
 
 
-def test_counts_of_held_torques_that_disagree_are_said() -> None:
+def is_off(b: Bench) -> bool:
+    return [(drive.state, drive.torque, drive.al_state) for drive in b.drives] == [(DISABLED, 0.0, PRE_OP)] * 2
+
+
+@pytest.mark.parametrize("drift", [40_000, -40_000])  # [ppb]: the counts would show the faster one, and only later
+def test_a_clock_that_follows_no_other_ends_the_run_before_a_hold_is_counted_otherwise(drift: int) -> None:
+    b = Bench(2, clocks=(ClockParameters(), ClockParameters(drift, 77_777, has_servo=False)))
+    with pytest.raises(HoldsContradictedError, match=r"axis1: .* its clock is .* us from the reference clock .* 50 us"):
+        b.run(500, 5.0, -2.0)
+    assert b.rig.stop_reason is StopReason.HOLDS_CONTRADICTED
+    assert [bool(axis.disagreement) for axis in b.axes] == [False, True]
+    assert is_off(b)
+
+
+def test_a_clock_that_is_far_from_the_reference_clock_is_refused_at_the_start() -> None:
+    b = Bench(2, clocks=(ClockParameters(), ClockParameters(-200_000, 77_777, has_servo=False)))
+    with pytest.raises(StartError, match=r"phase lock: got axis1: its clock is .* us from the reference clock"):
+        b.rig.start()
+    assert is_off(b)
+
+
+def test_counts_of_held_torques_that_disagree_end_the_run() -> None:
     b = Bench()
     b.rig.start()
     entry = b.drives[0].store.find(0x1C32, 11)
     assert entry is not None
     entry.value = entry.number + 7
-    b.rig.stop()
-    assert "the counts of held torques disagree: the drive counts 8, the host 1" in b.axes[0].disagreement
+    with pytest.raises(HoldsContradictedError, match=r"axis0: .* disagree: the drive counts 8, the host 1"):
+        b.rig.stop()
 
 
 def test_a_drive_that_leaves_op_ends_the_run_with_its_al_code_although_every_counter_is_full() -> None:

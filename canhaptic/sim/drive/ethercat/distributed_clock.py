@@ -10,7 +10,7 @@ from typing import Final
 _PPB: Final = 1_000_000_000
 _MASK: Final = (1 << 64) - 1
 _CATCH: Final = 1_000_000  # [ns] a larger difference is for the offset, which the master writes
-_LARGEST_STEP: Final = 2_000  # [ns] by which one frame shifts the clock
+_LARGEST_STEP: Final = 50_000  # [ns] by which one frame shifts the clock
 _STEPS: Final = 8  # parts of a difference of which one frame takes one away
 _SIGN: Final = 1 << 31
 _SHORTEST: Final = 1_000  # [ns] from one SYNC0 to the next
