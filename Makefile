@@ -14,7 +14,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 # make test PINNED=1: exactly the versions of constraints.txt (Python 3.11 on Linux), by hash
 PINNED ?=
-INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile  # what is imported is compiled then, a third of it
 
 # One stamp per set of extras: a changed pyproject.toml installs again.
 $(VENV)/bin/pip:

@@ -115,6 +115,7 @@ def test_the_same_scene_gives_the_same_frames_and_every_reader_agrees(
     capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_a_guard_that_acts_makes_the_mass_heavier_and_every_reader_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

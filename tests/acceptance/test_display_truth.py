@@ -94,6 +94,7 @@ def test_the_guard_says_yes_where_it_is_due() -> None:
     assert sum(said) >= 0.8 * len(said)
 
 
+@pytest.mark.slow
 def test_a_command_that_acts_much_later_than_declared_is_found() -> None:
     """A control: the judge finds what it is made to find, unless the display itself finds it first."""
     denied = noticed = 0

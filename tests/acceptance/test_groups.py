@@ -42,7 +42,7 @@ def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         yield request.param, ran, log
 
 
-@pytest.mark.slow_but("xy_box")
+@pytest.mark.slow_but("two_handles")
 def test_the_true_energy_of_the_group_never_falls_below_zero_and_the_account_closes(whole: Whole) -> None:
     name, experiment, log = whole
     judge, group = experiment.cycle.judge, log.ports[GROUP[name]]
@@ -57,6 +57,7 @@ def test_the_true_energy_of_the_group_never_falls_below_zero_and_the_account_clo
     assert np.array_equal(true, -sum(log.truth[axis]["motor"] for axis in AXES[name]))
 
 
+@pytest.mark.slow_for("xy_box")
 def test_what_is_believed_of_each_axis_and_of_the_group_is_true_within_the_encoders_bound(whole: Whole) -> None:
     name, experiment, log = whole
     judge, bounds = experiment.cycle.judge, []
@@ -71,6 +72,7 @@ def test_what_is_believed_of_each_axis_and_of_the_group_is_true_within_the_encod
     assert judge.believed_error[2] <= sum(bounds)
 
 
+@pytest.mark.slow_for("xy_box")
 def test_the_energies_of_what_is_simulated_close_over_the_run(whole: Whole) -> None:
     name, _, log = whole
     sums = {part: log.truth[GROUP[name]][part] for part in ("motor", "user", "dissipated", "stored")}

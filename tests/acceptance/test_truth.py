@@ -193,6 +193,7 @@ def test_a_winding_that_gets_hot_gives_less_torque_within_its_run() -> None:
     assert lost >= 2
 
 
+@pytest.mark.slow
 def test_five_bars_start_in_every_pose_and_near_singular_ones() -> None:
     scenes = _changing("pose", 25)
     linkages = [scene.values["simulation"]["mechanisms"][0] for scene in scenes]
@@ -201,6 +202,7 @@ def test_five_bars_start_in_every_pose_and_near_singular_ones() -> None:
     assert sum("pose:near_singular" in scene.tags for scene in scenes) >= 4
 
 
+@pytest.mark.slow
 def test_scenes_name_every_effect_environment_limit_algorithm_and_declaration():
     named, keys = set(), set()
     for seed in range(1200):
@@ -304,6 +306,7 @@ def test_a_torque_in_another_hold_is_booked_right_where_it_is_declared_and_wrong
     assert error < 5e-5 if is_booked else error > 1e-2
 
 
+@pytest.mark.slow_for("30039")
 @pytest.mark.parametrize("seed", [30039, 30243])  # detents, and a slot whose hand pushes harder than was guessed
 def test_where_an_environment_turns_a_hand_keeps_its_words_by_where_the_handle_is(seed):
     drawn = random_scene(seed)
@@ -367,6 +370,7 @@ class TestFalseDeclarations:
         assert (row["runs"], row["mattered"], row["found"], row["missed"]) == (4, 3, 2, 1)
         assert row["share"] == 0.333
 
+    @pytest.mark.slow
     def test_command_line_simulate_and_cycle_say_the_same_of_a_false_hold(self):
         scene = falsified(4)
         _, outcome = judged(scene)

@@ -11,6 +11,7 @@ from canhaptic.cli.main import main
 from canhaptic.logs.energy_reader import EnergyLog
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::canhaptic.errors.OverrideWarning")  # keys of guarded are dropped
 def test_the_first_moment_below_zero_is_the_same_in_run_log_check_and_python(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -458,6 +458,7 @@ def test_every_picture_and_page_written_is_named_for_one_log_and_for_two(
         assert capsys.readouterr().err.split() == ["picture", str(picture), "page", str(page)]
 
 
+@pytest.mark.slow
 def test_a_csv_reads_back_to_the_same_bits(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert typed.inspect(log, "--csv", tmp_path / "run.csv", "--json") == 0
     capsys.readouterr()
@@ -471,6 +472,7 @@ def test_a_csv_reads_back_to_the_same_bits(log: Path, tmp_path: Path, capsys: py
         typed.inspect(log, "--csv", tmp_path / "run.txt")
 
 
+@pytest.mark.slow
 def test_a_mat_file_holds_every_quantity(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     io = pytest.importorskip("scipy.io")
     assert typed.inspect(log, "--mat", tmp_path / "run.mat", "--json") == 0

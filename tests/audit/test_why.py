@@ -117,6 +117,7 @@ def test_the_cause_that_was_added_is_among_the_first_two(kind: str, tmp_path: Pa
     assert found["causes"][0]["value"] is not None
 
 
+@pytest.mark.slow
 def test_the_advised_value_calms_the_twin_and_json_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _, scene = buzzing.pair("damping", Random(3))
     scene["duration"] = 0.6

@@ -176,7 +176,7 @@ def check_and_run(path: Path, folder: Path, capsys: Captured) -> dict[str, Any]:
     return result
 
 
-@pytest.mark.slow_but("array_maps")
+@pytest.mark.slow
 @pytest.mark.parametrize("path", [OURS, *(TRAITS / f"{n}_maps.eds" for n in ("fixed", "array"))], ids=lambda p: p.stem)
 def test_a_started_configuration_is_accepted_and_runs(path: Path, tmp_path: Path, capsys: Captured) -> None:
     assert check_and_run(path, tmp_path, capsys)["ports"]["axis1"]["in"] > 1e-5

@@ -79,6 +79,7 @@ def test_run_json_is_one_object_with_the_names_of_the_design(capsys: Captured, t
         assert sum(h for h in opened.ports["handle"]["h_i"] if h > 0) == pytest.approx(port["in"], rel=1e-12)
 
 
+@pytest.mark.slow
 def test_the_scene_names_its_logs_and_options_win(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["run", *SHORT, "--set", "log={energy: scene.h5, bus: scene.log}", "--log", "option.h5"]) == 0

@@ -82,7 +82,7 @@ COMMANDS = {
 }  # fmt: skip
 
 
-@pytest.mark.slow_for("accuracy", "compare", "compare long name", "run long name", "sweep", "design")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 def test_no_table_of_a_command_loses_anything(name: str, printed: list[Any]) -> None:
     command, *words = COMMANDS[name]

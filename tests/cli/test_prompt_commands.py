@@ -124,6 +124,7 @@ def test_ctrl_c_right_after_the_entry_ends_with_130_and_one_line(command: str) -
     assert len(written.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_ctrl_c_inside_a_library_ends_the_command_before_the_library_returns() -> None:
     status, written, seconds = interrupted(BUSY, "sweep", str(CONFIGS / "demo.yaml"), "--vary", "bus.rate=100,200")
     assert (status, written) == (130, "canhaptic: interrupted\n")

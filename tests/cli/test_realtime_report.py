@@ -29,6 +29,7 @@ def test_the_timing_line_says_what_was_refused(capsys: Captured) -> None:
     assert "realtime freeze garbage granted" in out
 
 
+@pytest.mark.slow
 def test_a_brief_run_says_what_was_refused_and_nothing_that_was_granted(capsys: Captured) -> None:
     assert main(["run", DEMO, "--pace", "real", "--duration", "0.05", *ASKED]) == 0
     out = " ".join(capsys.readouterr().out.split())

@@ -22,6 +22,7 @@ def test_a_scene_of_the_package_is_found_by_its_name_from_any_folder(
     assert load_scene(name).config_hash() == load_scene(shipped("configs") / "demo.yaml").config_hash()
 
 
+@pytest.mark.slow
 def test_every_scene_is_found_by_its_whole_name_and_by_a_short_one_that_no_other_has(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -94,6 +94,7 @@ def test_a_bus_log_without_a_scene_is_shown_frame_by_frame(capsys: pytest.Captur
     assert "name the scene of the run with --config" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_schema_and_the_host_check_are_modes(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["configs", "--schema"]) == 0
     assert '"title": "canhaptic scene"' in capsys.readouterr().out

@@ -95,7 +95,7 @@ sys.exit(main(sys.argv[2:]))
 """
 
 
-@pytest.mark.slow_for("matplotlib-plot-words1")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("library", "extra", "words"),
     [

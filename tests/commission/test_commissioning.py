@@ -253,6 +253,7 @@ def test_an_axis_that_goes_too_far_loses_its_torque() -> None:
     assert not [finding for finding in report.findings if finding.item in ("torque scale", "moving mass")]
 
 
+@pytest.mark.slow
 def test_a_handle_that_was_too_fast_gets_half_the_torque_the_next_time() -> None:
     said = Answers()
     session = Session(load_scene(DEMO), said, CommissioningLimits(speed=8e-3), lambda: False)

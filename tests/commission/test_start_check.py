@@ -31,6 +31,7 @@ def checked(*overrides: str) -> tuple[Scene, list[str]]:
     return checked_holds(load_scene(DEMO, [ASKED, *overrides]), said.append, lambda: False), said
 
 
+@pytest.mark.slow
 def test_a_hold_that_agrees_is_in_the_account_of_the_run() -> None:
     scene, said = checked()
     assert said[0].startswith("handle: hands off. check_hold: reversals of 0.97 N")
@@ -83,6 +84,7 @@ def test_a_hold_that_nothing_tells_leaves_no_yes_by_certificate(monkeypatch: pyt
     assert (port["passive"], port["why"][:33]) == ("in doubt", "the hold of its torques was not c")
 
 
+@pytest.mark.slow
 def test_a_run_without_torque_or_without_the_key_checks_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

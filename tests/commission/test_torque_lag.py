@@ -47,6 +47,7 @@ def measured(lag: float, damping: float, friction: str, count: float, offset: fl
     return late
 
 
+@pytest.mark.slow_but("dry")
 @pytest.mark.parametrize("friction", FRICTIONS)
 def test_a_first_order_lag_is_found_whatever_the_friction(friction: str) -> None:
     late, error = measured(300e-6, 0.1, friction, 1e-6)
@@ -164,6 +165,7 @@ def test_a_lag_that_ends_the_wall_is_declared_with_the_allowance_that_keeps_it(m
     assert allowance < 1e-3
 
 
+@pytest.mark.slow
 def test_an_allowance_is_proposed_once_and_only_where_none_is_declared() -> None:
     session, _ = timed()
     known = {"moving_mass": 0.2, "device_damping_bound": 0.5, "device_friction_bound": 1.0}

@@ -44,7 +44,7 @@ def delay_of(effects: list[Effect], hold: int, count: float = 1e-6, doublets: in
     return found
 
 
-@pytest.mark.slow_but("nothing-0", "lag--1", "a lag of a hold-0")
+@pytest.mark.slow_but("lag--1")
 @pytest.mark.parametrize("hold", [-1, 0, 1, 2])
 @pytest.mark.parametrize("effects", EFFECTS)
 def test_the_hold_is_found_with_any_lag_the_friction_and_the_shaft(effects: str, hold: int) -> None:
@@ -65,6 +65,7 @@ def test_strong_damping_is_part_of_the_model_and_not_taken_for_a_resonance() -> 
     assert (found.is_explained, found.hold(0.25)) == (True, hold)
 
 
+@pytest.mark.slow
 def test_a_motion_that_is_no_model_of_a_rig_tells_no_hold() -> None:
     generator = np.random.default_rng(3)
     torques = np.concatenate([np.zeros(5), reversals(1.0, 36, 16)])
@@ -94,6 +95,7 @@ def test_a_hold_is_named_where_one_alone_is_possible(low: float, high: float, ho
     assert found._replace(is_explained=False).hold(0.25) is None
 
 
+@pytest.mark.slow
 @given(st.floats(0.05, 2.0), st.floats(0.0, 2.0), st.sampled_from([None, (0.3, 0.05), (1.2, 0.2)]))
 def test_the_response_to_a_step_is_that_of_the_differential_equations(
     lag: float, begin: float, mode: tuple[float, float] | None

@@ -43,7 +43,7 @@ def drive(made, delay, script):
         before = balance
 
 
-@pytest.mark.slow_but("1-*-spring_damper_wall", "0-*-detents", "0-*guarded-*", "1-internal_dissipation-*")
+@pytest.mark.slow_but("1-*-spring_damper_wall", "0-guarded-*", "1-internal_dissipation-detents")
 @every_algorithm
 @pytest.mark.parametrize("delay", [0, 1, pytest.param(3, marks=pytest.mark.slow)])
 @settings(max_examples=8)
@@ -114,7 +114,7 @@ def test_switched_on_in_contact_there_is_no_torque_while_the_user_rests(environm
     assert all(made.step(-0.015, 0.0).torque == 0.0 for _ in range(20))
 
 
-@pytest.mark.slow_but("1-*", "0-guarded-*")
+@pytest.mark.slow_but("1-*-detents", "*-guarded-*", "1-internal_dissipation-*", "1-unprotected-*")
 @every_algorithm
 @pytest.mark.parametrize("delay", [0, 1])
 def test_a_user_at_rest_never_draws_energy(environment, algorithm, delay):
@@ -128,6 +128,7 @@ def test_a_user_at_rest_never_draws_energy(environment, algorithm, delay):
     assert balance.gen == 0.0
 
 
+@pytest.mark.slow_but("*-spring_damper_wall", "guarded-*", "internal_dissipation-*")
 @every_algorithm
 def test_a_lost_position_repeats_the_torque_and_books_it_with_the_next(environment, algorithm):
     made = controller(algorithm, EVERY[environment][0])
@@ -148,12 +149,14 @@ def test_a_lost_position_repeats_the_torque_and_books_it_with_the_next(environme
             position, held = position - 3e-4, late.torque
 
 
+@pytest.mark.slow_but("*-spring_damper_wall", "guarded-*")
 @every_algorithm
 def test_before_the_first_position_there_is_nothing_to_repeat(environment, algorithm):
     made = controller(algorithm, EVERY[environment][0])
     assert made.sample_lost()._replace(branch=0) == AT_REST
 
 
+@pytest.mark.slow_but("*-spring_damper_wall", "internal_dissipation-*", "unprotected-*")
 @pytest.mark.parametrize("algorithm", [name for name in algorithms() if name != "guarded"])
 def test_a_reversal_hidden_by_a_lost_position_is_booked_at_its_worst(environment, algorithm):
     """Trap 13: out and back the displacement is near 0, and torque times displacement would be too.

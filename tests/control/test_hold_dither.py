@@ -98,6 +98,7 @@ def test_looks_are_as_few_as_doublings() -> None:
     assert (watch.looks, watch.found) == (5, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("drive", "said", "cycles"),
     [

@@ -30,7 +30,7 @@ def close_to(value: Any) -> Any:
     return value if isinstance(value, int) else pytest.approx(value, rel=1e-3, abs=1e-9)
 
 
-@pytest.mark.slow_but("fig4")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FIGURES)
 def test_the_figures_of_today_are_the_committed_ones(name: str) -> None:
     found = {label: figures_of(taken) for label, taken in runs(name).items()}
@@ -42,6 +42,7 @@ def test_the_figures_of_the_traps_of_today_are_the_committed_ones() -> None:
     assert traps() == close_to(COMMITTED["traps"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "damping", "wall", "amplitude"), [("fig4", 5.0, 0.0, 0.1), ("fig8", 10.0, -0.05, 0.15)]
 )
@@ -55,6 +56,7 @@ def test_the_continuous_wall_of_the_pictures_is_that_of_an_ode_solver(
     assert taken.reference.variation == pytest.approx(variation(torque), rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["fig5", "fig8"])
 def test_the_energy_of_a_record_is_that_of_its_torques_and_motions(name: str) -> None:
     taken = runs(name)["no_delay"]

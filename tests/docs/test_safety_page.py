@@ -1,5 +1,7 @@
 """What the page on safety says of a host that stalls is so."""
 
+import pytest
+
 from canhaptic.cycle import run
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
@@ -34,6 +36,7 @@ def test_holds_longer_than_certified_give_energy_out_and_the_account_says_so() -
     assert abs(accounted - true) < 1e-4
 
 
+@pytest.mark.slow
 def test_lost_frames_help_against_stalls() -> None:
     accounted, true, skipped = stalled_run(max_consecutive_losses=16)
     assert skipped > 200

@@ -56,7 +56,7 @@ def mass_felt(person: Person) -> float:
     return float(np.linalg.lstsq(rows, force[1:-1][20:-5], rcond=None)[0][0])
 
 
-@pytest.mark.slow_but("cia402_admittance.eds-velocity")
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["velocity", "position"])
 @pytest.mark.parametrize("name", ["cia402_admittance.eds", *FIT])
 def test_a_dictionary_leads_to_a_mass_that_is_felt(

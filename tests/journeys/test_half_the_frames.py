@@ -1,5 +1,7 @@
 """Half the frames are gone: a person reads why the run ended, and finds no way to go on with a useless account."""
 
+import pytest
+
 from canhaptic.logs.energy_reader import EnergyLog
 from tests.journeys.person import CONFIGS, Person
 
@@ -10,6 +12,7 @@ HALF = (
 )
 
 
+@pytest.mark.slow
 def test_half_the_frames_are_gone(person: Person) -> None:
     shown = person.types("run", DEMO, *HALF, "--pace", "free", "--log", "run.h5", status=3)
     assert "% of SYNCs answered" in shown

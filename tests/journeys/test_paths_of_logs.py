@@ -23,6 +23,7 @@ def test_a_dry_run_shows_what_would_be_sent_and_its_log_can_be_opened(person: Pe
     person.types("replay", "dry.log", "--config", DEMO, *IN_CONTACT[2:], "--energy-log", "dry.h5")
 
 
+@pytest.mark.slow
 def test_a_recording_is_inspected_recomputed_and_replayed(person: Person) -> None:
     result = person.runs(DEMO, *IN_CONTACT, "--log", "run.h5", "--bus-log", "run.log")
     read = json.loads(person.types("inspect", "run.h5", "--recompute", "--bus-log", "run.log", "--json"))

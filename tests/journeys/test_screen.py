@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SPENT = {"passivity.device_damping": 0.0, "passivity.energy_allowance": "20 uJ"}
 
 
+@pytest.mark.slow
 def test_a_knob_whose_allowance_is_spent_says_when_its_torque_ended_and_a_share_that_is_not_negative(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -25,6 +26,7 @@ def test_a_knob_whose_allowance_is_spent_says_when_its_torque_ended_and_a_share_
     assert f"no torque after {acted:.4g} s" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.slow
 def test_a_knob_that_gives_energy_back_is_rendered_as_requested() -> None:
     result = canhaptic.simulate("rotary_knob", duration=1.0)
     port = result.account.raw["ports"]["knob"]
@@ -76,7 +78,7 @@ def test_a_second_save_is_one_clear_error_unless_overwrite_is_given(tmp_path: Pa
 SCENES = sorted(path for path in (ROOT / "configs").rglob("*.yaml") if path.parent.name != "drives")
 
 
-@pytest.mark.slow_but("demo")
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 def test_inspect_fits_on_a_screen_and_tells_the_rest_when_asked(

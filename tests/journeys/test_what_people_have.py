@@ -50,6 +50,7 @@ class MyWall(Environment):
 """
 
 
+@pytest.mark.slow
 def test_own_wall_in_a_notebook(cell: Cell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cell(WALL)
     text = 'result = canhaptic.simulate("demo", {"environment": MyWall(stiffness=300)}, duration=0.6, progress=False)'
@@ -118,6 +119,7 @@ class Frame:
         return np.array(self._rows)
 
 
+@pytest.mark.slow
 def test_recorded_hand_from_an_array(monkeypatch: pytest.MonkeyPatch) -> None:
     time = np.linspace(0.0, 0.4, 401)
     array = np.column_stack((time, -0.1 * np.sin(5.0 * time)))
@@ -147,6 +149,7 @@ def test_an_array_that_is_no_motion_is_one_error(array: object, expected: str) -
         canhaptic.simulate("demo", {"simulation.user.motion": array}, progress=False)
 
 
+@pytest.mark.slow
 def test_a_mapping_may_hold_objects(cell: Cell) -> None:
     wall = cell(WALL)["MyWall"]
     demo = canhaptic.load_scene("demo")

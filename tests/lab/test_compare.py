@@ -175,6 +175,7 @@ def test_what_two_algorithms_have_in_common_is_kept(scene):
     assert (told.axis.loop.moving_mass, told.axis.loop.device_damping) == (0.2, 0.1)
 
 
+@pytest.mark.slow
 def test_at_rest_the_stiffness_is_that_of_the_wall_and_nothing_cycles(scene):
     leaning = scene("simulation.user={damping: 10, push: -5}", "duration=4 s")
     found = account(leaning, "unprotected")
@@ -197,6 +198,7 @@ def test_a_run_that_stops_has_a_code_and_its_reason_is_a_remark(scene):
     assert "position_error" not in found
 
 
+@pytest.mark.slow
 def test_another_rate_may_be_beyond_the_bus_but_not_over_can(scene):
     assert account(scene(), "guarded", rate=8000.0, duration=0.6)["position_error"]["rms"] < 2e-5
     assert at_rate(scene(), 8000.0).axes[0].loop.sample_time == 125e-6
@@ -269,6 +271,7 @@ def test_a_picture_that_cannot_be_written_or_has_nothing_to_show_is_refused(scen
         draw_comparison(refused, tmp_path / "picture.png")
 
 
+@pytest.mark.slow
 def test_many_algorithms_are_drawn_in_bands_below_each_other(scene, monkeypatch):
     comparison, kept = compare(scene(), ["unprotected"], duration=0.05, repeats=0), []
     [axis], names = comparison.axes, [f"algorithm {k}" for k in range(7)]

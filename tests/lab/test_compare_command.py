@@ -18,6 +18,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 FIGURE = str(REPOSITORY / "configs" / "paper_fig5_100hz.yaml")
 
 
+@pytest.mark.slow
 def test_the_table_shows_that_the_original_fails_in_fig_5(capsys):
     assert main(["compare", FIGURE, "--algorithms", "a_priori_dissipation,internal_dissipation"]) == 0
     shown = capsys.readouterr().out

@@ -32,6 +32,7 @@ def reference(environment, cycles=1500, effects=()):
     return continuous_reference(environment, PLANT, USER, effects, MS, cycles)
 
 
+@pytest.mark.slow_but("50.0-*")
 @pytest.mark.parametrize(
     ("stiffness", "damping", "surface"), [(1000.0, 5.0, 0.0), (1e5, 50.0, 0.002), (50.0, 0.0, -0.01)]
 )
@@ -43,7 +44,7 @@ def test_the_wall_is_that_of_an_independent_dop853(stiffness, damping, surface):
     assert np.abs(found.position - position).max() < 2e-9
 
 
-@pytest.mark.slow_for("DamperWall", "TwoSidedWall", "HardeningWall")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "environment",
     [
@@ -62,6 +63,7 @@ def test_the_closed_form_and_dop853_agree(environment):
     assert np.abs(reference(environment, 1000).position - position).max() < 2e-9
 
 
+@pytest.mark.slow
 def test_a_relaxing_medium_is_that_of_an_independent_integration():
     medium = ViscoelasticMedium(stiffness=800.0, relaxation_time=0.05, damping=2.0)
 

@@ -31,6 +31,7 @@ def run_of(environment, algorithm, rate, seconds, user=HAND, **named):
     return render(standard_case(environment, algorithm, rate, user, **named), round(rate * seconds))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiffness", [300.0, 3000.0])
 def test_the_rate_hardness_of_a_fine_wall_is_its_stiffness(stiffness):
     wall = SpringDamperWall(stiffness=stiffness, damping=0.0, position=-0.005)
@@ -61,7 +62,7 @@ def test_free_motion_has_no_drag():
     assert drag(run_of(SpringDamperWall(stiffness=100.0, position=0.1), "unprotected", 1000.0, 0.1)) is None
 
 
-@pytest.mark.slow_for("10.0")
+@pytest.mark.slow
 @pytest.mark.parametrize("frequency", [2.0, 10.0])
 def test_the_impedance_of_a_fine_spring_with_damper_is_the_one_asked_for(frequency):
     spring = SpringDamperWall(stiffness=400.0, damping=8.0, position=0.1)  # always in contact

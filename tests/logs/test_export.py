@@ -48,6 +48,7 @@ def test_a_parquet_table_holds_every_quantity_bit_for_bit_with_its_unit(
         assert str(table.schema.field("handle.statusword").type) == "uint16"
 
 
+@pytest.mark.slow
 def test_a_mat_file_holds_ports_timing_and_attributes(path: Path, tmp_path: Path) -> None:
     scipy_io = pytest.importorskip("scipy.io", reason="SciPy is not installed (pip install 'canhaptic[export]')")
     with EnergyLog.open(path) as log:
@@ -59,6 +60,7 @@ def test_a_mat_file_holds_ports_timing_and_attributes(path: Path, tmp_path: Path
     assert math.isclose(content["truth"]["handle"]["position"][5], 0.0051)
 
 
+@pytest.mark.slow
 def test_an_mcap_file_holds_every_row_as_a_message_with_its_schema(path: Path, tmp_path: Path) -> None:
     reader = pytest.importorskip("mcap.reader", reason="mcap is not installed (pip install 'canhaptic[export]')")
     with EnergyLog.open(path) as log:
@@ -84,6 +86,7 @@ def test_an_mcap_file_holds_every_row_as_a_message_with_its_schema(path: Path, t
     }
 
 
+@pytest.mark.slow
 def test_an_event_behind_skipped_syncs_has_the_time_of_its_row(tmp_path: Path) -> None:
     reader = pytest.importorskip("mcap.reader", reason="mcap is not installed (pip install 'canhaptic[export]')")
     writer = EnergyLogWriter(tmp_path / "run.h5", PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, pace="free")
@@ -122,6 +125,7 @@ def test_another_suffix_is_refused_with_those_that_exist(path: Path, tmp_path: P
         export(log, tmp_path / "run.xlsx")
 
 
+@pytest.mark.slow
 def test_an_installed_package_exports_in_its_own_format(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -322,6 +322,7 @@ def test_every_output_of_a_command_that_exists_is_kept(
     assert taken.read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_a_picture_is_written_again_and_a_file_that_is_none_is_kept(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -102,6 +102,7 @@ def read_titles(source: str) -> Iterator[str]:
                 yield ast.unparse(node)
 
 
+@pytest.mark.slow
 def test_nothing_computes_from_a_title() -> None:
     """A title can be worded anew, and no unit, colour or comparison changes with it."""
     found = {}

@@ -23,6 +23,7 @@ def stiff() -> canhaptic.SimulationResult:
     return canhaptic.simulate(DEMO, {"environment.stiffness": "500 N/m"}, duration=INTO_THE_WALL)
 
 
+@pytest.mark.slow
 def test_the_account_agrees_with_the_samples_and_with_the_plant(stiff: canhaptic.SimulationResult) -> None:
     samples, account = stiff.to_numpy(), stiff.account["handle"]
     energy = samples["handle.h_i"]
@@ -62,6 +63,7 @@ def test_a_log_has_the_account_of_its_run_and_its_columns(stiff: canhaptic.Simul
         assert log.to_numpy().keys() == stiff.to_numpy().keys()
 
 
+@pytest.mark.slow
 def test_a_log_knows_when_its_run_became_active(tmp_path: Path) -> None:
     bare = canhaptic.simulate("hard/stiff_wall", {"passivity": {"algorithm": "unprotected"}}, duration=0.6)
     with canhaptic.EnergyLog(bare.save(tmp_path / "bare.h5")) as log:

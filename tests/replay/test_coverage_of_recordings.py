@@ -88,6 +88,7 @@ def test_the_result_is_a_test_case_of_junit(empty: Path, tmp_path: Path) -> None
     assert ElementTree.parse(file).getroot().get("failures") == "0"
 
 
+@pytest.mark.slow
 def test_the_fixture_fails_a_test_as_the_command_does(canhaptic_replay: Replay, empty: Path) -> None:  # noqa: F811
     assert canhaptic_replay(RECORDED, DEMO, keys=False)["status"] == "identical"
     with pytest.raises(pytest.fail.Exception, match="different at line"):

@@ -276,6 +276,7 @@ def test_in_real_time_a_replay_takes_as_long_as_the_recording() -> None:
     assert result["elapsed"] >= 0.99 * result["duration"]
 
 
+@pytest.mark.slow
 def test_another_wall_is_found_and_shown_decoded_on_both_sides(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["replay", str(FOLDER / "demo.log"), "--config", str(ROOT / "configs" / "demo.yaml"), "--quick"]
     assert main(words) == 0

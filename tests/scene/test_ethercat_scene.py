@@ -185,6 +185,7 @@ def test_a_bus_log_of_a_line_and_a_can_bus_is_refused(tmp_path: Path) -> None:
         build(scene_from_mapping(both(), str(SCENE)), bus_log=tmp_path / "frames.log")
 
 
+@pytest.mark.slow
 def test_a_can_rig_loads_nothing_of_ethercat() -> None:
     modules = loaded_modules(ROOT, scene=str(TWIN), duration=0.02)
     assert "canhaptic.drive.can.servo_drive" in modules

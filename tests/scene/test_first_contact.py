@@ -88,6 +88,7 @@ def test_no_wall_names_the_declaration_that_keeps_it_away_and_a_value_that_does_
     assert f"energy_allowance: {LARGEST_ADVISED:g} J starts it, " in advice(strong)
 
 
+@pytest.mark.slow
 def test_check_and_run_say_that_there_is_no_wall_and_strict_fails(capsys: pytest.CaptureFixture[str]) -> None:
     words = [word for value in LATE for word in ("--set", value)]
     scene = str(CONFIGS / "demo.yaml")

@@ -45,6 +45,7 @@ def test_every_profile_states_what_is_verified_and_what_is_not(name: str) -> Non
     assert set(profile_values(name)["quirks"]) <= set(_QUIRKS)
 
 
+@pytest.mark.slow_but("generic", "zeroerr_erob", "epos4")
 @pytest.mark.parametrize("name", _profile_names())
 def test_every_profile_runs_whole_with_its_twin_on_our_dictionary(name: str) -> None:
     """The twin shows the vendor ID of the profile, as the real drive does; ours has none."""

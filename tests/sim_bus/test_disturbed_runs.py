@@ -178,6 +178,7 @@ def test_in_every_disturbance_the_ledger_never_believes_too_much(passivity: str,
     assert_ledger_bound_kept(seen)
 
 
+@pytest.mark.slow
 def test_every_fault_appears_in_its_own_count_of_the_link() -> None:
     only = "ids: [0x181], direction: to_master"
     ideal = disturbed("simulation.bus={delay: 1 us}", cycles=400).link

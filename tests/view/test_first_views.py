@@ -31,6 +31,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return bare, canhaptic.simulate("hard/stiff_wall", duration=0.6).save(folder / "guarded.h5")
 
 
+@pytest.mark.slow
 def test_detents_are_drawn_as_notches_and_not_as_a_wall(tmp_path: Path) -> None:
     path = canhaptic.simulate("rotary_knob", duration=0.5).save(tmp_path / "knob.h5")
     with canhaptic.EnergyLog(path) as log:
@@ -43,6 +44,7 @@ def test_detents_are_drawn_as_notches_and_not_as_a_wall(tmp_path: Path) -> None:
     assert "wall" not in labels
 
 
+@pytest.mark.slow
 def test_a_wall_has_no_notches(logs: tuple[Path, Path]) -> None:
     with canhaptic.EnergyLog(logs[0]) as log:
         assert notches_of(log, "handle", -1.0, 1.0) == []
@@ -64,7 +66,7 @@ def test_the_last_panel_is_the_force_over_the_position_of_both_runs_in_the_scale
     assert [panel.get_xlabel() for panel in panels].count("time [s]") == 1
 
 
-@pytest.mark.slow_but("words0")
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [[], ["--overlay"]])
 def test_two_logs_show_two_accounts(
     logs: tuple[Path, Path], words: list[str], capsys: pytest.CaptureFixture[str]

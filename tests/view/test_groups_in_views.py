@@ -74,6 +74,7 @@ def test_a_look_at_a_growing_log_knows_groups(path: Path) -> None:
     assert news.fresh_share == 1.0
 
 
+@pytest.mark.slow
 def test_the_picture_has_one_column_for_the_group(path: Path) -> None:
     with EnergyLog.open(path) as log:
         panels = energy_figure(log).axes

@@ -102,6 +102,7 @@ def test_a_picture_names_the_least_margin_the_wall_and_the_faults_and_shades_eve
     assert "emcy" not in (tmp_path / "part.svg").read_text()
 
 
+@pytest.mark.slow
 def test_an_angle_is_drawn_in_degrees_where_the_scene_gives_angles_so(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     write_run(path, ports=("handle", "knob"))
@@ -200,6 +201,7 @@ def test_the_path_of_a_five_bar_is_drawn_against_its_disc(five_bar: Path, monkey
     assert np.ptp(edge[:, 1]) == pytest.approx(0.06, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_surplus_of_rounding_has_no_panel_and_a_real_one_has(tmp_path: Path) -> None:
     for name, surplus, shown in (("rounding", 1e-13, False), ("real", 1e-4, True)):
         writer = EnergyLogWriter(
@@ -223,6 +225,7 @@ def test_four_axes_are_drawn_two_by_two(tmp_path: Path) -> None:
     assert len({spec.rowspan.start for spec in placed.values() if spec}) == 2
 
 
+@pytest.mark.slow
 def test_powers_of_ten_are_written_plainly_and_dollars_stay(tmp_path: Path) -> None:
     with drawing() as figure_type:
         figure = figure_type()

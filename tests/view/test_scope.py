@@ -43,6 +43,7 @@ def test_looks_at_a_growing_log_add_up_to_the_whole_run(tmp_path: Path) -> None:
     assert again.ports["handle"]["taken_in"][0] == 0.0
 
 
+@pytest.mark.slow
 def test_a_viewer_that_comes_late_takes_the_past_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(series, "_MOST_AT_ONCE", 1300)
     write_run(tmp_path / "run.h5", cycles=3000)

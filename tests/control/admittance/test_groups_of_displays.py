@@ -135,6 +135,7 @@ def test_the_account_of_a_guarded_group_closes(of: str) -> None:
     assert fastest > 0.02
 
 
+@pytest.mark.slow_but("*-unprotected-*", "*0-energy_tank-True")
 @pytest.mark.parametrize("loses", [False, True])
 @pytest.mark.parametrize("name", ["unprotected", "passivity_observer", "energy_tank"])
 @pytest.mark.parametrize(

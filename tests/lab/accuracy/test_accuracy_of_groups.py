@@ -43,6 +43,7 @@ def scene_of(name: str, *overrides: str) -> Scene:
     return load_scene(REPOSITORY / "configs" / f"{name}.yaml", list(overrides))
 
 
+@pytest.mark.slow
 def test_the_five_bar_in_accelerations_is_two_open_chains_held_together() -> None:
     model, chains = mechanism_model(FiveBarLinkage(**LINKS), HAND), OpenChains()
     found = integrated(partial(model.rates, modes=model.first), model.start, wavy(100), 1e-3)

@@ -72,6 +72,7 @@ def test_the_choice_is_in_the_configuration_and_in_the_log_and_does_not_change_t
     assert kept["axes"]["handle"]["simulation"]["accuracy"]["substeps"] == chosen.substeps
 
 
+@pytest.mark.slow
 def test_the_same_scene_is_chosen_alike_every_time(tmp_path: Path) -> None:
     first, second = (
         with_chosen_accuracy(scene_with(tmp_path, FRICTION, "accuracy={auto: 1 um}", "duration=0.04")) for _ in range(2)
@@ -101,7 +102,7 @@ def test_a_bad_tolerance_is_refused(tmp_path: Path, accuracy: str, expected: str
     assert expected in str(caught.value)
 
 
-@pytest.mark.slow_for("*cogging*", "*event_bits: 6}")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effects", "accuracy"),
     [

@@ -21,7 +21,7 @@ ENVIRONMENTS = {
 }
 
 
-@pytest.mark.slow_for("detents")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(ENVIRONMENTS))
 def test_the_continuous_axis_agrees_with_the_reference_of_compare(name):
     motion = "simulation.user.motion={amplitude: 0.15, frequency: 2}"

@@ -65,7 +65,7 @@ def check_rows(rows, golden, floor):
             assert row[error] == pytest.approx(before[error], rel=0.3, abs=max(least, 1e-12)), (row["setting"], error)
 
 
-@pytest.mark.slow_but("paper_wall")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_the_committed_gallery_is_what_our_plant_does(name):
     side, golden = measured(name), committed(name)

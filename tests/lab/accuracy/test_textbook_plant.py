@@ -35,7 +35,7 @@ def apart(one, other):
     return difference(one, other, PLANT.mass, SECONDS)
 
 
-@pytest.mark.slow_for("backlash")
+@pytest.mark.slow_but("coulomb*", "none", "torque*", "tremor", "viscous*")
 @pytest.mark.parametrize("name", EXACT)
 def test_an_exact_plant_is_where_dop853_has_its_textbook_twin(name):
     scene, torques = simulation(*EFFECTS[name]), random_torques(HOLDS)
@@ -59,6 +59,7 @@ def test_an_approximate_plant_converges_to_its_textbook_twin(name):
     assert errors[1] < errors[0] / 10.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["stribeck_friction", "hard_stop", "lugre_friction"])
 def test_two_solvers_agree_on_the_textbook_twin(name):
     torques = random_torques(40)
@@ -67,6 +68,7 @@ def test_two_solvers_agree_on_the_textbook_twin(name):
     assert apart(witness, exact).position < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", sorted(METHODS))
 @pytest.mark.parametrize("effects", [(), EFFECTS["cogging"]], ids=["linear", "cogging"])
 def test_a_fixed_step_method_has_its_declared_order(method, effects):
@@ -81,7 +83,7 @@ def test_a_fixed_step_method_has_its_declared_order(method, effects):
     assert fitted == pytest.approx(order, abs=0.2), errors
 
 
-@pytest.mark.slow_for("implicit midpoint", "RK4")
+@pytest.mark.slow
 @pytest.mark.parametrize("method", sorted(METHODS))
 def test_a_fixed_step_method_falls_to_order_1_where_modes_change(method):
     scene, torques = simulation(*EFFECTS["hard_stop"]), random_torques(60)
@@ -149,6 +151,7 @@ def test_a_guard_that_stays_at_zero_is_no_event():
     assert float(abs(exact.position).max()) == 0.0
 
 
+@pytest.mark.slow
 def test_closed_forms_of_a_slide_to_rest_and_of_an_elastic_bounce():
     moving = PLANT.model_copy(update={"damping": 0.0, "initial_velocity": 0.3})
     friction = [read_effect({"type": "coulomb_friction", "kinetic": 0.3, "static": 0.5})]

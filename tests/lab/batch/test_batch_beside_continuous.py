@@ -107,7 +107,7 @@ def check(world: str, scenes: int, cycles: int, seed: int) -> int:
     return calm
 
 
-@pytest.mark.slow_for("two_sided_wall", "viscous_medium")
+@pytest.mark.slow
 @pytest.mark.parametrize("world", BASES)
 def test_continuous_runs_in_arrays_are_those_of_dop853_and_of_the_exact_machine(world):
     assert check(world, 3, 100, 1) >= 2

@@ -49,16 +49,7 @@ def demo(effects, *overrides, algorithm="guarded"):
     return load_scene("configs/demo.yaml", [f"simulation.effects=[{effects}]", *MOVING, *chosen, *overrides])
 
 
-@pytest.mark.slow_for(
-    "stop and friction",
-    "LuGre",
-    "backlash",
-    "Stribeck and stop",
-    "cogging, ripple, lag",
-    "two grasps and a stop",
-    "current loop and friction",
-    "hot and saturated",
-)
+@pytest.mark.slow_but("torque")
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_batch_gives_the_figures_of_one_scene_at_a_time(plant):
     for algorithm in ("guarded", "unprotected"):

@@ -101,6 +101,7 @@ def test_what_a_group_cannot_compile_is_named() -> None:
     assert why_not_world(own) == "got PoseAsked, which is Python code of its own"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "seed"), [("xy_box", 1), ("xy_box", 2), ("two_handles", 2)])
 def test_motors_as_one_flow_do_what_the_plants_do(name: str, seed: int) -> None:
     scene = random_scene(name, seed)

@@ -27,6 +27,7 @@ def differences(case, cycles=CYCLES, engine="python"):
     return {name: (found[name][0], expected[name]) for name in NAMES if not same(found[name][0], expected[name])}
 
 
+@pytest.mark.slow_but("*-1", "guarded-0")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_every_algorithm_is_the_scalar_class_to_the_last_bit(algorithm, delay):
@@ -48,6 +49,7 @@ def test_windows_over_the_encoder_are_the_scalar_class_to_the_last_bit(count, ha
         assert differences(case) == {}
 
 
+@pytest.mark.slow
 def test_every_choice_of_an_algorithm_is_the_scalar_class_to_the_last_bit():
     for algorithm, chosen in (
         ("guarded", {"alpha": "200 s/m^2", "energy_allowance": 1e-3, "hand_speed": 0.5}),
@@ -128,6 +130,7 @@ def test_what_is_no_number_ends_a_compiled_loop_as_it_ends_an_interpreted_one():
             assert (first["cycles"] <= 1.0).all()
 
 
+@pytest.mark.slow
 def test_a_scene_does_not_depend_on_the_scenes_beside_it(monkeypatch):
     case, numbers = many("guarded", 40, delay=1)
     whole = march(case, 40, 200, "python", list(METRICS))

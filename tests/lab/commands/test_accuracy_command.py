@@ -100,6 +100,7 @@ def test_an_effect_that_did_nothing_is_worth_nothing(capsys: Captured, effect: s
     assert ("changed nothing in this time" in capsys.readouterr().out) is idle
 
 
+@pytest.mark.slow
 def test_a_time_in_which_nothing_is_felt_is_no_comparison_and_nothing_is_cut_off(capsys: Captured) -> None:
     demo = str(REPOSITORY / "configs" / "demo.yaml")
     assert main(["accuracy", demo, "--duration", "0.02 s", "--budget", "0"]) == 0
@@ -197,7 +198,7 @@ def whole() -> dict[str, Any]:
     return AccuracyStudy(load_scene(SCENE), duration=0.01, budget=0.0).run()
 
 
-@pytest.mark.slow_for("40", "10")
+@pytest.mark.slow
 @pytest.mark.parametrize("calls", [0, 3, 10, 40])
 def test_a_study_that_is_stopped_keeps_what_it_measured(calls: int, whole: dict[str, Any]) -> None:
     asked: list[None] = []
@@ -259,7 +260,7 @@ def test_axes_that_are_not_their_own_have_no_accuracy_chosen(capsys: Captured, c
     assert "instead of auto" in capsys.readouterr().err
 
 
-@pytest.mark.slow_for("two_handles*", "five_bar*")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("config", "name", "words"),
     [

@@ -21,6 +21,7 @@ SMALL = ["sweep", DEMO, "--vary", "environment.stiffness=1e2:1e4:log:3", "--cycl
 Captured = pytest.CaptureFixture[str]
 
 
+@pytest.mark.slow
 def test_json_is_one_object_with_what_computed_each_scene(capsys: Captured, tmp_path: Path) -> None:
     out = tmp_path / "a"
     words = ["--vary", "bus.rate=100,4000", "--controllers", "unprotected,guarded", "--out", str(out), "--json"]

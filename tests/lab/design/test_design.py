@@ -108,6 +108,7 @@ def test_the_search_ends_where_a_fine_grid_of_walls_does(designed):
         assert damping == pytest.approx(dampings[:first][passed[:first]].max(initial=0.0), rel=0.03)
 
 
+@pytest.mark.slow
 def test_both_hands_in_one_batch_are_each_hand_in_a_scene_of_its_own(engine):
     trial = Trial(load_scene(DEMO, RIG), 0.05, engine)
     verdict = trial.verdict(np.array([300.0, 600.0]), np.array([2.0, 0.0]))

@@ -23,6 +23,7 @@ SCENES = Path(__file__).parents[3] / "configs" / "admittance"
 MASS, NODE = SCENES / "virtual_mass.yaml", SCENES / "force_node.yaml"
 
 
+@pytest.mark.slow_but("wall")
 @pytest.mark.parametrize("name", ["virtual_mass", "wall", "force_node", "guided_path"])
 def test_the_loop_without_a_bus_agrees_with_the_run_over_can(name: str) -> None:
     scene, cycles = load_scene(SCENES / f"{name}.yaml"), 400

@@ -74,6 +74,7 @@ def test_dry_friction_holds_the_handle_until_the_rising_push_is_as_large() -> No
     assert moved[119] == pytest.approx(10.0 / 0.25 * 0.02**3 / 6.0, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_plain_wall_is_held_until_the_device_no_longer_damps_its_hold() -> None:
     """A sampled spring at delay 0 takes k T / 2 from the damping: it swings for ever at k = 2 b / T."""
     damping, rate = 4.0, 200.0
@@ -120,6 +121,7 @@ def test_the_largest_rise_is_looked_for_at_entries_only() -> None:
     assert largest_rise(torque, position) == 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rate", "delay", "hand_force", "stiffness"), [(1000, 1, 20, 9e3), (100, 1, 5, 160), (100, 0, 5, 500)]
 )

@@ -305,6 +305,7 @@ def test_edges_lie_halfway_between_neighbours():
     assert edges_of(np.array([1.0, 100.0])) == pytest.approx([0.1, 10.0, 1000.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("chosen", "message"),
     [

@@ -185,6 +185,7 @@ def test_a_disk_without_room_for_all_results_is_found_out_before_a_scene_runs(de
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_chunks_of_an_earlier_sweep_are_not_taken_for_those_of_another(demo, tmp_path):
     path = tmp_path / "a"
     sweep(demo, VARY, path, chunk=4, **ONE, stop_requested=iter([False, False, True, True, True]).__next__)

@@ -44,6 +44,7 @@ def test_a_duration_is_as_many_holds_as_each_rate_makes_of_it(demo, tmp_path):
         assert table.figure("handle", "cycles").tolist() == [20.0, 50.0, 200.0]
 
 
+@pytest.mark.slow
 def test_the_bits_do_not_depend_on_how_scenes_are_dealt_into_chunks(demo, tmp_path):
     found, vary = [], ["environment.stiffness=100,9000", *VARY[1:]]
     metrics = ["margin", "least_covered", "travel", "stiffness_rendered.share", "branches.exact", "spectral_radius"]
@@ -79,6 +80,7 @@ def test_more_reasons_than_a_chunk_keeps_are_said_to_be_more(demo, tmp_path):
         assert {table.remark(row) for row in range(SLOTS - 1, 60)} == {MORE}
 
 
+@pytest.mark.slow
 def test_an_algorithm_without_what_it_rests_on_takes_it_from_the_plant_in_every_row(tmp_path):
     scene = load_scene(DEMO, ["passivity={algorithm: unprotected}"])
     vary = ["simulation.plant.mass=0.1,0.4"]

@@ -58,6 +58,7 @@ def test_a_stiff_wall_gives_energy_out_unprotected_alone() -> None:
     assert least["guarded"] >= -1e-9
 
 
+@pytest.mark.slow
 def test_a_box_is_touched_in_a_plane() -> None:
     least = touched_by_a_sine("xy_box.yaml", 500)
     assert set(least) == {"unprotected x", "unprotected y", "guarded x", "guarded y", "stage"}
@@ -67,12 +68,14 @@ def test_a_box_is_touched_in_a_plane() -> None:
 LIGHT = ("bus.rate=250", "environment.mass=1", "simulation.admittance.grip.mass=1")
 
 
+@pytest.mark.slow
 def test_a_light_mass_gives_energy_out_unprotected_alone() -> None:
     least = touched_by_a_sine("admittance/virtual_mass.yaml", 700, LIGHT)
     assert least["unprotected"] < -0.1
     assert least["guarded"] >= -1e-3
 
 
+@pytest.mark.slow
 def test_two_displays_with_one_account_are_touched_in_a_plane() -> None:
     least = touched_by_a_sine("admittance/guided_path.yaml", 250)
     assert set(least) == {"unprotected x", "unprotected y", "guarded x", "guarded y", "unprotected", "guarded"}
