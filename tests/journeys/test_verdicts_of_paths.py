@@ -2,7 +2,6 @@
 
 import pytest
 
-from canhaptic.scene.load import load_scene
 from tests.journeys.person import CONFIGS, Person, shown
 
 DEMO = str(CONFIGS / "demo.yaml")
@@ -13,7 +12,7 @@ WRONG_MASS = (
 )
 FOLDERS = ("admittance", "published", "hard", ".")  # those of accuracy are plants for `canhaptic accuracy`
 SCENES = sorted(path for folder in FOLDERS for path in (CONFIGS / folder).glob("*.yaml"))
-SIMULATED = {f"{path.parent.name}/{path.stem}": path for path in SCENES if load_scene(path).simulated}
+SIMULATED = {f"{path.parent.name}/{path.stem}": path for path in SCENES if "simulation:" in path.read_text()}
 
 
 @pytest.mark.filterwarnings("default::canhaptic.errors.OverrideWarning")  # the command prints it
@@ -34,6 +33,7 @@ def test_what_the_account_knows_at_four_seconds_it_still_says_later(duration: st
     assert "moving_mass" in port["suspects"]
 
 
+@pytest.mark.slow
 def test_a_second_recording_does_not_replace_the_first_unless_it_is_forced(person: Person) -> None:
     words = (DEMO, "--duration", "0.1", "--log", "run.h5", "--bus-log", "run.log")
     person.runs(*words)
@@ -57,7 +57,7 @@ def test_a_handle_that_touched_nothing_is_no_failure(person: Person) -> None:
     assert shown(result) == {"no contact"}
 
 
-@pytest.mark.slow_but("configs/demo", "hard/stiff_wall")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SIMULATED)
 def test_every_shipped_scene_says_yes_or_no_or_no_contact(name: str, person: Person) -> None:
     assert shown(person.runs(str(SIMULATED[name]))) <= {"yes", "no", "no contact"}
