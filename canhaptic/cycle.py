@@ -6,15 +6,16 @@
 One thread runs it. On any error zero torque is sent first and the exception is raised second.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from math import inf
+from operator import attrgetter
 from typing import TYPE_CHECKING, Final
 
 from canhaptic.control.axis_meter import AxisMeter
-from canhaptic.control.balance import Branch, Certificate, EnergyBalance
-from canhaptic.control.ledger import EnergyLossMeter, Ledger
-from canhaptic.control.passivity import Controller
+from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
+from canhaptic.control.ledger import EnergyLossMeter
+from canhaptic.control.ports import Port, Ports
 from canhaptic.control.verdict import BY_CONSTRUCTION, COUNTS_DISAGREE, NOT_CHECKED, UNDECIDED
 from canhaptic.drive.clock import DurationHistogram, VirtualClock
 from canhaptic.drive.rig import Rig
@@ -35,11 +36,10 @@ from canhaptic.signals import CycleTiming, Sample, Truth
 if TYPE_CHECKING:
     from canhaptic.control.booked_stop import BookedStop
     from canhaptic.control.energy_audit import EnergyAudit
-    from canhaptic.control.grouped_controllers import GroupedControllers
-    from canhaptic.control.multi_axis.group_controller import AxisGroup
     from canhaptic.logs.writer_process import EnergyLogWriter
 
-_HELD, _NO_CERTIFICATE = Branch.HELD.value, Certificate.NONE.value
+_torque = attrgetter("torque")
+_NO_CERTIFICATE: Final = Certificate.NONE.value
 _LOOK: Final = 0.05
 """Time between two looks at the uncertainties [s]."""
 _FEWEST_UNCHANGED: Final = 20  # SYNCs; or those of a second
@@ -55,24 +55,24 @@ _UNCHANGED: Final = (
 
 
 class Cycle:
-    """A rig, its controllers and their accounts; one `step` per SYNC.
+    """A rig, its ports and their accounts; one `step` per SYNC.
 
     Args:
         rig: The rig; `run` starts it.
-        controllers: Controllers, one per axis of the rig, in its order; none for the axes of groups.
+        ports: Its ports; each axis of the rig is in one. `control.ports.axis_ports` makes them of controllers of axes.
         log: Log of every cycle, which must not block the control thread; None without one.
         truths: True motion and energy of the simulated axes, read right after their SYNC; None with real drives.
-        groups: Groups of axes; a group renders one network and has one account.
         axis_meters: Accuracy of the sensors and the device of each axis; None where they are ideal.
         loss_meters: Meters of the ports with a limit on the energy that they may generate.
         jitters: For each axis, largest deviation of a hold from the sample time, as a fraction; None: not checked.
 
     Raises:
-        InputError: There is not one controller for each axis.
+        InputError: There is not one port for each axis.
 
     Attributes:
-        ledgers: Account of each axis; for an axis in a group, only the energy exchanged through that axis.
-        meters: Figures of axes and groups in addition to their ledgers.
+        ledgers: Account of each row, see `control.ports`; for an axis of a port of several, only the energy exchanged
+            through that axis.
+        meters: Figures of the rows in addition to their ledgers.
         judge: Comparison with the simulated plant; None with real drives.
         timing: Durations of each part of the cycle; empty in a run that is not paced in real time.
         cycles: Cycles completed, those of the stop included.
@@ -84,39 +84,34 @@ class Cycle:
     def __init__(
         self,
         rig: Rig,
-        controllers: Sequence[Controller],
+        ports: Iterable[Port],
         log: "EnergyLogWriter | None" = None,
         truths: Callable[[], Sequence[Truth]] | None = None,
-        groups: "Sequence[AxisGroup]" = (),
         axis_meters: Sequence[AxisMeter] | None = None,
         loss_meters: Sequence[EnergyLossMeter] = (),
         jitters: Sequence[float] | None = None,
     ) -> None:
         self.rig = rig
-        self.controllers = tuple(controllers)
-        self.groups = tuple(groups)
-        render = (*self.controllers, *(group.controller for group in self.groups))
+        self._all = Ports(ports, dry_run=rig.dry_run)
+        self.ports, self._steps = self._all.ports, self._all.steps
+        render = [port.controller for port in self.ports]
         self._lasted = [controller.lasted for controller in render if hasattr(controller, "lasted")]
-        is_plain = not (groups or rig.dry_run)
-        self._grouped = None if is_plain else _grouped(self.controllers, self.groups, rig.dry_run)
-        axes = self._grouped.axes if self._grouped else len(self.controllers)
+        axes = self._all.axes
         if axes != len(rig.drives):
             text = f"cycle: got controllers for {axes} axes and a rig of {len(rig.drives)}"
             raise InputError(f"{text}; give each axis one")
-        self.ledgers = [Ledger() for _ in range(axes)]
-        known = axis_meters or [AxisMeter() for _ in range(axes)]
-        self.meters = RunMeters(known, rig.drives, self.controllers, self.groups)
-        self._ledgers = [*self.ledgers, *(group.ledger for group in self.groups)]
-        self._axes = tuple(range(axes))  # walked by number: for one axis, `zip` or `enumerate` costs more than its body
+        self.meters = RunMeters(axis_meters or [AxisMeter() for _ in range(axes)], rig.drives, self._all)
+        self.ledgers = [figures.ledger for figures in self.meters.ports]
+        self._at_rest, self._several = [AT_REST] * self._all.rows, self._all.several
         self.timing = {name: DurationHistogram() for name in CycleTiming._fields}
-        self.judge = None if truths is None else _judge(axes, self.groups)
+        self.judge = None if truths is None else _judge(self._all)
         self.cycles = self.uneven = self.holds_of_stop = 0
         self.turn: Callable[[Sequence[Sample]], None] | None = None
         self._stop: BookedStop | None = None
         self._is_timed = not isinstance(rig.clock, VirtualClock)  # virtual time does not advance within a cycle
         self._log: EnergyLogWriter | _FailedLog | None = log
         self._truths = truths
-        self._loss_meters = tuple(loss_meters)
+        self._loss_meters, self._metered = tuple(loss_meters), {port.name: port for port in self.ports}
         self._doubts = _doubts(self._loss_meters, rig.bus.sample_time)
         self._look_at = self._look_every = max(1, round(_LOOK / rig.bus.sample_time))
         self._period = rig.bus.sample_time_ns
@@ -139,7 +134,7 @@ class Cycle:
         self.answer(samples)
 
     def answer(self, samples: Sequence[Sample]) -> list[EnergyBalance]:
-        """Complete the cycle from the samples of a SYNC; return the balance of each axis.
+        """Complete the cycle from the samples of a SYNC; return the balance of each row.
 
         Raises:
             RigError: As `step`.
@@ -149,20 +144,14 @@ class Cycle:
         if rig.periods > 1:
             for lasted in self._lasted:
                 lasted(float(rig.periods))
-        if self._grouped is None:
-            balances: list[EnergyBalance] = []  # displacement -> energy balance [J]
-            for axis in self._axes:
-                controller, (_, position, torque, _, fresh) = self.controllers[axis], samples[axis]
-                balances.append(controller.step(position, torque) if fresh else controller.sample_lost())
-        else:
-            balances = self._grouped.step(samples)  # the same, where axes render together
-        torques = []
-        for balance in balances:
-            torques.append(balance.torque)  # a comprehension is a function made and called anew
+        balances = self._at_rest.copy()
+        for port in self._steps:  # displacement -> energy balance [J]
+            port.step(samples, balances)
+        torques = list(map(_torque, balances[: self._all.axes]))
         if self._jitters is not None and rig.uneven > self._least_jitter:
             self._withdraw(balances, self._jitters)
         for meter in self._loss_meters:
-            if meter.take(samples, rig.deadline_index) and (lost := self._lost(meter, samples)):
+            if meter.take(samples, rig.deadline_index) and (lost := self._lost(meter, balances, samples)):
                 error = rig.end(StopReason.ENERGY_LOST, lost)  # zero torque first, the account second
                 self._account(samples, balances, truths)
                 raise error
@@ -182,7 +171,7 @@ class Cycle:
         from canhaptic.control.booked_stop import BookedStop
 
         axes = [drive.axis for drive in rig.drives]
-        return BookedStop(self.controllers, self.groups, rig.dry_run, axes, rig.bus, rig.holds_to_act)
+        return BookedStop(self.ports, axes, rig.bus, rig.holds_to_act, dry_run=rig.dry_run)
 
     def wind_down(self, samples: Sequence[Sample] | None = None) -> None:
         """Run the holds of an operator's stop, sampled, booked, checked and logged as every other; disable follows.
@@ -199,7 +188,7 @@ class Cycle:
             stop = self.planned_stop() if rig.is_running else None
             if stop is None:
                 return
-            self._stop = self._grouped = stop
+            self._stop, self._steps = stop, stop.steps
             self._event(rig.sync_index + (samples is None), "stopping", "", _STOPPING)
         while rig.is_running and self._stop.left:
             self.holds_of_stop += 1
@@ -210,22 +199,19 @@ class Cycle:
 
     def _withdraw(self, balances: list[EnergyBalance], jitters: Sequence[int]) -> None:
         """Withdraw the certificates of a hold that was longer or shorter than they permit."""
-        broken = [self.rig.uneven > jitter for jitter in jitters]
-        for axis in self._axes:
-            if broken[axis]:
-                balances[axis] = balances[axis]._replace(certificate=_NO_CERTIFICATE)
-        for group in self.groups:
-            if any(broken[axis] for axis in group.axes):
-                account = group.balance.account._replace(certificate=_NO_CERTIFICATE)
-                group.balance = group.balance._replace(account=account)
+        broken = {axis for axis, jitter in enumerate(jitters) if self.rig.uneven > jitter}
+        for row, axes in self._all.axes_of_rows:
+            if not broken.isdisjoint(axes):
+                balances[row] = balances[row]._replace(certificate=_NO_CERTIFICATE)
         if not self.uneven:
             self._event(self.rig.sync_index, "timing", "", _UNEVEN.format(self.rig.uneven * 1e-9))
         self.uneven += 1
 
-    def _lost(self, meter: EnergyLossMeter, samples: Sequence[Sample]) -> str:
+    def _lost(self, meter: EnergyLossMeter, balances: Sequence[EnergyBalance], samples: Sequence[Sample]) -> str:
         """Return the text on a port that generated too much energy, and how much; "" unless that is certain."""
         uncertainty = sum(self._likely_doubt(axis) + self._lost_to_friction(axis, samples) for axis in meter.axes)
-        supplied = sum(g.ledger.supplied + g.balance.account.supplied for g in self.groups if g.name == meter.name)
+        row = self._metered[meter.name].row
+        supplied = self.ledgers[row].supplied + balances[row].supplied
         if meter.energy + supplied + uncertainty >= meter.floor:
             return ""
         limit = f"limit {meter.limit:.3g} J beyond the {meter.allowance:.3g} J declared"
@@ -235,8 +221,8 @@ class Cycle:
         """Return why the uncertainty of a port grows too fast, and how large it is; None without such a port."""
         self._look_at = self.cycles + self._look_every
         for meter, budget in self._doubts:
-            known = sum(self._left_by_losses(axis) for axis in meter.axes)
-            known += sum(_resolution(group.controller) for group in self.groups if group.name == meter.name)
+            known = float(getattr(self._metered[meter.name].controller, "energy_resolution", 0.0))
+            known += sum(self.rig.drives[axis].contested for axis in meter.axes)
             grown, meter.uncertainty = known - meter.uncertainty, known
             if (not meter.is_of_link or self._has_lost(meter)) and budget.lose(self.rig.deadline_index, grown):
                 text = f"{budget.level:.3g} J beyond energy_uncertainty_limit ({meter.uncertainty_limit:.3g} J/s)"
@@ -251,15 +237,6 @@ class Cycle:
     def _has_lost(self, meter: EnergyLossMeter) -> bool:
         """Whether a sample or a command of a port was lost since the look before, or shows in its account only now."""
         return any(self.rig.drives[axis].policy.lost_since <= self._look_every + 2 for axis in meter.axes)
-
-    def _left_by_losses(self, axis: int) -> float:
-        """Return the uncertainty of an axis's energy [J] that its algorithm bounds, and that of doubtful samples.
-
-        Bounds that rest on `speed_limit`, where neither hand nor lateness is declared, say nothing about the link.
-        """
-        controller = self.meters.of_axes[axis].controller
-        contested: float = self.rig.drives[axis].contested
-        return _resolution(controller) + contested
 
     def _lost_to_friction(self, axis: int, samples: Sequence[Sample]) -> float:
         """Return the energy that the declared dry friction of a device has dissipated at least [J]."""
@@ -276,7 +253,7 @@ class Cycle:
         """
         drive = self.rig.drives[axis]
         unseen = drive.read_back_bound if drive.read_back == "none" else 0.0
-        return self.meters.of_axes[axis].measured().energy_resolution - unseen
+        return self.meters.ports[axis].measured().energy_resolution - unseen
 
     def fail_log(self, reason: str) -> None:
         """End the run after the present cycle because a log can no longer be written; callable from any thread."""
@@ -313,14 +290,14 @@ class Cycle:
 
         For a dithered axis it is what is known: by commissioning, else by the test of the run.
         """
-        known = {axis: COUNTS_DISAGREE for axis in self._axes if self.rig.drives[axis].disagreement}
-        grouped = {axis for group in self.groups for axis in group.axes}
-        alone = (axis for axis in self._axes if axis not in grouped)
-        for axis, controller in zip(alone, self.controllers, strict=False):
-            found = "" if axis in known else getattr(controller, "hold_found", "")
+        drives = self.rig.drives
+        known = {axis: COUNTS_DISAGREE for axis, drive in enumerate(drives) if drive.disagreement}
+        for port in self.ports:
+            found = "" if port.row in known else getattr(port.controller, "hold_found", "")
             if found and not self.rig.dry_run:
-                before = self.rig.drives[axis].hold
-                known[axis] = before if found == UNDECIDED and before not in (NOT_CHECKED, BY_CONSTRUCTION) else found
+                before = drives[port.row].hold
+                is_known = found == UNDECIDED and before not in (NOT_CHECKED, BY_CONSTRUCTION)
+                known[port.row] = before if is_known else found
         return known
 
     def note_link(self) -> None:
@@ -342,14 +319,14 @@ class Cycle:
         """Book the energies and log the cycle, after the torque has been sent."""
         rig, log = self.rig, self._log
         index, deadline, timing = rig.sync_index, rig.deadline_index, rig.timing
-        for axis in self._axes:
-            self.ledgers[axis].add(balances[axis], index, deadline)
-        if self.judge is not None and truths is not None:
-            self.judge.compare(self.ledgers, truths, balances)
-        if self.groups:
-            samples, balances, truths = self._account_groups(samples, balances, truths)
+        for port in self._several:
+            if port.news:
+                self._event(index, "limit", port.name, port.news)
+            samples = [*samples, port.sample(samples)]
         late = timing[0]  # of the SYNC
-        measured = self.meters.take(samples, balances, self._ledgers, deadline, late / self._period if late else 0.0)
+        measured = self.meters.take(samples, balances, index, deadline, late / self._period if late else 0.0)
+        if self.judge is not None and truths is not None:
+            truths = self.judge.compare(self.ledgers, truths, balances)
         if self._is_timed:
             for histogram, duration in zip(self.timing.values(), timing, strict=True):
                 histogram.add(duration)
@@ -360,43 +337,18 @@ class Cycle:
                     log.event(index, "unchanged", drive.axis.name, _UNCHANGED)
         self.cycles += 1
 
-    def _account_groups(
-        self, samples: Sequence[Sample], balances: Sequence[EnergyBalance], truths: Sequence[Truth] | None
-    ) -> tuple[list[Sample], list[EnergyBalance], list[Truth] | None]:
-        """Book the accounts of the groups, and return the rows of the log: the axes first, then the groups."""
-        rows, accounts = list(samples), list(balances)
-        for group in self.groups:
-            balance = group.balance
-            rows.append(group.sample(samples))
-            accounts.append(balance.account)
-            if text := group.book(rows[0].sync_index, self.rig.deadline_index):
-                self._event(rows[0].sync_index, "limit", group.name, text)
-        true = None if truths is None else [*truths, *(group.truth(truths) for group in self.groups)]
-        return rows, accounts, true
 
-
-def _judge(axes: int, groups: "Sequence[AxisGroup]") -> "EnergyAudit":
+def _judge(ports: Ports) -> "EnergyAudit":
     """Return the comparison of the accounts with the simulated plant, imported for simulations only."""
     from canhaptic.control.energy_audit import EnergyAudit
 
-    return EnergyAudit(axes, groups)
-
-
-def _resolution(controller: object) -> float:
-    return float(getattr(controller, "energy_resolution", 0.0))
+    return EnergyAudit(ports)
 
 
 def _doubts(meters: Sequence[EnergyLossMeter], sample_time: float) -> list[tuple[EnergyLossMeter, LossBudget]]:
     """Return the meters of limited uncertainty, each with its budget [J]: what 1 s of the limit makes."""
     limits = ((meter, meter.uncertainty_limit) for meter in meters if meter.uncertainty_limit < inf)
     return [(meter, LossBudget(limit * sample_time, limit)) for meter, limit in limits]
-
-
-def _grouped(controllers: Sequence[Controller], groups: "Sequence[AxisGroup]", dry_run: bool) -> "GroupedControllers":
-    """Return the stepper of groups and axes together, imported for groups and dry runs only."""
-    from canhaptic.control.grouped_controllers import GroupedControllers
-
-    return GroupedControllers(controllers, groups, dry_run)
 
 
 class _FailedLog:
@@ -438,7 +390,7 @@ def run(
             the last records.
         LogStoppedError: A log failed and the run may not continue without it; the rig was stopped as by the operator.
     """
-    if cycle.turn is None and any(hasattr(controller, "ask") for controller in cycle.controllers):
+    if cycle.turn is None and any(hasattr(port.controller, "ask") for port in cycle.ports):
         raise InputError("guard: the scene is for a program that requests its torques; run it with canhaptic.open_rig")
     with suppress(StartStoppedError), running(cycle):
         while (cycles is None or cycle.cycles < cycles) and not stop_requested():

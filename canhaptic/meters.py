@@ -13,7 +13,7 @@ from canhaptic.signals import Measured, Sample
 
 if TYPE_CHECKING:
     from canhaptic.control.motion_checks import MassFelt
-    from canhaptic.control.multi_axis.group_controller import AxisGroup
+    from canhaptic.control.ports import Port, Ports
     from canhaptic.logs.energy_reader import EnergyLog
 
 _HELD: Final = Branch.HELD.value
@@ -140,6 +140,7 @@ class PortFigures:
         silent: Number of holds in contact followed by zero torque.
         damping: Sum of the damping rendered in contact [N*s/m].
         felt: Estimator of the mass felt; None if no mass is requested.
+        ledger: Account of the port.
         is_requested: Whether a program, or user code in its own process, requests the torques: its storage is unknown.
         asked: Sum of the magnitudes of the efforts requested by the environment of an axis [N].
         reach: Lowest and highest position of an axis before its first contact [m or rad].
@@ -152,15 +153,33 @@ class PortFigures:
     """
 
     __slots__ = (
-        "_lowest", "activity", "asked", "beyond_limit", "books_least", "contacts", "damping", "damping_asked", "felt",
-        "is_requested", "last_torque", "least_at_handle",
-        "least_certain", "least_certain_at_handle", "reach", "rendered", "silent", "sizes_asked",
-        "sizes_sent", "unanswered",
+        "_lowest",
+        "activity",
+        "asked",
+        "beyond_limit",
+        "books_least",
+        "contacts",
+        "damping",
+        "damping_asked",
+        "felt",
+        "is_requested",
+        "last_torque",
+        "least_at_handle",
+        "least_certain",
+        "least_certain_at_handle",
+        "ledger",
+        "reach",
+        "rendered",
+        "silent",
+        "sizes_asked",
+        "sizes_sent",
+        "unanswered",
     )  # fmt: skip
 
     def __init__(
         self, limits: ActiveLimits, *, is_damped: bool, books_least: bool, damping_asked: float | None
     ) -> None:
+        self.ledger = Ledger()
         self.activity, self.books_least, self.damping_asked = Activity(limits), books_least, damping_asked
         self.least_at_handle = 0.0 if is_damped else None
         self._lowest = self.least_certain = self.least_certain_at_handle = 0.0
@@ -227,13 +246,12 @@ class AxisPort(PortFigures):
         self.is_requested = self._asks is not None
         self._floor = -inf if controller is None else limits.floor  # of a group only the sum counts
 
-    def take(self, sample: Sample, balance: EnergyBalance, ledger: Ledger, sent: float) -> Measured:
-        """Update the figures with a completed hold; return the values of the log's columns.
+    def take(self, sample: Sample, balance: EnergyBalance, sent: float) -> Measured:
+        """Update the figures with a completed hold, booked in the ledger; return the values of the log's columns.
 
         Args:
             sample: Sample at the end of the hold.
             balance: Energy balance of the hold; if its sample was lost, the next sample completes it.
-            ledger: Ledger of the axis, with the hold booked.
             sent: Time of the SYNC that ended the hold, lateness included [sample times since the first SYNC].
         """
         meter, branch = self._meter, balance[_BRANCH]
@@ -266,7 +284,7 @@ class AxisPort(PortFigures):
             self.damping += balance.damping_rendered
             if not balance.torque:
                 self.silent += 1
-        interaction, resolution = ledger.interaction, self._resolution()
+        interaction, resolution = self.ledger.interaction, self._resolution()
         self._take_sums(interaction, resolution, meter.dissipated)
         if interaction + resolution < self._floor:
             self.activity.take(interaction + resolution, int(sent))
@@ -296,35 +314,35 @@ class AxisPort(PortFigures):
         return _measured(Measured, known)
 
 
-class GroupPort(PortFigures):
-    """Figures of a group of axes with one account.
+class SumOfAxes(PortFigures):
+    """Figures of several axes with one account.
 
     Args:
         meters: Energy meters of its axes.
         drives: Records of the torques held by its axes.
-        group: The group.
+        port: The port.
     """
 
-    __slots__ = ("_drives", "_group", "_meters")
+    __slots__ = ("_drives", "_meters", "_port")
 
-    def __init__(self, meters: Sequence[AxisMeter], drives: Sequence[HeldTorques], group: "AxisGroup") -> None:
-        allowance = promise_of(group.controller).energy_allowance
+    def __init__(self, meters: Sequence[AxisMeter], drives: Sequence[HeldTorques], port: "Port") -> None:
+        allowance = promise_of(port.controller).energy_allowance
         super().__init__(
             active_limits([meter.accuracy for meter in meters], allowance),
             is_damped=all(meter.is_damped for meter in meters),
             books_least=all(meter.books_least for meter in meters),
             damping_asked=None,
         )
-        self._meters, self._drives, self._group = tuple(meters), tuple(drives), group
+        self._meters, self._drives, self._port = tuple(meters), tuple(drives), port
 
-    def take(self, _sample: Sample, balance: EnergyBalance, ledger: Ledger, sent: float) -> Measured:
+    def take(self, _sample: Sample, balance: EnergyBalance, sent: float) -> Measured:
         """Update the figures with a hold, after those of its axes; arguments and result as for `AxisPort.take`."""
         if balance.branch not in OUT_OF_CONTACT:
             self.contacts += 1
             if not balance.torque:
                 self.silent += 1
         measured = self.measured()
-        interaction, resolution = ledger.interaction, measured.energy_resolution
+        interaction, resolution = self.ledger.interaction, measured.energy_resolution
         self._take_sums(interaction, resolution, measured.device_dissipated)
         if interaction + resolution < self.activity.limits.floor:
             self.activity.take(interaction + resolution, int(sent))
@@ -338,8 +356,8 @@ class GroupPort(PortFigures):
 
     def measured(self) -> Measured:
         """Return the present values of the log's columns for this port."""
-        resolution: float = getattr(self._group.controller, "energy_resolution", 0.0)
-        resolution += self._group.uncertainty + sum([meter.resolution for meter in self._meters])
+        resolution: float = getattr(self._port.controller, "energy_resolution", 0.0)
+        resolution += self._port.uncertainty + sum([meter.resolution for meter in self._meters])
         return Measured(
             resolution + sum([drive.read_back_bound for drive in self._drives]),
             sum([meter.dissipated for meter in self._meters]),
@@ -351,57 +369,46 @@ class GroupPort(PortFigures):
 
 
 class RunMeters:
-    """Running figures of all axes and groups of a run.
+    """Running figures of all rows of a run; see `canhaptic.control.ports`.
 
     Args:
         axes: Energy meters, one per axis.
         drives: Record of the torques held by each axis.
-        controllers: Controllers of the axes outside groups, in their order.
-        groups: Axes that render together.
+        ports: Ports of the rig.
 
     Attributes:
         axes: Energy meters of the axes.
-        of_axes: Figures of each axis.
-        ports: Figures of each axis, then of each group.
+        ports: Figures of each row.
         deadline: Sample times since the first SYNC; more than the SYNC's index if SYNCs were skipped.
     """
 
-    def __init__(
-        self,
-        axes: Sequence[AxisMeter],
-        drives: Sequence[HeldTorques],
-        controllers: Sequence[object],
-        groups: "Sequence[AxisGroup]" = (),
-    ) -> None:
-        self.axes, self.deadline = tuple(axes), 0
-        grouped = {axis for group in groups for axis in group.axes}
-        alone = iter(controllers)
-        own = [None if axis in grouped else next(alone) for axis in range(len(self.axes))]
-        self.of_axes = tuple(map(AxisPort, self.axes, drives, own))
-        self.ports: list[AxisPort | GroupPort] = [*self.of_axes]
-        for group in groups:
-            members, moved = [self.axes[axis] for axis in group.axes], [drives[axis] for axis in group.axes]
-            self.ports.append(GroupPort(members, moved, group))
-        self._places = tuple(range(len(self.ports)))
+    def __init__(self, axes: Sequence[AxisMeter], drives: Sequence[HeldTorques], ports: "Ports") -> None:
+        self.axes, self.deadline, alone = tuple(axes), 0, ports.alone
+        own = [alone.get(axis) for axis in range(len(self.axes))]
+        self.ports: list[AxisPort | SumOfAxes] = [*map(AxisPort, self.axes, drives, own)]
+        for port in ports.several:
+            members, moved = [self.axes[axis] for axis in port.axes], [drives[axis] for axis in port.axes]
+            self.ports.append(SumOfAxes(members, moved, port))
 
     def take(
         self,
         samples: Sequence[Sample],
         balances: Sequence[EnergyBalance],
-        ledgers: Sequence[Ledger],
+        index: int,
         deadline: int,
         late: float = 0.0,
     ) -> list[Measured]:
-        """Update the figures of every port after a SYNC; return the values of the log's columns.
+        """Book a SYNC in the ledger of every row and update its figures; return the values of the log's columns.
 
         Args:
-            samples: Sample of each axis, then of each group.
+            samples: Sample of each row.
             balances: Energy balances in the same order.
-            ledgers: Ledgers in the same order, with these balances booked.
+            index: Index of the SYNC.
             deadline: Sample times since the first SYNC.
             late: Lateness of the SYNC [sample times].
         """
         self.deadline, sent, known = deadline, deadline + late, []
-        for place in self._places:  # walked by number, see `Cycle`
-            known.append(self.ports[place].take(samples[place], balances[place], ledgers[place], sent))
+        for port, sample, balance in zip(self.ports, samples, balances, strict=True):
+            port.ledger.add(balance, index, deadline)
+            known.append(port.take(sample, balance, sent))
         return known

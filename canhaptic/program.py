@@ -278,9 +278,8 @@ class OpenRig:
             if not self._no_torque:
                 self.scene = scene = with_checked_holds(scene)
             self._source = build(scene, self._pace, *self._logs, no_torque=self._no_torque)
-        controllers = self._source.cycle.controllers
-        for axis, controller in zip(scene.axes, controllers, strict=True):
-            self._axes[axis.parameters.name] = ProgramAxis(self, axis, controller)
+        for axis, port in zip(scene.axes, self._source.cycle.ports, strict=True):
+            self._axes[axis.parameters.name] = ProgramAxis(self, axis, port.controller)
         self._begin, self._process = WallClock().now(), os.getpid()
         atexit.register(self._at_exit)
         self._stack.callback(atexit.unregister, self._at_exit)

@@ -649,11 +649,8 @@ class OpenReplay:
         self._side = RecordedSide(far_buses, self._recording, first)
         clock = RecordedClock(self._side, self._start, self._wall if realtime else None)
         rig = self._rig([Link(bus, clock) for bus in near_buses], dry_run)
-        groups, known = parts.build_axis_groups(scene), parts.build_axis_meters(scene)
-        meters = build_loss_meters(scene)
-        self.cycle = Cycle(
-            rig, parts.build_axis_controllers(scene), groups=groups, axis_meters=known, loss_meters=meters
-        )
+        known, meters = parts.build_axis_meters(scene), build_loss_meters(scene)
+        self.cycle = Cycle(rig, parts.build_ports(scene), axis_meters=known, loss_meters=meters)
         if scene.run.code_runs_in == "process":
             from canhaptic.scene.own_code import ask_in_cycle
 

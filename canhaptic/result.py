@@ -18,6 +18,7 @@ from typing import Final, NotRequired, TypedDict, cast
 
 from canhaptic.control import verdict as verdicts
 from canhaptic.control.balance import Certificate
+from canhaptic.control.ports import Ports
 from canhaptic.control.verdict import WORST_LAST, Headline, PortResult, Verdict
 from canhaptic.cycle import Cycle
 from canhaptic.meters import PortFigures, Promise, promise_of
@@ -123,13 +124,13 @@ def run_result(cycle: Cycle, *, status: str, config_hash: str, method: str) -> R
 
 
 def _accounts(cycle: Cycle, truth: Mapping[str, TruthResult]) -> dict[str, PortResult]:
-    """Return the account of each axis, then of each group."""
-    axes, grouped = [drive.axis for drive in cycle.rig.drives], {axis for group in cycle.groups for axis in group.axes}
-    alone, known, sample_time = iter(cycle.controllers), cycle.meters.ports, cycle.rig.bus.sample_time
+    """Return the account of each row: of each axis, then of each port of several axes."""
+    axes, ports = [drive.axis for drive in cycle.rig.drives], Ports(cycle.ports)
+    alone, known, sample_time = ports.alone, cycle.meters.ports, cycle.rig.bus.sample_time
     accounts: dict[str, PortResult] = {}
     found = cycle.found_holds()
     for axis, drive in enumerate(cycle.rig.drives):
-        promise, name = Promise() if axis in grouped else promise_of(next(alone)), drive.axis.name
+        promise, name = promise_of(alone.get(axis)), drive.axis.name
         accounts[name] = {
             "unit": drive.axis.unit,
             **port_account(known[axis], cycle.ledgers[axis].summary().as_json(sample_time), promise, sample_time),
@@ -140,20 +141,19 @@ def _accounts(cycle: Cycle, truth: Mapping[str, TruthResult]) -> dict[str, PortR
             accounts[name]["hold"] = hold
         if cycle.rig.dry_run:
             accounts[name]["withheld_torque"] = drive.withheld
-    for place, group in enumerate(cycle.groups, len(axes)):
-        sums = group.ledger.summary().as_json(sample_time)
+    for port in ports.several:
+        sums = cycle.ledgers[port.row].summary().as_json(sample_time)
         account: PortResult = {
-            "unit": axes[group.axes[0]].unit,
-            **port_account(known[place], sums, promise_of(group.controller), sample_time),
-            "supplied": group.ledger.supplied,
-            "uncertainty": group.uncertainty,
-            "limits": dict(group.limits),
+            "unit": axes[port.axes[0]].unit,
+            **port_account(known[port.row], sums, promise_of(port.controller), sample_time),
+            "supplied": cycle.ledgers[port.row].supplied,
+            "uncertainty": port.uncertainty,
+            "limits": dict(port.limits),
         }
-        accounts[group.name] = with_old_names(account)
+        accounts[port.name] = with_old_names(account)
     for account in accounts.values() if cycle.rig.dry_run else ():
         verdicts.claim_nothing(account)
-    groups = {group.name: [axes[axis].name for axis in group.axes] for group in cycle.groups}
-    return with_groups(accounts, groups, truth)
+    return with_groups(accounts, {port.name: [axes[axis].name for axis in port.axes] for port in ports.several}, truth)
 
 
 _UNANSWERED: Final = 0.05
@@ -278,7 +278,7 @@ def _truth(cycle: Cycle) -> dict[str, TruthResult]:
     if (judge := cycle.judge) is None:
         return {}
     sums = zip(judge.interaction, judge.least, judge.least_at_handle, judge.believed_error, strict=True)
-    names = (*(drive.axis.name for drive in cycle.rig.drives), *(group.name for group in cycle.groups))
+    names = (*(drive.axis.name for drive in cycle.rig.drives), *(port.name for port in Ports(cycle.ports).several))
     keys = TruthResult.__annotations__
     truth = (with_old_names(dict(zip(keys, of, strict=True))) for of in sums)
     return {name: cast("TruthResult", of) for name, of in zip(names, truth, strict=True)}

@@ -28,7 +28,7 @@ from canhaptic.scene.build import build, private_channel
 from canhaptic.scene.far_side import build_drive_group
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
-from canhaptic.scene.parts import build_axis_controllers, build_servo_drive
+from canhaptic.scene.parts import build_ports, build_servo_drive
 from canhaptic.scene.scene_logs import describe_nodes
 
 ROOT: Final = Path(__file__).resolve().parent.parent
@@ -197,9 +197,7 @@ def record(plan: Plan, path: Path) -> str:
                 group.drives[0].inject_fault(_HARDWARE_FAULT)
 
         try:
-            run(
-                Cycle(rig, build_axis_controllers(scene)), round(plan.duration / scene.bus.sample_time), progress=inject
-            )
+            run(Cycle(rig, build_ports(scene)), round(plan.duration / scene.bus.sample_time), progress=inject)
             ended = "completed"
         except CanHapticError as error:
             ended = f"{type(error).__name__}: {error}"

@@ -23,10 +23,7 @@ from canhaptic.audit.user_checks import Outcome
 from canhaptic.canopen import objects as od
 from canhaptic.control.balance import Certificate, EnergyBalance
 from canhaptic.control.booked_stop import BookedStop
-from canhaptic.control.grouped_controllers import GroupedControllers
-from canhaptic.control.ledger import Ledger
-from canhaptic.control.multi_axis.group_controller import AxisGroup
-from canhaptic.control.passivity import Controller
+from canhaptic.control.ports import Port, Ports
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, PortResult, claim_nothing
 from canhaptic.errors import InputError, LogFormatError
 from canhaptic.logs.bus_reader import Frame, Remarks, read_bus_log
@@ -38,7 +35,7 @@ from canhaptic.result import Verdicts, overall, port_account, with_groups
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import LATER_LOOP_KEYS, AxisScene, Scene, hash_of
 from canhaptic.scene.own_code import apart, require_same_code
-from canhaptic.scene.parts import build_axis_controllers, build_axis_groups, build_axis_meters
+from canhaptic.scene.parts import build_axis_meters, build_ports
 from canhaptic.scene.scene_logs import Channels
 from canhaptic.signals import Sample
 
@@ -75,7 +72,7 @@ class Recomputed(TypedDict):
 
 
 def recompute(
-    log: EnergyLog, axes: Sequence[str], controllers: GroupedControllers, stop: Callable[[], BookedStop] | None = None
+    log: EnergyLog, axes: Sequence[str], ports: Ports, stop: Callable[[], BookedStop] | None = None
 ) -> list[Mismatch]:
     """Return the first logged output of each axis and group that differs from the recomputed one.
 
@@ -84,24 +81,24 @@ def recompute(
     Args:
         log: An open energy log that holds the run from its first cycle.
         axes: Names of the axes, in the order of the rig.
-        controllers: Controllers built from the scene of the run, in their initial state.
+        ports: Ports built from the scene of the run, in their initial state.
         stop: Constructor of the holds of the stop, called at their first row; None: the run has none.
     """
     found: dict[str, Mismatch] = {}
-    names = (*axes, *(group.name for group in controllers.groups))
+    names = (*axes, *(port.name for port in ports.several))
     inputs = [logged_rows(log, name, _INPUTS) for name in axes]
     known = [name for name in _OUTPUTS if all(name in log.ports[port] for port in names)]  # an older log has fewer
     outputs, every = [logged_rows(log, name, known) for name in names], struct.Struct(f"{len(known)}d")
     rows = zip(periods_of(log), zip(*inputs, strict=True), zip(*outputs, strict=True), strict=False)
-    programs = [(program, efforts_asked(log, axes[axis])) for axis, program in controllers.programs]
+    programs = [(program, efforts_asked(log, axes[axis])) for axis, program in ports.programs]
     stopping = row_of_stop(log)
     for row, (periods, seen, expected) in enumerate(rows):
-        controllers = stop() if row == stopping and stop is not None else controllers
-        controllers.lasted(periods)
+        ports = stop() if row == stopping and stop is not None else ports
+        ports.lasted(periods)
         for program, asked in programs:
             program.ask(-next(asked))
         samples = [Sample(row, position, torque, 0, fresh=bool(fresh)) for position, torque, fresh in seen]
-        balances = [*controllers.step(samples), *(group.balance.account for group in controllers.groups)]
+        balances = ports.balances_of(samples)
         for name, balance, logged in zip(names, balances, expected, strict=True):
             if logged[_CERTIFICATE] == _NONE:  # withdrawn for the length of a hold, which is no input
                 balance = balance._replace(certificate=_NONE)
@@ -119,12 +116,10 @@ def row_of_stop(log: EnergyLog) -> int:
     return int(np.searchsorted(log.timing.read("sync_index", 0, log.rows), found[0])) if found else -1
 
 
-def stop_of(
-    scene: Scene, controllers: Sequence[Controller], groups: Sequence[AxisGroup], *, dry_run: bool
-) -> BookedStop:
-    """Return the holds of a stop as the run made them, by the state of the controllers."""
+def stop_of(scene: Scene, ports: Sequence[Port], *, dry_run: bool) -> BookedStop:
+    """Return the holds of a stop as the run made them, by the state of the ports."""
     axes, to_act = [axis.parameters for axis in scene.axes], 2 + max(axis.loop.delay for axis in scene.axes)
-    return BookedStop(controllers, groups, dry_run, axes, scene.bus, to_act)
+    return BookedStop(ports, axes, scene.bus, to_act, dry_run=dry_run)
 
 
 def activity_mismatch(log: EnergyLog, name: str) -> Mismatch | None:
@@ -190,11 +185,11 @@ def recompute_all(log: EnergyLog, config: Path | None = None, *, allow_code: boo
         InputError: The scene cannot be read, differs from the scene of the run, or names user code that has changed.
     """
     scene = scene_of(log, config, allow_code=allow_code)
-    alone, groups, dry_run = build_axis_controllers(scene), build_axis_groups(scene), log.dry_run
-    controllers, stop = GroupedControllers(alone, groups, dry_run), partial(stop_of, scene, alone, groups)
+    ports, dry_run = build_ports(scene), log.dry_run
     axes = [axis.parameters.name for axis in scene.axes]
     found: dict[str, Mismatch | None] = {
-        of.port: of for of in recompute(log, axes, controllers, partial(stop, dry_run=dry_run))
+        of.port: of
+        for of in recompute(log, axes, Ports(ports, dry_run=dry_run), partial(stop_of, scene, ports, dry_run=dry_run))
     }
     for name in log.ports:
         found.setdefault(name, activity_mismatch(log, name))
@@ -430,16 +425,13 @@ class _Derivation:
 
     def __init__(self, scene: Scene, *, dry_run: bool, stopping: int) -> None:
         self._scene, self._dry_run, self._stopping = scene, dry_run, stopping
-        self._groups, self._alone = build_axis_groups(scene), build_axis_controllers(scene)
-        alone = self._alone
-        self._controllers: GroupedControllers = GroupedControllers(alone, self._groups, dry_run)
+        self._ports: Ports = Ports(build_ports(scene), dry_run=dry_run)
         self._torques = [_Heard() for _ in scene.axes]
-        self._meters = RunMeters(build_axis_meters(scene), self._torques, alone, self._groups)
+        self._meters = RunMeters(build_axis_meters(scene), self._torques, self._ports)
         self.units: dict[str, str] = {axis.parameters.name: axis.parameters.unit for axis in scene.axes}
         self.units |= {group.name: self.units[group.axes[0]] for group in scene.groups}
-        self._ledgers = [Ledger() for _ in self.units]
         self.cycles, self._deadline = 0, -1
-        self.programs = self._controllers.programs
+        self.programs = self._ports.programs
 
     def take(self, periods: int, samples: list[Sample], shown: Sequence[bool]) -> list[tuple[Sample, EnergyBalance]]:
         """Compute the cycle of a SYNC from its samples; return sample and balance of each axis, then of each group.
@@ -450,18 +442,14 @@ class _Derivation:
             shown: Whether the reported torque of each axis is the drive's demand (0x6074).
         """
         if self.cycles == self._stopping:
-            self._controllers = stop_of(self._scene, self._alone, self._groups, dry_run=self._dry_run)
-        self._controllers.lasted(periods)
+            self._ports = stop_of(self._scene, self._ports.ports, dry_run=self._dry_run)
+        self._ports.lasted(periods)
         for axis, sample, is_demand in zip(self._torques, samples, shown, strict=True):
             axis.take(sample, periods, is_demand)
-        balances = [*self._controllers.step(samples), *(group.balance.account for group in self._groups)]
-        samples = [*samples, *(group.sample(samples) for group in self._groups)]
+        balances = self._ports.balances_of(samples)
+        samples = [*samples, *(port.sample(samples) for port in self._ports.several)]
         self._deadline += periods if self.cycles else 1
-        for group in self._groups:
-            group.book(self.cycles, self._deadline)
-        for ledger, balance in zip(self._ledgers, balances, strict=True):
-            ledger.add(balance, self.cycles)
-        self._meters.take(samples, balances, self._ledgers, self._deadline)
+        self._meters.take(samples, balances, self.cycles, self._deadline)
         self.cycles += 1
         return list(zip(samples, balances, strict=True))
 
@@ -473,14 +461,14 @@ class _Derivation:
         """
         scene, time = self._scene, self._scene.bus.sample_time
         rendered = [*(axis.passivity for axis in scene.axes), *(group.passivity for group in scene.groups)]
-        known = zip(self.units.items(), self._meters.ports, self._ledgers, rendered, strict=True)
+        known = zip(self.units.items(), self._meters.ports, rendered, strict=True)
         ports: dict[str, PortResult] = {
             name: {
                 "unit": unit,
                 "algorithm": of.name,
-                **port_account(port, ledger.summary().as_json(time), promise_of(of.parameters), time),
+                **port_account(port, port.ledger.summary().as_json(time), promise_of(of.parameters), time),
             }
-            for (name, unit), port, ledger, of in known
+            for (name, unit), port, of in known
         }
         for name, hold in holds.items():
             ports[name]["hold"] = hold

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
+from canhaptic.control.ports import axis_ports
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.can.admittance_drive import AdmittanceDrive
 from canhaptic.drive.can.servo_drive import ServoDrive
@@ -627,7 +628,7 @@ class Session:
             self._efforts = self._efforts if cycle.holds_of_stop else [drive.torque for drive in drives]
             return self.truths
 
-        cycle = Cycle(self.rig, laws, None, read if far_side is not None else None)
+        cycle = Cycle(self.rig, axis_ports(laws), None, read if far_side is not None else None)
         run(cycle, cycles, lambda: self.stop_requested() or ready())
         self._holds_of_stop = cycle.holds_of_stop
         self.quanta = [drive.scaling.torque_quantum for drive in self.drives]

@@ -10,26 +10,21 @@ to 0 in one hold.
 
 from collections.abc import Sequence
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
-from canhaptic.control.grouped_controllers import GroupedControllers
 from canhaptic.control.ledger import DEFAULT_LIMIT
-from canhaptic.control.passivity import Controller
+from canhaptic.control.ports import Port, Ports
 from canhaptic.signals import Sample
-
-if TYPE_CHECKING:
-    from canhaptic.control.multi_axis.group_controller import AxisGroup
 
 _HELD, _NO_CERTIFICATE = Branch.HELD.value, Certificate.NONE.value
 
 
-class BookedStop(GroupedControllers):
-    """Controllers of a rig in the holds of its stop: they book as before, and the torques of the stop replace theirs.
+class BookedStop(Ports):
+    """Ports of a rig in the holds of its stop: they book as before, and the torques of the stop replace theirs.
 
     Args:
-        controllers: Controllers of the axes outside groups, in the order of the rig.
-        groups: Groups; each axis of the rig is in one of them or has a controller.
+        ports: Ports of the rig.
         dry_run: Whether no torque is sent.
         axes: Parameters of each axis, with its brake and its limit of energy.
         bus: Parameters of the bus, with sample time and longest ramp.
@@ -40,24 +35,21 @@ class BookedStop(GroupedControllers):
         is_ramp: Whether the torque of an axis falls in more than one hold.
     """
 
-    def __init__(
-        self, controllers: Sequence[Controller], groups: "Sequence[AxisGroup]", dry_run: bool, axes: Sequence[Any],
-        bus: Any, to_act: int,
-    ) -> None:  # fmt: skip
-        super().__init__(controllers, groups, dry_run)
+    def __init__(self, ports: Sequence[Port], axes: Sequence[Any], bus: Any, to_act: int, *, dry_run: bool) -> None:
+        super().__init__(ports, dry_run=dry_run)
+        self.steps = (self,)
         self._held = [(0.0, 0) if dry_run else held_by(axis, bus.sample_time_ns, to_act) for axis in axes]
         longest = max(1, round(bus.stop_ramp * 1e9) // bus.sample_time_ns)
         self._ramps = [1] * self.axes  # holds until the torque is 0
-        for axis, controller in self._singles:
-            limit = axes[axis].energy_loss_limit
-            limit = limit if isinstance(limit, float) else DEFAULT_LIMIT
-            if axes[axis].brake is None and getattr(controller, "releasable", inf) <= limit:
-                self._ramps[axis] = longest
-        self._replace = {axis: each.replace for axis, each in self._singles if hasattr(each, "replace")}
-        self._displays: list[tuple[int, Any]] = [of for of in self._singles if hasattr(of[1], "fade")]
-        grouped = [group for group in self.groups if hasattr(group.controller, "fade")]
-        self._fading = {axis for axis, _ in self._displays}.union(*(group.axes for group in grouped))
-        self._displays += [(group.axes[0], group.controller) for group in grouped]
+        for port in self.ports:
+            limits = [axes[axis].energy_loss_limit for axis in port.axes]
+            limit = min(one if isinstance(one, float) else DEFAULT_LIMIT for one in limits)
+            hangs = any(axes[axis].brake is not None for axis in port.axes)
+            if not hangs and getattr(port.controller, "releasable", inf) <= limit:
+                for axis in port.axes:
+                    self._ramps[axis] = longest
+        self._fading = [port for port in self.ports if hasattr(port.controller, "fade")]
+        self._falling = [port for port in self.ports if not hasattr(port.controller, "fade")]
         self._to_act, self._hold, self._sent = to_act, 0, dict[int, float]()
         self.is_ramp = any(ramp > 1 for ramp in self._ramps)
         self.left = max([*(holds for _, holds in self._held), *(ramp - 1 for ramp in self._ramps)]) + to_act
@@ -67,23 +59,20 @@ class BookedStop(GroupedControllers):
         """Whether nothing but weights acts now, for the first time, on the axes with a brake: it may be set."""
         return self._hold == self._to_act - 1
 
-    def step(self, samples: Sequence[Sample]) -> list[EnergyBalance]:
-        """Book the hold that ended, and return its balances with the torques of the stop."""
+    def step(self, samples: Sequence[Sample], balances: list[EnergyBalance]) -> None:
+        """Book the hold that ended, and write its rows with the torques of the stop."""
         self._hold, self.left = self._hold + 1, self.left - 1
         shares = [max(0.0, 1.0 - self._hold / holds) for holds in self._ramps]
-        for axis, display in self._displays:
-            display.fade(shares[axis])
-        balances = super().step(samples)
-        for axis, balance in enumerate(balances):
-            if axis not in self._fading:
-                balances[axis] = self._replaced(axis, balance, shares[axis])
-        for group in self.groups:
-            if group.axes[0] not in self._fading:
-                _empty(group)
-        return balances
+        for port in self._fading:
+            port.controller.fade(shares[port.axes[0]])
+        super().step(samples, balances)
+        for port in self._falling:
+            for axis in port.axes:
+                balances[axis] = self._replaced(axis, balances[axis], shares[axis])
+            port.tell_replaced(balances)
 
     def _replaced(self, axis: int, balance: EnergyBalance, share: float) -> EnergyBalance:
-        """Return the balance of an axis with the torque of the stop, and tell the controller of it."""
+        """Return the balance of an axis with the torque of the stop."""
         weight, holds = self._held[axis]
         is_held = self._hold <= holds
         if balance.branch == _HELD and not is_held:  # the last torque once more, and no ramp after it
@@ -91,20 +80,9 @@ class BookedStop(GroupedControllers):
             return balance._replace(torque=self._sent.get(axis, balance.torque))
         torque = weight if is_held else balance.torque * share
         self._sent[axis] = torque
-        if axis in self._replace and balance.branch != _HELD:
-            self._replace[axis](torque)
         return balance._replace(
             torque=torque, certificate=_NO_CERTIFICATE if is_held and torque else balance.certificate
         )
-
-
-def _empty(group: "AxisGroup") -> None:
-    """Put zero torques in place of the newest torques of a group."""
-    balance = group.balance
-    if hasattr(group.controller, "withhold") and balance.account.branch != _HELD:
-        group.controller.withhold()
-    zeros = (0.0,) * len(balance.torques)
-    group.balance = balance._replace(torques=zeros, account=balance.account._replace(torque=0.0))
 
 
 def held_by(axis: Any, sample_time_ns: int, to_act: int) -> tuple[float, int]:

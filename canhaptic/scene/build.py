@@ -20,6 +20,7 @@ import can
 from canhaptic.axis_units import effort_unit, uses_degrees
 from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.control.ledger import DEFAULT_GROWTH, DEFAULT_LIMIT, EnergyLossMeter
+from canhaptic.control.ports import Port
 from canhaptic.control.verdict import GUARANTEEING, PortResult
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.axis_parameters import CanBusParameters
@@ -35,12 +36,11 @@ from canhaptic.host.interfaces import opening_error
 from canhaptic.registry import load
 from canhaptic.result import RunResult, run_result
 from canhaptic.scene.buses import kind_of, part
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import (
-    build_axis_controllers,
-    build_axis_groups,
     build_axis_meters,
     build_ethercat_drive,
+    build_ports,
     build_servo_drive,
     require_torque_axis,
 )
@@ -228,8 +228,8 @@ class Experiment:
     ) -> None:  # fmt: skip
         self.scene, self.pace, self._log_failure = scene, pace, ""
         self.config_hash = scene.config_hash()  # now: it reads the dictionaries, and a run may use up every descriptor
-        controllers, meters = build_axis_controllers(scene), build_axis_meters(scene)
-        _require_push(scene.source, [axis for axis in scene.axes if not axis.group], controllers)
+        ports, meters = build_ports(scene), build_axis_meters(scene)
+        _require_push(scene, ports)
         with ExitStack() as stack:
             named = [_with_channel(bus.parameters) for bus in scene.buses]
             groups, self.far_side = _simulated_side(scene, named, stack)
@@ -254,9 +254,9 @@ class Experiment:
             # A simulation in real time is as uneven as this computer; the declared jitter is that of the simulated bus.
             is_exact = pace == "free" or not scene.simulated
             jitters = [axis.loop.sync_jitter or 0.0 for axis in scene.axes] if is_exact else None
-            known = build_axis_groups(scene), meters, build_loss_meters(scene), jitters
+            known = meters, build_loss_meters(scene), jitters
             truths = _truths(self.far_side) if recorded is None else None
-            self.cycle = Cycle(self.rig, controllers, self.energy_log, truths, *known)
+            self.cycle = Cycle(self.rig, ports, self.energy_log, truths, *known)
             self.code = self._start_code(stack)
             if self._log_failure:  # before the cycle existed
                 self.cycle.fail_log(self._log_failure)
@@ -425,16 +425,17 @@ def build(
     return Experiment(scene, chosen, *logs, no_torque=no_torque)
 
 
-def _require_push(source: str, axes: Sequence[AxisScene], controllers: Sequence[object]) -> None:
+def _require_push(scene: Scene, ports: Sequence[Port]) -> None:
     """Refuse to run an axis that needs `hand_push` and does not declare it, as logs of earlier releases may.
 
     Raises:
         InputError: The environment has several exits, and no `hand_push` is declared.
     """
-    for axis, controller in zip(axes, controllers, strict=True):
-        if getattr(controller, "lacks_push", False) and axis.environment.name != "free_space":
+    for port in ports:
+        axis = scene.axes[port.axes[0]]
+        if getattr(port.controller, "lacks_push", False) and axis.environment.name != "free_space":
             raise InputError(
-                f"{source}: passivity of {axis.parameters.name}: hand_push: not declared, expected the largest "
+                f"{scene.source}: passivity of {axis.parameters.name}: hand_push: not declared, expected the largest "
                 f"force with which the hand pushes against the effort: environment {axis.environment.name!r} has more "
                 "than one exit, and where they meet the hand pushes out of one contact into the next; declare it "
                 f"(such as {2.0 * axis.parameters.torque_limit:.2g} {effort_unit(axis.parameters.unit)}, twice "

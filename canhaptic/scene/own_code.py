@@ -36,6 +36,7 @@ from typing import Any, Final
 
 from pydantic_core import PydanticCustomError
 
+from canhaptic.control.ports import Port
 from canhaptic.cycle import Cycle
 from canhaptic.drive.clock import WallClock
 from canhaptic.drive.safety.link_policy import StopReason
@@ -336,7 +337,7 @@ class LaterLaw:
 
 def ask_in_cycle(scene: Scene, cycle: Cycle) -> None:
     """Run user code in the cycle itself, with the delay of a process, for replays."""
-    law, controllers = LaterLaw(scene), askers(scene, cycle.controllers)
+    law, controllers = LaterLaw(scene), askers(scene, cycle.ports)
     due = [0.0] * len(controllers)
 
     def turn(samples: Sequence[Sample]) -> None:
@@ -347,10 +348,9 @@ def ask_in_cycle(scene: Scene, cycle: Cycle) -> None:
     cycle.turn = turn
 
 
-def askers(scene: Scene, controllers: Sequence[Any]) -> list[Any]:
+def askers(scene: Scene, ports: Sequence[Port]) -> list[Any]:
     """Return the controllers outside groups that request their torques from user code."""
-    alone = [axis for axis in scene.axes if not axis.group]
-    return [controller for axis, controller in zip(alone, controllers, strict=True) if axis.is_own]
+    return [port.controller for port in ports if scene.axes[port.axes[0]].is_own]
 
 
 def reports_of(samples: Sequence[Sample], places: Sequence[int]) -> list[float]:
@@ -420,7 +420,7 @@ class CodeProcess:
         self._rig, self._waits, self._most = cycle.rig, pace == "free", scene.run.late_holds
         self._names = ", ".join(scene.own_code)
         self._places = [place for place, axis in enumerate(scene.axes) if axis.is_own]
-        self._controllers = askers(scene, cycle.controllers)
+        self._controllers = askers(scene, cycle.ports)
         self.late = self.longest = self._in_a_row = 0
         self._asked = -1  # index of the sample whose answer is due
         with ExitStack() as stack:

@@ -9,6 +9,7 @@ from canhaptic.control.axis_meter import Accuracy, AxisMeter, SilentMeter
 from canhaptic.control.environments import Environment, plain
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.passivity import Controller, LoopProperties, build_controller
+from canhaptic.control.ports import Port
 from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
@@ -22,7 +23,7 @@ from canhaptic.units import Parameters
 if TYPE_CHECKING:
     from canhaptic.control.mechanisms.kinematics import Kinematics
     from canhaptic.control.motion_checks import FrictionDeclared
-    from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupController, NetworkEnvironment
+    from canhaptic.control.multi_axis.group_controller import GroupController, NetworkEnvironment
     from canhaptic.drive.ethercat.bus_cycle import EthercatBusCycle
     from canhaptic.drive.ethercat.servo_drive import EthercatDrive
 
@@ -132,21 +133,19 @@ def build_axis_controller(axis: AxisScene) -> Controller:
     )
 
 
-def build_axis_controllers(scene: Scene) -> list[Controller]:
-    """Return one controller for each axis outside groups; controllers of groups are in `build_axis_groups`."""
-    return [build_axis_controller(axis) for axis in scene.axes if not axis.group]
+def build_ports(scene: Scene) -> list[Port]:
+    """Return the ports of a scene, at rest: the axes outside groups, then the groups."""
+    known = scene.ports
+    alone, several = known[: len(known) - len(scene.groups)], known[len(known) - len(scene.groups) :]
+    ports = [Port(of.name, of.places, of.places[0], build_axis_controller(scene.axes[of.places[0]])) for of in alone]
+    return [*ports, *(_several(scene, n, of.places) for n, of in enumerate(several))]
 
 
-def build_axis_groups(scene: Scene) -> "list[AxisGroup]":
-    """Return the groups of a scene, at rest."""
-    if not scene.groups:
-        return []
+def _several(scene: Scene, number: int, places: Sequence[int]) -> Port:
     from canhaptic.control.multi_axis.group_controller import AxisGroup
 
-    return [
-        AxisGroup(group.name, places, build_group(scene, group))
-        for group, places in zip(scene.groups, scene.group_places, strict=True)
-    ]
+    of = scene.groups[number]
+    return AxisGroup(of.name, places, len(scene.axes) + number, build_group(scene, of))
 
 
 def build_axis_meters(scene: Scene) -> list[AxisMeter]:

@@ -10,6 +10,7 @@ from canhaptic.audit.recompute import recompute_all
 from canhaptic.canopen.attached_devices import Brake
 from canhaptic.cli.main import main
 from canhaptic.commission.session import OpenLoop
+from canhaptic.control.ports import axis_ports
 from canhaptic.cycle import Cycle, run, running
 from canhaptic.errors import DriveFaultError, LinkError
 from canhaptic.logs.energy_reader import EnergyLog
@@ -34,7 +35,7 @@ def let_go(stop_cycles: int = 20) -> tuple[Bench, Cycle]:
     """The rig of the demo after two holds at its torque limit, when the hand lets go."""
     b = make_bench([axis(torque_limit=20.0, speed_limit=100.0)], bus={"stop_cycles": stop_cycles})
     b.drives[0].servo._mover = b.drives[0].servo.motor = LightHandle()
-    return b, Cycle(b.rig, [OpenLoop([0.0, 0.0, 20.0, 20.0] + [20.0] * stop_cycles)])
+    return b, Cycle(b.rig, axis_ports([OpenLoop([0.0, 0.0, 20.0, 20.0] + [20.0] * stop_cycles)]))
 
 
 def cycle_on(cycle: Cycle) -> None:
@@ -119,7 +120,7 @@ def test_a_fault_met_in_a_stop_ends_it_at_once() -> None:
 def test_a_booked_stop_holds_the_weight_and_not_the_last_torque(tmp_path: Path, by: int) -> None:
     brake, values = brakes(tmp_path)[by]
     b = hung(make_bench, brake, **values)
-    cycle = Cycle(b.rig, [OpenLoop([WEIGHT] * 50 + [8.0])])
+    cycle = Cycle(b.rig, axis_ports([OpenLoop([WEIGHT] * 50 + [8.0])]))
     run(cycle, 51)
     sent = b.torques_sent()
     assert sent[-100:].count(500) > 50
@@ -152,7 +153,7 @@ def test_where_tpdos_are_lost_a_weight_is_held_unseen_until_the_brake_is_set(tmp
 
 def test_a_brake_without_a_weight_holds_nothing(tmp_path: Path) -> None:
     b = hung(make_bench, Brake(**{**TIMES, "holds_weight": 0.0}))
-    cycle = Cycle(b.rig, [OpenLoop([8.0] * 10)])
+    cycle = Cycle(b.rig, axis_ports([OpenLoop([8.0] * 10)]))
     run(cycle, 10)
     assert b.torques_sent()[-60:] == [0] * 60
     assert cycle.holds_of_stop > 50

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import can
 import numpy as np
@@ -144,7 +145,8 @@ def test_at_the_edge_and_near_a_singular_pose_there_is_no_torque_and_the_log_say
         "groups.0.network={type: sphere, centre: [0.0, 0.28], radius: 0.03, side: inside, stiffness: 100, damping: 1}",
     ]
     with logged("five_bar_sphere", 1100, tmp_path, [*reaching, *overrides]) as (experiment, log):
-        group, judge = experiment.cycle.groups[0], experiment.cycle.judge
+        group: Any = experiment.cycle.ports[0]
+        judge = experiment.cycle.judge
         assert judge is not None
         assert group.limits[limit] > 50
         assert judge.least[2] >= -1e-6
@@ -192,17 +194,16 @@ def test_what_a_mover_supplies_is_in_the_account_and_never_in_the_truth_of_the_m
     swing = "simulation.mechanisms.0.hand.motion={x: {amplitude: 0.03, frequency: 0.37}}"
     pushed = [f"groups.0.network={{{wall}, stiffness: 800, damping: 5}}", swing]
     with logged("xy_box", 3000, tmp_path, pushed) as (experiment, log):
-        [group], judge = experiment.cycle.groups, experiment.cycle.judge
+        [group], judge = experiment.cycle.ports, experiment.cycle.judge
         assert judge is not None
-        assert group.ledger.supplied > 1e-3  # the wall pushes hand and stage
+        supplied = experiment.cycle.ledgers[group.row].supplied
+        assert supplied > 1e-3  # the wall pushes hand and stage
         assert judge.interaction[0] + judge.interaction[1] < -1e-4  # the motors alone gave out energy
-        accounted = group.ledger.interaction
-        assert accounted == pytest.approx(
-            sum(each.interaction for each in experiment.cycle.ledgers) + group.ledger.supplied, abs=1e-12
-        )
+        *of_axes, accounted = (each.interaction for each in experiment.cycle.ledgers)
+        assert accounted == pytest.approx(sum(of_axes) + supplied, abs=1e-12)
         assert accounted >= -1e-6
-        supplied = np.cumsum(log.ports["stage"]["h_i"] - log.ports["x"]["h_i"] - log.ports["y"]["h_i"])
-        came_in = supplied - log.truth["x"]["motor"] - log.truth["y"]["motor"]
+        by_mover = np.cumsum(log.ports["stage"]["h_i"] - log.ports["x"]["h_i"] - log.ports["y"]["h_i"])
+        came_in = by_mover - log.truth["x"]["motor"] - log.truth["y"]["motor"]
         assert came_in.min() >= -1e-6
         assert np.abs(came_in + log.truth["stage"]["motor"]).max() <= 1e-9  # the log's port has what the mover gave too
         assert identity(log.ports["stage"]).max() <= 1e-12

@@ -37,7 +37,7 @@ def over_can(config: str, *overrides: str, duration: float) -> OverCan:
         link, cycle = experiment.rig.drives[0].link, experiment.cycle
         link._recorder = lambda _time, can_id, data, _is_rx: frames.append((can_id, bytes(data)))
         sticky: list[float] = []
-        [controller] = cycle.controllers
+        [controller] = [port.controller for port in cycle.ports]
         step = controller.step
 
         def watched(position: float, torque: float):
@@ -46,7 +46,7 @@ def over_can(config: str, *overrides: str, duration: float) -> OverCan:
                 sticky.append(balance.torque)
             return balance
 
-        controller.step = watched  # type: ignore[assignment]
+        controller.step = watched
         cycles = round(duration / experiment.scene.bus.sample_time)
         run(cycle, cycles)
         [ledger], judge = cycle.ledgers, cycle.judge

@@ -363,7 +363,7 @@ def test_the_end_of_the_interpreter_takes_the_torque_away(tmp_path: Path) -> Non
 def test_an_exception_of_the_rig_itself_is_that_of_a_run() -> None:
     def law(rig: OpenRig, _: Any) -> None:
         assert rig._source is not None
-        rig._source.cycle.controllers[0].step = None  # type: ignore[assignment]
+        rig._source.cycle.ports[0].controller.step = None
 
     with pytest.raises(CycleFailedError, match="torque is zero"):
         touched(law)

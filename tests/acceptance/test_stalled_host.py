@@ -193,14 +193,14 @@ def test_a_group_takes_a_skipped_sync_for_holds_of_which_only_the_whole_motion_i
     """Its wall goes on by the time that passed, and no fast motion is made of a slow one that lasted longer."""
     scene = load_scene(DEMO.parent / "two_handles.yaml", ["simulation.bus={stall: [{begin: 0.3, duration: 5 ms}]}"])
     with build(scene) as built:
-        [group], missed = built.cycle.groups, []
-        book = group.controller._step  # type: ignore[attr-defined]
+        [group], missed = built.cycle.ports, []
+        book = group.controller._step
 
         def noted(holds: int, *known: Any) -> Any:
             missed.append(holds)
             return book(holds, *known)
 
-        group.controller._step = noted  # type: ignore[attr-defined]
+        group.controller._step = noted
         run(built.cycle, cycles=1000)
         skipped = built.rig.skipped_syncs
     assert skipped >= 4

@@ -127,7 +127,7 @@ def test_where_friction_alone_is_declared_lost_positions_leave_energy_open(rpdo)
     ]
     with build(load_scene(DEMO, overrides)) as experiment:
         run(experiment.cycle, cycles=800)
-        resolution = experiment.cycle.meters.of_axes[0].measured().energy_resolution
+        resolution = experiment.cycle.meters.ports[0].measured().energy_resolution
         assert experiment.cycle.judge.believed_error[0] < resolution < 0.1
         assert experiment.cycle.judge.believed_error[0] > 1e-7
 

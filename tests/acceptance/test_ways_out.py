@@ -15,7 +15,7 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.passivity import Controller
-from canhaptic.scene import build, parts
+from canhaptic.scene import parts
 from tests.acceptance.bus_frames import DEMO, IN_CONTACT, Frame, commands, read_log, reports
 
 CYCLE = 50  # in which it happens
@@ -75,8 +75,8 @@ ENDINGS = {
 
 
 def run_with(controller_of: Callable[[Controller], Controller], bus_log: Path, monkeypatch: pytest.MonkeyPatch) -> int:
-    original = parts.build_axis_controllers
-    monkeypatch.setattr(build, "build_axis_controllers", lambda scene: [controller_of(c) for c in original(scene)])
+    original = parts.build_axis_controller
+    monkeypatch.setattr(parts, "build_axis_controller", lambda axis: controller_of(original(axis)))
     return main(["run", str(DEMO), "--duration", "0.5", "--json", "--bus-log", str(bus_log), *IN_CONTACT])
 
 

@@ -8,8 +8,8 @@ from canhaptic.audit import recompute as module
 from canhaptic.audit.recompute import recompute
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.grouped_controllers import GroupedControllers
 from canhaptic.control.passivity import LoopProperties, build_controller
+from canhaptic.control.ports import Ports, axis_ports
 from canhaptic.logs.columns import PortDescription
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.writer_process import EnergyLogWriter
@@ -52,10 +52,10 @@ def test_a_recorded_run_is_reproduced_bit_for_bit_and_one_changed_bit_is_found(
     record(path)
     with EnergyLog.open(path) as log:
         assert log.ports["handle"]["torque_command"].max() > 1.0
-        assert recompute(log, ["handle"], GroupedControllers([WithHold()], [])) == []
+        assert recompute(log, ["handle"], Ports(axis_ports([WithHold()]))) == []
     with h5py.File(path, "r+") as file:
         file["ports/handle/h_s"][321] = math.nextafter(file["ports/handle/h_s"][321], math.inf)
     with EnergyLog.open(path) as log:
-        [found] = recompute(log, ["handle"], GroupedControllers([WithHold()], []))
+        [found] = recompute(log, ["handle"], Ports(axis_ports([WithHold()])))
     assert found[:3] == ("handle", 321, "stored")
     assert math.nextafter(found.recomputed, math.inf) == found.logged

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import pytest
 
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
-from canhaptic.control.grouped_controllers import GroupedControllers
 from canhaptic.control.mechanisms.kinematics import Limit
 from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupBalance
+from canhaptic.control.ports import Port, Ports
 from canhaptic.signals import PlantEnergy, Sample, Truth
 
 
@@ -49,43 +49,43 @@ def sample(position: float, torque: float = 0.0, fresh: bool = True, word: int =
 
 
 def test_each_axis_gets_its_own_whatever_the_order_of_the_group() -> None:
-    controllers = GroupedControllers([Alone()], [AxisGroup("pair", (2, 0), Group())])
-    balances = controllers.step([sample(1.0, 0.5), sample(2.0, 0.25), sample(3.0, -0.5)])
+    ports = Ports([Port("alone", (1,), 1, Alone()), AxisGroup("pair", (2, 0), 3, Group())])
+    *balances, account = ports.balances_of([sample(1.0, 0.5), sample(2.0, 0.25), sample(3.0, -0.5)])
     assert [b.torque for b in balances] == [10.0, -2.0, 30.0]
     assert [b.h_i for b in balances] == [-0.5, 0.25, 1.5]
     assert [b.branch for b in balances] == [Branch.GROUP, Branch.FREE, Branch.GROUP]
     assert [b.certificate for b in balances] == [2, 0, 2]
-    assert controllers.groups[0].balance.account.h_i == 1.0
+    assert account.h_i == 1.0
 
 
 @pytest.mark.parametrize("lost", [0, 2])
 def test_the_whole_group_holds_when_one_of_its_samples_is_lost_and_others_go_on(lost: int) -> None:
-    group = AxisGroup("pair", (0, 2), Group())
-    controllers = GroupedControllers([Alone()], [group])
+    group = AxisGroup("pair", (0, 2), 3, Group())
+    ports = Ports([Port("alone", (1,), 1, Alone()), group])
     samples = [sample(1.0), sample(2.0), sample(3.0)]
     samples[lost] = samples[lost]._replace(fresh=False)
-    balances = controllers.step(samples)
+    *balances, account = ports.balances_of(samples)
     assert [b.torque for b in balances] == [7.0, -2.0, 8.0]
-    assert [b.branch for b in balances] == [Branch.HELD, Branch.FREE, Branch.HELD]
+    assert [b.branch for b in (*balances, account)] == [Branch.HELD, Branch.FREE, Branch.HELD, Branch.HELD]
     assert not group.sample(samples).fresh
     alone_lost = [sample(1.0), sample(2.0, fresh=False), sample(3.0)]
-    assert [b.torque for b in controllers.step(alone_lost)] == [10.0, 99.0, 30.0]
+    assert [b.torque for b in ports.balances_of(alone_lost)[:3]] == [10.0, 99.0, 30.0]
 
 
 def test_a_limit_is_counted_every_hold_and_told_once() -> None:
     inner = Group()
-    group, told = AxisGroup("pair", (0, 1), inner), []
+    group, told = AxisGroup("pair", (0, 1), 2, inner), []
     for limit in (0, Limit.SINGULAR, Limit.SINGULAR, 0, Limit.SINGULAR, Limit.WORKSPACE):
         inner.limit = int(limit)
-        group.step([sample(1.0), sample(2.0)])
-        told.append(group.book(4)[:8])
+        group.step([sample(1.0), sample(2.0)], [AT_REST] * 3)
+        told.append(group.news[:8])
     assert told == ["", "the pose", "", "", "the pose", "the mech"]
     assert group.limits == {"workspace": 1, "singular": 3, "unsolved": 0}
 
 
 def test_the_row_of_a_group_has_the_norm_of_its_torques_and_every_bit_of_its_axes() -> None:
-    group = AxisGroup("pair", (0, 2), Group())
+    group = AxisGroup("pair", (0, 2), 3, Group())
     row = group.sample([sample(1.0, 3.0, word=0x27), sample(9.0, 9.0, word=0xFFFF), sample(2.0, 4.0, word=0x827)])
     assert row == Sample(4, 0.0, 5.0, 0x827, True)
     truths = [Truth(0.1 * i, PlantEnergy(1.0 * i, 2.0, 3.0, 4.0)) for i in range(3)]
-    assert group.truth(truths) == Truth(0.0, PlantEnergy(2.0, 4.0, 6.0, 8.0))
+    assert group.truth(truths, 0.5) == Truth(0.0, PlantEnergy(1.5, 4.0, 6.0, 8.0))

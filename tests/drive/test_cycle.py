@@ -8,6 +8,7 @@ import pytest
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import LoopProperties, build_controller
+from canhaptic.control.ports import axis_ports
 from canhaptic.cycle import Cycle
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import CommandLostError, DriveFaultError, InputError, LinkError
@@ -342,4 +343,4 @@ def test_a_cycle_wants_one_controller_for_each_axis(bench: MakeBench, controller
     wall, loop = SpringDamperWall(stiffness=100.0), LoopProperties(sample_time=1e-3)
     several = [build_controller(wall, "unprotected", None, loop) for _ in range(controllers)]
     with pytest.raises(InputError, match=f"controllers for {controllers} axes and a rig of 1"):
-        Cycle(bench().rig, several)
+        Cycle(bench().rig, axis_ports(several))

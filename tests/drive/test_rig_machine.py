@@ -18,6 +18,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.control.passivity.guarded import GuardedParameters
+from canhaptic.control.ports import axis_ports
 from canhaptic.cycle import Cycle
 from canhaptic.errors import RigError
 from canhaptic.signals import PlantEnergy
@@ -137,7 +138,7 @@ class RigUnderStress(RuleBasedStateMachine):
         except RigError:
             self.enabled_by_operator = False
             return
-        self.cycle = Cycle(self.rig, [build_controller(wall, "guarded", parameters, loop)])
+        self.cycle = Cycle(self.rig, axis_ports([build_controller(wall, "guarded", parameters, loop)]))
         self.work_before = self.mass.work
 
     @precondition(lambda self: self.is_running)
@@ -194,7 +195,7 @@ class RigUnderStress(RuleBasedStateMachine):
         if self.rig.records[-1].samples[0].fresh:
             accounted, true = self.cycle.ledgers[0].interaction, self.work_before - self.mass.work
             uncertainty = (
-                self.cycle.meters.of_axes[0].measured().energy_resolution
+                self.cycle.meters.ports[0].measured().energy_resolution
             )  # a lost position hides a torque's end
             assert accounted <= true + uncertainty + ROUNDING, "more was booked than came in"
             # after a lost sample the booked energy is a worst case and may fall below what came in; the true one not

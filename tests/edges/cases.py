@@ -267,8 +267,8 @@ def raises() -> float:
 
 def controller(torque: Callable[[], float]) -> Deed:
     def deed(edge: Edge) -> None:
-        cycle = edge.experiment.cycle
-        cycle.controllers = (Own(cycle.controllers[0], torque),)
+        port = edge.experiment.cycle.ports[0]
+        port.controller = Own(port.controller, torque)
 
     return deed
 

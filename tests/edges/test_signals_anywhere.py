@@ -7,6 +7,7 @@ import pytest
 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import LoopProperties, build_controller
+from canhaptic.control.ports import axis_ports
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.host.stop_signal import StopSignal
@@ -41,7 +42,7 @@ class Looks:
         bench = make_bench([axis()], bus={"stop_ramp": 1e-3})
         wall = SpringDamperWall(stiffness=500.0, damping=0.0, position=0.0, side="above")
         loop = LoopProperties(sample_time=1e-3, torque_limit=8.0, torque_quantum=0.01)
-        cycle = Cycle(bench.rig, [build_controller(wall, "unprotected", None, loop)])
+        cycle = Cycle(bench.rig, axis_ports([build_controller(wall, "unprotected", None, loop)]))
         self.places, self.seen, self.first_sync, self.bench = places, 0, -1, bench
         with StopSignal() as stop:
             run(cycle, CYCLES, stop.requested)

@@ -35,7 +35,7 @@ def test_can_and_direct_rig_agree_bit_for_bit(name, rpdo, tmp_path):
     scene = load_scene(path, [f"axes.0.eds={eds}", f"bus.rpdo={rpdo}", "simulation.user.motion.phase=2.6"])
     axis, cycles, seen = scene.axes[0], 400, []
     with build(scene, "free") as experiment:
-        [controller] = experiment.cycle.controllers
+        [controller] = [port.controller for port in experiment.cycle.ports]
         step = controller.step
 
         def watched(position: float, torque: float):
@@ -43,7 +43,7 @@ def test_can_and_direct_rig_agree_bit_for_bit(name, rpdo, tmp_path):
             seen.append((position, balance.torque, torque))
             return balance
 
-        controller.step = watched  # type: ignore[assignment]
+        controller.step = watched
         motors = []
         run(experiment.cycle, cycles, progress=lambda _: motors.append(experiment.cycle.judge.interaction[0]))
     assert axis.simulation is not None

@@ -20,7 +20,7 @@ from canhaptic.scene.hints import group_hints, stability_hints
 from canhaptic.scene.json_schema import scene_schema
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line
-from canhaptic.scene.parts import build_axis_controller, build_axis_groups
+from canhaptic.scene.parts import build_axis_controller, build_ports
 from tests.control.network.networks import AxesApart
 from tests.scene.scene_text import REPOSITORY
 
@@ -112,11 +112,12 @@ def test_a_group_stays_within_the_limits_of_each_axis_before_it_is_certified() -
     for values in ([], limits):
         with build(load_scene(STAGE, values), "free") as experiment:
             cycle, sent = experiment.cycle, [0.0]
+            group: Any = cycle.ports[0]
 
-            def compare(_cycles: int, cycle: Cycle = cycle, sent: list[float] = sent) -> None:
-                for drive, torque in zip(cycle.rig.drives, cycle.groups[0].balance.torques, strict=True):
+            def compare(_cycles: int, cycle: Cycle = cycle, sent: list[float] = sent, group: Any = group) -> None:
+                for drive, torque in zip(cycle.rig.drives, group.balance.torques, strict=True):
                     assert abs(drive.limiter.last - torque) < 1e-12
-                sent.append(cycle.groups[0].balance.torques[1])
+                sent.append(group.balance.torques[1])
 
             run(cycle, 400, progress=compare)
         rises.append(max(abs(new) - abs(old) for old, new in itertools.pairwise(sent)))
@@ -152,7 +153,7 @@ def test_an_axis_of_a_group_has_no_controller_of_its_own() -> None:
     scene = load_scene(STAGE)
     with pytest.raises(ParameterError, match="group 'stage' renders on this axis"):
         build_axis_controller(scene.axes[0])
-    [group] = build_axis_groups(scene)
+    [group] = build_ports(scene)
     assert isinstance(group, AxisGroup)
     assert (group.name, group.axes) == ("stage", (0, 1))
 

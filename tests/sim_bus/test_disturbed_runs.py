@@ -73,9 +73,9 @@ def disturbed(*overrides: str, cycles: int = 1500) -> Outcome:
     scene = load_scene(DEMO, [*IN_AND_OUT, "bus.channel=overheard", *overrides])
     with virtual_bus("overheard") as listener, build(scene, "free") as experiment:
         cycle, error = experiment.cycle, None
-        [inner] = cycle.controllers
-        watched = Watched(inner)
-        cycle.controllers = (watched,)  # type: ignore[assignment]
+        [port] = cycle.ports
+        inner = port.controller
+        watched = port.controller = Watched(inner)
         accounted = Overbelief(experiment, inner)
         try:
             run(cycle, cycles, progress=accounted.look)

@@ -88,8 +88,8 @@ def _switch_off(experiment: Experiment) -> None:
 
 
 def _break_controller(experiment: Experiment) -> None:
-    [controller] = experiment.cycle.controllers
-    experiment.cycle.controllers = (_NotANumber(controller),)  # type: ignore[assignment]
+    [port] = experiment.cycle.ports
+    port.controller = _NotANumber(port.controller)
 
 
 class _NotANumber:

@@ -139,7 +139,7 @@ class LawThread:
 
     def __init__(self, scene: Scene, experiment: Experiment) -> None:
         self.late, self._law = 0, LaterLaw(scene)
-        self._controllers: Sequence[Any] = experiment.cycle.controllers
+        self._controllers: Sequence[Any] = [port.controller for port in experiment.cycle.ports]
         self._sample: tuple[int, list[float]] | None = None
         self._answer, self._asked, self._wake = (-1, 0.0), -1, threading.Event()
         self._is_over = False

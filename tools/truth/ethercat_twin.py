@@ -17,7 +17,7 @@ from canhaptic.drive.rig import Rig
 from canhaptic.scene.build import Experiment, build_loss_meters
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.models import AxisScene, Scene
-from canhaptic.scene.parts import build_axis_controllers, build_axis_groups, build_axis_meters
+from canhaptic.scene.parts import build_axis_meters, build_ports
 from canhaptic.sim.drive.ethercat.cable import Cable, CableEffects
 from canhaptic.sim.drive.ethercat.drive_node import ClockParameters, EthercatDrive
 
@@ -56,11 +56,10 @@ class TwinExperiment(Experiment):
         for axis, of in zip(axes, scene.axes, strict=True):
             axis.hold = scene.hold_of(of)
         self.rig = Rig([self.line], axes, bus, scene.group_places)
-        controllers, meters = build_axis_controllers(scene), build_axis_meters(scene)
-        known = build_axis_groups(scene), meters, build_loss_meters(scene)
+        known = build_axis_meters(scene), build_loss_meters(scene)
         jitters = [axis.loop.sync_jitter or 0.0 for axis in scene.axes]
         readers = [drive.truth for drive in drives]
-        self.cycle = Cycle(self.rig, controllers, None, lambda: [read() for read in readers], *known, jitters)
+        self.cycle = Cycle(self.rig, build_ports(scene), None, lambda: [read() for read in readers], *known, jitters)
         self._stack = ExitStack()
 
     def _drive(self, axis: AxisScene, period: int, drift: int, place: int) -> EthercatDrive:

@@ -209,7 +209,7 @@ class FaultWatch:
     def break_controller(self) -> None:
         """Makes torques of the first controller that are no number."""
         cycle: Any = self._experiment.cycle
-        of: Any = cycle.controllers[0] if cycle.controllers else cycle.groups[0].controller
+        of: Any = cycle.ports[0].controller
         step = of.step
 
         def broken(*arguments: Any) -> Any:

@@ -253,12 +253,12 @@ class _Moments:
 
     def __init__(self, experiment: Experiment, section: Mapping[str, Any], *, has_twin: bool = False) -> None:
         self._cycle, self._section, self._has_twin = experiment.cycle, section, has_twin
-        groups = experiment.cycle.groups
-        self._names = [*(axis.parameters.name for axis in experiment.scene.axes), *(group.name for group in groups)]
-        grouped = {axis for group in groups for axis in group.axes}
-        self._places = [place for place in range(len(self._names)) if place not in grouped]
-        self._known = [0.0] * len(self._names)  # largest error that was judged before
-        self._error, self._active = [0.0] * len(self._names), [0] * len(self._names)
+        ports = experiment.cycle.ports
+        self._names = {port.row: port.name for port in ports}
+        self._places = [port.row for port in ports]
+        rows = len(experiment.cycle.ledgers)
+        self._known = [0.0] * rows  # largest error that was judged before
+        self._error, self._active = [0.0] * rows, [0] * rows
         self._below: set[tuple[int, str]] = set()
         self._cycles = 0
         self._said: dict[tuple[str, str], str] = {}  # port and kind -> the first false claim

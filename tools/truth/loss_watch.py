@@ -31,9 +31,7 @@ class LossWatch:
                 continue
             for pdo in drive._process_data._rpdos:  # noqa: SLF001 - the drive itself, not what the rig believes
                 pdo.load = self._counting(place, pdo.load)
-        grouped = [group.axes for group in experiment.cycle.groups]
-        alone = [(axis,) for axis in range(len(self._taken)) if not any(axis in axes for axes in grouped)]
-        self._ports = [*grouped, *alone]
+        self._ports = [port.axes for port in experiment.cycle.ports]
         self._before = [0] * len(self._taken)
         self._fresh = [True] * len(self._taken)
         self._in_a_row = [0] * len(self._ports)

@@ -101,7 +101,7 @@ class Asking:
 
     def __init__(self, experiment: Experiment, seed: int, name: str) -> None:
         chance = np.random.default_rng([seed, 31])
-        self._controllers: Sequence[Any] = experiment.cycle.controllers
+        self._controllers: Sequence[Any] = [port.controller for port in experiment.cycle.ports]
         self._law = PROGRAMS[name](10.0 ** float(chance.uniform(-0.5, 1.5)), chance)
         self._period, self._before = experiment.rig.bus.sample_time, 0.0
         self.asked = 0.0

@@ -11,9 +11,9 @@ certificate therefore belong to the group; the balance of an axis has `Branch.GR
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
-from canhaptic.control.balance import AT_REST, EnergyBalance
-from canhaptic.control.ledger import Ledger
+from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.control.mechanisms.kinematics import Limit
+from canhaptic.control.ports import Port
 from canhaptic.signals import PlantEnergy, Sample, Truth
 
 
@@ -92,66 +92,68 @@ _LIMIT_TEXTS = {
 """Limit -> message for the user."""
 
 
-class AxisGroup:
-    """A group of axes of a rig, with its controller and its account.
+_GROUP, _HELD = Branch.GROUP.value, Branch.HELD.value
+
+
+class AxisGroup(Port):
+    """A port of several axes, with its controller and its account.
 
     Args:
         name: Name of the group, different from every axis name.
         axes: Indices of the axes in the rig, in the order of the controller.
+        row: Index of its account among the rows.
         controller: Controller for this number of axes.
 
     Attributes:
-        ledger: The account of the group.
         balance: Balance of the last step.
         limits: Number of holds in each `Limit` except NONE.
-        uncertainty: Uncertainty due to lost samples, subtracted from the ledger's interaction [J].
+        news: Message about the limit of the last step if the step before did not reach it; else empty.
     """
 
-    def __init__(self, name: str, axes: Sequence[int], controller: GroupController) -> None:
-        self.name = name
-        self.axes = tuple(axes)
-        self.controller = controller
-        self.ledger = Ledger()
+    def __init__(self, name: str, axes: Sequence[int], row: int, controller: GroupController) -> None:
+        super().__init__(name, axes, row, controller)
         self.balance: GroupBalance = group_at_rest(len(self.axes))
         self.limits = {limit.name.lower(): 0 for limit in Limit if limit is not Limit.NONE}
-        self.uncertainty = 0.0
-        self._limit = Limit.NONE.value
+        self.news = ""
 
-    def step(self, samples: Sequence[Sample]) -> GroupBalance:
-        """Return the balance of the hold that ended; `Branch.HELD` if any axis of the group has no fresh sample.
+    def step(self, samples: Sequence[Sample], balances: list[EnergyBalance]) -> None:
+        """Book the hold that ended, `Branch.HELD` if any axis has no fresh sample, and write the rows of the port.
 
         Args:
             samples: Samples of the whole rig.
+            balances: Rows of the cycle.
         """
+        limit = self.balance.limit
+        self.balance = balance = self._stepped(samples)
+        torques, account, interactions, uncertainty, _ = balance
+        self.uncertainty += uncertainty
+        branch, certificate = _HELD if account.branch == _HELD else _GROUP, account.certificate
+        for axis, torque, h_i in zip(self.axes, torques, interactions, strict=True):
+            balances[axis] = _axis_balance(torque, h_i, branch, certificate)
+        balances[self.row] = account
+        self.news = ""
+        if balance.limit:
+            self.limits[Limit(balance.limit).name.lower()] += 1
+            self.news = _LIMIT_TEXTS[balance.limit] if limit != balance.limit else ""
+
+    def _stepped(self, samples: Sequence[Sample]) -> GroupBalance:
         positions, torques = [], []
         for axis in self.axes:
             sample = samples[axis]
             if not sample.fresh:
-                self.balance = self.controller.sample_lost()
-                return self.balance
+                stepped: GroupBalance = self.controller.sample_lost()
+                return stepped
             positions.append(sample.position)
             torques.append(sample.torque_applied)
-        self.balance = self.controller.step(positions, torques)
-        return self.balance
+        stepped = self.controller.step(positions, torques)
+        return stepped
 
-    def book(self, sync_index: int, deadline: int | None = None) -> str:
-        """Book the balance of the last step in the group's ledger, and count the limit it reached, if any.
-
-        Args:
-            sync_index: Index of the SYNC of that step.
-            deadline: Sample times from the first SYNC to that SYNC; None: no SYNC was skipped.
-
-        Returns:
-            Message about the limit if the step before did not reach it; empty otherwise.
-        """
-        self.ledger.add(self.balance.account, sync_index, deadline)
-        self.uncertainty += self.balance.uncertainty
-        limit, before = self.balance.limit, self._limit
-        self._limit = limit
-        if not limit:
-            return ""
-        self.limits[Limit(limit).name.lower()] += 1
-        return _LIMIT_TEXTS[limit] if before != limit else ""
+    def tell_replaced(self, balances: list[EnergyBalance]) -> None:
+        """Put zero torques in place of the newest torques of the controller."""
+        account = balances[self.row]
+        if hasattr(self.controller, "withhold") and account.branch != _HELD:
+            self.controller.withhold()
+        balances[self.row] = account._replace(torque=0.0)
 
     def sample(self, samples: Sequence[Sample]) -> Sample:
         """Return the group's entry in the log: position 0, and the norm of its torques.
@@ -167,12 +169,18 @@ class AxisGroup:
             fresh = fresh and sample.fresh
         return Sample(samples[0].sync_index, 0.0, square**0.5, words, fresh)
 
-    def truth(self, truths: Sequence[Truth]) -> Truth:
+    def truth(self, truths: Sequence[Truth], supplied: float) -> Truth:
         """Return the sum of the true energies of the group's axes; work of a mover counts as work of a motor.
 
         Args:
             truths: True energies, one for each axis of the rig.
+            supplied: Energy that the account has received other than by motors [J].
         """
         energies = [truths[axis].energy for axis in self.axes]
         motor, user, dissipated, stored = (sum(parts) for parts in zip(*energies, strict=True))
-        return Truth(0.0, PlantEnergy(motor - self.ledger.supplied, user, dissipated, stored))
+        return Truth(0.0, PlantEnergy(motor - supplied, user, dissipated, stored))
+
+
+def _axis_balance(torque: float, h_i: float, branch: int, certificate: int) -> EnergyBalance:
+    """Return the balance of one axis of a group: torque and h_i, because all else is in the group's account."""
+    return EnergyBalance(torque, h_i, 0.0, h_i, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, branch, 0.0, certificate, 0.0)

@@ -15,7 +15,7 @@ from canhaptic.lab.loop.axis_loop import LoopRun, Recorder, under
 from canhaptic.registry import load
 from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.models import Scene
-from canhaptic.scene.parts import build_axis_controllers
+from canhaptic.scene.parts import build_ports
 from canhaptic.signals import Sample, Truth
 
 _Take = Callable[[int, Sample, EnergyBalance, Truth], None]
@@ -47,7 +47,7 @@ def walk_over_can(scene: Scene, cycles: int, take: _Take) -> list[LedgerSummary]
                 take(axis, *row)
 
         log: Any = SimpleNamespace(append=pass_on, event=lambda *_fault: None)  # which ends the run
-        cycle = Cycle(experiment.rig, build_axis_controllers(scene), log, lambda: [d.truth() for d in drives])
+        cycle = Cycle(experiment.rig, build_ports(scene), log, lambda: [d.truth() for d in drives])
         with running(cycle):
             for _ in range(cycles):
                 cycle.step()

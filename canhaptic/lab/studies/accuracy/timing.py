@@ -17,6 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canhaptic.control.balance import AT_REST, EnergyBalance
+from canhaptic.control.ports import axis_ports
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
@@ -55,7 +56,7 @@ def exchange_time(scene: Scene, most: int) -> float | None:
         link = Link(ends[1], VirtualClock([far_side]))
         drives = [build_servo_drive(axis, link, scene.bus) for axis in scene.axes]
         rig = Rig(can_buses(link, drives, scene.bus), drives, scene.bus)
-        cycle = Cycle(rig, [_Idle() for _ in scene.axes])
+        cycle = Cycle(rig, axis_ports(_Idle() for _ in scene.axes))
         return _fastest_block(cycle, min(most, _CYCLES), lambda: far_side.clock.now() - far_side.spent)
 
 
