@@ -16,7 +16,14 @@ from canhaptic.control.axis_meter import AxisMeter
 from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance
 from canhaptic.control.ledger import EnergyLossMeter
 from canhaptic.control.ports import Port, Ports
-from canhaptic.control.verdict import BY_CONSTRUCTION, COUNTS_DISAGREE, NOT_CHECKED, UNDECIDED
+from canhaptic.control.verdict import (
+    BY_CONSTRUCTION,
+    COUNTS_DISAGREE,
+    NOT_CHECKED,
+    UNBOOKED,
+    UNCONFIRMED,
+    UNDECIDED,
+)
 from canhaptic.drive.clock import DurationHistogram, VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.drive.safety.link_policy import LossBudget, StopReason, reason_of
@@ -48,6 +55,10 @@ _UNEVEN: Final = (
     "void; measure again (canhaptic commission)"
 )
 _STOPPING: Final = "the stop begins: its holds are a part of the account"
+_UNBOOKED: Final = {
+    True: "the run ended while a torque acted: what it did from then on is in no account",
+    False: "the run ended while a torque acted, and the drive has not confirmed that it is disabled",
+}
 _UNCHANGED: Final = (
     "position, torque and statusword were identical for 1 s, with a torque: a handle held still, a stuck "
     "encoder, or TPDOs that the drive does not update"
@@ -78,6 +89,8 @@ class Cycle:
         cycles: Cycles completed, those of the stop included.
         holds_of_stop: Cycles of the stop among them.
         uneven: Number of holds that were longer or shorter than the declared `sync_jitter` allows.
+        unbooked: After a run, each axis on which a torque acted when it ended, by its number, and whether its drive
+            confirmed that it is disabled. What it gave from then on is in no account.
         turn: Function that requests torques from user code in a separate process, by the samples; None without one.
     """
 
@@ -106,6 +119,7 @@ class Cycle:
         self.timing = {name: DurationHistogram() for name in CycleTiming._fields}
         self.judge = None if truths is None else _judge(self._all)
         self.cycles = self.uneven = self.holds_of_stop = 0
+        self.unbooked: dict[int, bool] = {}
         self.turn: Callable[[Sequence[Sample]], None] | None = None
         self._stop: BookedStop | None = None
         self._is_timed = not isinstance(rig.clock, VirtualClock)  # virtual time does not advance within a cycle
@@ -300,6 +314,14 @@ class Cycle:
                 known[port.row] = before if is_known else found
         return known
 
+    def note_unbooked(self) -> None:
+        """Note on which axes a torque acted when the run ended, and log it."""
+        rig = self.rig
+        self.unbooked = {axis: axis not in rig.unconfirmed for axis in rig.acting}
+        for axis, is_confirmed in self.unbooked.items():
+            kind = UNBOOKED if is_confirmed else UNCONFIRMED
+            self._event(rig.sync_index, kind, rig.drives[axis].axis.name, _UNBOOKED[is_confirmed])
+
     def note_link(self) -> None:
         """Log for each drive the share of SYNCs that it answered, unless it answered all."""
         for drive in self.rig.drives:
@@ -443,6 +465,7 @@ def running(cycle: Cycle) -> Iterator[None]:
             cycle.note_fault(error)
             raise
     finally:
+        cycle.note_unbooked()
         cycle.note_found_holds()
         cycle.note_link()
         cycle.note_unrestored()

@@ -20,7 +20,7 @@ from canhaptic.control.motion_checks import FrictionDeclared, FrictionWatch, Mas
 from canhaptic.control.verdict import PortResult
 from canhaptic.errors import InputError, LogFormatError
 from canhaptic.logs.columns import DIGEST, FRICTION_DECLARED, PHASE
-from canhaptic.logs.energy_reader import EnergyLog, Quantities, read_safely
+from canhaptic.logs.energy_reader import RUNNING, EnergyLog, Quantities, read_safely
 from canhaptic.logs.hdf5 import Array
 from canhaptic.meters import ActiveLimits, PortFigures, Promise, limits_of
 from canhaptic.quantities import with_old_names
@@ -490,9 +490,20 @@ def _port(log: EnergyLog, port_name: str, rows: slice) -> PortResult:
         "peak_torque": float(np.abs(column("torque_applied")).max(initial=0.0)),
         "limited_cycles": int((column("statusword") & StatusBit.INTERNAL_LIMIT != 0).sum()),
     }
+    if rows.stop == log.rows and log.rows:
+        _leave_open(log, log.groups.get(port_name, (port_name,)), account)
     if port_name in log.groups:
         account["state_unit"] = port.unit("state")
     return account
+
+
+def _leave_open(log: EnergyLog, axes: Sequence[str], account: PortResult) -> None:
+    """Say in an account up to the last row of a log that a torque of its axes acted on, if one did."""
+    kinds = {event.kind for event in log.events if event.port in axes}
+    is_cut = any(log.ports[axis].read("torque_command", log.rows - 1, log.rows)[0] for axis in axes)
+    if is_cut or kinds & {verdict.UNBOOKED, verdict.UNCONFIRMED}:
+        is_confirmed = verdict.UNCONFIRMED not in kinds and (log.status != RUNNING or not is_cut)
+        verdict.leave_open(account, is_confirmed=is_confirmed)
 
 
 def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> LedgerSummary:

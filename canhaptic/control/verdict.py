@@ -54,6 +54,10 @@ COUNTS_DISAGREE: Final = "refuted by the counts of held torques"
 """Value of `hold` if host and drive counted different holds without a new torque: no account of the run is true."""
 BY_CERTIFICATE: Final = "by certificate"
 """Value of `why` if every torque was certified and nothing refutes the certificates."""
+UNBOOKED: Final = "unbooked"
+UNCONFIRMED: Final = "unconfirmed"
+"""Kinds of events for an axis on which a torque acted when the run ended; the second where its drive then did not
+confirm that it is disabled."""
 UNCHECKED: Final = frozenset({NOT_CHECKED, UNDECIDED})
 """Values of `hold` with which no port is passive."""
 _LARGEST_DOUBT: Final = 0.1
@@ -325,6 +329,20 @@ def contradict(account: PortResult) -> None:
     account["contradicted"] = names
     account["suspects"] = [*(key for name in names for key in RESTS_ON.get(name, ())), *_OF_EVERY_TORQUE]
     account["certificate"], account["certificates"] = "none", ["none"]
+
+
+def leave_open(account: PortResult, *, is_confirmed: bool) -> None:
+    """Say that a run ended while a torque acted on the axes of a port, so that its last holds are not booked.
+
+    Certificates cover them where the drives have confirmed that they are disabled; else a torque may act for longer.
+
+    Args:
+        account: Account of a port without verdicts; changed.
+        is_confirmed: Whether every such drive confirmed it.
+    """
+    account["open_hold"] = True
+    if not is_confirmed and account["certificates"]:
+        account["certificate"], account["certificates"] = "none", ["none"]
 
 
 def plant_verdict(least: float, allowance: float) -> Verdict:

@@ -66,6 +66,7 @@ class Rig:
         uneven: Deviation of the hold that ended from its sample times [ns].
         stop_reason: Reason why the rig stopped; NONE while it runs.
         records: The last cycles, newest last.
+        unconfirmed: Axes whose drive has not confirmed at the stop that it is disabled, by their number.
         realtime: Real-time settings that the operating system granted to the thread that called `start`.
         timing: Durations within the last cycle with torques written [ns].
     """
@@ -103,6 +104,7 @@ class Rig:
         self.stop_reason = StopReason.NONE
         self.records: deque[_CycleRecord] = deque(maxlen=1000)
         self.is_running = False
+        self.unconfirmed: list[int] = []
         self.periods, self.uneven = 1, 0
         self._skips.reset()
         self._first_samples: list[Sample] | None = None
@@ -368,8 +370,13 @@ class Rig:
     @property
     def is_still(self) -> bool:
         """Whether nothing but zero was sent for so long that no torque acts any more."""
+        return not self.acting
+
+    @property
+    def acting(self) -> list[int]:
+        """The axes to which another torque than zero was sent so recently that it may still act, by their number."""
         last = list(self.records)[-self.holds_to_act :]
-        return not any(torque for record in last for torque in record.torques_per_mille)
+        return [axis for axis in range(len(self.drives)) if any(record.torques_per_mille[axis] for record in last)]
 
     def end(self, reason: StopReason, what: str) -> RigError:
         """Send zero torque and stop at once for a reason found by the caller; return the exception.
@@ -398,10 +405,12 @@ class Rig:
     def _disable(self, trust: Trust) -> list[str]:
         """Send zero and disable every drive, then release the operating system's privileges."""
         self._mark_start(is_starting=False)
+        self.unconfirmed = list(range(len(self.drives)))
         try:
             for line in self._sdo_lines:
                 line.close()
             problems = self._disabled(trust)
+            self.unconfirmed = [axis for axis, problem in enumerate(problems) if problem]
             for drive, problem in zip(self.drives, problems, strict=True):
                 if drive.is_ours and drive.sdo.changes:
                     restore(drive, problem)

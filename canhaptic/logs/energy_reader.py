@@ -24,7 +24,7 @@ from canhaptic.logs import log_file
 from canhaptic.logs.hdf5 import Array, Attribute, Dataset, Hdf5File, failure_of, row_digests
 from canhaptic.quantities import NEW_COLUMNS, OLD_COLUMNS
 
-_RUNNING: Final = "running"
+RUNNING: Final = "running"
 """Status of a log that its writer has not closed; after a kill the columns may differ in length by one chunk."""
 
 DAMAGE: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError, OverflowError)
@@ -57,7 +57,7 @@ def checked_rows(path: Path, file: Hdf5File, ports: Sequence[str], status: str) 
         path: Path of the log, for messages.
         file: The same file, open.
         ports: Names of its ports.
-        status: Status of the log: while it is `_RUNNING`, columns may differ by a chunk.
+        status: Status of the log: while it is `RUNNING`, columns may differ by a chunk.
 
     Raises:
         LogFormatError: A column is missing, of another type, or shorter than the others; names it, with the rows found
@@ -67,7 +67,7 @@ def checked_rows(path: Path, file: Hdf5File, ports: Sequence[str], status: str) 
     for columns in (rows, events):
         lengths, expected = {name: len(dataset) for name, dataset in columns.items()}, usual_length(columns)
         odd = [name for name, length in lengths.items() if length != expected]
-        if status == _RUNNING:  # it may also have grown from one column to the next
+        if status == RUNNING:  # it may also have grown from one column to the next
             least = expected - max(dataset.chunk for dataset in columns.values())
             odd = [name for name in odd if lengths[name] < least and columns[name].refreshed_length() < least]
         if odd:

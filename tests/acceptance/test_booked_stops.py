@@ -6,15 +6,18 @@ from typing import Any
 
 import pytest
 
+from canhaptic.audit.inspection import inspect
 from canhaptic.audit.recompute import recompute_all
 from canhaptic.canopen.attached_devices import Brake
 from canhaptic.cli.main import main
 from canhaptic.commission.session import OpenLoop
 from canhaptic.control.ports import axis_ports
+from canhaptic.control.verdict import UNBOOKED
 from canhaptic.cycle import Cycle, run, running
-from canhaptic.errors import DriveFaultError, LinkError
+from canhaptic.errors import DriveFaultError, LinkError, RigError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.replay import replay_bus_log
+from canhaptic.result import run_result
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from tests.acceptance.bus_frames import DEMO, IN_CONTACT
@@ -53,6 +56,35 @@ def test_a_handle_let_go_gets_a_few_millijoules_of_a_stop_and_the_account_says_h
     assert energy(b) == pytest.approx(3.2e-3)  # from its first torque on; of 562 mJ along a ramp of 50 ms
     assert -cycle.ledgers[0].interaction == pytest.approx(energy(b), rel=0.01)
     assert (cycle.holds_of_stop, b.torques_sent()[-1]) == (3, 0)
+
+
+@pytest.mark.parametrize("is_confirmed", [True, False], ids=["disabled", "not confirmed"])
+def test_what_a_torque_gives_after_a_fault_is_in_no_account_and_no_yes_is_measured(is_confirmed: bool) -> None:
+    b, cycle = let_go()
+    with pytest.raises(RigError, match="not confirmed|cycle failed"), running(cycle):
+        for _ in range(4):
+            cycle.step()
+        b.tampered.drop(*(() if is_confirmed else (0x185, 0x585)))
+        raise ValueError("a program")
+    [account] = run_result(cycle, status="stopped", config_hash="", method="")["ports"].values()
+    assert energy(b) > 5e-4  # none of it is booked
+    assert (account["out"], cycle.unbooked) == (0.0, {0: is_confirmed})
+    assert (account["passive"], account["why"]) == ("in doubt", "the run ended in holds without a position")
+
+
+def test_a_log_says_that_a_torque_acted_when_the_run_ended(tmp_path: Path) -> None:
+    log = tmp_path / "run.h5"
+    with build(load_scene(DEMO, WORDS), "free", log) as experiment, pytest.raises(DriveFaultError):
+        drive = experiment.far_side.drives[0] if experiment.far_side else None
+        assert drive is not None
+        run(experiment.cycle, 40, progress=lambda cycles: drive.inject_fault(0x2310) if cycles == 30 else None)
+    live = run_result(experiment.cycle, status="stopped", config_hash="", method="")["ports"]["handle"]
+    with EnergyLog.open(log) as opened:
+        logged = inspect(opened)["ports"]["handle"]
+        assert {event.kind for event in opened.events if event.port == "handle"} >= {UNBOOKED}
+        assert not inspect(opened, stop=opened.time[-1])["ports"]["handle"]["open_hold"]
+    assert live["open_hold"] is logged["open_hold"] is True
+    assert live["passive"] == logged["passive"]
 
 
 def test_lost_tpdos_take_the_torque_away_in_one_hold() -> None:

@@ -31,7 +31,7 @@ from tools.truth.hand_watch import HandWatch
 from tools.truth.loss_watch import LossWatch
 from tools.truth.programs import Asking
 from tools.truth.scenes import SOURCE, TruthScene
-from tools.truth.stops import claims_after, left_after
+from tools.truth.stops import claims_after, left_after, promises_broken_after
 
 ROUNDING: Final = 1e-9
 """Energy that counts as none [J]."""
@@ -200,6 +200,7 @@ def _run(scene: TruthScene, make: Make) -> tuple[Outcome, HandWatch | None]:
         left = left_after(experiment, account)
         is_told = status == "completed" and not any(tag.startswith("fault:torque") for tag in scene.tags)
         after = claims_after(experiment, account, left) if is_told else []  # a broken drive goes on until it is off
+        after += promises_broken_after(experiment, account)
         reaction, to_zero = "", 0
         if status == "stopped":
             reaction, to_zero = experiment.rig.stop_reason.name, faults.syncs_to_zero()

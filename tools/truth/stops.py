@@ -46,3 +46,21 @@ def claims_after(experiment: Experiment, account: Mapping[str, Any], left: Mappi
         for name, energy in left.items()
         if energy < -resolution or (energy > resolution and name not in displays)
     ]
+
+
+def promises_broken_after(experiment: Experiment, account: Mapping[str, Any]) -> list[str]:
+    """Returns a claim for each port that is called passive and had given energy out when its motors were off."""
+    drives = () if experiment.far_side is None else experiment.far_side.drives
+    axes = dict(zip((axis.parameters.name for axis in experiment.scene.axes), drives, strict=False))
+    claims = []
+    for name, port in account["ports"].items():
+        energies = [axes[of].truth().energy for of in port.get("axes", [name]) if of in axes]
+        at_motor = port.get("supplied", 0.0) - sum(energy.motor for energy in energies)
+        sums = {"passive": at_motor, "passive_at_handle": at_motor + sum(energy.dissipated for energy in energies)}
+        floor = -port.get("energy_resolution", 0.0) - port.get("energy_allowance", 0.0) - _NONE
+        claims += [
+            f"{name}: {word} yes, {energy:.3g} J when its motors were off"
+            for word, energy in sums.items()
+            if port.get(word) == "yes" and energy < floor and energies
+        ]
+    return claims
