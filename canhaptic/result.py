@@ -151,8 +151,7 @@ def _accounts(cycle: Cycle, truth: Mapping[str, TruthResult]) -> dict[str, PortR
             "limits": dict(port.limits),
         }
         accounts[port.name] = with_old_names(account)
-    members = [(axis,) for axis in range(len(axes))] + [port.axes for port in ports.several]
-    for account, of in zip(accounts.values(), members, strict=True):
+    for account, (_, of) in zip(accounts.values(), ports.axes_of_rows, strict=True):
         if left := [cycle.unbooked[axis] for axis in of if axis in cycle.unbooked]:
             verdicts.leave_open(account, is_confirmed=all(left))
     for account in accounts.values() if cycle.rig.dry_run else ():

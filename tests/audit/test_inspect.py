@@ -46,7 +46,7 @@ def test_the_account_equals_that_of_the_ledger_of_the_run(log: Path, start: floa
         ledger = Ledger()
         for cycle, balance in enumerate(balances(opened, slice(first, None if stop is None else round(stop * 1000)))):
             ledger.add(balance, first + cycle)
-        expected = ledger.summary().as_json(1e-3)
+        expected = {**ledger.summary().as_json(1e-3), "open_hold": stop is None}  # the log ends while a torque acts
     for name, value in expected.items():
         if isinstance(value, float):
             assert found[name] == pytest.approx(value, rel=1e-12, abs=1e-15), name

@@ -194,7 +194,11 @@ def step(
     positions: Buffer,
     torques_applied: Buffer,
 ) -> GroupHold:
-    """Book the hold that ended, and compute the next torques; see `canhaptic.kernels.Kernel`."""
+    """Book the hold that ended, and compute the next torques; see `canhaptic.kernels.Kernel`.
+
+    Of the energies that late torques leave possible in one hold, the middle is booked, and half of the width is
+    reserved as dissipated: torques are computed from the least energy. Of lost samples the least energy is booked.
+    """
     group, motion, ended, commands = state.group, state.group.motion, memory.group.ended, memory.group.commands
     run = Run(settings, state, memory)  # not by `new`: compiled, no function returns a record
     if not group.started:
@@ -220,6 +224,8 @@ def step(
     h_r, deficit, leak, paid = book(run, at, h_i, h_pas, lost + motion.internal)
     rendered, certificate = render(world, run, at)
     account, branch = state.account, branch_of(state, h_i, leak, deficit)
+    if missed == 0:
+        h_i, h_r, uncertainty = h_i + uncertainty, h_r + uncertainty, 0.0
     state.was_engaged = motion.engaged
     balance = new(EnergyBalance, (
         norm(commands.torques[group.oldest - 1]), h_i, h_pas, h_i - h_pas, h_r, account.h_s, account.h_dis, 0.0,

@@ -172,19 +172,23 @@ class _OneOfGroup:
         return balance.account._replace(torque=balance.torques[0])
 
 
+class _WithResolution(_OneOfGroup):
+    @property
+    def energy_resolution(self):
+        return self.group.energy_resolution
+
+
 @pytest.mark.slow_for("0")
 @pytest.mark.parametrize("delay", [0, 1])
-def test_a_group_is_certified_for_late_torques_and_books_them_at_their_worst(delay):
+def test_a_group_is_certified_for_late_torques_and_books_the_middle_of_what_they_leave_possible(delay):
     made = []
 
-    def make(lag=3e-4):
+    def make(lag=3e-4, of=_WithResolution):
         loop = LoopProperties(
             sample_time=1e-3, delay=delay, moving_mass=0.25, device_damping_bound=0.0, current_lag=lag
         )  # fmt: skip
         parameters = GuardedParameters(hand_force=5.0)
-        made.append(
-            _OneOfGroup(build_group_controller(pair(1e4, 0.0)[1], Identity(axes=1), "guarded", parameters, [loop]))
-        )
+        made.append(of(build_group_controller(pair(1e4, 0.0)[1], Identity(axes=1), "guarded", parameters, [loop])))
         return made[-1]
 
     how: dict[str, Any] = {"pull": 5.0, "push": 30.0, "lag": 3e-4, "steps": 60}
@@ -194,6 +198,7 @@ def test_a_group_is_certified_for_late_torques_and_books_them_at_their_worst(del
     assert Certificate.HAND_FORCE.value in named
     assert Certificate.NONE.value not in named
     assert climb(lambda: make(0.0), random.Random(1), 1e-3, delay, **how)[1] > 1e-5
+    assert climb(lambda: make(of=_OneOfGroup), random.Random(1), 1e-3, delay, **how)[1] > 1e-6  # the middle alone
 
 
 @pytest.mark.parametrize("delay", [0, 1])
