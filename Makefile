@@ -10,7 +10,7 @@ SOURCES := canhaptic tests tools
 # The tests start hundreds of processes: none compiles the package anew, even where this variable is set.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test test-all test-campaigns test-socketcan format bench docs docs-version dist clean
+.PHONY: demo test test-all test-campaigns test-socketcan test-wire format bench docs docs-version dist clean
 
 # make test PINNED=1: exactly the versions of constraints.txt (Python 3.11 on Linux), by hash
 PINNED ?=
@@ -53,11 +53,12 @@ SLOW := $(BIN)/pytest -q -n $(JOBS) --dist worksteal -m "slow or hypothesis" --h
 test-all: test $(VENV)/.installed-report,export,docs,release
 	$(BIN)/python tools/record.py --check
 	$(SLOW) tests/lab  # apart: numba gives the memory of compiled loops back only when a process ends
-	$(SLOW) --ignore tests/lab --ignore tests/socketcan_vm
+	$(SLOW) --ignore tests/lab --ignore tests/socketcan_vm --ignore tests/wire
 
 # What takes hours, a browser, or a machine of its own; each line can be run alone.
 test-campaigns: $(VENV)/.installed-dev $(VENV)/.installed-report,export
 	$(MAKE) test-socketcan
+	$(MAKE) test-wire
 	$(BIN)/pytest -q -n 0 -m slow tests/view tests/cli/test_pages.py tests/lab/touch
 	$(BIN)/python -m tools.numba_minors
 	$(BIN)/python tools/bench/truth.py
@@ -68,6 +69,10 @@ test-campaigns: $(VENV)/.installed-dev $(VENV)/.installed-report,export
 # Linux's own CAN stack in a virtual machine; the packages it needs are named in tests/socketcan_vm/README.md.
 test-socketcan: $(VENV)/.installed-dev
 	$(BIN)/pytest -q -n 0 -m slow tests/socketcan_vm
+
+# Foreign EtherCAT masters on the simulated drives over a veth pair: needs root, pysoem, tshark, and kickcat for one test.
+test-wire: $(VENV)/.installed-dev $(VENV)/.installed-ethercat
+	$(BIN)/pytest -q -n 0 -m slow tests/wire
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff format $(SOURCES)

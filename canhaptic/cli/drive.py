@@ -5,6 +5,7 @@ import gc
 import selectors
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from typing import Any
 
 import can
 
@@ -14,9 +15,9 @@ from canhaptic.errors import InputError, LinkError
 from canhaptic.host.realtime import Realtime
 from canhaptic.host.stop_signal import StopSignal
 from canhaptic.scene.build import open_bus
-from canhaptic.scene.far_side import build_drive_group, with_effects
+from canhaptic.scene.buses import PLACES, kind_of, part
+from canhaptic.scene.far_side import build_cable, build_drive_group, with_effects
 from canhaptic.scene.models import NamedBus, Scene
-from canhaptic.sim.drive.can.drive_node import DriveGroup
 from canhaptic.view.terminal import write_note
 
 _LONGEST_WAIT = 50_000_000  # [ns] between two looks at the stop signal
@@ -29,6 +30,8 @@ def execute(arguments: argparse.Namespace) -> int:
     if any(bus.parameters.interface == "virtual" and bus.parameters.channel is None for bus in scene.buses):
         text = f"{scene.source}: bus.interface 'virtual' exists in this process only, so no master can reach the drive"
         example = "--set bus.interface=udp_multicast --set bus.channel=239.74.163.21"
+        if kind_of(scene.bus) != "can":
+            example = "--set bus.interface=vt1, one end of a veth pair (ip link add vt0 type veth peer name vt1)"
         raise InputError(f"{text}; use a bus that both processes can open, for example {example}")
     with ExitStack() as stack:
         stop = stack.enter_context(StopSignal(insists=True))
@@ -46,9 +49,15 @@ def execute(arguments: argparse.Namespace) -> int:
     return stop.exit_status
 
 
-def _far_end(scene: Scene, place: int, stack: ExitStack) -> tuple[can.BusABC, DriveGroup]:
-    """Open one bus of the scene; return it with its simulated drives."""
+def _far_end(scene: Scene, place: int, stack: ExitStack) -> tuple[Any, Any]:
+    """Open one bus of the scene; return what frames come from, and what they go to: its simulated drives."""
     name, parameters = scene.buses[place]
+    if kind_of(parameters) != "can":
+        cable, _ = build_cable(scene, name)
+        cable.use(WallClock(spin_margin=0.0))
+        line = part(kind_of(parameters), "served")(cable, parameters.interface)
+        stack.callback(line.shutdown)
+        return line, line
     bus = open_bus(parameters, parameters.channel)
     stack.callback(bus.shutdown)
     if (faulty_bus := with_effects(bus, scene, "drive", place)) is not None:
@@ -59,12 +68,14 @@ def _far_end(scene: Scene, place: int, stack: ExitStack) -> tuple[can.BusABC, Dr
 
 
 def _names(scene: Scene, bus: NamedBus) -> str:
-    axes = ", ".join(f"{a.parameters.name} (node {a.parameters.node_id})" for a in scene.axes_on(bus.name))
+    key = PLACES[kind_of(bus.parameters)]
+    named = ((of.parameters.name, getattr(of.parameters, key)) for of in scene.axes_on(bus.name))
+    axes = ", ".join(f"{axis} ({key.removesuffix('_id')} {place})" for axis, place in named)
     channel = bus.parameters.channel
     return f"{axes} on {bus.parameters.interface} {'' if channel is None else channel}".rstrip()
 
 
-def _live(far_ends: Sequence[tuple[can.BusABC, DriveGroup]], duration: float | None, stop: StopSignal) -> None:
+def _live(far_ends: Sequence[tuple[Any, Any]], duration: float | None, stop: StopSignal) -> None:
     """Pass each frame to the drives as it arrives, and run their timers."""
     clock = WallClock(spin_margin=0.0)
     now = clock.now()

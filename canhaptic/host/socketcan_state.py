@@ -50,8 +50,8 @@ def preflight(buses: Iterable[tuple[BusSettings, int]], run: Runner | None = Non
 def all_links_are_virtual(buses: Iterable[tuple[BusSettings, int]], run: Runner | None = None) -> bool:
     """Return whether no bus of a scene can have a real drive.
 
-    Virtual are the bus within this process, and SocketCAN interfaces that the kernel reports as vcan or vxcan. The name
-    of an interface does not matter, and an interface unknown to the kernel counts as real.
+    Virtual are the bus within this process, and interfaces that the kernel reports as vcan, vxcan or, for EtherCAT, as
+    a veth that no bridge owns. The name of an interface does not matter, and one unknown to the kernel counts as real.
 
     Args:
         buses: Buses of the scene, and the number of drives on each.
@@ -61,10 +61,13 @@ def all_links_are_virtual(buses: Iterable[tuple[BusSettings, int]], run: Runner 
 
 
 def _is_virtual(bus: BusSettings, run: Runner) -> bool:
-    if bus.interface != "socketcan":
+    is_ethercat = getattr(bus, "type", "can") == "ethercat"
+    if bus.interface == "virtual" or not (is_ethercat or bus.interface == "socketcan"):
         return bus.interface == "virtual"
     try:
-        [link] = json.loads(run(_question(str(bus.channel))).stdout)
+        [link] = json.loads(run(_question(bus.interface if is_ethercat else str(bus.channel))).stdout)
+        if is_ethercat:
+            return link["linkinfo"]["info_kind"] == "veth" and "master" not in link
         return link["linkinfo"]["info_kind"] in ("vcan", "vxcan")
     except (OSError, subprocess.SubprocessError, ValueError, KeyError, TypeError):
         return False

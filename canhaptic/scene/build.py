@@ -243,7 +243,7 @@ class Experiment:
             self._open_logs(energy_log, bus_log, meters, stack, dry_run=no_torque)
             records = [self.bus_log.on(n) if self.bus_log else None for n in range(len(buses))]
             links = [
-                part("ethercat", "line")(self._logged(groups[n], recorded), clock, named[n])
+                self._line(named[n], groups[n] if groups else None, recorded, stack)
                 if bus is None
                 else Link(faulty.get(n, bus), clock, records[n], echoes=echoes(named[n]))
                 for n, bus in enumerate(buses)
@@ -286,6 +286,12 @@ class Experiment:
         elif bus_log:
             self.bus_log = open_bus_log(scene, bus_log, pace, lose)
             stack.callback(self.bus_log.close)
+
+    def _line(self, bus: Any, cable: Any, recorded: "Sequence[LoggedFrame] | None", stack: ExitStack) -> Any:
+        """Return an EtherCAT line: of simulated drives on a cable, or without one of those behind its interface."""
+        if cable is None:
+            return part("ethercat", "wire")(bus, self.clock, stack)
+        return part("ethercat", "line")(self._logged(cable, recorded), self.clock, bus)
 
     def _logged(self, line: Any, recorded: "Sequence[LoggedFrame] | None") -> Any:
         """Return what carries the frames of a line: it, with a log of them, or a log of them in its place."""

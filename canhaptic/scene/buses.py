@@ -21,9 +21,11 @@ BUSES: Final = {
         "axis": "canhaptic.drive.ethercat.parameters:EthercatAxisParameters",
         "findings": "canhaptic.drive.ethercat.image_map:image_findings",
         "line": "canhaptic.drive.ethercat.door:line_on",
+        "wire": "canhaptic.drive.ethercat.door:line_on_wire",
         "drive": "canhaptic.drive.ethercat.servo_drive:EthercatDrive",
         "display": "canhaptic.drive.ethercat.display_drive:EthercatDisplay",
         "simulated": "canhaptic.sim.drive.ethercat.door:cable_of",
+        "served": "canhaptic.sim.drive.ethercat.served_line:ServedLine",
     },
 }
 """Kind of bus -> its part -> "module:name". The drives of CAN are made by `scene.build`."""

@@ -151,7 +151,6 @@ def test_each_kind_of_bus_has_its_own_faults_in_one_rig() -> None:
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ("bus.interface=eth0", "bus.interface: got 'eth0', expected 'virtual'"),
         ("bus.bitrate=500000", "bus.bitrate: unknown key"),
         ("bus.type=profinet", "bus.type: got 'profinet', expected one of: can, ethercat"),
         ("axes.0.position=2", r"got axes at positions \[2\] of the line, expected 0 to 0"),

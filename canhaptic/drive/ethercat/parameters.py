@@ -18,7 +18,8 @@ class EthercatBusParameters(CycleParameters):
     type: Literal["ethercat"]
     """Kind of bus."""
     interface: PrintableText = "virtual"
-    """`virtual`: drives simulated in this process."""
+    """`virtual`: drives simulated in this process. Else a network interface of Linux that is for the drives alone, such
+    as `eth1` (needs the extra `ethercat`, CAP_NET_RAW and CAP_NET_ADMIN)."""
     frames: Literal[1, 2] = 2
     """Frames in a cycle. 2: read, compute, write, and a torque acts at the next SYNC0. 1: one frame does both, and a
     torque acts one hold later."""

@@ -122,9 +122,11 @@ class Segment(Protocol):
 
     Attributes:
         outputs: Image of all outputs, sent with the next frame that writes; made by `map`, and empty before.
+        repeats_outputs: Whether a frame that reads sends the outputs of the last one that wrote, once more.
     """
 
     outputs: bytearray
+    repeats_outputs: bool
 
     def scan(self) -> Sequence[Identity]:
         """Take all drives to INIT, switch SYNC0 off (0x0981 = 0), set addresses and mailboxes; return who they are."""

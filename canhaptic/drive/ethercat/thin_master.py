@@ -97,6 +97,8 @@ class ThinMaster:
         outputs: Image of all outputs, sent with the next frame that writes; made by `map`, and empty before.
     """
 
+    repeats_outputs = False
+
     def __init__(self, line: Line, clock: Clock) -> None:
         self._exchange, self._clock = line.exchange, clock
         self._index = 0

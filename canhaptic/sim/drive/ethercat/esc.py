@@ -28,6 +28,7 @@ _LATCHED: Final = 0x0918
 _OFFSET: Final = 0x0920
 _DELAY: Final = 0x0928
 _DIFFERENCE: Final = 0x092C
+_SPEED_START: Final = 0x0930
 _ACTIVATION: Final = 0x0981
 _START_TIME: Final = 0x0990
 _SYNC0_CYCLE: Final = 0x09A0
@@ -284,6 +285,8 @@ class Esc:
             self.clock.shift(struct.unpack_from("<q", self.registers, _OFFSET)[0], self.now)
             self.clock.delay = self._number(_DELAY, 4)
             self._application.clock_moved()
+        if address < _SPEED_START + 2 and end > _SPEED_START:
+            self.clock.difference = 0  # as the data sheet says; SOEM sets the system time to 0 before
         if address <= _ACTIVATION < end:
             self.clock.period = self._number(_SYNC0_CYCLE, 4)
             if self.is_clocked:
