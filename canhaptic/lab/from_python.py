@@ -11,9 +11,10 @@ from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
+from warnings import catch_warnings
 
 from canhaptic.cli.options import read
-from canhaptic.errors import InputError
+from canhaptic.errors import InputError, OverrideWarning
 from canhaptic.lab.batch import Engine
 from canhaptic.lab.studies.compare import Comparison
 from canhaptic.lab.studies.compare import compare as compare_algorithms
@@ -36,7 +37,7 @@ _Plain = Mapping[str, Any]
 
 def compare(
     scene: _SceneLike,
-    algorithms: Sequence[str] | str | None = None,
+    algorithms: Sequence[object] | str | None = None,
     changes: _Changes | None = None,
     *,
     duration: float | str | None = None,
@@ -51,7 +52,8 @@ def compare(
 
     Args:
         scene: A scene file, a mapping with its keys, or a loaded scene; with simulated drives.
-        algorithms: Names of algorithms, as a list or separated by commas; all of them by default.
+        algorithms: Names of algorithms, as a list or separated by commas, or classes and functions of your own, which
+            the result names as they are; all that have a name by default.
         changes: Values of the scene to replace, as for `simulate`.
         duration: Duration [s]; by default the scene's.
         rate: Rate that replaces the scene's [Hz], possibly beyond its bus; for single axes, not over CAN.
@@ -68,11 +70,57 @@ def compare(
     Examples:
         >>> canhaptic.compare("demo", ["unprotected", "guarded"]).result["axes"]["handle"]  # doctest: +SKIP
     """
-    return compare_algorithms(
-        load_any(scene, changes or {}, allow_code), read("names", algorithms, "algorithms"),
-        duration=read("seconds", duration, "duration"), rate=read("rate", rate, "rate"), over_can=over_can,
-        engine=engine, repeats=repeats, progress=progress,
-    )  # fmt: skip
+    asked: list[object] | None = read("names", algorithms, "algorithms")
+    options: _Plain = {
+        "duration": read("seconds", duration, "duration"), "rate": read("rate", rate, "rate"), "over_can": over_can,
+        "engine": engine, "repeats": repeats, "progress": progress,
+    }  # fmt: skip
+    loaded = load_any(scene, changes or {}, allow_code)
+    names = None if asked is None else [one for one in asked if isinstance(one, str)]
+    found = [] if names == [] and asked else [compare_algorithms(loaded, names, **options)]
+    for own in asked or ():
+        if not isinstance(own, str):
+            name, laid = _in_place_of_the_algorithm(own)
+            with catch_warnings(action="ignore", category=OverrideWarning):  # it has parameters of its own
+                under = load_any(scene, {**(changes or {}), **laid}, allow_code)
+            found.append(_renamed(compare_algorithms(under, [name], **options), name, getattr(own, "__name__", name)))
+    return _merged(found, [one if isinstance(one, str) else getattr(one, "__name__", "") for one in asked or ()])
+
+
+def _in_place_of_the_algorithm(own: object) -> tuple[str, _Changes]:
+    """Return the name that a scene has for a class or function of the user's own, and the changes that choose it.
+
+    Raises:
+        InputError: It is no algorithm.
+    """
+    from canhaptic.scene.given import section_of
+
+    try:
+        section = section_of(own, "passivity algorithm")
+        return str(section["algorithm"]), {f"passivity.{key}": value for key, value in section.items()}
+    except (KeyError, TypeError) as error:
+        text = f"got {own!r}, expected the name of an algorithm, or a class or a function that is one"
+        raise InputError(f"algorithms: {text} ({error})") from error
+
+
+def _renamed(of: Comparison, name: str, shown: str) -> Comparison:
+    for axis in of.result["axes"].values():
+        axis["algorithms"] = {shown: axis["algorithms"][name]}
+    for runs in (axis.runs for axis in of.axes):
+        runs |= {shown: runs.pop(name)} if name in runs else {}
+    return of
+
+
+def _merged(found: Sequence[Comparison], order: Sequence[str]) -> Comparison:
+    """Return one comparison of all algorithms; its references and accounts are those of the first."""
+    first = found[0]
+    for name, axis in first.result["axes"].items() if len(found) > 1 else ():
+        every = {key: of for one in found for key, of in one.result["axes"][name]["algorithms"].items()}
+        axis["algorithms"] = {key: every[key] for key in order}
+    for place, axis in enumerate(first.axes):
+        for one in found[1:]:
+            axis.runs.update(one.axes[place].runs)
+    return first
 
 
 def sweep(
@@ -117,6 +165,8 @@ def sweep(
     if unknown := options.keys() - _SWEEP_OPTIONS.keys():
         raise InputError(f"sweep: got {min(unknown)}, expected options among {', '.join(_SWEEP_OPTIONS)}")
     options = {name: read(_SWEEP_OPTIONS[name], value, name) for name, value in options.items()}
+    if own := [one for one in options.get("controllers") or () if not isinstance(one, str)]:
+        raise InputError(f"controllers: got {own[0]!r}, expected names; give it as changes={{'passivity': ...}}")
     with TemporaryDirectory(prefix="canhaptic-sweep-") as folder:
         path = Path(folder) / "sweep" if out is None else Path(out)
         run_sweep(loaded, varied, path, allow_code=allow_code, **options)

@@ -281,6 +281,9 @@ def apart(scene: Scene) -> Scene:
     axes = tuple(replace(a, guard=guard) if a.is_own else a for a, guard in zip(scene.axes, guards, strict=True))
     if where == "cycle" or scene.run.guard is not None or axes == scene.axes:
         return scene
+    if given := next((name for name in scene.own_code if name.startswith(GIVEN_MARK)), ""):
+        text = f"{given.split(':')[1]} is a class or function of this program, which no other process has"
+        raise InputError(f"{scene.source}: code_runs_in: process: {text}; put it into a file, or run it in the cycle")
     if not scene.text:
         raise InputError(f"{scene.source}: code_runs_in: process: needs a scene file; a mapping runs it in the cycle")
     return replace(scene, axes=axes, run=scene.run.model_copy(update={"code_runs_in": "process"}))

@@ -11,6 +11,7 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 from bokeh.document import Document
 from bokeh.layouts import column, row
 from bokeh.models import (
@@ -30,18 +31,19 @@ from bokeh.models import (
     Toggle,
 )
 from bokeh.plotting import figure
+from bokeh.themes import Theme
 
 from canhaptic.axis_units import counted, prefixes_of, si
 from canhaptic.logs.decoder import state_text
 from canhaptic.logs.hdf5 import Array
 from canhaptic.quantities import ACCOUNT
 from canhaptic.result import with_groups
+from canhaptic.view.drawn_handle import MIDDLE, draw_links, five_bar, new_knob, new_plane, reach_of, shade_of
 from canhaptic.view.html_page import STYLE, verdict_bar
 from canhaptic.view.picture_style import ALARM, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY
 from canhaptic.view.scope_states import StatePanels
-from canhaptic.view.series import FAULTS, LiveLog, News, PortFacts, decimate_together
+from canhaptic.view.series import FAULTS, LiveLog, News, Plane, PortFacts, decimate_together
 
-MIDDLE: Final = "#808080"  # grey that is seen on light and dark pages
 _TOOLS: Final = "xpan,xwheel_zoom,xbox_zoom,reset,save"
 _PREFIX: Final = """
 const near = (value) => prefixes.find(([scale]) => Math.abs(value) >= scale * (1 - 1e-9)) ?? prefixes.at(-1);
@@ -58,12 +60,19 @@ return `${(tick / scale).toFixed(digits)} ${prefix}${unit}`;
 """
 )
 _LIVE: Final = Path(__file__).with_suffix(".css").read_text(encoding="utf-8")
+_REPAINT: Final = """
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  for (const model of cb_obj._all_models.values()) if (model.type == "Figure") model.change.emit();
+});
+"""
 _BACK: Final = """
-if (!pause.active && back.value > 0) pause.active = true;
+if (cb_obj === back && back.value > 0) pause.active = true;
+if (cb_obj === pause && !pause.active) back.value = 0;
 for (const range of ranges) {
   if (pause.active) {
     if (!range.tags.length) range.tags = [range.end];
     const end = range.tags[0] - back.value;
+    range.have_updated_interactively = true;  // rows that are still on their way move nothing
     range.setv({follow: null, end, start: end - window});
   } else if (range.tags.length) {
     range.tags = [];
@@ -129,9 +138,12 @@ class LivePage:
         self._pause.js_on_change("active", moved)
         back.js_on_change("value", moved)
         self.time = row(self._pause, back, name="time")
-        sheet = GlobalInlineStyleSheet(css=STYLE + _LIVE)
+        page, widgets = _LIVE.split("/* widgets */")
+        document.theme = Theme(json={"attrs": {"Widget": {"stylesheets": [widgets]}}})
+        sheet = GlobalInlineStyleSheet(css=STYLE + page)
         self._root = column(sizing_mode="stretch_width", name="root", stylesheets=[sheet])
         document.add_root(self._root)
+        document.js_on_event("document_ready", CustomJS(code=_REPAINT))
 
     @property
     def is_paused(self) -> bool:
@@ -327,7 +339,7 @@ class ScopePage:
         self._log = log
         self._window = window
         self._status = Div(text=f"waiting for {html.escape(str(log.path))} ...", name="status")
-        self._time = DataRange1d(follow="end", follow_interval=window, range_padding=0.0)
+        self._time = DataRange1d(follow="end", follow_interval=window, range_padding=0.02)
         self._ports: dict[str, _LivePort] = {}
         self._common: dict[str, tuple[ColumnDataSource, figure]] = {}
         self._last: News | None = None  # look that found rows
@@ -367,7 +379,7 @@ class ScopePage:
         common = [panel for _, panel in self._common.values()]
         for panel in common:
             panel.visible = False
-        panels = [panel for port in self._ports.values() for panel in port.panels.values()]
+        panels = [panel for port in self._ports.values() for panel in port.layout]
         self._page.show([self._status, self._page.time, *panels, *common])
 
 
@@ -386,6 +398,14 @@ class _LivePort:
         self._states = _states(news, name, time)
         over_time = list(self.panels.items())
         self.panels |= self._states.panels if self._states else {}
+        self._handle = _LiveHandle(news.facts[name], self.panels.get("position"))
+        beside = {"position": self._handle.drawing}
+        self.layout = [
+            row(panel, drawing, sizing_mode="stretch_width") if (drawing := beside.get(title)) else panel
+            for title, panel in self.panels.items()
+        ]
+        if self._handle.drawing is not None and "position" not in self.panels:
+            self.layout.insert(0, self._handle.drawing)
         for kind, panel in over_time:
             panel.visible = kind not in _OPTIONAL
             strip = panel.vstrip(
@@ -405,6 +425,7 @@ class _LivePort:
             "text": [f"{fault.event.kind}: {fault.event.text}" for fault in faults],
         }
         _stream(self._source, time, columns)
+        self._handle.take(news, keep)
         for title, panel in self.panels.items():
             panel.visible = panel.visible or any(columns[name].any() for name in _OPTIONAL.get(title, ()))
         if self._states is not None:
@@ -420,6 +441,79 @@ class _LivePort:
             "start": [start for start, _ in self._in_contact],
             "end": [end for _, end in self._in_contact],
         }
+
+
+class _LiveHandle:
+    """The handle of a port as it was last: at the end of its line, as a knob, or in its plane with links and surfaces.
+
+    Args:
+        facts: Constants of the port.
+        position: Panel of its position; None of a group.
+    """
+
+    def __init__(self, facts: PortFacts, position: figure | None) -> None:
+        self._facts, self._looks = facts, 0
+        self._source = ColumnDataSource({"x": [], "y": [], "link_x": [], "link_y": []}, name=f"{facts.name}: handle")
+        self._trace, self._material = (
+            ColumnDataSource({"x": [], "y": []}),
+            ColumnDataSource({key: [] for key in _IMAGE}),
+        )
+        self.drawing: figure | None = None
+        if facts.plane is not None:
+            self.drawing = self._new_plane(facts.plane)
+        elif position is not None and facts.units["position"] == "rad":
+            ends = [(wall, wall + 0.5) if side == "above" else (wall - 0.5, wall) for wall, side in facts.walls]
+            near = [notch for notch in facts.notches if abs(notch) <= np.pi]
+            self.drawing = new_knob(self._source, BLUE, f"{facts.name}: knob", ends, near, 150)
+        elif position is not None:
+            position.scatter("y", "x", source=self._source, size=16, fill_color=BLUE, line_color="white")
+
+    def _new_plane(self, plane: Plane) -> figure:
+        look: Any = {"height": 260, "sizing_mode": "stretch_width", "min_border_left": 90, "min_border_right": 40}
+        drawing = new_plane((-1.0, 1.0), (-1.0, 1.0), f"{self._facts.name}: plane", equal=True, **look)
+        drawing.xaxis.formatter = drawing.yaxis.formatter = si_ticks(plane.unit)
+        drawing.image_rgba(**{name: name for name in _IMAGE}, source=self._material)
+        draw_links(drawing, self._source, plane.links)
+        drawing.line("x", "y", source=self._trace, line_color=BLUE, line_width=1.0)
+        drawing.scatter("x", "y", source=self._source, size=16, fill_color=BLUE, line_color="white")
+        return drawing
+
+    def take(self, news: News, keep: Array) -> None:
+        """Draw the handle at the last row, and what it touches around its latest path."""
+        plane = self._facts.plane
+        if plane is None:
+            place = news.ports[self._facts.name]["position"][-1:]
+            self._source.data = {"x": place, "y": news.time[-1:]} | five_bar((), (), ())
+            return
+        motors = np.array([news.ports[axis]["position"][keep] for axis in plane.axes])
+        path = plane.path(motors[:, decimate_together(motors, 50)])
+        path = path[np.isfinite(path).all(axis=1)]
+        if not len(path):
+            return
+        self._source.data = {"x": path[-1:, 0], "y": path[-1:, 1]} | five_bar(
+            plane.links, motors[:, -1].tolist(), path[-1].tolist()
+        )
+        self._trace.stream({"x": path[:, 0], "y": path[:, 1]}, rollover=500)
+        self._looks += 1
+        if self._looks % _LOOKS_A_PLANE == 1:
+            self._draw(plane)
+
+    def _draw(self, plane: Plane) -> None:
+        drawn = plane.drawn(np.column_stack([self._trace.data[axis] for axis in "xy"]))
+        if drawn is None or self.drawing is None:
+            return
+        parts = ((drawn.depth, drawn.surface), *drawn.further)
+        inside = np.any([depth <= at if at else depth > at for depth, at in parts], axis=0)  # a line has no inside
+        spans = [(float(of[0]), float(of[-1])) for of in (drawn.across, drawn.along)]
+        (left, right), (low, high) = spans
+        image = (left, low, right - left, high - low, shade_of(inside))
+        self._material.data = {name: [value] for name, value in zip(_IMAGE, image, strict=True)}
+        self.drawing.tags = list(reach_of(plane.links, *spans))
+
+
+_IMAGE: Final = ("x", "y", "dw", "dh", "image")
+_LOOKS_A_PLANE: Final = 25
+"""Looks between two drawings of what a handle may touch in its plane."""
 
 
 def _states(news: News, name: str, time: Range) -> StatePanels | None:

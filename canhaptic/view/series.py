@@ -92,6 +92,7 @@ class PortFacts(NamedTuple):
     walls: list[tuple[float, str]]  # where each begins [m or rad], and on which side its inside is: below or above
     notches: list[float]  # of detents, around the first one [m or rad]
     torque_limit: float  # [N or N*m]; infinite where none is known
+    plane: "Plane | None"  # of a group whose handle moves in a plane
 
     @property
     def is_display(self) -> bool:
@@ -114,7 +115,8 @@ def port_facts(log: EnergyLog, name: str) -> PortFacts:
     reach = 0.49 * _MOST_NOTCHES * pitch
     limit = log.number(f"{name}.torque_limit", math.inf)
     notches = notches_of(log, name, start - reach, start + reach)
-    return PortFacts(name, name in log.groups, name in log.group_of, units, walls_of(log, name), notches, limit)
+    walls, plane = walls_of(log, name), plane_of(log, name) if name in log.groups else None
+    return PortFacts(name, name in log.groups, name in log.group_of, units, walls, notches, limit, plane)
 
 
 _MOST_NOTCHES: Final = 200
@@ -179,15 +181,41 @@ class TaskPlane(NamedTuple):
     further: tuple[tuple[Array, float], ...] = ()  # the same two of the other parts of a sum
 
 
-def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
-    """Return path and surface of a group, from the mechanism and network in its log.
+class Plane(NamedTuple):
+    """The plane in which the handle of a group moves, and what it may touch there."""
 
-    None if the log does not have them, the task space is not a plane, or the network has no surface.
+    axes: tuple[str, ...]  # of the group
+    unit: str
+    kinematics: Any
+    surfaces: list[Rendered]  # the parts of its network that have one
+    links: tuple[float, ...]  # of a five-bar: half the distance of the motors, the proximal links [m]; else empty
+
+    def path(self, motors: Array) -> Array:
+        """Return the places of the handle, shape (n, 2) [m or rad], at positions of the motors, shape (axes, n)."""
+        return np.array([_place(self.kinematics, position) for position in motors.T.tolist()]).reshape(-1, 2)
+
+    def drawn(self, path: Array) -> TaskPlane | None:
+        """Return the material around a path; None if nothing of it is known, or nothing has a surface."""
+        if not self.surfaces or not np.isfinite(path).all(axis=1).any():
+            return None
+        margin = max(_MARGIN * float(np.max(np.nanmax(path, axis=0) - np.nanmin(path, axis=0))), 1e-3)
+        across, along = (_span(values, margin) for values in path.T)
+        depths = [np.array([[_depth(part, (x, y)) for x in across.tolist()] for y in along.tolist()])
+                  for part in self.surfaces]  # fmt: skip
+        # A path without width has no inside; its line is drawn as wide as one cell of the grid.
+        edges = [0.0 if depth.min() < 0.0 else float(across[1] - across[0]) for depth in depths]
+        first, *further = sorted(zip(depths, edges, strict=True), key=lambda part: part[1])
+        return TaskPlane(self.unit, path, across, along, *first, tuple(further))
+
+
+def plane_of(log: EnergyLog, name: str) -> Plane | None:
+    """Return the plane of a group, from the mechanism and network in its log.
+
+    None if the log does not have them, or the task space is not a plane.
 
     Args:
         log: An open energy log.
         name: Name of the group's port.
-        rows: Rows of the log.
     """
     try:
         group = log.decoded("config_resolved", dict[str, dict[str, Any]]())["groups"][name]
@@ -198,23 +226,19 @@ def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
         rendered: list[Rendered] = [_build(NETWORKS, section).build(2) for section in sections]
     except (KeyError, TypeError, ValueError, CanHapticError):  # no group, or written by a version that differs
         return None
-    rendered = [part for part in rendered if _has_surface(part)]
-    if not rendered:
+    kind, axes = group["kinematics"]["type"], log.groups[name]
+    links = (0.5 * kinematics.base, *kinematics.proximal) if kind == "five_bar" else ()
+    unit = str(task_unit(kind, log.ports[axes[0]].unit("position")))
+    return Plane(tuple(axes), unit, kinematics, [part for part in rendered if _has_surface(part)], links)
+
+
+def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
+    """Return path and surface of a group over rows of its log; None as of `plane_of`, or without a surface."""
+    plane = plane_of(log, name)
+    if plane is None or not plane.surfaces:
         return None
-    axes = log.groups[name]
-    motors = np.array([log.ports[axis].read("position", rows.start, rows.stop) for axis in axes])
-    shown = decimate_together(motors, _BUCKETS)
-    path = np.array([_place(kinematics, position) for position in motors[:, shown].T.tolist()])
-    if not np.isfinite(path).all(axis=1).any():
-        return None
-    margin = max(_MARGIN * float(np.max(np.nanmax(path, axis=0) - np.nanmin(path, axis=0))), 1e-3)
-    across, along = (_span(values, margin) for values in path.T)
-    depths = [np.array([[_depth(part, (x, y)) for x in across.tolist()] for y in along.tolist()]) for part in rendered]
-    # A path without width has no inside; its line is drawn as wide as one cell of the grid.
-    surfaces = [0.0 if depth.min() < 0.0 else float(across[1] - across[0]) for depth in depths]
-    unit = task_unit(group["kinematics"]["type"], log.ports[axes[0]].unit("position"))
-    first, *further = sorted(zip(depths, surfaces, strict=True), key=lambda part: part[1])
-    return TaskPlane(str(unit), path, across, along, *first, tuple(further))
+    motors = np.array([log.ports[axis].read("position", rows.start, rows.stop) for axis in plane.axes])
+    return plane.drawn(plane.path(motors[:, decimate_together(motors, _BUCKETS)]))
 
 
 def _build(table: dict[str, str], section: Mapping[str, str]) -> Any:
@@ -289,6 +313,7 @@ class LiveLog:
         self._records: dict[str, PortRecord] = {}
         self._expected = self._missed = 0
         self._run: tuple[int, str, tuple[str, ...]] | None = None
+        self._facts: dict[str, PortFacts] = {}
 
     def look(self) -> News | None:
         """Poll the log: return the new data, or None while there is no readable log."""
@@ -308,6 +333,7 @@ class LiveLog:
         if restarted:
             self._forget()
         self._run = run
+        self._facts = self._facts or {name: port_facts(log, name) for name in log.ports}
         start, stop = self._rows, min(log.rows, self._rows + _MOST_AT_ONCE)
         time = log.deadlines(start, stop) * log.sample_time
         ports = {name: self._port(log, name, start, stop) for name in log.ports}
@@ -323,7 +349,7 @@ class LiveLog:
             lost,
             ports,
             {name: [(float(time[a]), float(time[b])) for a, b in spans] for name, spans in touched.items()},
-            {name: port_facts(log, name) for name in log.ports},
+            self._facts,
             {name: record.account() for name, record in self._records.items()},
             [MarkedEvent(log.time_of(event.sync_index), event) for event in log.events],
             1.0 - self._missed / self._expected if self._expected else 1.0,

@@ -16,6 +16,9 @@ import pytest
 import canhaptic
 from canhaptic.audit.recompute import recompute_all
 from canhaptic.cli.main import main
+from canhaptic.control.damping import DamperVelocity
+from canhaptic.control.passivity.stepped import SteppedController
+from canhaptic.control.passivity.unprotected import Reply, sampled_kernel
 from canhaptic.errors import InputError, SceneError
 from canhaptic.scene import given, own_code
 
@@ -102,6 +105,27 @@ def test_functions_are_a_wall_a_hand_an_effect_and_an_algorithm(cell: Cell) -> N
     assert len(swept["handle.least_interaction"]) == 2
     with canhaptic.open_rig("demo", {"simulation.user": made["tug"]}, duration=0.1) as rig:
         assert min(sample["handle"].position for sample in rig) < 0.0
+
+
+class Half(SteppedController):
+    parameters_type = DamperVelocity
+    kernel = sampled_kernel(lambda run, hold, asked: Reply(0.5, 0.5 * asked.spring, 0.0, 0.0, 0.0))
+
+
+def test_algorithms_of_ones_own_are_compared_by_their_names() -> None:
+    def third(run: Any, hold: Any, asked: Any) -> Reply:
+        return Reply(0.3, 0.3 * asked.spring, 0.0, 0.0, 0.0)
+
+    found = canhaptic.compare("demo", [Half, "unprotected", third], duration=0.03, repeats=0)
+    [axis] = found.axes
+    assert list(found.result["axes"]["handle"]["algorithms"]) == ["Half", "unprotected", "third"]
+    assert set(axis.runs) == {"Half", "unprotected", "third"}
+    with pytest.raises(InputError, match="expected the name of an algorithm, or a class or a function"):
+        canhaptic.compare("demo", [canhaptic.Environment])
+    with pytest.raises(InputError, match="expected names; give it as changes"):
+        canhaptic.sweep("demo", {"environment.damping": [1.0]}, controllers=[Half])
+    with pytest.raises(InputError, match=r"slope is a class or function of this program, which no other process has"):
+        canhaptic.simulate("demo", {"environment": slope, "code_runs_in": "process"}, progress=False)
 
 
 def test_a_function_with_other_arguments_is_told_which_it_has() -> None:

@@ -12,10 +12,9 @@ import pytest
 import canhaptic
 from tests.view.chromium import Page, chromium
 
-READY = (
-    "window.Bokeh && Bokeh.documents.length && Bokeh.documents[0].get_model_by_name('status')?.text.includes('cycle')"
-)
-LAID = "Bokeh.documents[0].get_model_by_name('back') && Bokeh.documents[0].is_idle"
+MODEL = "Bokeh.documents[0].get_model_by_name"
+READY = f"window.Bokeh && Bokeh.documents.length && {MODEL}('status')?.text.includes('cycle')"
+LAID = f"{MODEL}('back') && Bokeh.documents[0].is_idle"
 OUTSIDE = """[...document.querySelectorAll('div.table')].every(of => of.scrollWidth <= of.clientWidth)
     && document.documentElement.scrollWidth <= innerWidth"""
 SHADE = "getComputedStyle(document.body).backgroundColor.match(/\\d+/g).slice(0, 3).reduce((a, b) => a + Number(b), 0)"
@@ -29,9 +28,7 @@ def picture_of(page: Page, path: Path) -> int:
     return len({round(float(value), 2) for row in image.imread(path)[::7, ::7, :3] for value in row.mean(axis=1)})
 
 
-def looks_made(page: Page, address: str, ready: str, path: Path) -> None:
-    page.open(address)
-    page.wait_for(ready, 120.0)
+def looks_made(page: Page, path: Path) -> None:
     for width in (800, 1600):
         page.call("Emulation.setDeviceMetricsOverride", width=width, height=1000, deviceScaleFactor=1, mobile=False)
         for scheme in ("light", "dark"):
@@ -57,24 +54,35 @@ def served(*words: str) -> Iterator[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", ["demo", "rotary_knob"])
-def test_the_page_of_touch_looks_made_and_stands_still_while_it_is_paused(scene: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("scene", "x", "y"), [("demo", -0.1, 0.0), ("rotary_knob", 0.6, 0.0), ("five_bar_sphere", 0.02, 0.26)]
+)
+def test_the_page_of_touch_looks_made_and_stands_still_while_it_is_paused(
+    scene: str, x: float, y: float, tmp_path: Path
+) -> None:
     with chromium() as page, served("touch", scene) as address:
-        looks_made(page, address, f"{READY} && {LAID}", tmp_path)
-        page.value("Bokeh.documents[0].get_model_by_name('back').value = 1.0")
-        page.wait_for("Bokeh.documents[0].get_model_by_name('pause').active")
+        page.open(address)
+        page.wait_for(f"{READY} && {LAID}", 120.0)
+        page.value(f"{MODEL}('pointer').data = {{x: [{x}], y: [{y}], token: [1]}}")
+        looks_made(page, tmp_path)
+        page.value(f"{MODEL}('back').value = 1.0")
+        page.wait_for(f"{MODEL}('pause').active")
         first = page.value(f"{TIME}.end")
         page.value("new Promise(done => setTimeout(done, 1000))")
         assert page.value(f"{TIME}.end") == first
-        page.value("Bokeh.documents[0].get_model_by_name('pause').active = false")
+        page.value(f"{MODEL}('pause').active = false")
+        assert page.value(f"{MODEL}('back').value") == 0.0
         page.wait_for(f"{TIME}.end > {first}")
 
 
 @pytest.mark.slow
-def test_the_page_of_scope_looks_made(tmp_path: Path) -> None:
-    log = canhaptic.simulate("demo", duration=2.0, progress=False).save(tmp_path / "run.h5")
+@pytest.mark.parametrize("scene", ["demo", "rotary_knob", "five_bar_sphere"])
+def test_the_page_of_scope_looks_made(scene: str, tmp_path: Path) -> None:
+    log = canhaptic.simulate(scene, duration=2.0, progress=False).save(tmp_path / "run.h5")
     with chromium() as page, served("scope", str(log)) as address:
-        looks_made(page, address, f"{READY} && {LAID}", tmp_path)
+        page.open(address)
+        page.wait_for(f"{READY} && {LAID}", 120.0)
+        looks_made(page, tmp_path)
 
 
 @pytest.mark.slow
@@ -83,5 +91,7 @@ def test_the_page_of_accuracy_has_a_title_and_a_table_that_fits(tmp_path: Path) 
     command = [sys.executable, "-m", "canhaptic", "accuracy", "demo", "--duration", "0.3", "--budget", "0"]
     subprocess.run([*command, "--html", str(path)], check=True, capture_output=True)
     with chromium() as page:
-        looks_made(page, path.as_uri(), "document.readyState == 'complete'", tmp_path)
+        page.open(path.as_uri())
+        page.wait_for("document.readyState == 'complete'")
+        looks_made(page, tmp_path)
         assert page.value("document.title") == page.value("document.querySelector('h1').innerText") == "demo - accuracy"

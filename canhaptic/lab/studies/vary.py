@@ -115,7 +115,11 @@ def listed(key: str, values: object) -> Varied:
     items = list(given) if isinstance(given, list | tuple | range) else [given]
     if not items or not all(_is_value(item) for item in items):
         text = f"{values!r}"[:80]
-        raise _refused(f"{key}=...", f"got {text}", "expected a number, a text such as '1:10:5', or a list of them")
+        raise _refused(
+            f"{key}=...",
+            f"got {text}",
+            "expected a number, a text such as '1:10:5', or a list of them; an object of your own goes into `changes`",
+        )
     if any(isinstance(item, str) for item in items):
         return _list(key, key, [str(item) for item in items])
     numbers: list[Any] = items

@@ -20,7 +20,7 @@ from collections.abc import Callable, MutableSequence
 from dataclasses import dataclass, replace
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 
@@ -33,7 +33,6 @@ from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.given import parcel, unpack
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.models import Scene
-from canhaptic.sim.plant.mechanism.xy_stage import XYMotion
 from canhaptic.sim.plant.plant import Plant
 
 TouchPace = Literal["even", "real"]
@@ -104,7 +103,7 @@ def columns(touched: TouchScene) -> list[str]:
     `force` is the force on the hand; for an admittance display, the force of the hand as its sensor measures it.
     """
     names = ["time", "token", *(f"hand.{d}" for d in touched.directions)]
-    parts = ("position", "force", "velocity", "command") if touched.is_display else ("position", "force")
+    parts = ("position", "force") + ("velocity", "command") * touched.is_display + ("angle",) * bool(touched.links)
     for number in range(len(touched.sides)):
         names += [f"{number}.{what}.{d}" for what in parts for d in touched.directions]
         names.append(f"{number}.energy")
@@ -167,7 +166,7 @@ class _HandRun:
             for side, axes in zip(touched.sides, self._axes, strict=True)
         ]
         self._start = self._clock.now()
-        self._is_display = touched.is_display
+        self._is_display, self._has_links = touched.is_display, bool(touched.links)
         if experiment.far_side is None:
             raise InputError("touch: got drives outside this process, expected simulated drives")
         self._servos = [[experiment.far_side.drives[axis].servo for axis in axes] for axes in self._axes]
@@ -177,8 +176,7 @@ class _HandRun:
     def _mover(self, motors: list[Any]) -> Callable[..., None]:
         """Return the function that moves the hand of a side with these motors."""
         if not isinstance(motors[0], Plant):
-            moved: XYMotion = motors[0].shared.mechanism
-            return moved.move_hand
+            return cast("Callable[..., None]", motors[0].shared.mechanism.move_hand)
         plants: list[Plant] = motors
 
         def move(*place: float) -> None:
@@ -211,8 +209,13 @@ class _HandRun:
             return
         samples, row = rig.records[-1].samples, [cycles * self._period, self._shared[TOKEN], *self._place]
         for side, axes in enumerate(self._axes):
-            row += [samples[axis].position for axis in axes]
-            row += [(-1.0 if self._is_display else 1.0) * samples[axis].torque_applied for axis in axes]
+            place = [samples[axis].position for axis in axes]
+            efforts = [(-1.0 if self._is_display else 1.0) * samples[axis].torque_applied for axis in axes]
+            if self._has_links:
+                linkage = cast("Any", self._servos[side][0].motor).shared.mechanism
+                row += [*linkage.handle, *linkage.force_of(efforts), *place]
+            else:
+                row += [*place, *efforts]
             if self._is_display:
                 servos = self._servos[side]
                 row += [servo.motor.velocity for servo in servos] + [servo.torque for servo in servos]

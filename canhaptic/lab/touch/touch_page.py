@@ -19,13 +19,15 @@ from canhaptic.files import scene_title
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.touch.hand_process import TouchHand, TouchNews, TouchStatus
 from canhaptic.lab.touch.two_sides import TouchScene, TouchSlider
+from canhaptic.view.drawn_handle import MATERIAL, MIDDLE, draw_links, five_bar, new_knob, new_plane, reach_of
 from canhaptic.view.html_page import verdict_bar
 from canhaptic.view.picture_style import BLUE, GREY, PALE, VERMILION
-from canhaptic.view.scope_page import MIDDLE, LivePage, add_hover, finished, new_panel, si_ticks
+from canhaptic.view.scope_page import LivePage, add_hover, finished, new_panel, si_ticks
 from canhaptic.view.series import decimate
 
 _COLOURS: Final = (VERMILION, BLUE)
 _SHOWN: Final = 3.0  # [s]
+_OF_LINKS: Final = ("angle", "position")
 _DELAYS: Final = {"event": "no delay", "synchronous": "one sample late"}
 _SEND: Final = """
 pointer.data = {x: [cb_obj.x], y: [cb_obj.y], token: [performance.now()]};
@@ -123,7 +125,7 @@ class _SideView:
         self._directions, self._is_display = touched.directions, touched.is_display
         self._allowance = touched.sides[number].allowance
         x, y = ([at] for at in (*touched.start, 0.0)[:2])
-        handle = {"x": x, "y": y, "hand_x": x, "hand_y": y, "token": [0.0], "frame": [0]}
+        handle = {"x": x, "y": y, "hand_x": x, "hand_y": y, "token": [0.0], "frame": [0]} | five_bar((), (), ())
         self.handle = models.ColumnDataSource(handle, name=f"handle {number}")
         vectors = ("force", "velocity", "command") if touched.is_display else ("force",)
         self._columns = {f"{vector} {d}": f"{number}.{vector}.{d}" for vector in vectors for d in self._directions}
@@ -141,42 +143,25 @@ class _SideView:
         self.panels.append(self._panel("energy", "J", ["energy"]))
         self.panels[-1].add_layout(models.Span(location=0.0, dimension="width", line_color=GREY, line_dash="dashed"))
         title = models.Div(text=f"<b style='font-size:1.3em;color:{_COLOURS[number]}'>{html.escape(self._name)}</b>")
-        knob = [] if touched.is_plane or touched.unit == "m" else [self._new_knob(touched)]
+        knob = []
+        if not touched.is_plane and touched.unit == "rad":
+            first, pitch = touched.notches or (0.0, 7.0)
+            around = (first + pitch * np.arange(min(200, round(2.0 * np.pi / pitch)))).tolist()
+            knob = [new_knob(self.handle, _COLOURS[number], f"knob {number}", touched.solid, around)]
         self.layout = column(*(title, self._verdict, self.scene, *knob, *self.panels), sizing_mode="stretch_width")
-
-    def _new_knob(self, touched: TouchScene) -> figure:
-        """Return the knob as a disc, which turns as the handle moves, with walls and notches at its rim."""
-        around: Any = {"x_range": models.Range1d(-1.4, 1.4), "y_range": models.Range1d(-1.4, 1.4), "tools": ""}
-        around |= {"min_border": 0, "frame_align": False, "toolbar_location": None, "name": f"knob {self._number}"}
-        disc = figure(width=170, height=170, align="center", **around)
-        disc.axis.visible, disc.grid.visible, disc.outline_line_alpha = False, False, 0.0
-        for low, high in touched.solid:
-            disc.annular_wedge(
-                0, 0, 1.05, 1.35, low, min(high, low + 6.28), fill_color=MIDDLE, fill_alpha=0.4, line_alpha=0
-            )
-        if touched.notches:
-            first, pitch = touched.notches
-            turn = first + pitch * np.arange(min(200, round(2.0 * np.pi / pitch)))
-            disc.ray(np.cos(turn), np.sin(turn), length=0.25, angle=turn, line_color=MIDDLE, line_width=2)
-        disc.circle(
-            0, 0, radius=1.0, fill_color=_COLOURS[self._number], fill_alpha=0.25, line_color=_COLOURS[self._number]
-        )
-        disc.ray(0, 0, length=1.0, angle="hand_x", source=self.handle, line_color=PALE, line_width=3)
-        disc.ray(0, 0, length=1.0, angle="x", source=self.handle, line_color=_COLOURS[self._number], line_width=6)
-        return disc
 
     def _new_scene(self, touched: TouchScene, pointer: models.ColumnDataSource) -> figure:
         """Return the panel in which the handle is dragged."""
         (low, high), across = touched.shown[0], (*touched.shown, (-1.0, 1.0))[1]
-        look: Any = {"tools": "", "toolbar_location": None, "sizing_mode": "stretch_width", "output_backend": "canvas"}
-        look |= {"min_border_left": 90, "min_border_right": 40, "name": f"scene {self._number}"}
-        ranges: Any = {"x_range": models.Range1d(low, high), "y_range": models.Range1d(*across)}
-        plane = figure(height=330 if touched.is_plane else 105, **ranges, **look)
+        look: Any = {"sizing_mode": "stretch_width", "min_border_left": 90, "min_border_right": 40}
+        look |= {"height": 330 if touched.is_plane else 105, "equal": touched.is_plane}
+        plane = new_plane(*reach_of(touched.links, (low, high), across), f"scene {self._number}", **look)
         plane.grid.grid_line_color = None
         plane.xaxis.formatter = plane.yaxis.formatter = si_ticks(touched.unit)
         plane.yaxis.visible = touched.is_plane
         self._draw_solid(plane, touched, (low, high))
         plane.varea("x", -1.0, "y", source=self._notches, fill_color=MIDDLE, fill_alpha=0.3)
+        draw_links(plane, self.handle, touched.links)
         plane.segment("x", "y", "hand_x", "hand_y", source=self.handle, line_color=PALE, line_width=3)
         plane.scatter("hand_x", "hand_y", source=self.handle, marker="cross", size=22, line_color=GREY, line_width=2)
         plane.scatter("x", "y", source=self.handle, size=26, fill_color=_COLOURS[self._number], line_color="white")
@@ -196,20 +181,21 @@ class _SideView:
             self._notches.data = {"x": across, "y": 0.8 * np.sin(np.pi * (across - place) / pitch) ** 2 - 0.9}
 
     def _draw_solid(self, plane: figure, touched: TouchScene, shown: tuple[float, float]) -> None:
-        look = {"fill_color": MIDDLE, "fill_alpha": 0.3, "line_color": MIDDLE}
         if touched.path:
             x, y = zip(*touched.path, strict=True)
             plane.line(x, y, line_color=PALE, line_width=8, line_alpha=0.5)
+        for across, along, radius in touched.discs:
+            plane.circle(across, along, radius=radius, **MATERIAL)
+        edges: list[dict[str, float]] = []
         if touched.is_plane:
             for (left, right), (bottom, top) in zip(touched.solid[::2], touched.solid[1::2], strict=True):
                 between = {"left": left, "right": right}
-                for edge in ({"right": left}, {"left": right}, between | {"top": bottom}, between | {"bottom": top}):
-                    plane.add_layout(models.BoxAnnotation(**edge, **look))
-            return
-        for low, high in touched.solid:
-            edges = {"left": low} if low > shown[0] else {}
-            edges |= {"right": high} if high < shown[1] else {}
-            plane.add_layout(models.BoxAnnotation(**edges, **look))
+                edges += [{"right": left}, {"left": right}, between | {"top": bottom}, between | {"bottom": top}]
+        else:
+            for low, high in touched.solid:
+                edges.append(({"left": low} if low > shown[0] else {}) | ({"right": high} if high < shown[1] else {}))
+        for edge in edges:
+            plane.add_layout(models.BoxAnnotation(**edge, **MATERIAL))
 
     def _panel(self, title: str, unit: str, vectors: list[str]) -> figure:
         # A range of its own: a shared one stands still while any of its panels is scrolled out of sight.
@@ -238,7 +224,9 @@ class _SideView:
         """Draw rows; the browser returns `frame` once they are drawn."""
         rows, number = news.rows, self._number
         self._is_touched = self._is_touched or bool(rows[f"{number}.energy"].any())
-        last: dict[str, object] = {"token": rows["token"][-1:], "frame": [frame]}
+        links = self._touched.links
+        angles, place = ([rows[f"{number}.{of}.{d}"][-1] for d in self._directions if links] for of in _OF_LINKS)
+        last: dict[str, object] = {"token": rows["token"][-1:], "frame": [frame], **five_bar(links, angles, place)}
         for name, prefix in (("", f"{number}.position."), ("hand_", "hand.")):
             for d in ("x", "y"):
                 last[name + d] = rows[prefix + d][-1:] if d in self._directions else np.zeros(1)
@@ -265,7 +253,7 @@ class _SideView:
         of: Any = {"passive_at_sensor" if self._is_display else "passive": passive}
         verdict = verdict_bar({self._name: of})
         allowed = f", it may {si(self._allowance, 'J')}" if self._allowance else ""
-        self._verdict.text = f"{verdict} gave out {si(max(0.0, -least), 'J')} more than it took in{allowed}"
+        self._verdict.text = f"{verdict}<div>gave out {si(max(0.0, -least), 'J')} more than it took in{allowed}</div>"
 
     def clear(self) -> None:
         """Remove the lines and the verdict of the last run."""
@@ -308,17 +296,13 @@ class _Controls:
 
 def _slider(one: TouchSlider) -> models.Slider:
     """Return the slider widget for a value of the scene."""
-    if not one.decades:
-        most, step = max(20.0, 5.0 * one.value), max(0.1, one.value / 20.0)
-        title = f"{one.title} [{one.unit}]"
-        return models.Slider(start=0.0, end=most, step=step, value=one.value, title=title, name=one.title)
-    middle = np.log10(max(one.value, 1e-6))
-    shown = models.CustomJSTickFormatter(
-        args={"unit": one.unit}, code="return `${Math.pow(10, tick).toPrecision(3)} ${unit}`"
-    )  # fmt: skip
+    value = np.log10(max(one.value, 1e-6)) if one.decades else one.value
+    most = one.decades or (5.0 * one.value or 20.0) - value
+    code = "return `${Number((decades ? Math.pow(10, tick) : tick).toPrecision(3))} ${unit}`"
+    shown = models.CustomJSTickFormatter(args={"unit": one.unit, "decades": one.decades}, code=code)
     return models.Slider(
-        start=middle - one.decades, end=middle + one.decades, step=0.025 * one.decades, value=middle, title=one.title,
-        format=shown, name=one.title,
+        start=value - one.decades if one.decades else 0.0, end=value + most, step=(most or 1.0) / 40.0, value=value,
+        title=one.title, format=shown, name=one.title,
     )  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """Scene of `canhaptic touch`: one handle under `unprotected` and one under a passivity algorithm, held by one hand.
 
-A handle is an axis, an admittance display, a box on an xy stage, or two admittance displays as a plane. Both handles
+A handle is an axis, an admittance display, an xy stage, a five-bar, or two admittance displays as a plane. Both handles
 belong to one simulated rig with a bus each and the same SYNC, so that a delay of the computer affects both alike. The
 link timeouts are long: nothing real moves, and a busy browser must not end the run.
 """
@@ -14,20 +14,20 @@ from canhaptic.axis_units import damping_unit, effort_unit, mass_unit, stiffness
 from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
 from canhaptic.control.admittance.group_environment import GroupEnvironment, PathMass
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
-from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.environments.detents import Detents
-from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.multi_axis.unprotected_group import UnprotectedGroupParameters
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.guided_path import GuidedPath
+from canhaptic.control.port_hamiltonian.shapes.sphere import Sphere
 from canhaptic.errors import InputError
 from canhaptic.lab.loop.axis_loop import able_under, with_algorithm
 from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.far_side import build_mechanism
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, FurtherBus, GroupScene, MechanismScene, Scene
+from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, PointerTaskHand, TaskHand
 from canhaptic.sim.plant.user import PointerHand, UserParameters
-from canhaptic.units import Parameters
 
 PLAIN: Final = "unprotected"
 GUARDED: Final = "guarded"
@@ -75,6 +75,8 @@ class TouchScene:
         solid: Solid regions [low, high] along an axis; in a plane the free range in each direction [m or rad].
         sliders: Values that the page can change in addition to rate and delay.
         path: Corners of a path that guides the handle in a plane [m or rad]; empty: none.
+        discs: Centre x, y and radius of discs in a plane [m].
+        links: Half the distance of the motors of a five-bar, and the length of its proximal links [m]; empty: none.
         is_display: Whether the handles are admittance displays: force in, velocity out.
         notches: Position of one notch of detents, and their pitch [m or rad]; empty: no detents.
     """
@@ -87,6 +89,8 @@ class TouchScene:
     solid: tuple[tuple[float, float], ...]
     sliders: tuple[TouchSlider, ...]
     path: tuple[tuple[float, ...], ...] = ()
+    discs: tuple[tuple[float, ...], ...] = ()
+    links: tuple[float, ...] = ()
     is_display: bool = False
     notches: tuple[float, ...] = ()
 
@@ -101,28 +105,32 @@ class TouchScene:
         return len(self.shown) == 2
 
 
-def sliders_of(section: str, values: Parameters, names: Sequence[str], unit: str) -> tuple[TouchSlider, ...]:
-    """Return sliders for the named parameters, as far as a section of the scene has them.
+def sliders_of(section: str, parts: Sequence[ComponentSpec], unit: str) -> tuple[TouchSlider, ...]:
+    """Return sliders for the parameters of a section of the scene, or of each part of its sum.
 
     Args:
         section: Path of the section in the scene.
-        values: Parameters of the section.
-        names: Names of the parameters.
+        parts: What it renders; several are a sum.
         unit: "m" or "rad".
     """
     kinds = {
+        "mass": (mass_unit(unit), 1.0),
+        "cup": (mass_unit(unit), 1.0),
         "stiffness": (stiffness_unit(unit), 2.0),
         "damping": (damping_unit(unit), 0.0),
         "peak": (effort_unit(unit), 1.0),
         "pitch": (unit, 0.5),
-        "mass": (mass_unit(unit), 1.0),
-        "cup": (mass_unit(unit), 1.0),
     }
+    many = len(parts) > 1
     return tuple(
-        TouchSlider(name, f"{section}.{name}", float(getattr(values, name)), *kinds[name])
-        for name in names
-        if name in type(values).model_fields
-    )
+        TouchSlider(
+            f"{part.name}: {name}" if many else name, f"{section}.{n}.{name}" if many else f"{section}.{name}",
+            float(getattr(part.parameters, name)), *kinds[name],
+        )
+        for n, part in enumerate(parts)
+        for name in kinds
+        if name in type(part.parameters).model_fields
+    )  # fmt: skip
 
 
 def reach(motion: Any, rest: float, start: float) -> tuple[float, float]:
@@ -142,7 +150,6 @@ def on_two_buses(scene: Scene, axes: Sequence[AxisScene], sides: tuple[Side, Sid
 
 _OVER: Final = 1.05
 """Ratio of declared to true values of a simulated drive for which the scene declares nothing."""
-_DISPLAY_SLIDERS: Final = ("mass", "cup", "damping")
 
 
 def display_plane(scene: Scene, name: str) -> TouchScene:
@@ -166,10 +173,10 @@ def display_plane(scene: Scene, name: str) -> TouchScene:
     hands, unit = [_hand_of(axis) for axis in members], members[0].parameters.unit
     network: Any = group.network.parameters
     shown = tuple(reach(user.motion, user.rest, start) for user, start in hands)
-    sliders = sliders_of(f"groups.{index}.network", network, _DISPLAY_SLIDERS, unit)
+    sliders = sliders_of(f"groups.{index}.network", (group.network,), unit)
     return TouchScene(
         on_two_buses(scene, axes, sides, groups=groups), sides, unit, shown, tuple(start for _, start in hands),
-        _box(network), sliders, path=_path(network), is_display=True,
+        _box(network), sliders, path=_corners(network) if isinstance(network, PathMass) else (), is_display=True,
     )  # fmt: skip
 
 
@@ -233,15 +240,8 @@ def _box(network: GroupEnvironment) -> tuple[tuple[float, float], ...]:
     return tuple(zip(network.lower or far[0], network.upper or far[1], strict=True))
 
 
-def _path(network: GroupEnvironment) -> tuple[tuple[float, ...], ...]:
-    if not isinstance(network, PathMass):
-        return ()
-    points: Sequence[tuple[float, ...]] = network.points
-    return (*points, points[0]) if network.closed else tuple(points)
-
-
-_SLIDERS = ("stiffness", "damping")
-_OF_DETENTS = ("peak", "pitch")
+def _corners(path: GuidedPath | PathMass) -> tuple[tuple[float, ...], ...]:
+    return (*path.points, path.points[0]) if path.closed else tuple(path.points)
 
 
 def two_sides(scene: Scene, axis: str | None = None) -> TouchScene:
@@ -293,29 +293,15 @@ def _line(scene: Scene, axis: AxisScene) -> TouchScene:
     parts = axis.environment.parts or (axis.environment,)
     notched: Any = next((part.parameters for part in parts if isinstance(part.parameters, Detents)), None)
     notches = () if notched is None else (notched.position, notched.pitch)
-    felt = _OF_DETENTS if notches else _SLIDERS if hasattr(environment, "stiffness") else ()
-    names = _DISPLAY_SLIDERS if is_display else felt
     solid = () if notches else (_walls if is_display else _solid)(environment, shown)
-    sliders = sliders_of("environment", environment, names, axis.parameters.unit)
     if getattr(environment, "damps_by_place", False):
         ends = ((shown[0], environment.low), (environment.high, shown[1]))
         solid = tuple(end for end in ends if end[0] < end[1] and environment.low < environment.high)
-    if axis.environment.parts:
-        sliders = _sliders_of_parts("environment", parts, axis.parameters.unit)
+    sliders = sliders_of("environment", parts, axis.parameters.unit)
     return TouchScene(
         on_two_buses(scene, axes, sides), sides, axis.parameters.unit, (shown,), (start,), solid, sliders,
         is_display=is_display, notches=notches,
     )  # fmt: skip
-
-
-def _sliders_of_parts(section: str, parts: Sequence[ComponentSpec], unit: str) -> tuple[TouchSlider, ...]:
-    """Return the sliders of all parts of a sum, each with the name of its part in the title."""
-    names = dict.fromkeys((*_SLIDERS, *_OF_DETENTS))
-    return tuple(
-        slider._replace(title=f"{part.name}: {slider.title}")
-        for n, part in enumerate(parts)
-        for slider in sliders_of(f"{section}.{n}", part.parameters, tuple(names), unit)
-    )
 
 
 def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:
@@ -328,75 +314,63 @@ def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, f
 
 # --- in a plane ---------------------------------------------------------------------------------------------------
 
+_MECHANISMS: Final = {"xy_stage": "identity", "five_bar": "five_bar"}
+"""Mechanism -> kinematics of a group on it that can be shown."""
 
-def _stage_of(scene: Scene, group: GroupScene) -> tuple[MechanismScene, Box, list[GuidedPath]]:
-    """Return the xy stage of a group, the box that it renders, and the paths that are added to it.
+
+def _mechanism_of(scene: Scene, group: GroupScene) -> tuple[MechanismScene, Sequence[ComponentSpec]]:
+    """Return the mechanism of a group, and the parts that it renders.
 
     Raises:
-        InputError: The group does not render the inside of a box with linear springs, and paths, on an xy stage.
+        InputError: They are not a box from inside with linear springs, discs and paths, on an xy stage or a five-bar.
     """
     of = next((one for one in scene.mechanisms if one.axes == group.axes), None)
-    parts = [part.parameters for part in group.network.parts or (group.network,)]
-    boxes = [part for part in parts if isinstance(part, Box) and part.side == "inside" and not part.hardening]
-    paths = [part for part in parts if isinstance(part, GuidedPath)]
-    is_square = of is not None and of.mechanism.name == "xy_stage" and group.kinematics.name == "identity"
-    if of is None or not is_square or len(boxes) != 1 or len(paths) != len(parts) - 1:
+    parts = group.network.parts or (group.network,)
+    kinds = [type(part.parameters) for part in parts]
+    boxes = [part.parameters for part in parts if isinstance(part.parameters, Box)]
+    is_known = of is not None and _MECHANISMS.get(of.mechanism.name) == group.kinematics.name
+    is_drawn = all(box.side == "inside" and not box.hardening for box in boxes) and kinds.count(Box) <= 1
+    if of is None or not is_known or not is_drawn or not {*kinds} <= {Box, GuidedPath, Sphere}:
         raise InputError(
-            f"{scene.source}: group {group.name!r} renders {group.network.name}; touch shows an axis by itself, or a "
-            "box on an xy_stage from inside, with linear springs, to which paths may be added"
+            f"{scene.source}: group {group.name!r} renders {group.network.name}; touch shows an axis by itself, or on "
+            "an xy_stage or a five_bar a box from inside with linear springs, spheres and paths"
         )
-    return of, boxes[0], paths
+    return of, parts
 
 
 def _plane(scene: Scene, name: str) -> TouchScene:
     index, group = next((i, one) for i, one in enumerate(scene.groups) if one.name == name)
-    of, box, paths = _stage_of(scene, group)
+    of, parts = _mechanism_of(scene, group)
     sides = (
-        Side(PLAIN, tuple(f"{PLAIN} {axis}" for axis in group.axes), PLAIN if paths else ""),
+        Side(PLAIN, tuple(f"{PLAIN} {axis}" for axis in group.axes), PLAIN),
         replace(_side(group.passivity, group.axes), group=name),
     )
     members = [scene.axis(axis) for axis in group.axes]
-    plain = [replace(axis, group=PLAIN) if paths else _walled(axis, box, k) for k, axis in enumerate(members)]
     axes = [
-        _named(axis, side, port)
-        for side, of_side in zip(sides, (plain, members), strict=True)
-        for axis, port in zip(of_side, side.axes, strict=True)
+        replace(_named(axis, side, port), group=side.group)
+        for side in sides
+        for axis, port in zip(members, side.axes, strict=True)
     ]
     guarded = GroupScene(name, sides[1].axes, group.kinematics, group.network, group.passivity)
-    unprotected = replace(
-        guarded, name=PLAIN, axes=sides[0].axes, passivity=ComponentSpec(PLAIN, UnprotectedGroupParameters())
-    )
-    groups = (unprotected, guarded) if paths else (guarded,)
-    mechanisms = tuple(_held(of, members, side) for side in sides)
-    hand = of.hand or TaskHand()
-    start = tuple(float(place) for place in getattr(of.mechanism.parameters, "initial_position", (0.0, 0.0)))
-    shown = tuple(map(reach, hand.motions, hand.rest, start))
-    solid = tuple((float(low), float(high)) for low, high in zip(box.lower, box.upper, strict=True))
-    both, section = on_two_buses(scene, axes, sides, groups=groups, mechanisms=mechanisms), f"groups.{index}.network"
-    sliders = sliders_of(section, box, _SLIDERS, "m")
-    if paths:
-        sliders = _sliders_of_parts(section, group.network.parts, "m")
-    points = next(((*of.points, of.points[0]) if of.closed else of.points for of in paths), ())
-    return TouchScene(both, sides, "m", shown, start, solid, sliders, path=points)
+    plain = ComponentSpec(PLAIN, UnprotectedGroupParameters())
+    groups = (replace(guarded, name=PLAIN, axes=sides[0].axes, passivity=plain), guarded)
+    hand, start = of.hand or TaskHand(), build_mechanism(of, scene.bus.sample_time_ns).handle
+    mechanisms = tuple(_held(of, members, side, start) for side in sides)
+    rendered, links = [part.parameters for part in parts], of.mechanism.parameters
+    return TouchScene(
+        on_two_buses(scene, axes, sides, groups=groups, mechanisms=mechanisms), sides, "m",
+        tuple(map(reach, hand.motions, hand.rest, start)), start,
+        next((tuple(zip(one.lower, one.upper, strict=True)) for one in rendered if isinstance(one, Box)), ()),
+        sliders_of(f"groups.{index}.network", parts, "m"),
+        path=next((_corners(path) for path in rendered if isinstance(path, GuidedPath)), ()),
+        discs=tuple((*disc.centre, disc.radius) for disc in rendered if isinstance(disc, Sphere)),
+        links=(0.5 * links.base, links.proximal) if isinstance(links, FiveBarLinkage) else (),
+    )  # fmt: skip
 
 
-def _walled(axis: AxisScene, box: Box, direction: int) -> AxisScene:
-    """Return an axis without group that renders the two faces of a box in its direction, unprotected."""
-    wall = TwoSidedWall(
-        stiffness=box.stiffness, damping=box.damping, lower=box.lower[direction], upper=box.upper[direction]
-    )
-    return replace(
-        axis,
-        group="",
-        environment=ComponentSpec("two_sided_wall", wall),
-        passivity=ComponentSpec(PLAIN, DamperVelocity()),
-    )
-
-
-def _held(of: MechanismScene, members: Sequence[AxisScene], side: Side) -> MechanismScene:
+def _held(of: MechanismScene, members: Sequence[AxisScene], side: Side, start: tuple[float, ...]) -> MechanismScene:
     """Return the mechanism of one handle, held by the pointer, with its axes in the order of the mechanism."""
     port = dict(zip((axis.parameters.name for axis in members), side.axes, strict=True))
     hand = (of.hand or TaskHand(**HAND)).model_dump(exclude={"motion", "push"})
-    start = getattr(of.mechanism.parameters, "initial_position", (0.0, 0.0))
     held = PointerTaskHand(**{**hand, "rest": start}, motion=PlaneMotion())
     return replace(of, axes=tuple(port[axis] for axis in of.axes), hand=held)

@@ -16,8 +16,10 @@ from canhaptic.errors import InputError
 from canhaptic.lab.touch.two_sides import two_sides
 from canhaptic.scene.build import build
 from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.far_side import build_mechanism
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.effects.hard_stop import HardStop
+from canhaptic.sim.plant.mechanism.five_bar_linkage import pose_at
 from canhaptic.sim.plant.mechanism.task_hand import PointerTaskHand, TaskHand
 from canhaptic.sim.plant.mechanism.xy_stage import XYStage
 from canhaptic.sim.plant.plant import Plant, PlantParameters
@@ -61,8 +63,23 @@ def test_a_stiff_wall_gives_energy_out_unprotected_alone() -> None:
 @pytest.mark.slow
 def test_a_box_is_touched_in_a_plane() -> None:
     least = touched_by_a_sine("xy_box.yaml", 500)
-    assert set(least) == {"unprotected x", "unprotected y", "guarded x", "guarded y", "stage"}
+    assert set(least) == {"unprotected x", "unprotected y", "guarded x", "guarded y", "unprotected", "stage"}
     assert least["stage"] >= -1e-9
+
+
+def test_a_five_bar_is_touched_by_its_handle_whose_force_does_the_work_of_the_motors() -> None:
+    assert touched_by_a_sine("five_bar_sphere.yaml", 300)["stylus"] >= -1e-9
+    touched = two_sides(load_scene(CONFIGS / "five_bar_sphere.yaml"))
+    assert (touched.discs, touched.links) == (((0.0, 0.24, 0.03),), (0.05, 0.15))
+    mechanism: Any = build_mechanism(touched.scene.mechanisms[1], 1_000_000)
+    assert touched.start == mechanism.handle
+    rates = mechanism.state.left, mechanism.state.right
+    before, after = (
+        np.array(pose_at(mechanism.settings.links, rates[0] + side, rates[1] - 0.7 * side).handle)
+        for side in (-1e-6, 1e-6)
+    )
+    work = 0.4 * 2e-6 + 0.9 * -0.7 * 2e-6  # of the torques 0.4 and 0.9 N*m
+    assert np.dot(mechanism.force_of((0.4, 0.9)), after - before) == pytest.approx(work, rel=1e-6)
 
 
 LIGHT = ("bus.rate=250", "environment.mass=1", "simulation.admittance.grip.mass=1")
@@ -82,7 +99,9 @@ def test_two_displays_with_one_account_are_touched_in_a_plane() -> None:
     assert least["guarded"] >= -1e-3
     touched = two_sides(load_scene(CONFIGS / "admittance" / "guided_path.yaml"))
     assert touched.path[0] == touched.path[-1] == (-0.05, 0.0)
-    assert [slider.key for slider in touched.sliders] == ["groups.0.network.mass", "groups.0.network.damping"]
+    assert [slider.key for slider in touched.sliders] == [
+        f"groups.0.network.{name}" for name in ("mass", "stiffness", "damping")
+    ]
 
 
 def test_an_unprotected_display_is_guarded_by_what_its_simulated_drive_says() -> None:
@@ -118,8 +137,12 @@ def test_both_sides_have_one_scene_and_one_hand() -> None:
     [
         ("socketcan_example.yaml", [], "must not move a real drive"),
         ("two_buses.yaml", [], "expected one"),
-        ("five_bar_sphere.yaml", [], "touch shows an axis by itself, or a box"),
-        ("two_handles.yaml", [], "touch shows an axis by itself, or a box"),
+        (
+            "five_bar_sphere.yaml",
+            ["groups.0.network={type: plane, normal: [0, 1], stiffness: 9}"],
+            "renders plane",
+        ),
+        ("two_handles.yaml", [], "touch shows an axis by itself, or on an xy_stage"),
         ("admittance/two_link_arm.yaml", [], "kinematics planar_2r; touch shows one axis, or two axes"),
     ],
 )

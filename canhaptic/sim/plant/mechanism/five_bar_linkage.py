@@ -17,7 +17,7 @@ and the hand's spring, whose force F is mapped by a Jacobian J with J dq = dx ex
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from typing import Annotated, ClassVar, Final, NamedTuple
 
@@ -630,6 +630,16 @@ class FiveBarMotion(SampleClock):
     def handle(self) -> tuple[float, float]:
         """Position of the handle [m]."""
         return self._place.pose.handle
+
+    def move_hand(self, x: float, y: float) -> None:
+        """Move the rest of a hand without motion to a position [m] for the following holds; only between two holds."""
+        self.settings = replace(self.settings, hand=replace(self.settings.hand, rest_x=x, rest_y=y))
+
+    def force_of(self, torques: tuple[float, ...]) -> Pair:
+        """Return the force at the handle that does the work of the motors' torques [N]."""
+        (a, b), (c, d) = self._place.pose.jacobian
+        left, right = torques
+        return (d * left - c * right) / (a * d - b * c), (a * right - b * left) / (a * d - b * c)
 
     @property
     def iterations(self) -> int:
