@@ -126,6 +126,7 @@ def test_no_account_of_a_spring_or_of_balls_on_several_displays_claims_what_thei
     assert batch or len(kinds) > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [1, pytest.param(200, marks=[pytest.mark.slow, pytest.mark.timeout(300)])])
 def test_the_mass_over_a_run_is_the_one_promised(seeds: int) -> None:
     found = [one for one in map(judged, range(seeds)) if one is not None]

@@ -136,6 +136,7 @@ def test_a_replay_takes_from_the_energy_log_that_the_run_was_dry(
     capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_a_run_of_the_same_scene_sends_torques(tmp_path: Path) -> None:
     ran = DryRun(ONE, tmp_path, no_torque=False)
     assert len(ran.torques()) > 10
@@ -145,6 +146,7 @@ def test_a_run_of_the_same_scene_sends_torques(tmp_path: Path) -> None:
         assert not log.dry_run
 
 
+@pytest.mark.slow
 def test_the_drive_is_enabled_as_in_a_run(tmp_path: Path) -> None:
     frames = read_log(DryRun(ONE, tmp_path).bus)
     assert sum(report.is_enabled for report in reports(frames)) >= 300
@@ -181,6 +183,7 @@ def test_a_display_has_no_dry_run_and_leaves_no_log(tmp_path: Path, capsys: pyte
     assert not log.exists()
 
 
+@pytest.mark.slow
 def test_simulate_runs_dry() -> None:
     with pytest.raises(InputError, match="leave --no-torque out"):
         canhaptic.simulate(CONFIGS / "admittance" / "wall.yaml", duration=0.1, no_torque=True)

@@ -82,6 +82,7 @@ def test_the_energies_of_what_is_simulated_close_over_the_run(whole: Whole) -> N
     assert np.abs(left).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_master_and_plant_agree_on_where_the_handle_is_though_neither_knows_the_other() -> None:
     experiment = run_config("five_bar_sphere", 400)
     assert experiment.far_side is not None
@@ -209,6 +210,7 @@ def test_what_a_mover_supplies_is_in_the_account_and_never_in_the_truth_of_the_m
         assert identity(log.ports["stage"]).max() <= 1e-12
 
 
+@pytest.mark.slow
 def test_the_account_on_the_terminal_and_as_json_is_that_of_the_group(capsys: pytest.CaptureFixture[str]) -> None:
     config = str(REPOSITORY / "configs" / "xy_box.yaml")
     assert main(["run", config, "--duration", "0.3", "--json"]) == 0

@@ -86,6 +86,7 @@ def test_every_view_gives_the_account_of_the_run(run_and_log: tuple[dict[str, An
     assert verdicts == verdict_bar({name: live[name] for name in live if "group" not in ran["ports"][name]})
 
 
+@pytest.mark.slow
 def test_a_wall_that_the_torque_limit_cuts_is_rendered_up_to_the_limit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -107,6 +108,7 @@ def test_a_wall_that_the_torque_limit_cuts_is_rendered_up_to_the_limit(
         assert account["contact"]["sent"] == pytest.approx(abs(sent).sum(), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_time_goes_on_while_syncs_are_skipped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "run.h5"
     stall = "simulation.bus={stall: [{begin: 0.3, duration: 5 ms, every: 0.21}]}"

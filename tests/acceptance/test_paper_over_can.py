@@ -90,6 +90,7 @@ def test_the_papers_algorithm_renders_figs_4_and_5_over_can_without_ringing(
     assert found.torque.max() > 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rpdo", ["event", "synchronous"])
 def test_the_original_shows_fig_4_and_fails_in_fig_5_over_can(rpdo: str, continuous_variation) -> None:
     reference = continuous_variation(5.0, 0.0, 0.1, DURATION)
@@ -102,6 +103,7 @@ def test_the_original_shows_fig_4_and_fails_in_fig_5_over_can(rpdo: str, continu
     assert ratios["paper_fig5_100hz.yaml"] > 10.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("config", "rpdo", "limit"),
     [

@@ -67,6 +67,7 @@ def test_logs_of_a_program_recompute_rederive_and_check(tmp_path: Path, capsys: 
     assert "moving mass, hand never pulls" in shown  # the demo declares hand_force 0
 
 
+@pytest.mark.slow
 def test_a_replay_sends_what_the_same_program_sent_and_finds_another_one(tmp_path: Path) -> None:
     touched(bus_log=tmp_path / "b.log")
     same = touched(replay=tmp_path / "b.log")

@@ -277,6 +277,7 @@ def test_the_table_of_false_declarations_counts_what_a_run_notices():
     assert list(row.values()) == ["moving_mass", 4, 1, 2, 3, 2]
 
 
+@pytest.mark.slow
 def test_a_campaign_goes_on_where_it_was_stopped(tmp_path):
     first, second = replace(outcome_of(0), seed=1), replace(outcome_of(0), seed=2)
     lines = [json.dumps((one.seed, one.as_json())) for one in (first, second)]

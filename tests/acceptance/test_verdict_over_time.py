@@ -100,6 +100,7 @@ def test_below_zero_at_the_motor_a_promise_at_the_handle_holds() -> None:
     assert (port["passive"], port["passive_at_handle"], port["verdict"]) == ("no", "yes", "yes")
 
 
+@pytest.mark.slow
 def test_an_allowance_moves_the_limit_of_account_and_plant() -> None:
     changes = {"environment.stiffness": "40 kN/m", "environment.damping": 0.0, "passivity.hand_force": 10.0,
                "passivity.moving_mass": 0.75, "passivity.energy_allowance": 1.0}  # fmt: skip

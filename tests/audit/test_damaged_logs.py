@@ -166,6 +166,7 @@ def test_one_changed_cell_that_no_account_contains_is_found_by_the_digest_of_its
     assert "digest: 1 row is not as the run wrote it" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_log_of_a_release_without_digests_is_inspected_as_before(whole: Path) -> None:
     def put(file: Any, name: str) -> None:
         del file[name]
@@ -185,6 +186,7 @@ def test_a_changed_byte_of_an_event_is_an_error_before_the_log_is_packed_too(tmp
         file["events/text"].read()
 
 
+@pytest.mark.slow
 def test_a_finding_is_shown_with_its_column_and_cycle(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def put(file: Any, name: str) -> None:
         file[name][7:9] = np.nan
@@ -350,6 +352,7 @@ def test_a_chunk_that_cannot_be_unpacked_is_one_error(column: str, whole: Path, 
         typed.inspect(path, "--check", "in >= 0")
 
 
+@pytest.mark.slow
 def test_a_running_count_that_falls_is_found(whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "damaged.h5"
     path.write_bytes(whole.read_bytes())
@@ -359,7 +362,7 @@ def test_a_running_count_that_falls_is_found(whole: Path, tmp_path: Path, capsys
     assert "uncommanded: 2 rows are a decreasing count, first in cycle 8" in capsys.readouterr().out
 
 
-@pytest.mark.slow_but("config_overrides-{}*")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [

@@ -23,6 +23,7 @@ from tests.view.synthetic_run import write_run, write_troubled_run
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 Captured = pytest.CaptureFixture[str]
+Account = dict[str, Any]
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +31,12 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("inspect") / "run.h5"
     write_run(path, 4000)
     return path
+
+
+@pytest.fixture(scope="module")
+def account(log: Path) -> Account:
+    with EnergyLog.open(log) as opened:
+        return inspect(opened)
 
 
 def balances(log: EnergyLog, rows: slice) -> list[EnergyBalance]:
@@ -58,20 +65,21 @@ def test_the_account_equals_that_of_the_ledger_of_the_run(log: Path, start: floa
             assert found[name] == (pytest.approx(value, rel=1e-12) if name == "surplus" else value), name
 
 
-def test_the_hold_in_which_the_hand_leaves_does_not_count_as_damping_that_was_not_rendered(tmp_path: Path) -> None:
+def test_the_hold_in_which_the_hand_leaves_does_not_count_as_damping_that_was_not_rendered(
+    account: Account, tmp_path: Path
+) -> None:
     path = tmp_path / "run.h5"
     write_run(path, 4000)
-    with EnergyLog.open(path) as opened:
-        before = inspect(opened)["ports"]["handle"]["damping_rendered"]
+    before = account["ports"]["handle"]["damping_rendered"]
     with h5py.File(path, "r+") as file:
         branch = file["ports/handle/branch"][:]
         [left, *_] = np.flatnonzero((branch[:-1] != Branch.FREE) & (branch[1:] == Branch.FREE)) + 1
         branch[left] = Branch.EXIT
         file["ports/handle/branch"][:] = branch
     with EnergyLog.open(path) as opened:
-        account = inspect(opened)["ports"]["handle"]
-    assert account["branches"]["exit"] == 1
-    assert account["damping_rendered"] == before
+        after = inspect(opened)["ports"]["handle"]
+    assert after["branches"]["exit"] == 1
+    assert after["damping_rendered"] == before
     assert (before["least"] or 0.0) > 0.0
 
 
@@ -82,9 +90,9 @@ def test_a_hold_held_on_neither_begins_nor_ends_a_contact() -> None:
     assert contacts(np.array([held, held])) == contacts(np.array([], int)) == []
 
 
-def test_contacts_are_found_with_depth_peak_and_energy(log: Path) -> None:
+def test_contacts_are_found_with_depth_peak_and_energy(log: Path, account: Account) -> None:
+    found = account["contacts"]["handle"]
     with EnergyLog.open(log) as opened:
-        found = inspect(opened)["contacts"]["handle"]
         port = opened.ports["handle"]
         assert len(found) == 3
         rows = slice(round(found[0]["start"] * 1000), round((found[0]["start"] + found[0]["duration"]) * 1000))
@@ -96,10 +104,9 @@ def test_contacts_are_found_with_depth_peak_and_energy(log: Path) -> None:
 
 
 def test_in_the_wall_of_user_code_in_its_own_process_the_depth_is_measured_and_of_a_program_not_known(
-    log: Path, tmp_path: Path
+    log: Path, account: Account, tmp_path: Path
 ) -> None:
-    with EnergyLog.open(log) as opened:
-        states = [contact["depth"] for contact in inspect(opened)["contacts"]["handle"]]
+    states = [contact["depth"] for contact in account["contacts"]["handle"]]
     path = tmp_path / "requested.h5"
     path.write_bytes(log.read_bytes())
     with h5py.File(path, "r+") as file:
@@ -118,9 +125,8 @@ def test_in_the_wall_of_user_code_in_its_own_process_the_depth_is_measured_and_o
         assert {contact["depth"] for contact in inspect(opened)["contacts"]["handle"]} == {None}
 
 
-def test_syncs_that_were_skipped_in_a_contact_are_part_of_its_time(log: Path, tmp_path: Path) -> None:
-    with EnergyLog.open(log) as opened:
-        before = inspect(opened)["contacts"]["handle"]
+def test_syncs_that_were_skipped_in_a_contact_are_part_of_its_time(log: Path, account: Account, tmp_path: Path) -> None:
+    before = account["contacts"]["handle"]
     path = tmp_path / "late.h5"
     path.write_bytes(log.read_bytes())
     within = round(1000 * (before[0]["start"] + 0.5 * before[0]["duration"]))
@@ -139,9 +145,9 @@ def test_quantiles_are_values_that_occurred() -> None:
     )
 
 
-def test_a_part_says_where_it_begins_and_ends(log: Path) -> None:
+def test_a_part_says_where_it_begins_and_ends(log: Path, account: Account) -> None:
     with EnergyLog.open(log) as opened:
-        whole, part = inspect(opened), inspect(opened, 1.0, 3.0)
+        whole, part = account, inspect(opened, 1.0, 3.0)
     assert (whole["from"], whole["to"], whole["cycles"]) == pytest.approx((0.0, 3.999, 4000))
     assert (part["from"], part["to"], part["cycles"]) == pytest.approx((1.0, 2.999, 2000))
 
@@ -173,7 +179,7 @@ def test_a_part_without_a_cycle_is_refused(log: Path) -> None:
         inspect(opened, 5.0, None)
 
 
-def test_the_worst_of_a_run_is_in_its_account(log: Path, tmp_path: Path) -> None:
+def test_the_worst_of_a_run_is_in_its_account(log: Path, account: Account, tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     path.write_bytes(log.read_bytes())
     with h5py.File(path, "r+") as file:
@@ -182,8 +188,7 @@ def test_the_worst_of_a_run_is_in_its_account(log: Path, tmp_path: Path) -> None
         port["torque_applied"][7] = -99.0
         certified = int(np.flatnonzero(port["torque_command"][:])[0])  # holds without a torque have no certificate
         port["certificate"][certified] = Certificate.HAND_SPEED
-    with EnergyLog.open(log) as opened:
-        before = inspect(opened)["ports"]["handle"]
+    before = account["ports"]["handle"]
     with EnergyLog.open(path) as opened:
         after = inspect(opened)["ports"]["handle"]
     assert (before["limited_cycles"], after["limited_cycles"]) == (0, 5)
@@ -235,9 +240,8 @@ def test_late_cycles_and_lost_frames_are_counted(tmp_path: Path) -> None:
         ("margin_value >= -1 mJ", True),
     ],
 )
-def test_checks_read_like_sentences(log: Path, expression: str, holds: bool) -> None:
-    with EnergyLog.open(log) as opened:
-        (outcome,) = check(inspect(opened), expression)
+def test_checks_read_like_sentences(account: Account, expression: str, holds: bool) -> None:
+    (outcome,) = check(account, expression)
     assert outcome["holds"] is holds
 
 
@@ -251,9 +255,9 @@ def test_checks_read_like_sentences(log: Path, expression: str, holds: bool) -> 
         ("in>1.2.3", "NAME >="),
     ],
 )
-def test_checks_that_cannot_be_read_are_refused(log: Path, expression: str, message: str) -> None:
-    with EnergyLog.open(log) as opened, pytest.raises(InputError, match=message):
-        check(inspect(opened), expression)
+def test_checks_that_cannot_be_read_are_refused(account: Account, expression: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        check(account, expression)
 
 
 @pytest.mark.slow_but("cycles*", "margin*", "knob*")
@@ -273,14 +277,13 @@ def test_checks_that_cannot_be_read_are_refused(log: Path, expression: str, mess
         ("knob.passive", "the run has no account of that name"),
     ],
 )
-def test_a_check_with_the_unit_of_something_else_is_refused(log: Path, expression: str, message: str) -> None:
-    with EnergyLog.open(log) as opened, pytest.raises(InputError, match=re.escape(message)):
-        check(inspect(opened), expression)
+def test_a_check_with_the_unit_of_something_else_is_refused(account: Account, expression: str, message: str) -> None:
+    with pytest.raises(InputError, match=re.escape(message)):
+        check(account, expression)
 
 
-def test_every_figure_of_an_account_has_a_unit_that_a_check_takes(log: Path) -> None:
-    with EnergyLog.open(log) as opened:
-        result = inspect(opened)
+def test_every_figure_of_an_account_has_a_unit_that_a_check_takes(account: Account) -> None:
+    result = account
     for name in ("in", "surplus.max", "margin", "least_interaction", "deficit", "leaked"):
         assert check(result, f"handle.{name} > -1 kJ")[0]["holds"], name
     assert check(result, "rate == 1 kHz")[0]["holds"]
@@ -288,9 +291,10 @@ def test_every_figure_of_an_account_has_a_unit_that_a_check_takes(log: Path) -> 
     assert check(result, "wakeup_lateness.max < 1 s")[0]["holds"]
 
 
-def test_the_verdict_is_one_word_for_machines(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with EnergyLog.open(log) as opened:
-        result = inspect(opened)
+def test_the_verdict_is_one_word_for_machines(
+    log: Path, account: Account, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = account
     assert (result["passive"], result["ports"]["handle"]["passive"]) == ("yes", "yes")
     assert [c["holds"] for c in check(result, "passive")] == [c["holds"] for c in check(result, "handle.passive")]
     active = tmp_path / "active.h5"
@@ -427,6 +431,7 @@ def test_comparison_finds_one_changed_bit_and_its_cycle(log: Path, tmp_path: Pat
     assert difference["largest"] == pytest.approx(1e-18, rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_command_prints_tables_that_fit_a_hundred_columns(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert typed.inspect(log, "--check", "deficit==0", "--full") == 0
     text = capsys.readouterr().out
@@ -514,6 +519,7 @@ def break_chunk(path: Path, name: str, number: int) -> None:
     path.write_bytes(content)
 
 
+@pytest.mark.slow
 def test_repair_saves_every_row_of_a_log_whose_events_are_damaged(log: Path, tmp_path: Path) -> None:
     damaged, saved = tmp_path / "damaged.h5", tmp_path / "saved.h5"
     damaged.write_bytes(log.read_bytes())
@@ -528,6 +534,7 @@ def test_a_repaired_copy_that_cannot_be_written_is_one_clear_error(log: Path, tm
         typed.inspect(log, "--repair", tmp_path / "no" / "saved.h5")
 
 
+@pytest.mark.slow
 def test_what_json_lacks_is_null(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "nan.h5"
     path.write_bytes(log.read_bytes())

@@ -72,6 +72,7 @@ def test_one_flipped_bit_in_one_recorded_position_is_found(
     assert found["logged"] != found["rederived"]
 
 
+@pytest.mark.slow
 def test_a_bus_log_alone_can_be_inspected_with_its_scene(
     logs: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -90,6 +91,7 @@ def test_another_scene_is_refused(logs: tuple[Path, Path], tmp_path: Path) -> No
         typed.inspect(logs[0], "--recompute", "--config", other)
 
 
+@pytest.mark.slow
 def test_a_scene_that_is_gone_is_asked_for(logs: tuple[Path, Path], tmp_path: Path) -> None:
     moved = tmp_path / "run.h5"
     moved.write_bytes(logs[0].read_bytes())

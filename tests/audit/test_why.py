@@ -129,6 +129,7 @@ def test_the_advised_value_calms_the_twin_and_json_says_so(tmp_path: Path, capsy
     assert result["trials"]["handle"]["changed"] < 0.1 * result["trials"]["handle"]["twin"]
 
 
+@pytest.mark.slow
 def test_a_calm_run_has_no_cause_and_a_run_that_buzzes_a_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -14,9 +14,10 @@ import pytest
 
 from canhaptic.cli import commission as commission_command
 from canhaptic.cli.main import main
-from canhaptic.commission.session import Report, Session
+from canhaptic.commission.session import Session
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene, values_to_set
+from tests.commission.whole_session import whole_session
 from tests.forked import command
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -44,19 +45,13 @@ def commissioned(scene: Path | str, out: Path, *words: str) -> Path:
     return out
 
 
-WALKED: list[tuple[Report, Any]] = []
-
-
 @pytest.fixture
 def walked_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The steps with the demonstration's rig are taken once; later sessions have their report."""
-    walk = commission_command.walk
+    """The steps with the demonstration's rig are taken once; every session has their report."""
 
-    def once(session: Session, duration: float) -> Any:
-        if not WALKED:
-            outcome = walk(session, duration)
-            WALKED.append((session.report, outcome))
-        session.report, outcome = deepcopy(WALKED[0])
+    def once(session: Session, _duration: float) -> Any:
+        report, outcome, _ = whole_session()
+        session.report = deepcopy(report)
         return outcome
 
     monkeypatch.setattr(commission_command, "walk", once)

@@ -124,6 +124,7 @@ def test_piped_output_is_as_wide_as_columns_says(columns: str, width: int, monke
     assert make_console(file=io.StringIO()).width == width
 
 
+@pytest.mark.slow
 def test_guarded_comes_first_in_a_comparison(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", str(CONFIGS / "paper_fig5_100hz.yaml"), "--duration", "0.1"]) == 0
     head = next(line for line in capsys.readouterr().out.splitlines() if "guarded" in line)

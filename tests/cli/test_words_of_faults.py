@@ -23,6 +23,7 @@ CLASSES = [name for name in vars(errors) if name.endswith("Error")]
 LOST_HEARTBEAT = "simulation.bus={drop: 1, ids: [0x77E], during: [{begin: 0.2, duration: 9}]}"
 
 
+@pytest.mark.slow
 def test_an_emcy_is_told_in_words_with_what_to_do(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     words = ["run", DEMO, "--duration", "1", "--log", str(tmp_path / "run.h5"), "--set", LOST_HEARTBEAT]
     assert main(words) == 3

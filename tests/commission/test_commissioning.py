@@ -3,7 +3,6 @@
 import re
 import struct
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import can
 import pytest
@@ -24,9 +23,9 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.errors import InputError, StartError
 from canhaptic.scene.load import load_scene
+from tests.commission.whole_session import DEMO, whole_session
 
-CONFIGS = Path(__file__).resolve().parents[2] / "configs"
-DEMO = CONFIGS / "demo.yaml"
+CONFIGS = DEMO.parent
 TIMED = 0.2  # [s]
 
 
@@ -88,9 +87,8 @@ def torques(frames: Sequence[can.Message]) -> list[int]:
 
 
 def test_a_right_configuration_agrees_in_everything_and_no_torque_exceeds_what_was_announced() -> None:
-    reports: list[Report] = []
-    frames = frames_of(lambda at: reports.append(commissioned(at)), "agrees")
-    [report] = reports
+    report, (missing, error), frames = whole_session()
+    assert (missing, error) == ([], None)
     assert max(abs(torque) for torque in torques(frames)) in range(50, 101)  # 10 per cent of the rated torque
     assert not report.failed
     assert not report.differs

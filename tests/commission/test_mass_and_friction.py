@@ -155,6 +155,7 @@ def test_mass_and_least_friction_are_those_of_the_plant_whatever_its_law(
     assert (least + sure * speeds <= 1.01 * braking).all()
 
 
+@pytest.mark.slow
 def test_one_friction_for_all_speeds_would_make_the_mass_too_large() -> None:
     record = (*swept(1.2, 0.0, FALLING[0.02]), TIME, 20)
     found, curve = estimate(*record), friction_curve(*record)

@@ -143,6 +143,7 @@ def test_a_rated_torque_is_compared_at_the_axis_and_shown_where_none_is_configur
     assert seen("axes.0.rated_torque=null", counts=9_000) == ("", "9 N", StepVerdict.AGREES)
 
 
+@pytest.mark.slow
 def test_the_hand_is_on_the_handle_for_the_encoder_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sequence, "time_the_cycle", lambda *_: None)
     session = played(Still(), refused="watchdog", objects=DRIVE)

@@ -61,7 +61,7 @@ def test_every_joule_of_every_hold_has_a_name(environment, algorithm, delay, scr
         assert balance.h_m == balance.h_i - balance.h_pas
 
 
-@pytest.mark.slow_but("*-spring_damper_wall", "guarded-*", "internal_dissipation-viscoelastic_medium")
+@pytest.mark.slow_but("guarded-*", "unprotected-detents", "internal_dissipation-spring_damper_wall")
 @every_algorithm
 @settings(max_examples=8)
 @given(script=moves)
@@ -84,7 +84,7 @@ def tapping(made, delay, cycles=400):
     return balances
 
 
-@pytest.mark.slow_but("0-*-two_sided_wall", "1-*-detents", "1-guarded-*")
+@pytest.mark.slow_but("0-*-two_sided_wall", "1-guarded-*")
 @every_algorithm
 @pytest.mark.parametrize("delay", [0, 1])
 def test_after_reset_the_run_repeats_bit_for_bit(environment, algorithm, delay):

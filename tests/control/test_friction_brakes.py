@@ -182,6 +182,7 @@ def test_friction_that_gives_all_back_at_a_reversal_reaches_the_term_of_the_boun
     assert w > 0.125 + 0.5 * w  # with half the term the bound were exceeded
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["spring", "Dahl"])
 def test_soft_bristles_exceed_a_bound_that_does_not_know_them(model: str) -> None:
     assert max(excess(model, seed, 0.013, mended=False) for seed in range(4)) > 0.02

@@ -176,7 +176,7 @@ def test_after_long_tremor_the_wall_has_the_stiffness_asked(stiffness, delay):
     assert rest / stiffness >= (0.99 if delay == 0 else 0.95)
 
 
-@pytest.mark.slow_for("0")
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0, 1])
 def test_half_the_damping_of_colgate_makes_no_limit_cycle(delay):
     """A6: the plain wall swings 10 mm."""

@@ -84,6 +84,7 @@ def test_signs_find_the_drive_that_acts_in_another_hold_and_take_its_certificate
     assert controller.hold_found == UNDECIDED
 
 
+@pytest.mark.slow
 def test_a_late_drive_does_not_differ_from_a_lag_of_half_a_hold_and_samples_may_be_lost() -> None:
     assert said_of(1, lag=5e-4).hold_found == UNDECIDED
     assert said_of(-1, lag=5e-4).hold_found == EARLY

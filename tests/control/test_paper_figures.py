@@ -50,6 +50,7 @@ def variation_ratio(run, reference, wall):
     return variation(run.torque) / variation(reference[wall["damping"]][1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [40, 100])
 @pytest.mark.parametrize("wall", [FIGURE_4, FIGURE_7])
 @pytest.mark.parametrize("parameters", [None, RECOVERY])

@@ -41,7 +41,7 @@ def leaning(controller: Guarded, stiffness: float, delay: int, seconds: int) -> 
     return [one / whole for one, whole in zip(sent, asked, strict=True)], least
 
 
-@pytest.mark.slow_but("7.5-0", "0.9-1")
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("times", [0.9, 2.0, 7.5])
 def test_a_wall_beyond_what_friction_pays_for_gets_as_soft_as_that_and_stays(times: float, delay: int) -> None:

@@ -118,6 +118,7 @@ def test_windowed_needs_the_encoder_count():
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_at_10_khz_with_coarse_counts_the_window_quiets_the_force_twentyfold(delay):
     fine = np.arange(0.0, 1.0, 1e-4)

@@ -69,6 +69,7 @@ def test_without_its_quirk_the_start_is_refused_and_the_drive_stays_disabled(
     assert not made.drives[0].servo.is_running
 
 
+@pytest.mark.slow
 def test_all_quirks_that_go_together_come_up_together(bench: MakeBench) -> None:
     names = (
         *("rated_torque_micro", "rated_torque_written", "max_torque_absent", "demand_absent", "slow_enable"),

@@ -72,7 +72,7 @@ def account(scene, algorithm, **options):
     return result["axes"]["handle"]["algorithms"][algorithm]
 
 
-@pytest.mark.slow_but("1-guarded")
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["unprotected", "internal_dissipation", "guarded"])
 @pytest.mark.parametrize("delay", [0, 1])
 def test_every_figure_is_that_of_an_independent_simulation(scene, algorithm, delay):

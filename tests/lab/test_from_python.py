@@ -19,6 +19,7 @@ def _printed(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 def test_check_returns_what_the_command_prints(capsys: pytest.CaptureFixture[str]) -> None:
     found, printed = canhaptic.check("demo"), _printed(capsys, "check", "demo")
     assert found["verdict"] == printed["verdict"]
@@ -126,6 +127,7 @@ def test_an_account_has_its_ports_as_attributes_and_the_package_its_version() ->
     assert canhaptic.__version__.count(".") >= 2
 
 
+@pytest.mark.slow
 def test_every_public_object_shows_what_it_is() -> None:
     run = canhaptic.simulate("demo", duration="3 ms", progress=False)
     with run.log() as log, canhaptic.build(run.scene) as experiment:

@@ -70,7 +70,7 @@ def test_more_frames_than_the_ring_holds_all_arrive_in_order_at_free_pace(tmp_pa
     assert all(line.endswith(f"181#{k.to_bytes(8, 'little').hex().upper()} R".encode()) for k, line in enumerate(lines))
 
 
-@pytest.mark.slow_for("run.2.log", "run")
+@pytest.mark.slow_but("run.log")
 @pytest.mark.parametrize("name", ["run.log", "run", "run.2.log", "run[1].log"])
 def test_a_series_of_files_is_bounded_in_number_and_size_and_keeps_the_newest(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
@@ -90,6 +90,7 @@ def test_a_series_of_files_is_bounded_in_number_and_size_and_keeps_the_newest(tm
     )
 
 
+@pytest.mark.slow
 def test_a_killed_writer_is_replaced_and_no_line_is_lost_doubled_or_torn(tmp_path: Path) -> None:
     path = tmp_path / "a.log"
     log = BusLogWriter(path, "can0", pace="free")

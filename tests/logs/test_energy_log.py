@@ -146,6 +146,7 @@ def test_noise_that_cannot_be_compressed_still_stays_within_the_size_limit(tmp_p
     assert path.stat().st_size <= 1.2 * 3000 * (15 * 8 + 5 + 4 + 5 * 8)
 
 
+@pytest.mark.slow
 def test_a_full_ring_at_real_pace_drops_counts_and_flags_without_waiting(tmp_path: Path) -> None:
     path = tmp_path / "full.h5"
     writer = EnergyLogWriter(path, PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True, ring_rows=64)

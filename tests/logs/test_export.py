@@ -101,6 +101,7 @@ def test_an_event_behind_skipped_syncs_has_the_time_of_its_row(tmp_path: Path) -
     assert message.log_time == 308 * SAMPLE_TIME_NS
 
 
+@pytest.mark.slow
 def test_floats_in_csv_read_back_to_the_same_bits(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_BLOCK", 300)
     with EnergyLog.open(path) as log:

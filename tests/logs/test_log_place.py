@@ -161,6 +161,7 @@ def test_logs_go_onto_regular_files_alone_and_never_wait_for_one(tmp_path: Path,
     assert Path("/dev/null").is_char_device()
 
 
+@pytest.mark.slow
 def test_pictures_pages_tables_and_scenes_go_onto_regular_files_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -344,6 +345,7 @@ def test_what_a_killed_run_left_of_a_log_is_kept(tmp_path: Path, capsys: pytest.
     assert f"{left} already exists" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_force_replaces_both_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     energy, bus = tmp_path / "run.h5", tmp_path / "run.log"
     for path in (energy, bus):

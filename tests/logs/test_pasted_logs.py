@@ -105,6 +105,7 @@ def test_a_clock_that_was_set_is_told(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.slow_but("blf")
 @pytest.mark.parametrize("suffix", ["log", "blf", "trc", "asc", "csv"])
 def test_a_compressed_log_holds_the_same_frames(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a.{suffix}"
@@ -151,6 +152,7 @@ def as_pasted(*, timed: bool) -> str:
     return "$ candump can0\n" + "".join(lines)
 
 
+@pytest.mark.slow
 def test_a_pasted_log_is_replayed_and_rederived_as_the_file_is_if_it_has_times(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -140,6 +140,7 @@ def test_a_bare_scene_executes_the_same_bytecodes_when_every_effect_is_gone(monk
     assert {file for file, _ in without} == {"plant.py", "hybrid_automaton.py"}
 
 
+@pytest.mark.slow_but("effects0")
 @pytest.mark.parametrize(
     "effects",
     [[SATURATION], [FAR_STOP], [FAR_STOP, SATURATION], [COULOMB], [FAR_GRASP], [FAR_GRASP, FAR_STOP, SATURATION]],
@@ -183,6 +184,7 @@ def size(*effects: dict[str, Any]) -> tuple[int, int, int]:
     return len(scene.names), len(scene.works), len(compile_mode(scene, scene.first_key()).exits)
 
 
+@pytest.mark.slow_but("pair0", "pair7", "pair14")
 @pytest.mark.parametrize("pair", list(itertools.combinations([STOP, COULOMB, SHAFT, CURRENT, TREMOR, VISCOUS], 2)))
 def test_static_costs_of_two_effects_add_up(pair):
     bare, one, other, both = (np.array(size(*chosen)) for chosen in ((), pair[:1], pair[1:], pair))
@@ -247,7 +249,7 @@ WHOLE = {
 """Scene -> files of effects and mechanisms that a whole run executes, all of them named by it."""
 
 
-@pytest.mark.slow_but("*sim_stop_1khz*")
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", WHOLE)
 def test_a_whole_run_executes_and_allocates_in_no_file_of_an_effect_that_it_does_not_name(scene):
     top = str(Path(effects_package.__file__).parents[1])

@@ -56,6 +56,7 @@ def reference_end(force: Force) -> float:
     return float(state[0])
 
 
+@pytest.mark.slow_but("effect2-*")
 @pytest.mark.parametrize(
     ("effect", "force"), [(COGGING, cogging), (RIPPLE, ripple), (STRIBECK, stribeck), (LUGRE, lugre)]
 )
@@ -109,6 +110,7 @@ def test_lugre_before_sliding_is_a_spring_and_sliding_settles_at_its_steady_fric
     assert 0.4 * plant.velocity == pytest.approx(0.7 - 0.3, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_stribeck_slider_on_a_slow_hand_sticks_and_slips_in_a_limit_cycle():
     drag = UserParameters(stiffness=200, damping=0.2, motion=SinusoidMotion(amplitude=1.0, frequency=0.002))
     plant = make_plant({**STRIBECK, "stribeck_velocity": 0.01}, user=drag)
@@ -138,6 +140,7 @@ def test_the_scalar_solver_returns_the_place_of_a_jump():
     assert root == pytest.approx(0.37, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_ripple_of_a_torque_that_lags_is_of_second_order_in_the_substep():
     effects = (
         {"type": "torque_ripple", "amplitude": 0.2, "pitch": 2e-3},

@@ -84,6 +84,7 @@ def test_a_servo_that_stops_inside_a_hold_is_right_to_a_nanometre(torques):
     assert np.abs(plant.velocity - expected.velocity[-1]) <= 1e-7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [10, pytest.param(150, marks=pytest.mark.slow)])
 def test_random_scenes_have_the_same_events_at_a_thirty_second_of_their_sample_time(count):
     """A guard that is crossed twice inside a step is seen by shorter steps; scenes are up to 600 events long."""

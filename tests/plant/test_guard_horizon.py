@@ -69,7 +69,7 @@ def without_looking_ahead(scene: RandomScene) -> tuple[np.ndarray, Plant]:
     return run(plant, scene.torques), plant
 
 
-@pytest.mark.slow_but("?")
+@pytest.mark.slow_but("[0-3]")
 @pytest.mark.parametrize("seed", range(40))
 def test_looking_ahead_changes_no_event_of_a_random_scene(seed):
     scene = random_scene(seed)

@@ -80,7 +80,7 @@ def test_a_stop_just_out_of_reach_is_not_touched():
     assert plant.position == pytest.approx(speed * 0.02 - deceleration * 0.02**2 / 2, abs=1e-15)
 
 
-@pytest.mark.slow_for("20")
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [20, 400])
 def test_the_stiff_scene_without_substeps_agrees_with_an_event_located_reference(ratio):
     """1e6 N/m stop, stiff grip, current loop 50 us, at T = 1 ms and 20 ms."""
@@ -143,6 +143,7 @@ def test_more_events_than_the_cap_end_the_run_with_state_and_remedy():
         make_plant(*STOPS, user=None, damping=0.0, initial_velocity=10.0, mass=1e-6).run(np.zeros(2))
 
 
+@pytest.mark.slow
 def test_the_cap_counts_per_sample_time_however_it_is_cut():
     """Eight impacts a millisecond, 16 changes of mode: 20 are enough for it whole, in pieces, and ten at a time."""
     stops = [dict(stop, position=1e-3 * (1 if stop["position"] > 0 else -1)) for stop in STOPS]  # type: ignore[operator]

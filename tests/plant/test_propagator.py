@@ -31,7 +31,7 @@ SCENES = [
 ]
 
 
-@pytest.mark.slow_but("0.001-*", "*rates2")
+@pytest.mark.slow
 @pytest.mark.parametrize("rates", SCENES)
 @pytest.mark.parametrize("sample_time", [1e-4, 1e-3, 25e-3])
 def test_every_dyadic_flow_agrees_with_sixty_digits(rates, sample_time):

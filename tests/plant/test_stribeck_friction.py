@@ -55,6 +55,7 @@ def rounded(low: float, high: float) -> st.SearchStrategy[float]:
 forces = st.lists(rounded(-1.5, 1.5), min_size=1, max_size=20)
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(60))
 @given(forces, st.sampled_from([1, 2, 16]), rounded(-0.05, 0.05), st.booleans(), rounded(0.0, 0.4))
 def test_at_rest_no_force_exceeds_the_static_level(torques, substeps, velocity, held, detent):

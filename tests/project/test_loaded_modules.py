@@ -71,6 +71,7 @@ def loaded(scene: str, *options: str) -> set[str]:
     return kinds_of(modules)
 
 
+@pytest.mark.slow
 def test_a_bare_simulated_axis_loads_its_algorithm_and_its_plant_alone() -> None:
     assert loaded("configs/demo.yaml") == GUARDED
 

@@ -146,7 +146,7 @@ def test_the_frames_alone_give_the_same_accounts(recorded: tuple[Path, Path]) ->
     assert found["cycles"] == 142
 
 
-@pytest.mark.slow_for("True")
+@pytest.mark.slow
 @pytest.mark.parametrize("from_sync", [False, True])
 def test_a_replay_sends_the_same_frames_on_the_same_buses(recorded: tuple[Path, Path], from_sync: bool) -> None:
     scene = load_scene(TWO_BUSES, ["environment.side=above"])

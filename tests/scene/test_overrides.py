@@ -160,6 +160,7 @@ def test_no_override_takes_the_passivity_controller_from_real_drives(
     assert capsys.readouterr().out.startswith("handle: NO PASSIVITY CONTROLLER (algorithm: unprotected)")
 
 
+@pytest.mark.slow_but("demo*", "two_handles*")
 @pytest.mark.parametrize(("scene", "key"), [(scene, key) for scene, key, _ in SWITCHES])
 def test_every_type_can_be_set_or_one_line_says_what_it_needs(scene: str, key: str) -> None:
     """What the line says is then typed: the path leads to a scene."""
@@ -237,6 +238,7 @@ def test_of_a_real_bus_nothing_is_dropped(key: str) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_script_sets_another_type_as_the_command_line_does() -> None:
     with pytest.warns(OverrideWarning, match="hand_force, hand_push are ignored"):
         result = simulate(CONFIGS / "demo.yaml", {"passivity.algorithm": "unprotected"}, duration=0.05, progress=False)

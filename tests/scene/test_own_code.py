@@ -232,6 +232,7 @@ def test_an_own_hand_pulls_at_the_handle(folder: Path) -> None:
         canhaptic.simulate(path, wrong, duration=0.1, allow_code=True)
 
 
+@pytest.mark.slow
 def test_the_plant_moves_with_an_own_hand_as_the_textbook_says(folder: Path) -> None:
     pytest.importorskip("scipy")
     text = "import math\n" + HAND.replace("-self.strength if time > 0.1 else 0.0", "self.strength * math.sin(9 * time)")
@@ -279,6 +280,7 @@ def test_a_wall_with_another_contact_says_where_it_switches_itself(folder: Path)
         continuous_motion(scene, 1_000_000, 10)
 
 
+@pytest.mark.slow
 def test_an_own_algorithm_is_compared_with_the_others(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "mine.py").write_text(ALGORITHM)
     words = ["compare", str(folder / "scene.yaml"), "--set", "passivity={algorithm: mine.py:Mine}"]

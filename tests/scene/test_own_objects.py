@@ -32,6 +32,7 @@ def test_an_environment_has_one_class_under_all_its_names() -> None:
     assert canhaptic.Environment is extending.Environment is extending.OwnEnvironment
 
 
+@pytest.mark.slow
 def test_another_process_says_that_it_lacks_the_class(monkeypatch: pytest.MonkeyPatch) -> None:
     overrides = canhaptic.simulate("demo", {"environment": MyWall}, duration=0.01, progress=False).scene.overrides
     monkeypatch.setattr(own_code, "GIVEN", {})

@@ -121,6 +121,7 @@ def test_own_code_adds_to_what_is_built_in_and_its_log_gives_the_same_again(tmp_
     assert result.account.verdict == "yes"
 
 
+@pytest.mark.slow
 def test_friction_in_a_medium_keeps_its_strain_and_writes_a_log(tmp_path):
     rubber = "[{type: coulomb_surface, friction: 2, stiffness: 900, damping: 1}, {type: viscous_medium, damping: 3}]"
     scene, log = load_scene("demo", [f"environment={rubber}"]), tmp_path / "run.h5"

@@ -23,7 +23,7 @@ def test_the_share_of_lost_frames_is_the_one_asked_for(drop: float) -> None:
     assert lost == pytest.approx(COUNT * drop, abs=4.0 * math.sqrt(COUNT * drop * (1.0 - drop)))
 
 
-@pytest.mark.slow_for("1.0", "10.0")
+@pytest.mark.slow
 @pytest.mark.parametrize("burst", [1.0, 3.0, 10.0])
 def test_bursts_of_losses_have_the_mean_length_and_share_asked_for(burst: float) -> None:
     count, drop = 12_000, 0.2

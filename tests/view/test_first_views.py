@@ -50,6 +50,7 @@ def test_a_wall_has_no_notches(logs: tuple[Path, Path]) -> None:
         assert notches_of(log, "handle", -1.0, 1.0) == []
 
 
+@pytest.mark.slow
 def test_the_last_panel_is_the_force_over_the_position_of_both_runs_in_the_scales_of_the_first(
     logs: tuple[Path, Path],
 ) -> None:
@@ -89,6 +90,7 @@ def test_the_page_of_a_run_that_became_active_has_a_button_to_that_moment(logs: 
     assert '<th class="">bare.h5 handle</th><th class="">guarded.h5 handle</th>' in text
 
 
+@pytest.mark.slow
 def test_the_contact_of_that_moment_has_its_number_in_the_table(
     logs: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -66,6 +66,7 @@ def test_only_what_a_port_has_is_drawn(path: Path) -> None:
     assert (x.is_group, x.is_member) == (False, True)
 
 
+@pytest.mark.slow
 def test_a_look_at_a_growing_log_knows_groups(path: Path) -> None:
     news = LiveLog(path).look()
     assert news is not None

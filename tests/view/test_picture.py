@@ -61,7 +61,7 @@ def test_contacts_are_the_stretches_not_booked_as_free() -> None:
     assert contacts(np.array([0, 0])) == []
 
 
-@pytest.mark.slow_for("ports1-svg")
+@pytest.mark.slow
 @pytest.mark.parametrize(("ports", "suffix"), [(("handle",), "png"), (("left", "right"), "svg")])
 def test_a_run_is_drawn_into_the_kind_of_file_its_suffix_names(
     tmp_path: Path, ports: tuple[str, ...], suffix: str

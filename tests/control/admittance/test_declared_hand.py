@@ -37,6 +37,7 @@ def test_a_hand_stiffer_than_declared_takes_more_than_it_gave(seed: int) -> None
     assert found[1].least < -rig.allowance - 1e-4
 
 
+@pytest.mark.slow
 def test_a_mass_much_lighter_than_the_drive_is_carried() -> None:
     found = with_true_bounds(_LIGHT, 0.6)
     assert found is not None
@@ -115,6 +116,7 @@ def test_the_lightest_mass_is_that_of_the_spring_for_a_hand_at_rest() -> None:
     assert 1.0 <= carried / (1000.0 * way * way) < 1.1
 
 
+@pytest.mark.slow
 def test_random_displays_use_it_and_claim_nothing_false() -> None:
     used = 0
     for seed in (1012, 1024):

@@ -149,6 +149,7 @@ def _random_hand(random: np.random.Generator) -> attack.Hand:
     return hands[int(random.integers(len(hands)))]()
 
 
+@pytest.mark.slow_but("[0-5]")
 @pytest.mark.parametrize("seed", range(12))
 def test_no_hand_gets_more_than_it_gave(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -158,6 +159,7 @@ def test_no_hand_gets_more_than_it_gave(seed: int) -> None:
     _attack(loop, hand)
 
 
+@pytest.mark.slow_but("[0-4]")
 @pytest.mark.parametrize("seed", range(10))
 def test_no_hand_gets_more_than_it_gave_where_holds_are_as_uneven_as_declared(seed: int) -> None:
     random = np.random.default_rng(900 + seed)
@@ -208,6 +210,7 @@ def test_a_mutant_that_declares_too_little_loses(name: str) -> None:
     assert _taken(_SHARP, **{name: 0.7 * true}) < -1e-3
 
 
+@pytest.mark.slow_but("[0-3]")
 @pytest.mark.parametrize("seed", range(8))
 def test_a_hand_of_bounded_force_gets_no_more_than_it_gave(seed: int) -> None:
     random = np.random.default_rng(300 + seed)
@@ -365,6 +368,7 @@ def test_a_speed_takes_the_energy_of_the_least_mass_that_check_says(seeds: range
     assert max(carried for _, carried in found) > 0.05  # something moved
 
 
+@pytest.mark.slow
 def test_a_gain_declared_too_small_lets_a_speed_come_from_less_energy() -> None:
     found = [_least_room(_light(seed), seed, loop_gain=0.6 * _light(seed).gain) for seed in range(6)]
     assert min(least for least, _ in found) < -1e-5

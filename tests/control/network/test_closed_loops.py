@@ -91,7 +91,7 @@ def run_example(rate, delay, duration=0.4, hand_force=0.0):
     return rms, figures["margin"], plant.least, figures["residual"]
 
 
-@pytest.mark.slow_but("500*-0", "100-*-0")
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize(
     ("rate", "rms", "margin"), [(100, 6e-3, -5e-3), (200, 5e-4, -5e-3), (500, 1e-4, -5e-4), (1000, 5e-5, -5e-4)]
@@ -225,6 +225,7 @@ def test_a_hand_stronger_than_declared_is_booked_as_a_deficit():
     assert deficit > 1e-5
 
 
+@pytest.mark.slow
 def test_the_same_table_through_a_transmission_keeps_its_energy():
     """Motor coordinates are a mixture of task coordinates; the promise is made, and kept, at the motors."""
     matrix = ((0.05, 0.05), (0.05, -0.05))

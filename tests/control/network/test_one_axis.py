@@ -81,6 +81,7 @@ def test_the_account_of_a_guarded_group_is_that_of_guarded(delay, stiffness, dam
     assert worst_energy <= allowed * richest
 
 
+@pytest.mark.slow_but("800*-0", "3000*-1")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize(("stiffness", "damping"), [(800.0, 0.0), (3e3, 4.0)])
 def test_an_unprotected_group_is_unprotected_on_one_axis_and_books_what_sampling_creates(delay, stiffness, damping):

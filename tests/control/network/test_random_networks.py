@@ -91,6 +91,7 @@ def test_a_residual_that_falls_step_by_step_does_not_solve_all_of_them(monkeypat
     assert judge(2000, 1) > 10
 
 
+@pytest.mark.slow
 def test_networks_in_which_anything_acts_on_anything_are_solved_but_for_a_few():
     rng = random.Random(3)
     unsolved = 0

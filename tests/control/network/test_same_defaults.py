@@ -48,6 +48,7 @@ def motion(rng):
     return [place - at[0] + rng.uniform(1e-4, 5e-3) for place in at]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("damping", "own", "equal"), [(0.0, {}, EQUAL), (30.0, {"hand_push": 0.0}, 1e-7)])
 @settings(max_examples=examples(100))
 @given(st.integers(0, 2**32))

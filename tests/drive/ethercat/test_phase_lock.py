@@ -17,6 +17,7 @@ def run(begin: int, ppm: float, cycles: int) -> tuple[list[int], PhaseLock]:
     return errors, lock
 
 
+@pytest.mark.slow_but("0-*", "25-*", "50-*", "75-*")
 @pytest.mark.parametrize("ppm", [-100.0, -20.0, 0.0, 20.0, 100.0])
 @pytest.mark.parametrize("share", range(0, 100, 5))
 def test_it_is_within_5_percent_in_50_cycles_from_any_phase(ppm: float, share: int) -> None:

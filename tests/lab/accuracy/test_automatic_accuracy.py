@@ -148,6 +148,7 @@ def test_an_estimate_that_cannot_be_trusted_says_so_and_what_to_do(tmp_path: Pat
         assert ("ERROR NOT KNOWN" in line) is not trusted
 
 
+@pytest.mark.slow
 def test_the_line_of_a_run_has_its_price_and_its_error(tmp_path: Path) -> None:
     for effects, words in (("simulation.effects=[]", "exact to rounding"), (COGGING, "estimated error ")):
         scene = scene_with(tmp_path, effects)

@@ -46,7 +46,7 @@ def test_an_exact_plant_is_where_dop853_has_its_textbook_twin(name):
     assert exact.user.min() < -1e-6 or exact.user.max() > 1e-4  # something happened
 
 
-@pytest.mark.slow_but("stribeck_friction")  # smooth torques: the order is fitted below
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(set(EFFECTS) - set(EXACT)))
 def test_an_approximate_plant_converges_to_its_textbook_twin(name):
     torques = random_torques(HOLDS)

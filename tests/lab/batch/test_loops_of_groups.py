@@ -78,7 +78,7 @@ WITH_EVENTS = {
 }
 
 
-@pytest.mark.slow_but("five-bar")
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", WITH_EVENTS)
 def test_motors_with_events_do_what_the_plants_do(kind: str) -> None:
     scene = scene_of(*WITH_EVENTS[kind])

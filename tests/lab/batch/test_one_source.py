@@ -34,6 +34,7 @@ def test_every_algorithm_is_the_scalar_class_to_the_last_bit(algorithm, delay):
     assert differences(scalar_case("spring_damper_wall", algorithm, delay=delay)) == {}
 
 
+@pytest.mark.slow_but("detents", "viscoelastic_medium")
 @pytest.mark.parametrize("world", [world for world in WORLDS if world != "spring_damper_wall"])
 def test_every_environment_is_the_scalar_class_to_the_last_bit(world):
     for algorithm in ("unprotected", "guarded"):

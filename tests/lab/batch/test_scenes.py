@@ -50,7 +50,7 @@ def many(scenes: int) -> dict[str, np.ndarray]:
 
 
 # `a_priori_dissipation` fails by limit cycles (Fig. 5), in which a last bit of the plant decides about a start
-@pytest.mark.slow_but("unprotected")
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_batch_gives_the_figures_of_one_scene_at_a_time(algorithm):
     scene, varied = demo(algorithm), many(5)

@@ -26,6 +26,7 @@ def run(scene, vary, path, **options):
     return SweepTable(path)
 
 
+@pytest.mark.slow
 def test_every_row_is_the_scene_written_by_hand(demo, tmp_path):
     with run(demo, VARY, tmp_path / "a", cycles=150, metrics=EXACT) as table:
         assert table.status().tolist() == [1] * 32

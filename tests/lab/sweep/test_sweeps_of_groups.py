@@ -22,7 +22,7 @@ STAGE, LINKS, HANDLES = (
 )
 
 
-@pytest.mark.slow_but("xy_box")
+@pytest.mark.slow
 @pytest.mark.parametrize("path", [STAGE, LINKS], ids=lambda path: path.stem)
 def test_a_group_without_a_bus_has_the_account_of_the_one_over_the_bus(path):
     scene = load_scene(path)

@@ -138,6 +138,7 @@ FLUNG: dict[str, Any] = {  # light motors, a handle without friction and a hand 
 THROWER = TaskHand(stiffness=82.6, push=(12.44, -11.36), rest=(0.0444, 0.1287))
 
 
+@pytest.mark.slow
 def test_a_mechanism_flung_about_at_coarse_steps_keeps_its_energy_and_converges_to_the_reference():
     period, torques = 5 * MS, wavy(14, 0.16)
     chains = OpenChains(FLUNG, THROWER)
@@ -187,6 +188,7 @@ def test_elbows_that_meet_are_told_apart_from_a_solver_that_fails():
         run(mechanism, [(-0.4, 0.4)] * 400)
 
 
+@pytest.mark.slow
 def test_the_elbow_stop_keeps_the_links_from_stretching():
     mechanism = five_bar(None, elbow_stop={"most": 0.38, "stiffness": 1e5}, damping=0.05)
     mechanism.begin(0)

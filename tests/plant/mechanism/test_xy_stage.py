@@ -65,6 +65,7 @@ def test_a_stage_has_exactly_the_states_it_names():
     assert set(stage().state_names) - bare == {f"{a}_motion_{w}" for a in "xy" for w in ("sine", "cosine")}
 
 
+@pytest.mark.slow
 def test_a_stage_imports_no_effect_no_other_mechanism_nothing_of_the_other_side_and_no_solver():
     script = (
         "import sys\nimport canhaptic.sim.plant.plant\nfrom canhaptic.sim.plant.mechanism.xy_stage import XYStage\n"
