@@ -3,10 +3,10 @@
 import pytest
 
 from canhaptic.scene.build import Experiment, build
-from canhaptic.scene.load import load_scene
-from tools.bench.demo import CONFIG, IN_CONTACT
+from canhaptic.scene.load import scene_from_mapping
+from tools.bench.demo import CONFIG, IN_CONTACT, demo_values
+from tools.on_ethercat import on_ethercat, torques_of, true_energies
 from tools.truth.ethercat import outcome_of
-from tools.truth.ethercat_twin import TwinExperiment, torques_of, true_energies
 from tools.truth.judge import account_of
 
 
@@ -20,9 +20,9 @@ def torques_and_energies(experiment: Experiment, cycles: int) -> tuple[list[tupl
 
 @pytest.mark.parametrize("cycles", [400, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_a_scene_has_the_same_torques_and_energies_on_can_and_on_ethercat(cycles: int) -> None:
-    scene = load_scene(CONFIG, [*IN_CONTACT, "environment.side=above"])
-    can, can_energies = torques_and_energies(build(scene, "free"), cycles)
-    ethercat, energies = torques_and_energies(TwinExperiment(scene), cycles)
+    values, changes = demo_values(1, 1000.0), [*IN_CONTACT, "environment.side=above"]
+    scenes = (scene_from_mapping(of, str(CONFIG), changes) for of in (values, on_ethercat(values)))
+    (can, can_energies), (ethercat, energies) = (torques_and_energies(build(of, "free"), cycles) for of in scenes)
     assert any(torque for (torque,) in can)
     assert can == ethercat
     assert energies == pytest.approx(can_energies, rel=0.0, abs=1e-12)

@@ -31,6 +31,11 @@ def demo_of(axes: int, rate: float, enable_delay: float = 0.0) -> Scene:
         rate: Of the SYNC [Hz].
         enable_delay: What each drive takes to enable [s].
     """
+    return scene_from_text(yaml.safe_dump(demo_values(axes, rate, enable_delay)), str(CONFIG))
+
+
+def demo_values(axes: int, rate: float, enable_delay: float = 0.0) -> dict[str, Any]:
+    """Returns the values of the scene of `demo_of`."""
     document: dict[str, Any] = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
     [first] = document["axes"]
     document["axes"] = [{**first, "name": f"axis{n}", "node_id": n} for n in range(1, axes + 1)]
@@ -38,7 +43,7 @@ def demo_of(axes: int, rate: float, enable_delay: float = 0.0) -> Scene:
     drive = document["simulation"]["drive"]
     drive["objects"] = {f"{index:#06x}": value for index, value in drive["objects"].items()}
     drive["enable_delay"] = enable_delay
-    return scene_from_text(yaml.safe_dump(document), str(CONFIG))
+    return document
 
 
 def drive_of(experiment: Experiment) -> SimulatedDrive:

@@ -11,26 +11,28 @@ import os
 import random
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import inf
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import process_time
 from typing import Any, Final
 
 from canhaptic.cycle import run
 from canhaptic.drive.ethercat.phase_lock import PhaseLock
-from canhaptic.logs.frame_log import LoggedFrame, RecordedLine, RecordingLine, ReplayDepartureError
+from canhaptic.logs.frame_log import LoggedFrame, RecordedLine, ReplayDepartureError, read_frame_log
 from canhaptic.scene.build import Experiment, build
-from canhaptic.scene.load import load_scene
+from canhaptic.scene.load import scene_from_mapping
+from canhaptic.scene.models import Scene
 from tests.drive.ethercat.rig_bench import Bench
 from tests.sim_drive.ethercat_fuzz import attack_drives, attack_master
 from tests.sim_drive.test_ethercat_counts import KINDS, isolated, line_with, obeys
-from tools.bench.demo import CONFIG, IN_CONTACT, demo_of
+from tools.bench.demo import CONFIG, IN_CONTACT, demo_values
 from tools.bench.report import Row, kept_folder, publish
 from tools.bench.truth import is_false
 from tools.kept_runs import run_kept
+from tools.on_ethercat import on_ethercat, torques_of, true_energies
 from tools.truth.ethercat import outcome_of
-from tools.truth.ethercat_twin import TwinExperiment, torques_of, true_energies
 from tools.truth.judge import Outcome
 
 _ROOT: Final = Path(__file__).resolve().parents[2]
@@ -56,10 +58,14 @@ def _run(experiment: Experiment, cycles: int) -> tuple[list[tuple[float, ...]], 
         return torques_of(experiment, cycles), true_energies(experiment)
 
 
+def _on_both(values: dict[str, Any], changes: Sequence[str] = ()) -> list[Scene]:
+    """Returns a scene on its CAN bus and on a line."""
+    return [scene_from_mapping(of, str(CONFIG), changes) for of in (values, on_ethercat(values))]
+
+
 def same_scene(cycles: int) -> Iterator[Row]:
     """Yields the differences of one scene on both buses."""
-    scene = load_scene(CONFIG, IN_CONTACT)
-    can, ethercat = _run(build(scene, "free"), cycles), _run(TwinExperiment(scene), cycles)
+    can, ethercat = (_run(build(scene, "free"), cycles) for scene in _on_both(demo_values(1, 1000.0), IN_CONTACT))
     differing = sum(one != other for one, other in zip(can[0], ethercat[0], strict=True))
     apart = max(abs(one - other) for one, other in zip(can[1], ethercat[1], strict=True))
     yield Row("same_scene: torques that differ in a bit", differing, "", target="0", met=differing == 0)
@@ -137,8 +143,8 @@ def _cycles_to_lock(ppm: int, phase: int) -> int:
 def virtual_time(cycles: int) -> Iterator[Row]:
     """Yields the processor time of a cycle on both buses."""
     for axes, rate in ((1, 1000), (6, 250)):
-        scene = demo_of(axes, rate)
-        both = [(_cost(build(scene, "free"), cycles), _cost(TwinExperiment(scene), cycles)) for _ in range(5)]
+        scenes = _on_both(demo_values(axes, rate))
+        both = [[_cost(build(scene, "free"), cycles) for scene in scenes] for _ in range(5)]
         can, ethercat = (1e6 * min(of[n] for of in both) for n in (0, 1))
         ratio = ethercat / can
         yield Row(f"virtual_time: {axes} axes", ethercat, "us", "the same on CAN", can, ratio, f"ratio <= {_RATIO}",
@@ -161,12 +167,12 @@ def _cost(experiment: Experiment, cycles: int) -> float:
 
 def replay(cycles: int) -> Iterator[Row]:
     """Yields whether every frame of a run is sent again, and whether a flipped bit is named."""
-    scene, frames = load_scene(CONFIG, IN_CONTACT), list[LoggedFrame]()
-    experiment = TwinExperiment(scene)
-    recording = RecordingLine(experiment.far_side, experiment.clock, lambda *of: frames.append(LoggedFrame(*of)))
-    _master_of(experiment)._exchange = recording.exchange  # noqa: SLF001
-    _run(experiment, cycles)
-    played = _play(scene, frames, cycles)
+    _, scene = _on_both(demo_values(1, 1000.0), IN_CONTACT)
+    with TemporaryDirectory() as folder:
+        log = Path(folder) / "run.pcap"
+        _run(build(scene, "free", bus_log=log), cycles)
+        frames = read_frame_log(log)
+        played = _play(scene, frames, cycles)
     sent = sum(not frame.is_answer for frame in frames)
     whole = played.left == 0 and played.compared == sent
     yield Row("replay: frames sent again byte for byte", played.compared, "", target=f"{sent}", met=whole)
@@ -183,17 +189,12 @@ def replay(cycles: int) -> Iterator[Row]:
     yield Row("replay: one flipped bit is named", int(bool(named)), "", target="1", met=bool(named), note=named)
 
 
-def _master_of(experiment: TwinExperiment) -> Any:
-    return experiment.line.segment
-
-
-def _play(scene: Any, frames: list[LoggedFrame], cycles: int) -> RecordedLine:
-    experiment = TwinExperiment(scene)
-    recorded = RecordedLine(frames, experiment.clock)
-    _master_of(experiment)._exchange = recorded.exchange  # noqa: SLF001
+def _play(scene: Scene, frames: list[LoggedFrame], cycles: int) -> RecordedLine:
+    experiment = Experiment(scene, "free", None, None, recorded=frames)
     with experiment:
         run(experiment.cycle, cycles)
-    return recorded
+    assert experiment.played is not None
+    return experiment.played
 
 
 def fuzz(frames: int) -> Iterator[Row]:

@@ -1,15 +1,11 @@
 """Random scenes on EtherCAT: those of the other random tests, with drifting clocks and frames that are late or lost."""
 
-import copy
 from dataclasses import replace
-from functools import partial
 from typing import Any, Final
 
 import numpy as np
 
-from canhaptic.scene.models import Scene
-from canhaptic.sim.drive.ethercat.cable import CableEffects
-from tools.truth.ethercat_twin import TwinExperiment
+from tools.on_ethercat import on_ethercat
 from tools.truth.judge import Outcome, judged
 from tools.truth.scenes import TruthScene, random_scene
 
@@ -20,27 +16,21 @@ _NOT_THERE: Final = frozenset(("group:xy_box", "group:five_bar", "rpdo:event", "
 """Tags of scenes that are drawn again: motors of one mechanism, and drives that act on arrival."""
 
 
-def ethercat_scene(seed: int) -> tuple[TruthScene, CableEffects]:
-    """Returns the scene of a seed, and the faults of its line."""
+def ethercat_scene(seed: int) -> TruthScene:
+    """Returns the scene of a seed, with the faults of its line."""
     scene = random_scene(seed)
     while scene.tags & _NOT_THERE or "mechanisms" in scene.values["simulation"]:
         scene = random_scene(scene.seed + _APART)
     chance = np.random.default_rng([seed, 61])
-    values, tags = copy.deepcopy(scene.values), {tag for tag in scene.tags if not tag.startswith("timing:")}
-    values["simulation"].pop("bus", None)
+    tags = {tag for tag in scene.tags if not tag.startswith("timing:")}
     effects: dict[str, Any] = {"drift": float(chance.uniform(-1e-4, 1e-4))}
     for key in ("late", "lost", "answer_lost", "low_counter"):
         if chance.random() < _EACH:
             effects[key] = float(10.0 ** chance.uniform(-3.0, -1.7))
             tags.add(f"frames:{key}")
-    return replace(scene, seed=seed, values=values, tags=frozenset(tags)), CableEffects(**effects)
-
-
-def _on_ethercat(scene: Scene, effects: CableEffects, seed: int) -> TwinExperiment:
-    return TwinExperiment(scene, effects, seed=seed)
+    return replace(scene, seed=seed, values=on_ethercat(scene.values, effects), tags=frozenset(tags))
 
 
 def outcome_of(seed: int) -> Outcome:
     """Returns what the run of a seed came to."""
-    scene, effects = ethercat_scene(seed)
-    return judged(scene, partial(_on_ethercat, effects=effects, seed=seed))[1]
+    return judged(ethercat_scene(seed))[1]

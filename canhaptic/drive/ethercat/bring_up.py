@@ -11,7 +11,6 @@ from functools import partial
 from typing import Final
 
 from canhaptic.canopen.objects import is_writable
-from canhaptic.drive.ethercat.held_torques import SM_EVENT_MISSED
 from canhaptic.drive.ethercat.image_map import write_image
 from canhaptic.drive.ethercat.segment import AlError, AlState
 from canhaptic.drive.ethercat.servo_drive import SYNC_ACTIVATION, SYSTEM_TIME, WATCHDOG, EthercatDrive
@@ -28,7 +27,6 @@ _AHEAD_NS: Final = 100_000_000  # from now to the first SYNC0: it must not have 
 _LOCK_SECONDS: Final = 5
 _VALID_OUTPUTS: Final = 5  # cycles with zero outputs before OP is asked for
 _ASSIGN_ACTIVATE: Final = 0x0300
-_TRIES: Final = 20
 _BEFORE_SAFE_OP: Final = ("IP", "PS")  # transitions of the writes that a vendor wants at the start
 _LARGEST_STARTUP: Final = 8  # [bytes] of an integer
 
@@ -159,7 +157,13 @@ class EthercatBringUp(BringUp):
         for one in others:
             one.request(AlState.OP)
             line.idle()
-        self._begin_counts()
+        line.held.begin()
+        line.idle()
+        if line.segment.repeats_outputs and line.bus.frames == 2:
+            return  # the drive takes what is repeated for new outputs, so that its count shows no late frame
+        with self.step("SYNC0"):
+            for drive in line.drives:
+                drive.begin_counts()
 
     def _map_images(self) -> None:
         line = self._drive.line
@@ -214,21 +218,6 @@ class EthercatBringUp(BringUp):
         kind = self.read_object("SYNC0", _SYNC_TYPE)
         if kind is not None and kind not in _WITH_SYNC0:
             raise self.refusal("SYNC0", f"0x1C32:01 = {kind}: the drive does not run on SYNC0", "2 or 3")
-
-    def _begin_counts(self) -> None:
-        """Note 0x1C32:0B of each drive at a frame of the host, with no hold without a frame between them."""
-        line = self._drive.line
-        if line.segment.repeats_outputs and line.bus.frames == 2:
-            return  # the drive takes what is repeated for new outputs, so that its count shows no late frame
-        for _ in range(_TRIES):
-            line.held.begin()
-            line.idle()
-            before = [EthercatBringUp(drive).read_object("SYNC0", SM_EVENT_MISSED) for drive in line.drives]
-            line.idle()
-            if not (line.held.missed or line.held.unanswered or line.held.twice):
-                for drive, count in zip(line.drives, before, strict=True):
-                    drive.missed_before = count
-                return
 
     def operational(self) -> Confirmation:
         """Confirmation that the drive is in OP."""

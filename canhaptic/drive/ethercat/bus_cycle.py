@@ -126,8 +126,8 @@ class EthercatBusCycle:
             self.slip = min(0, slip)
         self._slipped, self._taken, self._counted = 0, hold, 0
         pace.uneven = 0  # the drive's clock times the holds
-        pace.shift(self.lock.follow(answer.dc_time))
-        inputs, now = answer.inputs, self.clock.now()
+        inputs, now, left = answer.inputs, self.clock.now(), pace.synced
+        pace.shift(self.lock.follow(answer.dc_time, left - pace.deadline, now - left))
         for drive in self.drives:
             drive.take(inputs, now)
         return True
@@ -187,11 +187,12 @@ class EthercatBusCycle:
             pace.due += self._period
             if self._keep_alive is not None and self.clock.now() >= self._keep_alive_due:
                 self._keep_alive_due = self._keep_alive()
-            answer = self.segment.exchange(self._first_kind, pace.synced + window)
+            left = self.clock.now()
+            answer = self.segment.exchange(self._first_kind, left + window)
             if answer is not None and answer.dc_time:
-                pace.shift(self.lock.follow(answer.dc_time))
+                pace.shift(self.lock.follow(answer.dc_time, left - pace.synced, self.clock.now() - left))
             if self._first_kind is _READ:
-                answer = self.segment.exchange(_WRITE, pace.synced + window)
+                answer = self.segment.exchange(_WRITE, max(self.clock.now(), pace.synced + window))
             self.held.count(answer)
 
     def keep_alive(self, send: Callable[[], int] | None) -> None:
@@ -199,7 +200,10 @@ class EthercatBusCycle:
         self._keep_alive, self._keep_alive_due = send, 0
 
     def feed(self) -> None:
-        """Send nothing: the start runs cycles while it waits."""
+        """Send the outputs as they are: another bus is waited for, and the watchdogs of this one run."""
+        if self.is_running:
+            kind = _WRITE if self._first_kind is _READ else _BOTH
+            self.held.count(self.segment.exchange(kind, self.clock.now() + self.window_ns))
 
     def mark_start(self, *, is_starting: bool) -> None:
         """Do nothing: no wait on the line lasts."""

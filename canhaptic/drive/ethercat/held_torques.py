@@ -4,12 +4,22 @@ The counts obey drive <= host <= drive + frames without answer, for faults of fr
 host and drives do not count the same holds, and no account of the run can be believed.
 """
 
+from typing import NamedTuple
+
 from canhaptic.drive.ethercat.phase_lock import PhaseLock
 from canhaptic.drive.ethercat.segment import Cycle
 
 SM_EVENT_MISSED = (0x1C32, 11)
 """Object that counts the SYNC0s without new outputs; 16 bits, which wrap."""
 _WRAP = 1 << 16
+
+
+class Reading(NamedTuple):
+    """Count of a drive (0x1C32:0B), and the host's before and after it was read."""
+
+    drive: int
+    least: int
+    most: int
 
 
 class HeldTorques:
@@ -52,15 +62,10 @@ class HeldTorques:
         hold = self._lock.hold_of(dc_time)
         return self.missed + (0 if self.hold is None else max(0, hold - self.hold - 1))
 
-    def objection(self, drive: int, before: int, until: int) -> str:
-        """Return how the count of a drive contradicts the host's; "" where it does not.
-
-        Args:
-            drive: Its 0x1C32:0B at the end.
-            before: The same as the host began to count.
-            until: Count of the host at the end.
-        """
-        counted = (drive - before) % _WRAP
-        if counted <= until % _WRAP <= counted + self.unanswered or until >= _WRAP // 2:
+    def objection(self, begin: Reading, end: Reading) -> str:
+        """Return how the count of a drive contradicts the host's between two readings; "" where it does not."""
+        counted = (end.drive - begin.drive) % _WRAP
+        least, most = end.least - begin.most, end.most - begin.least
+        if (counted <= most and least <= counted + self.unanswered) or most >= _WRAP // 2:
             return ""
-        return f"the drive counts {counted}, the host {until} and {self.unanswered} frames without answer"
+        return f"the drive counts {counted}, the host {most} and {self.unanswered} frames without answer"

@@ -1,8 +1,10 @@
 """Lock of the host's cycle on SYNC0 of the reference clock: a PI loop over the phase of the frames.
 
 The phase is the time from SYNC0 until a frame passes the reference clock. Its error is folded into half a period, so
-that the loop takes the shorter way from any phase. The start waits until the error has been small for a second; a frame
-that a busy computer sends late now and then only makes that longer.
+that the loop takes the shorter way from any phase. The loop follows the deadlines, not the frames: what a frame left
+late, on a loaded host, is no drift and is taken out of its error, and one that was on the way for longer than usual
+says nothing. The start waits until the error of the deadlines has been small for a second; a deadline that was not
+kept now and then only makes that longer.
 """
 
 from typing import Final
@@ -13,6 +15,7 @@ _LARGEST_DRIFT: Final = 0.002  # of the host against the reference clock, beyond
 _CLOSE: Final = 0.1  # part of the period within which an error tells of drift, and not of the way to go
 _LOCKED: Final = 0.05  # part of the period
 _COST: Final = 10  # close frames that one other takes back: a lock has 90 % of close ones
+_USUAL: Final = 8  # 2^-8 of the period: by so much each frame moves what is usual
 _SECOND: Final = 1_000_000_000  # [ns] for which the error must be small
 
 
@@ -26,7 +29,8 @@ class PhaseLock:
     Attributes:
         first: System time of some SYNC0 [ns].
         error: Phase of the last frame minus the target, -period/2 .. period/2 [ns].
-        close: Frames whose error was at most 5 % of the period, which is `close_ns` [ns], less 10 for each other.
+        close: Frames whose deadline had an error of at most 5 % of the period, which is `close_ns` [ns], less 10 for
+            each other.
     """
 
     def __init__(self, period: int, target: int) -> None:
@@ -42,6 +46,7 @@ class PhaseLock:
             first: System time of some SYNC0 [ns].
         """
         self.first, self._integral, self.error, self.close = first, 0.0, 0, 0
+        self._usual = -1  # time from a frame's departure until its answer [ns]; -1: not known yet
 
     @property
     def is_locked(self) -> bool:
@@ -52,11 +57,27 @@ class PhaseLock:
         """Return the index of the hold of a system time: hold 0 begins at `first`."""
         return (dc_time - self.first) // self._period
 
-    def follow(self, dc_time: int) -> int:
-        """Return how much earlier the next frame must leave [ns], given the system time of the last frame [ns]."""
+    def follow(self, dc_time: int, late: int = 0, taken: int = 0) -> int:
+        """Return how much earlier the next frame must leave [ns].
+
+        Args:
+            dc_time: System time of the last frame [ns].
+            late: Time by which it left after its deadline [ns].
+            taken: Time from its departure until its answer [ns].
+        """
         period = self._period
         half = period // 2
         self.error = error = (dc_time - self.first - self._target + half) % period - half
+        if taken != self._usual:
+            if self._usual < 0:
+                self._usual = taken
+            longer = taken - self._usual
+            step = period >> _USUAL
+            self._usual += max(-step, min(step, longer))
+            if longer > self.close_ns:
+                return round(self._integral)
+        if late:
+            error = (error - late + half) % period - half
         if -self.close_ns <= error <= self.close_ns:
             self.close += 1
         else:

@@ -9,7 +9,7 @@ from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import Dictionary
 from canhaptic.drive.ethercat.bus_cycle import EthercatBusCycle
 from canhaptic.drive.ethercat.coe import CoeAccess
-from canhaptic.drive.ethercat.held_torques import SM_EVENT_MISSED
+from canhaptic.drive.ethercat.held_torques import SM_EVENT_MISSED, Reading
 from canhaptic.drive.ethercat.image_map import ImageMap, choose_image
 from canhaptic.drive.ethercat.parameters import EthercatAxisParameters
 from canhaptic.drive.ethercat.segment import AlState, ImageSlice, al_remedy, al_text, state_name
@@ -26,6 +26,7 @@ SYNC_ACTIVATION: Final = 0x0980
 WATCHDOG: Final = 0x0420
 _DIFFERENCE: Final = 0x092C  # of its system time from that of the reference clock; bit 31: it is behind
 _MAGNITUDE: Final = 0x7FFF_FFFF
+_LOOKS: Final = 5  # in a row: a frame that passes the reference clock unread spreads a false time
 _REACTION_NS: Final = 100_000_000
 _POLL_NS: Final = 1_000_000
 _SLOTS: Final = (od.STATUSWORD, od.POSITION_ACTUAL)
@@ -45,7 +46,7 @@ class EthercatDrive(TorqueAxis):
         line: Its line.
         map: Its process data.
         al_status, al_code: Registers 0x0130 and 0x0134 as read last.
-        missed_before: 0x1C32:0B as the host began to count; None where the drive has none.
+        counts_before: Counts of held torques with which the run began; None where the drive has none.
 
     Raises:
         DictionaryError: The dictionary is not fit for cyclic torque.
@@ -82,7 +83,8 @@ class EthercatDrive(TorqueAxis):
         """Clear everything received and commanded."""
         super().reset()
         self.al_status = self.al_code = 0
-        self.missed_before: int | None = None
+        self.counts_before: Reading | None = None
+        self._looks_apart = 0
 
     def bring_up(self) -> Any:
         """Return the steps that start the drive in its mode: an `EthercatBringUp`."""
@@ -152,8 +154,10 @@ class EthercatDrive(TorqueAxis):
         return text if apart > most else ""
 
     def look_at_clock(self) -> None:
-        """End the run where the clock of the drive does not follow the reference clock; raise LinkError."""
-        if found := self.clock_objection():
+        """End the run where the clock of the drive has not followed the reference clock for long; raise LinkError."""
+        found = self.clock_objection()
+        self._looks_apart = self._looks_apart + 1 if found else 0
+        if self._looks_apart >= _LOOKS:
             self.disagreement, self._distrust = found, StopReason.HOLDS_CONTRADICTED
 
     def read_state(self) -> PowerState:
@@ -204,16 +208,31 @@ class EthercatDrive(TorqueAxis):
 
     def leave_operational(self) -> None:
         """Take the drive to SAFE-OP, where it gives no torque, and compare the counts of held torques."""
+        begin, self.counts_before, line = self.counts_before, None, self.line
+        if begin is not None:
+            self.read_al_status()
+        was_in_op, least = self.al_status == AlState.OP, self._held_by_host()
         self._request(AlState.SAFE_OP)
         self.is_operational = False
-        line, place = self.line, self.axis.position
-        if self.missed_before is not None and line.held.hold is not None:
-            until = line.held.until(int.from_bytes(line.segment.register(place, SYSTEM_TIME, size=8), "little"))
-            with suppress(SdoError):  # a drive that fails to tell is no contradiction
-                self.disagreement = self.disagreement or line.held.objection(
-                    self.sdo.read(*SM_EVENT_MISSED), self.missed_before, until
-                )
-            self.missed_before = None
+        if begin is not None and was_in_op:  # one that has left OP by itself counts no longer
+            end = self._counts(least)
+            self.disagreement = self.disagreement or ("" if end is None else line.held.objection(begin, end))
+
+    def begin_counts(self) -> None:
+        """Read the count of held torques with which the run begins; raise LinkError."""
+        self.counts_before = self._counts(self._held_by_host())
+
+    def _counts(self, least: int) -> Reading | None:
+        """Return the count of the drive and that of the host, known to be `least` before; None where it has none."""
+        if self.dictionary.get_variable(*SM_EVENT_MISSED) is None:
+            return None
+        with suppress(SdoError):  # a drive that fails to tell is no contradiction
+            return Reading(self.sdo.read(*SM_EVENT_MISSED), least, self._held_by_host())
+        return None
+
+    def _held_by_host(self) -> int:
+        time = self.line.segment.register(self.axis.position, SYSTEM_TIME, size=8)
+        return self.line.held.until(int.from_bytes(time, "little"))
 
     def await_pre_operational(self) -> None:
         """Take the drive to PRE-OP, and switch its SYNC0 off."""

@@ -1,5 +1,7 @@
 """The host's cycle locks onto SYNC0, from any phase and against any quartz."""
 
+import random
+
 import pytest
 
 from canhaptic.drive.ethercat.phase_lock import PhaseLock
@@ -34,3 +36,16 @@ def test_it_is_locked_only_after_a_second_within_5_percent() -> None:
 
 def test_a_quartz_beyond_belief_is_never_locked() -> None:
     assert not run(0, 20_000.0, 3000)[1].is_locked
+
+
+def test_a_loaded_host_locks_by_its_deadlines_and_frames_that_took_long_say_nothing() -> None:
+    dice, lock, due, before = random.Random(3), PhaseLock(PERIOD, PERIOD // 4), 0, 0.0
+    lock.begin(0)
+    for _ in range(1400):
+        late = dice.randrange(PERIOD // 2) if dice.random() < 0.3 else dice.randrange(PERIOD // 50)
+        held_up = dice.randrange(PERIOD) if dice.random() < 0.1 else 0  # between departure and reference clock
+        correction = lock.follow(round((due + late + held_up) * 1.00004), late, 2_000 + held_up)
+        due += PERIOD - correction
+        before = due * 1.00004
+    assert lock.is_locked
+    assert abs((before - PERIOD // 4 + PERIOD // 2) % PERIOD - PERIOD // 2) < 0.01 * PERIOD
