@@ -19,6 +19,9 @@ Span = tuple[float, float]
 _EQUAL: Final = """
 const [[left, right], [bottom, top]] = plane.tags, {inner_width: width, inner_height: height} = plane;
 const scale = Math.max((right - left) / width, (top - bottom) / height);
+const moved = Math.abs((left + right - scale * width) / 2 - plane.x_range.start);
+const grown = Math.abs((bottom + top - scale * height) / 2 - plane.y_range.start);
+if (moved + grown < 0.02 * (right - left)) return;  // ticks of another width would change the width again
 plane.x_range.setv({start: (left + right - scale * width) / 2, end: (left + right + scale * width) / 2});
 plane.y_range.setv({start: (bottom + top - scale * height) / 2, end: (bottom + top + scale * height) / 2});
 """

@@ -166,6 +166,18 @@ def test_what_cannot_be_added_is_refused_by_name(case):
         added(named)
 
 
+def test_energy_and_force_of_a_bristle_and_a_stop_are_no_function_of_one_number():
+    bristle = CoulombSurface(friction=10.0, stiffness=100.0)
+    stop = SpringDamperWall(stiffness=400.0, damping=0.0, position=0.0, side="below")
+
+    def both(z, q):
+        return np.array([bristle.stored_energy(z) + stop.stored_energy(q), bristle.effort(z) + stop.effort(q)])
+
+    for z, q in ((0.02, -0.01), (-0.03, -0.01), (0.05, -0.002)):
+        by_z, by_q = ((both(z + a, q + b) - both(z - a, q - b)) / 2e-6 for a, b in ((1e-6, 0.0), (0.0, 1e-6)))
+        assert np.linalg.det([by_z, by_q]) == pytest.approx(100.0 * 400.0 * (z - q), rel=1e-6)
+
+
 def test_a_strain_adds_to_media_and_free_space_adds_nothing():
     friction = CoulombSurface(friction=1.0, stiffness=900.0, damping=0.5)
     both = added([("a", friction), ("b", ViscousMedium(damping=3.0)), ("c", FreeSpace())])

@@ -54,6 +54,7 @@ def served(*words: str) -> Iterator[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     ("scene", "x", "y"), [("demo", -0.1, 0.0), ("rotary_knob", 0.6, 0.0), ("five_bar_sphere", 0.02, 0.26)]
 )
@@ -76,6 +77,7 @@ def test_the_page_of_touch_looks_made_and_stands_still_while_it_is_paused(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("scene", ["demo", "rotary_knob", "five_bar_sphere"])
 def test_the_page_of_scope_looks_made(scene: str, tmp_path: Path) -> None:
     log = canhaptic.simulate(scene, duration=2.0, progress=False).save(tmp_path / "run.h5")
@@ -86,6 +88,7 @@ def test_the_page_of_scope_looks_made(scene: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_the_page_of_accuracy_has_a_title_and_a_table_that_fits(tmp_path: Path) -> None:
     path = tmp_path / "accuracy.html"
     command = [sys.executable, "-m", "canhaptic", "accuracy", "demo", "--duration", "0.3", "--budget", "0"]

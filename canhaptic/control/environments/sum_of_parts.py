@@ -1,7 +1,7 @@
 """A sum of environments at one handle: forces, stored energies and damping add, with one account.
 
 Statements and proofs: `docs/theory/sums.md`. N1 is the account, N2 the common place of rest, N3 where the force
-reverses, N4 the stiffest slope.
+reverses, N4 the stiffest slope, N5 why a strain adds to media alone.
 
 The state of a sum is the position, counted from a place where every part is at rest (`origin`), so that state 0 stores
 nothing. A zone of contact is a stretch between two such places: those ends store nothing, as the surface of a wall and
