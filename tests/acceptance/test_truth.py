@@ -32,12 +32,13 @@ from tools.bench.truth import (
     run_all,
     table_of,
 )
-from tools.truth.falsehoods import differences, falsified, outcome_of_falsehood
+from tools.truth.falsehoods import falsified, outcome_of_falsehood
 from tools.truth.faults import FURTHER, with_fault
 from tools.truth.judge import TOUCH, Outcome, _false_claims, account_of, judged
 from tools.truth.known_ways import WAYS, is_closed, row_of
 from tools.truth.scenes import TruthScene, random_scene
 from tools.truth.stops import claims_after, left_after
+from tools.truth.ways import differences
 
 DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
 SCENES = 150
@@ -378,6 +379,14 @@ class TestFalseDeclarations:
         assert "false:hold" in outcome.tags
         assert differences(scene, outcome) == []
         assert len(differences(scene, replace(outcome, verdict="another"))) == 2
+
+    @pytest.mark.slow
+    def test_a_program_in_open_rig_has_the_account_of_the_cycle_to_the_last_bit(self):
+        scene, outcome = judged(random_scene(258))
+        assert any(tag.startswith("program:") for tag in outcome.tags)
+        assert outcome.status == "completed"
+        assert differences(scene, outcome) == []
+        assert len(differences(scene, replace(outcome, least=outcome.least - 1e-15))) == 1
 
     @pytest.mark.slow
     def test_no_false_hold_is_missed(self):

@@ -2,7 +2,9 @@
 
 Effects, timing, deviations of the drive, limits and algorithms in any combination, on one axis and on groups of two,
 all declarations true (`tools/truth`). `--runs N` runs N seeds from `--seed` on, in all processors; what has run is kept
-in `truth_runs.jsonl`, so that the same command goes on where it was stopped. `--only SEED` runs one seed, says what is
+in `truth_runs.jsonl`, so that the same command goes on where it was stopped. One in ten is
+run by the command line and `canhaptic.simulate` too, a program by `open_rig`: all must say the same
+(`tools/truth/ways.py`). `--only SEED` runs one seed, says what is
 false of it and leaves it, made smaller, as a scene file. Faults that no frame can show are left out: a stuck encoder, a
 TPDO repeated to the bit, a motor whose sign turns in a run (docs/safety.md). A run counts when it lasted 1 s and
 something pushed or asked for 0.5 N, and any torque was sent: without one it proves nothing. `--faults` adds a fault to
@@ -35,6 +37,7 @@ import argparse
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -46,12 +49,13 @@ from rich.table import Table
 from tools.bench.report import Row, kept_folder, out_folder, publish, write_result
 from tools.kept_runs import run_kept
 from tools.truth.displays import with_display
-from tools.truth.falsehoods import SHOWN, WAYS, falsified, outcome_of_falsehood
+from tools.truth.falsehoods import SHOWN, falsified, outcome_of_falsehood
 from tools.truth.faults import with_fault
 from tools.truth.judge import ROUNDING, TOUCH, Outcome, judged
 from tools.truth.scenes import TruthScene, random_scene
 from tools.truth.shrink import shrunk, write_scene
 from tools.truth.stops import with_stop
+from tools.truth.ways import WAYS, drawn_differences
 
 _PACKAGES: Final = ("canhaptic", "numpy")
 _KEPT: Final = {
@@ -70,7 +74,8 @@ _RUNS: Final = 24_000
 
 def outcome_of(seed: int) -> Outcome:
     """Returns what the run of a seed came to."""
-    return judged(random_scene(seed))[1]
+    scene, outcome = judged(random_scene(seed))
+    return replace(outcome, false_claims=(*outcome.false_claims, *drawn_differences(scene, outcome)))
 
 
 def outcome_with_stop(seed: int) -> Outcome:

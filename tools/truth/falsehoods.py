@@ -6,26 +6,18 @@ at 100 or 250 Hz, where a torque in a neighbouring hold changes the sum most. Fr
 that is read back, the hold's own test or the motion says otherwise.
 """
 
-import contextlib
 import copy
-import io
-import json
-import tempfile
-from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Final
 
-import canhaptic
-from canhaptic.cli.main import main
-from canhaptic.errors import CanHapticError, ControlError
+from canhaptic.errors import ControlError
 from tools.chance import Chance
 from tools.displays.direct import run as run_display
 from tools.displays.judge import false_claims
 from tools.displays.random_display import random_display, with_true_bounds
 from tools.truth.judge import Outcome, judged
 from tools.truth.scenes import TruthScene, random_scene
-from tools.truth.shrink import write_scene
+from tools.truth.ways import differences
 
 SHOWN: Final = {
     "false:hold": "by the run's own test of it",
@@ -35,8 +27,6 @@ SHOWN: Final = {
     "false:torque_window": "by commission",
 }
 """False declarations that frames can show, and when; none shows a wrong `counts_per_unit`."""
-WAYS: Final = ("command line", "simulate")
-"""Ways of running a scene, other than the cycle."""
 _DISPLAYS: Final = 0.2
 _DETENTS: Final = 0.5
 _RUN_ALIKE: Final = 0.1
@@ -49,7 +39,7 @@ def outcome_of_falsehood(seed: int) -> Outcome:
     if chance.drawn(_DISPLAYS):
         return of_display(seed, chance)
     scene, outcome = judged(with_falsehood(seed, chance))
-    if chance.drawn(_RUN_ALIKE) and outcome.status == "completed" and not _is_program(scene):
+    if chance.drawn(_RUN_ALIKE):
         outcome = replace(outcome, false_claims=(*outcome.false_claims, *differences(scene, outcome)))
     return outcome
 
@@ -127,26 +117,3 @@ def of_display(seed: int, chance: Chance) -> Outcome:
         asked=run.force, resolution=run.doubt, error=max(run.overclaimed, run.underclaimed),
         certificates=() if run.uncertified else ("velocity_loop",), false_claims=tuple(false_claims(display, run)),
     )  # fmt: skip
-
-
-def _is_program(scene: TruthScene) -> bool:
-    return any(tag.startswith(("program:", "drive:read_none")) for tag in scene.tags)
-
-
-def differences(scene: TruthScene, outcome: Outcome) -> list[str]:
-    """Returns a claim for each way of running a scene whose account says something else than that of `judged`."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = write_scene(scene, outcome, Path(folder))
-        said = io.StringIO()
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
-            main(["run", str(path), "--pace", "free", "--json"])
-        try:
-            simulated: Mapping[str, Any] = canhaptic.simulate(path, progress=False).account.raw
-        except CanHapticError as error:
-            simulated = {"passive": f"{type(error).__name__}"}
-    by = dict(zip(WAYS, (json.loads(said.getvalue()), simulated), strict=True))
-    return [
-        f"{way}: passive {account.get('passive')}, by the cycle {outcome.verdict}"
-        for way, account in by.items()
-        if account.get("passive") != outcome.verdict
-    ]

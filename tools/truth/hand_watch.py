@@ -16,7 +16,8 @@ from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.user import PLACE, UserParameters
 
 _MEMORY: Final = 4
-"""SYNCs in which a hand force counts for a torque: from the hold before the first torque under way to its own."""
+"""SYNCs in which a hand force counts for a torque: from the hold before the first torque under way to its own. Lost
+commands that are declared come on top: a torque that was not replaced still acts."""
 _BETWEEN_SYNCS: Final = 1.1
 """A force read at SYNCs may be so much larger between them."""
 _Force = Callable[[], float]
@@ -48,12 +49,12 @@ class HandWatch:
             for side, axis in zip(outward, experiment.scene.axes, strict=True)
         ]
         self._is_late = [
-            bool(side) and axis.loop.timing.late > 0.0
+            bool(side) and bool(axis.loop.torque_window or axis.loop.current_lag)
             for side, axis in zip(outward, experiment.scene.axes, strict=True)
         ]
-        self._seen: list[deque[float]] = [deque(maxlen=_MEMORY) for _ in self._forces]
-        self._torques: list[deque[float]] = [deque(maxlen=_MEMORY) for _ in self._forces]
-        self._words: list[deque[float]] = [deque(maxlen=_MEMORY) for _ in self._forces]
+        laws = [passivity.parameters for _, passivity, _ in experiment.scene.ports]
+        memory = _MEMORY + max(getattr(law, "max_consecutive_losses", 0) for law in laws)
+        self._seen, self._torques, self._words = ([deque[float](maxlen=memory) for _ in self._forces] for _ in range(3))
         self.pull = [0.0] * len(self._forces)
         self.push = [0.0] * len(self._forces)
         self.speed = [0.0] * len(self._forces)

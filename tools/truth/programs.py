@@ -87,6 +87,26 @@ def draw_program(seed: int, values: dict[str, Any], tags: set[str], outward: tup
     return (0,)
 
 
+class Program:
+    """The torque that a program asks for at each SYNC.
+
+    Args:
+        seed: Of the scene.
+        name: Of the program.
+        period: Sample time [s].
+    """
+
+    def __init__(self, seed: int, name: str, period: float) -> None:
+        chance = np.random.default_rng([seed, 31])
+        self._law = PROGRAMS[name](10.0 ** float(chance.uniform(-0.5, 1.5)), chance)
+        self._period, self._before = period, 0.0
+
+    def torque(self, index: int, position: float) -> float:
+        """Returns the torque [N or N*m] of a SYNC at a position [m or rad]."""
+        moved, self._before = position - self._before, position
+        return self._law(position, moved, index * self._period)
+
+
 class Asking:
     """Asks for the torque of each turn; for `Cycle.turn`.
 
@@ -100,16 +120,12 @@ class Asking:
     """
 
     def __init__(self, experiment: Experiment, seed: int, name: str) -> None:
-        chance = np.random.default_rng([seed, 31])
         self._controllers: Sequence[Any] = [port.controller for port in experiment.cycle.ports]
-        self._law = PROGRAMS[name](10.0 ** float(chance.uniform(-0.5, 1.5)), chance)
-        self._period, self._before = experiment.rig.bus.sample_time, 0.0
+        self._program = Program(seed, name, experiment.rig.bus.sample_time)
         self.asked = 0.0
 
     def __call__(self, samples: Sequence[Sample]) -> None:
         """Asks for the torque of the first axis."""
-        index, position = samples[0].sync_index, samples[0].position
-        torque = self._law(position, position - self._before, index * self._period)
-        self._before = position
+        torque = self._program.torque(samples[0].sync_index, samples[0].position)
         self._controllers[0].ask(torque)
         self.asked = max(self.asked, abs(torque))
