@@ -19,6 +19,7 @@ VENDOR, PRODUCT, REVISION = 0xABC, 0x1234, 1
 _TYPES: Final = {I8: "SINT", I16: "INT", I32: "DINT", U8: "USINT", U16: "UINT", U32: "UDINT"}
 _BITS: Final = {I8: 8, I16: 16, I32: 32, U8: 8, U16: 16, U32: 32}
 _CAN_ONLY: Final = (0x1005, 0x1006, 0x1014, 0x1016, 0x1017, 0x1029, 0x1200)
+_OF_THE_OLDER: Final = ("1000", "1008", "1018", "1C00", "1C12", "1C13", "6040", "6041", "6064")
 _MANAGERS: Final = ((0x1000, 128, 0x26, "MBoxOut"), (0x1080, 128, 0x22, "MBoxIn"), (0x1100, 4, 0x64, "Outputs"),
                     (0x1400, 8, 0x20, "Inputs"))  # fmt: skip
 
@@ -183,6 +184,28 @@ def make_esi() -> str:
     ET.indent(root)
     comment = "<!-- Written by tools/make_esi.py of the canhaptic project; MIT licence. -->"
     return f'<?xml version="1.0" encoding="utf-8"?>\n{comment}\n{ET.tostring(root, encoding="unicode")}\n'
+
+
+def make_two_revisions(older: int = 1, newer: int = 0x10420) -> str:
+    """Returns an ESI of one product in two revisions, of which the older lists nine objects and no torque."""
+    root = ET.fromstring(make_esi())
+    devices = root.find("Descriptions/Devices")
+    assert devices is not None
+    [device] = devices
+    first = ET.fromstring(ET.tostring(device))
+    for node, revision in ((first, older), (device, newer)):
+        kind = node.find("Type")
+        assert kind is not None
+        kind.set("RevisionNo", f"#x{revision:X}")
+    listed = first.find("Profile/Dictionary/Objects")
+    assert listed is not None
+    for item in [of for of in listed if of.findtext("Index", "")[2:] not in _OF_THE_OLDER]:
+        listed.remove(item)
+    for pdo in [of for of in first if of.tag in ("RxPdo", "TxPdo")]:
+        if any(entry.findtext("Index") == "#x6071" for entry in pdo):
+            first.remove(pdo)
+    devices.insert(0, first)
+    return ET.tostring(root, encoding="unicode")
 
 
 def main() -> int:

@@ -7,7 +7,7 @@ devices, and several revisions of one device. Revisions differ in their objects 
 
 import re
 import xml.etree.ElementTree as ET  # expat limits the expansion of entities
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -86,6 +86,13 @@ def read_esi(path: str | Path, product: int | None = None, revision: int | None 
     return older[-1] if older else found[0]
 
 
+def esi_devices(path: str | Path) -> tuple[EsiDictionary, ...]:
+    """Return every device of an ESI, each revision of each product once; raise DictionaryError."""
+    path = Path(path)
+    found = {device.identity: device for device in reversed(_read(path, dictionary_content(path)))}
+    return tuple(sorted(found.values(), key=lambda device: device.identity))
+
+
 def _listed(numbers: list[int]) -> str:
     return ", ".join(f"{number:#x}" for number in numbers)
 
@@ -128,8 +135,8 @@ def _device(path: Path, vendor: int, node: ET.Element) -> EsiDictionary:
     for tag, assignment in _ASSIGNMENTS.items():
         _add_pdos(device, list(node.iter(tag)), assignment)
     _add_identity(device)
-    mode = node.find("Dc/OpMode")
-    device.assign_activate = None if mode is None else _number(mode.findtext("AssignActivate"))
+    modes = [_number(mode.findtext("AssignActivate")) for mode in node.iterfind("Dc/OpMode")]
+    device.assign_activate = next(filter(None, modes), None)  # 0 is the mode without SYNC0, which many list first
     device.startup = tuple(_startup(node))
     return device
 
@@ -232,6 +239,24 @@ def _add_pdos(device: EsiDictionary, pdos: list[ET.Element], assignment: int) ->
             assigned.append(index)
     if pdos and assignment not in device.indices:
         device.add_object(_list_of("PDO assignment", assignment, assigned, DataType.UNSIGNED16, False))
+
+
+def add_process_data(device: EsiDictionary, pdos: Iterable[tuple[int, list[int], bool]], *, is_output: bool) -> None:
+    """Add the PDOs of a device that lists nothing else.
+
+    Args:
+        device: The device.
+        pdos: Index, mappings (UNSIGNED32) and whether it is assigned, of each PDO.
+        is_output: Whether they are RxPDOs.
+    """
+    assigned = []
+    for index, mappings, is_assigned in pdos:
+        if index not in device.indices:
+            device.add_object(_list_of(f"PDO {index:04X}", index, mappings, DataType.UNSIGNED32, True))
+            assigned += [index] * is_assigned
+    place = _ASSIGNMENTS["RxPdo" if is_output else "TxPdo"]
+    if place not in device.indices:
+        device.add_object(_list_of("PDO assignment", place, assigned, DataType.UNSIGNED16, False))
 
 
 def _entry(entry: ET.Element) -> int:

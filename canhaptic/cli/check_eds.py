@@ -34,6 +34,12 @@ _FEW: Final = 3
 
 def execute(arguments: argparse.Namespace) -> int:
     """Print the verdict with its reasons; return 1 if the drive is not usable."""
+    if arguments.file.name.lower().removesuffix(".gz").endswith((".xml", ".bin")):
+        from canhaptic.cli.check_esi import execute as execute_esi  # loads EtherCAT
+
+        return execute_esi(arguments)
+    if arguments.revision is not None:
+        raise InputError("--revision: only for an ESI, which may describe several; leave it out")
     found, profile = survey_of(arguments.file, arguments.display, arguments.force_object)
     if arguments.json:
         write_json({**_as_json(found), "profile": profile, "statuses": _statuses(found, profile)})

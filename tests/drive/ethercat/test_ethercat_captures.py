@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from canhaptic.canopen.sii import check_sum
 from canhaptic.drive.ethercat.datagrams import Datagram, answers_of, frame_of
 from canhaptic.drive.ethercat.segment import Identity
-from canhaptic.sim.drive.ethercat.eeprom import check_sum
 from tests.sim_drive.ethercat_line import Line
 
 

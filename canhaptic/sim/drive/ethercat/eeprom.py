@@ -3,8 +3,9 @@
 import struct
 from typing import Final, NamedTuple
 
+from canhaptic.canopen.sii import check_sum
+
 _CONFIGURATION_BYTES: Final = 14  # that the check sum covers
-_POLYNOMIAL: Final = 0x07
 _KILOBITS: Final = 15  # size of the memory, minus one
 _COE: Final = 4  # mailbox protocol
 _END: Final = b"\xff\xff"
@@ -29,16 +30,6 @@ SYNC_MANAGERS: Final = (
     (INPUT_START, 0, 0x20, 4),
 )
 """Start, length, control byte and kind (mailbox out, in; outputs, inputs) of each sync manager."""
-
-
-def check_sum(content: bytes) -> int:
-    """Return the CRC-8 of the configuration area, from 0xFF."""
-    crc = 0xFF
-    for byte in content:
-        crc ^= byte
-        for _ in range(8):
-            crc = ((crc << 1) ^ _POLYNOMIAL) & 0xFF if crc & 0x80 else crc << 1
-    return crc
 
 
 def slave_information(identity: tuple[int, int, int, int], name: str, *, has_information: bool) -> bytes:
