@@ -16,10 +16,10 @@ from canhaptic.lab.figures.figures import figures
 from canhaptic.lab.loop.axis_loop import (
     LoopRun,
     Recorder,
-    able_under,
     at_rate,
     loop_case,
     microseconds_per_step,
+    under,
     with_algorithm,
 )
 from canhaptic.lab.reference import ContinuousReference
@@ -170,9 +170,9 @@ def test_what_two_algorithms_have_in_common_is_kept(scene):
     assert with_algorithm(axis, "guarded").passivity.parameters.alpha == 200.0
     assert with_algorithm(axis, "unprotected").passivity.parameters.velocity == "windowed"
     assert with_algorithm(axis, "internal_dissipation") is axis
-    heavy = replace(axis, loop=axis.loop.model_copy(update={"moving_mass": 0.2}))
-    told = able_under(heavy, "energy_bounding", loaded)  # which needs the damping of the device
-    assert (told.axis.loop.moving_mass, told.axis.loop.device_damping) == (0.2, 0.1)
+    heavy = replace(loaded, axes=(replace(axis, loop=axis.loop.model_copy(update={"moving_mass": 0.2})),))
+    told = under(heavy, "energy_bounding").permitted().axes[0].loop  # which needs the damping of the device
+    assert (told.moving_mass, told.device_damping) == (0.2, 0.1)
 
 
 @pytest.mark.slow

@@ -364,35 +364,6 @@ PLANT_OF: Final = {"moving_mass": "mass", "device_damping": "damping", "device_d
 """Declared property of the loop -> parameter of the simulated plant with its true value."""
 
 
-class AbleAxis(NamedTuple):
-    """An axis with all properties that its algorithm needs."""
-
-    axis: AxisScene
-    from_plant: tuple[str, ...] = ()  # names of properties that were taken from the plant
-
-    @property
-    def remark(self) -> str:
-        """Note that lists the properties taken from the plant; "" for none."""
-        shown = [f"{key} {getattr(self.axis.loop, key):g}" for key in self.from_plant if key != "device_damping_bound"]
-        return f"taken from the simulated plant: {', '.join(shown)}" if self.from_plant else ""
-
-
-def chosen_algorithms(algorithms: Sequence[str] | None, own: Sequence[str] = ()) -> list[str]:
-    """Return the requested algorithms without repetitions; for None all of them, `guarded` first.
-
-    Args:
-        algorithms: Requested names.
-        own: Names of user-defined algorithms, which are permitted as well; for None they come before the others.
-
-    Raises:
-        ParameterError: A name is unknown.
-    """
-    chosen = list(dict.fromkeys(algorithms or (*own, "guarded", *ALGORITHMS)))
-    for name in [name for name in chosen if name not in own]:
-        load(ALGORITHMS, name, "passivity algorithm")
-    return chosen
-
-
 _Part = TypeVar("_Part", AxisScene, GroupScene)
 
 
@@ -403,6 +374,29 @@ _TABLES: Final[Mapping[tuple[type, bool], tuple[Mapping[str, str], str]]] = {
     (GroupScene, True): (DISPLAY_GROUP_ALGORITHMS, "algorithm of several admittance displays"),
 }
 """Kind of part, and whether it is a display -> its algorithms, and their kind in messages."""
+
+
+def chosen_algorithms(
+    algorithms: Sequence[str] | None, part: type = AxisScene, *, displays: bool = False, own: Sequence[str] = ()
+) -> list[str]:
+    """Return the requested algorithms without repetitions; for None all of them, of axes `guarded` first.
+
+    Args:
+        algorithms: Requested names.
+        part: `AxisScene` or `GroupScene`.
+        displays: Whether it is an admittance display.
+        own: Names of user-defined algorithms, which are permitted as well; for None they come before the others.
+
+    Raises:
+        ParameterError: A name is unknown.
+    """
+    table, kind = _TABLES[part, displays]
+    first = () if displays or part is GroupScene else (*own, "guarded")
+    chosen = list(dict.fromkeys(algorithms or (*first, *table)))
+    for name in chosen:
+        if name not in own:
+            load(table, name, kind)
+    return chosen
 
 
 def with_algorithm(part: _Part, name: str, *, displays: bool = False) -> _Part:
@@ -430,28 +424,6 @@ def with_algorithm(part: _Part, name: str, *, displays: bool = False) -> _Part:
     return replace(part, passivity=ComponentSpec(name, parameters))
 
 
-def able_under(axis: AxisScene, name: str, scene: Scene) -> AbleAxis:
-    """Return an axis under an algorithm; properties that it needs and lacks are taken from the simulated plant.
-
-    Raises:
-        ParameterError: The algorithm refuses the axis even with these properties.
-    """
-    displays = axis.parameters.admittance is not None
-    chosen = with_algorithm(axis, name, displays=displays)
-    if displays:
-        return AbleAxis(chosen)
-    try:
-        loop_case(chosen, scene).controller()
-        return AbleAxis(chosen)
-    except ParameterError:
-        plant = simulation_of(chosen).plant
-        from_plant = tuple(key for key in PLANT_OF if getattr(chosen.loop, key) is None)
-        values = {key: getattr(plant, PLANT_OF[key]) for key in from_plant}
-        chosen = replace(chosen, loop=chosen.loop.model_copy(update=values))
-        loop_case(chosen, scene).controller()
-        return AbleAxis(chosen, from_plant)
-
-
 class UnderAlgorithm(NamedTuple):
     """A scene under one algorithm, or the reason why there is none."""
 
@@ -476,16 +448,40 @@ def is_display(scene: Scene) -> bool:
 
 
 def under(scene: Scene, name: str) -> UnderAlgorithm:
-    """Return a scene with its groups, and its axes outside groups, under an algorithm; see `able_under`.
+    """Return a scene with its groups, and its axes outside groups, under an algorithm.
+
+    Properties that it needs of an axis and lacks are taken from the simulated plant.
 
     Raises:
-        ParameterError: The algorithm refuses the scene.
+        ParameterError: The algorithm refuses the scene even with these properties.
     """
-    found = [AbleAxis(axis) if axis.group else able_under(axis, name, scene) for axis in scene.axes]
+    axes, remark, from_plant = [], "", tuple[str, ...]()
+    for axis in scene.axes:
+        chosen, taken = (axis, ()) if axis.group else _able(axis, name, scene)
+        axes.append(chosen)
+        if taken:
+            shown = [f"{key} {getattr(chosen.loop, key):g}" for key in taken if key != "device_damping_bound"]
+            remark, from_plant = f"taken from the simulated plant: {', '.join(shown)}", taken
     groups = tuple(with_algorithm(group, name, displays=is_display(scene)) for group in scene.groups)
-    last = next((able for able in reversed(found) if able.from_plant), found[-1])
-    axes = tuple(able.axis for able in found)
-    return UnderAlgorithm(replace(scene, axes=axes, groups=groups), last.remark, last.from_plant)
+    return UnderAlgorithm(replace(scene, axes=tuple(axes), groups=groups), remark, from_plant)
+
+
+def _able(axis: AxisScene, name: str, scene: Scene) -> tuple[AxisScene, tuple[str, ...]]:
+    """Return an axis under an algorithm, and the names of the properties that were taken from its plant."""
+    displays = axis.parameters.admittance is not None
+    chosen = with_algorithm(axis, name, displays=displays)
+    if displays:
+        return chosen, ()
+    try:
+        loop_case(chosen, scene).controller()
+        return chosen, ()
+    except ParameterError:
+        plant = simulation_of(chosen).plant
+        from_plant = tuple(key for key in PLANT_OF if getattr(chosen.loop, key) is None)
+        values = {key: getattr(plant, PLANT_OF[key]) for key in from_plant}
+        chosen = replace(chosen, loop=chosen.loop.model_copy(update=values))
+        loop_case(chosen, scene).controller()
+        return chosen, from_plant
 
 
 _BLOCK: Final = 250

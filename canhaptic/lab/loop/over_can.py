@@ -3,7 +3,7 @@
 `accounts_over_can` runs one scene under several algorithms and returns the account of every run.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +12,6 @@ from canhaptic.control.ledger import LedgerSummary
 from canhaptic.cycle import Cycle, running
 from canhaptic.errors import CanHapticError, InputError, ParameterError, RigError
 from canhaptic.lab.loop.axis_loop import LoopRun, Recorder, under
-from canhaptic.registry import load
 from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_ports
@@ -80,22 +79,6 @@ def render_over_can(scene: Scene, cycles: int, counter: Callable[[], None]) -> l
 
 
 Progress = Callable[[int], None]
-
-
-def known_algorithms(table: Mapping[str, str], kind: str, algorithms: Sequence[str] | None) -> list[str]:
-    """Return the requested algorithms without repetitions; for None all of a table.
-
-    Args:
-        table: Name -> "module:Class".
-        kind: Kind of the algorithms, for the message.
-        algorithms: Requested names.
-
-    Raises:
-        ParameterError: A name is unknown.
-    """
-    for name in algorithms or ():
-        load(table, name, kind)
-    return list(dict.fromkeys(algorithms or table))
 
 
 def accounts_over_can(

@@ -117,7 +117,7 @@ def scene_under(path: Path, algorithm: str, *, allow_code: bool = False) -> Scen
         own = entry_of(algorithm, path, allow_code)
         scene = replace(scene, axes=(replace(scene.axes[0], passivity=own),))
         algorithm = own.name
-    return replace(scene, axes=(axis_loop.able_under(scene.axes[0], algorithm, scene).axis,))
+    return axis_loop.under(scene, algorithm).permitted()
 
 
 def with_loop(scene: Scene, rate: float, delay: int) -> Scene:
@@ -142,7 +142,7 @@ def group_figures(group: "ArenaPlan", known: Collection[tuple[int, str]] = ()) -
     [path], [rate] = group.scenes, group.rates
     plain = axis_loop.at_rate(load_scene(path, allow_code=group.allow_code), rate)
     cycles = axis_loop.cycles_of(plain, min(group.longest, plain.run.duration or group.longest))
-    reference, _ = reference_of(plain.axes[0], plain, cycles)
+    reference, _ = reference_of(plain, cycles)
     found = []
     for delay, name in asked:
         case = {"scene": path.stem, "rate": rate, "delay": delay, "algorithm": label_of(name)}
@@ -157,7 +157,7 @@ def group_figures(group: "ArenaPlan", known: Collection[tuple[int, str]] = ()) -
 def _figures_of(scene: Scene, cycles: int, reference: ContinuousReference | None) -> Row:
     """Return the figures of a run, to four digits."""
     [axis], environment, sample_time = scene.axes, axis_loop.environment_of(scene.axes[0]), scene.bus.sample_time
-    run = run_axis(axis, scene, reference, cycles)
+    run = run_axis(scene, reference, cycles)
     found = run_figures.figures(environment, run, reference, sample_time, axis.parameters.torque_limit)
     stiffness = getattr(environment, "stiffness", None)
     hardness = run_figures.rate_hardness(run, environment, sample_time)

@@ -20,7 +20,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.errors import CanHapticError, InputError, ParameterError, SceneConflictError, SceneError
 from canhaptic.lab.batch import ChosenEngine
 from canhaptic.lab.batch.cases import NotBatchableError, not_in_loop, why_not_batchable, why_not_compared
@@ -31,7 +30,6 @@ from canhaptic.lab.batch.varied import BATCH_KEYS
 from canhaptic.lab.figures.figures import ALL, DISPLAY_METRICS, METRICS, OUTCOMES
 from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.loop.axis_loop import Array, UnderAlgorithm, is_display
-from canhaptic.lab.loop.over_can import known_algorithms
 from canhaptic.lab.studies.vary import CONTROLLER, Column, Points, Value, Varied, scene_seeds
 from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, parse_yaml
 from canhaptic.scene.layout import OWN_SECTIONS
@@ -265,11 +263,7 @@ def _try_alone(recipe: Recipe, varied: Varied) -> None:
         SceneError: A value is wrong; with the message of the scene.
     """
     if varied.key == CONTROLLER:
-        names = [str(value) for value in varied.values]
-        if recipe.displays:
-            known_algorithms(DISPLAY_ALGORITHMS, "admittance algorithm", names)
-        else:
-            axis_loop.chosen_algorithms(names)
+        axis_loop.chosen_algorithms([str(value) for value in varied.values], displays=recipe.displays)
         return
     for value in varied.ends:
         texts = _overrides(recipe, {varied.key: value}, with_unit=True)

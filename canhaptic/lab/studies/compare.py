@@ -16,18 +16,18 @@ from typing import Final
 import numpy as np
 
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
-from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.verdict import passive_verdict
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
 from canhaptic.lab.batch.scalar import continuous_reference, render_by, render_group, work_of
 from canhaptic.lab.figures.figures import OUTCOMES, figures, outcomes
 from canhaptic.lab.loop import axis_loop
-from canhaptic.lab.loop.over_can import Progress, accounts_over_can, heading_of, known_algorithms, render_over_can
+from canhaptic.lab.loop.axis_loop import UnderAlgorithm
+from canhaptic.lab.loop.over_can import Progress, accounts_over_can, heading_of, render_over_can
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.lab.studies import Row
 from canhaptic.quantities import with_old_names
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import AxisScene, GroupScene, Scene
 
 _BATCH: Final = 64  # cycles between two reports of progress
 
@@ -59,11 +59,11 @@ def compared_algorithms(scene: Scene, algorithms: Sequence[str] | None) -> list[
     """
     if axis_loop.is_display(scene):
         every = DISPLAY_GROUP_ALGORITHMS if all(axis.group for axis in scene.axes) else DISPLAY_ALGORITHMS
-        return known_algorithms(DISPLAY_ALGORITHMS, "admittance algorithm", algorithms or list(every))
+        return axis_loop.chosen_algorithms(algorithms or list(every), displays=True)
     if scene.groups:
-        return known_algorithms(GROUP_ALGORITHMS, "group algorithm", algorithms)
+        return axis_loop.chosen_algorithms(algorithms, GroupScene)
     own = dict.fromkeys(axis.passivity.name for axis in scene.axes if axis.passivity.own is not None)
-    return axis_loop.chosen_algorithms(algorithms, list(own))
+    return axis_loop.chosen_algorithms(algorithms, own=list(own))
 
 
 def compare(
@@ -134,9 +134,10 @@ def _counter(progress: Progress | None) -> Callable[[], None]:
     return tick
 
 
-def reference_of(axis: AxisScene, scene: Scene, cycles: int) -> tuple[ContinuousReference | None, str]:
-    """Return the continuous run of an axis and its method; None and the reason if there is none."""
-    (plant, user, effects, _), period = axis_loop.plant_parts(axis), scene.bus.sample_time_ns
+def reference_of(scene: Scene, cycles: int) -> tuple[ContinuousReference | None, str]:
+    """Return the continuous run of the only axis of a scene and its method; None and the reason if there is none."""
+    (axis,), period = scene.axes, scene.bus.sample_time_ns
+    plant, user, effects, _ = axis_loop.plant_parts(axis)
     try:
         found = continuous_reference(axis_loop.environment_of(axis), plant, user, effects, period, cycles)
     except InputError as error:
@@ -144,12 +145,12 @@ def reference_of(axis: AxisScene, scene: Scene, cycles: int) -> tuple[Continuous
     return found, found.method
 
 
-def _able(axis: AxisScene, name: str, scene: Scene) -> axis_loop.AbleAxis | str:
-    """Return an axis under an algorithm, or the reason why the algorithm refuses it."""
+def _case(scene: Scene, name: str) -> UnderAlgorithm:
+    """Return a scene under an algorithm, or the reason why the algorithm refuses it."""
     try:
-        return axis_loop.able_under(axis, name, scene)
+        return axis_loop.under(scene, name)
     except ParameterError as error:
-        return f"refused: {error}"
+        return UnderAlgorithm(None, f"refused: {error}")
 
 
 def _of_axes(
@@ -159,22 +160,23 @@ def _of_axes(
     axis_loop.require_single_axes(scene, "compare")
     if not all(axis.simulation is not None for axis in scene.axes):
         raise InputError(f"{scene.source}: has no `simulation`, expected a plant and a user to compare on; add one")
-    references = [reference_of(axis, scene, cycles) for axis in scene.axes]
-    tried: list[dict[str, _Tried]] = [{} for _ in scene.axes]
+    alone = axis_loop.parts_of(scene).values()
+    references = [reference_of(part, cycles) for part in alone]
+    tried: list[dict[str, _Tried]] = [{} for _ in alone]
     for name in names:
-        able = [_able(axis, name, scene) for axis in scene.axes]
-        known = [one for one in able if isinstance(one, axis_loop.AbleAxis)]
+        cases = [_case(part, name) for part in alone]
+        known = [case.scene for case in cases if case.scene is not None]
         if engine is not None:
             runs = [
-                None if isinstance(one, str) else run_axis(one.axis, scene, reference, cycles, engine, counter)
-                for one, (reference, _) in zip(able, references, strict=True)
+                None if case.scene is None else run_axis(case.scene, reference, cycles, engine, counter)
+                for case, (reference, _) in zip(cases, references, strict=True)
             ]
-        elif len(known) == len(able):
-            runs = [*render_over_can(replace(scene, axes=tuple(one.axis for one in known)), cycles, counter)]
+        elif len(known) == len(cases):
+            runs = [*render_over_can(replace(scene, axes=tuple(of.axes[0] for of in known)), cycles, counter)]
         else:  # all axes run together
-            refused = next(one for one in able if isinstance(one, str))
-            able, runs = [refused] * len(able), [None] * len(able)
-        for axis, one in zip(tried, zip(able, runs, strict=True), strict=True):
+            refused = next(case for case in cases if case.scene is None)
+            cases, runs = [refused] * len(cases), [None] * len(cases)
+        for axis, one in zip(tried, zip(cases, runs, strict=True), strict=True):
             axis[name] = one
     axes = [_of_axis(scene, *row, repeats) for row in zip(scene.axes, references, tried, strict=True)]
     result = {**heading_of(scene, cycles, "can" if engine is None else "direct")}
@@ -183,16 +185,16 @@ def _of_axes(
 
 
 def run_axis(
-    axis: AxisScene, scene: Scene, reference: ContinuousReference | None, cycles: int, engine: Engine = "python",
+    scene: Scene, reference: ContinuousReference | None, cycles: int, engine: Engine = "python",
     counter: Callable[[], None] | None = None,
 ) -> axis_loop.LoopRun:  # fmt: skip
-    """Return the run of an axis without a bus; it diverged where it left the reach of its continuous run."""
+    """Return the run of the only axis of a scene without a bus; it diverged where it left the reference's reach."""
     reach = axis_loop.EVERYWHERE if reference is None else axis_loop.Reach.around(reference.position)
-    case = axis_loop.loop_case(axis, scene)
+    case = axis_loop.loop_case(scene.axes[0], scene)
     return render_by(chosen_engine(engine, work_of(case, cycles) >= WORTH_COMPILING), case, cycles, reach, counter)
 
 
-_Tried = tuple[axis_loop.AbleAxis | str, axis_loop.LoopRun | None]
+_Tried = tuple[UnderAlgorithm, axis_loop.LoopRun | None]
 
 
 def _of_axis(
@@ -202,12 +204,12 @@ def _of_axis(
     """Return the runs of one axis, and their account as plain values."""
     reference, method = found
     runs = {name: run for name, (_, run) in tried.items() if run is not None}
-    cases = {name: (axis_loop.loop_case(able.axis, scene), runs[name]) for name, (able, _) in tried.items()
-             if isinstance(able, axis_loop.AbleAxis)}  # fmt: skip
+    cases = {name: (axis_loop.loop_case(case.scene.axes[0], scene), runs[name]) for name, (case, _) in tried.items()
+             if case.scene is not None}  # fmt: skip
     cost = axis_loop.microseconds_per_step(cases, repeats) if repeats else {}
     accounts = {}
-    for name, (able, run) in tried.items():
-        remarks = (able if isinstance(able, str) else able.remark, "" if run is None else run.reason)
+    for name, (case, run) in tried.items():
+        remarks = case.remark, "" if run is None else run.reason
         accounts[name] = {
             "status": "refused" if run is None else run.ended or "completed",
             "remark": "; ".join(filter(None, remarks)),

@@ -20,7 +20,7 @@ from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.guided_path import GuidedPath
 from canhaptic.control.port_hamiltonian.shapes.sphere import Sphere
 from canhaptic.errors import InputError
-from canhaptic.lab.loop.axis_loop import able_under, with_algorithm
+from canhaptic.lab.loop.axis_loop import under, with_algorithm
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.far_side import build_mechanism
 from canhaptic.scene.method import simulation_of
@@ -281,8 +281,9 @@ def _line(scene: Scene, axis: AxisScene) -> TouchScene:
         plain = with_algorithm(axis, PLAIN, displays=True)
         guarded = axis if axis.passivity.name != PLAIN else replace(axis, passivity=_guard_of(axis))
     else:
-        plain = able_under(axis, PLAIN, scene).axis
-        guarded = axis if axis.passivity.name != PLAIN else able_under(axis, GUARDED, scene).axis
+        alone = replace(scene, axes=(axis,), groups=())
+        [plain] = under(alone, PLAIN).permitted().axes
+        [guarded] = (axis,) if axis.passivity.name != PLAIN else under(alone, GUARDED).permitted().axes
     own, allowance = guarded.passivity.own, _side(guarded.passivity, ()).allowance
     name = guarded.passivity.name if own is None else own.__name__
     name = name if name != PLAIN else GUARDED

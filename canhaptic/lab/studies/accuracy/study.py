@@ -25,7 +25,7 @@ from canhaptic.drive.clock import ProcessorClock
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.lab.batch import Engine
 from canhaptic.lab.judge.solvers import NotSolvedError
-from canhaptic.lab.loop.axis_loop import able_under, microseconds_per_step, parts_of
+from canhaptic.lab.loop.axis_loop import microseconds_per_step, parts_of, under
 from canhaptic.lab.reference import continuous_motion
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy import loop_sensitivity, plant_solvers, timing
@@ -119,7 +119,7 @@ def length_of(scene: Scene, name: str | None, duration: float | None = None) -> 
     (own,), remark = part.scene.axes, ""
     begins = _contacts(own, scene, most)
     if not begins and own.passivity.name != _JUDGED_WITH:
-        axis = able_under(own, _JUDGED_WITH, scene).axis
+        [axis] = under(part.scene, _JUDGED_WITH).permitted().axes
         plain = replace(scene, axes=tuple(axis if of is own else of for of in scene.axes))
         begins = _contacts(axis, plain, most)
         if begins:

@@ -37,7 +37,7 @@ from canhaptic.control.certificates.scalar_bounds import displacement_response, 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.guarded import GuardedParameters, hand_response, kept_for_contacts
 from canhaptic.lab.batch.scalar import render
-from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Reach, able_under, loop_case, plant_parts
+from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Reach, loop_case, plant_parts, under
 from canhaptic.lab.studies import Row
 from canhaptic.scene.hints import DRAG, LEAN
 from canhaptic.scene.models import AxisScene, Scene
@@ -311,7 +311,7 @@ def felt_of(scene: Scene, algorithm: str, hand: dict[str, float], tolerance: flo
         tolerance: Largest relative difference of a stiffness from the requested one.
         stiffness: Stiffness of the wall that is entered slowly [N/m or N*m/rad].
     """
-    axis = able_under(scene.axes[0], algorithm, scene).axis
+    [axis] = under(scene, algorithm).permitted().axes
     limit, (plant, _, effects, seed) = axis.parameters.torque_limit, plant_parts(axis)
     bench = Bench(loop_case(axis, scene), plant, effects, seed)
     period, speed = scene.bus.sample_time, _ORDINARY[axis.parameters.unit]
