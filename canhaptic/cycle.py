@@ -224,8 +224,9 @@ class Cycle:
     def _lost(self, meter: EnergyLossMeter, balances: Sequence[EnergyBalance], samples: Sequence[Sample]) -> str:
         """Return the text on a port that generated too much energy, and how much; "" unless that is certain."""
         uncertainty = sum(self._likely_doubt(axis) + self._lost_to_friction(axis, samples) for axis in meter.axes)
-        row = self._metered[meter.name].row
-        supplied = self.ledgers[row].supplied + balances[row].supplied
+        row, supplied = self._metered[meter.name].row, meter.supplied
+        if supplied is None:
+            supplied = self.ledgers[row].supplied + balances[row].supplied
         if meter.energy + supplied + uncertainty >= meter.floor:
             return ""
         limit = f"limit {meter.limit:.3g} J beyond the {meter.allowance:.3g} J declared"

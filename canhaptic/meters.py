@@ -265,7 +265,7 @@ class AxisPort(PortFigures):
             if not self.contacts and not self.reach[0] <= position <= self.reach[1]:
                 self.reach = min(self.reach[0], position), max(self.reach[1], position)
             if drive.open_time:
-                exact = -torque * (position - before)
+                exact = balance.supplied - torque * (position - before)
                 meter.leave_open(drive.open_torque, drive.open_time, abs(exact - balance.h_i))
             if (asked := meter.asked) != 0.0:
                 size, most = abs(asked), meter.accuracy.largest_torque

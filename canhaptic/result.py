@@ -60,6 +60,7 @@ class RunResult(Verdicts):
     bus_effects: NotRequired[Mapping[str, object]]
     own_code: NotRequired[Mapping[str, int | str]]  # place; of a process: holds without an answer, most in a row
     logs: NotRequired[dict[str, int]]
+    far: NotRequired[Mapping[str, float]]  # what the link to a far side has done: `canhaptic.far.side.LinkSummary`
     energy_log: NotRequired[str]  # why it ends before the run, and where
     unrestored: NotRequired[dict[str, list[str]]]  # axis -> objects that the start wrote and the stop did not put back
     remarks: NotRequired[dict[str, list[str]]]  # axis -> what the start saw in its drive and did not refuse

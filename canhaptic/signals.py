@@ -44,6 +44,21 @@ class Measured(NamedTuple):
     active: int  # `control.verdict.ACTIVE_AT_MOTOR` and `ACTIVE_AT_HANDLE`, each from the first such hold on
 
 
+class FarRow(NamedTuple):
+    """What a port to a far side was given before a step, and what it sent: a row of `far/` in the log."""
+
+    received: float  # largest total that arrived in the session [pJ]
+    wanted: float  # largest total that the other side asked for [pJ]
+    position: float  # of the other side [m or rad]
+    velocity: float  # [m/s or rad/s]
+    flags: int  # 1 the other side is ready, 2 linked, 4 a side stops
+    session: int  # number of the session; 0: none
+    seen: int  # largest number of a packet of the other side; -1: none
+    sequence: int  # number of the packet of this SYNC; -1: none
+    booked: float  # total received that is in the account, R [pJ]
+    sent: float  # total sent, S [pJ]
+
+
 class CycleTiming(NamedTuple):
     """Durations within one cycle [ns]."""
 

@@ -27,7 +27,7 @@ from canhaptic.control.ports import Port, Ports
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, PortResult, claim_nothing
 from canhaptic.errors import InputError, LogFormatError
 from canhaptic.logs.bus_reader import Frame, Remarks, read_bus_log
-from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.logs.text_lines import UNTIMED
 from canhaptic.meters import RunMeters, limits_of, promise_of
 from canhaptic.quantities import NEW_COLUMNS
@@ -37,7 +37,7 @@ from canhaptic.scene.models import LATER_LOOP_KEYS, AxisScene, Scene, hash_of
 from canhaptic.scene.own_code import apart, require_same_code
 from canhaptic.scene.parts import build_axis_meters, build_ports
 from canhaptic.scene.scene_logs import Channels
-from canhaptic.signals import Sample
+from canhaptic.signals import FarRow, Sample
 
 _INPUTS: Final = ("position", "torque_applied", "fresh")
 _OUTPUTS: Final = tuple({"torque": "torque_command", **NEW_COLUMNS}.get(name, name) for name in EnergyBalance._fields)
@@ -91,12 +91,15 @@ def recompute(
     outputs, every = [logged_rows(log, name, known) for name in names], struct.Struct(f"{len(known)}d")
     rows = zip(periods_of(log), zip(*inputs, strict=True), zip(*outputs, strict=True), strict=False)
     programs = [(program, efforts_asked(log, axes[axis])) for axis, program in ports.programs]
-    stopping = row_of_stop(log)
+    coupled = [each for each in (port.controller for port in ports.ports) if hasattr(each, "take_far")]
+    stopping, arrived = row_of_stop(log), far_rows(log)
     for row, (periods, seen, expected) in enumerate(rows):
         ports = stop() if row == stopping and stop is not None else ports
         ports.lasted(periods)
         for program, asked in programs:
             program.ask(-next(asked))
+        for port, given in zip(coupled, arrived, strict=False):
+            port.take_far(given)
         samples = [Sample(row, position, torque, 0, fresh=bool(fresh)) for position, torque, fresh in seen]
         balances = ports.balances_of(samples)
         for name, balance, logged in zip(names, balances, expected, strict=True):
@@ -108,6 +111,13 @@ def recompute(
                 cycle = int(log.timing["sync_index"][row])
                 found[name] = Mismatch(name, cycle, _OUTPUTS[number], logged[number], balance[number])
     return list(found.values())
+
+
+def far_rows(log: EnergyLog) -> Iterator[FarRow]:
+    """Yield what arrived from a far side, row by row; nothing where the log has none."""
+    for start in range(0, log.rows if log.far is not None else 0, _BLOCK):
+        block = (cast("Quantities", log.far).read(name, start, start + _BLOCK).tolist() for name in FarRow._fields)
+        yield from map(FarRow._make, zip(*block, strict=True))
 
 
 def row_of_stop(log: EnergyLog) -> int:

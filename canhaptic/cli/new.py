@@ -1,6 +1,9 @@
 """`canhaptic new EDS --out rig.yaml`: write a commented scene to start from."""
 
 import argparse
+import os
+import secrets
+from pathlib import Path
 from typing import Final
 
 from can.interfaces import BACKENDS
@@ -26,6 +29,11 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: The file exists or cannot be written, `--force-object` does not name an object, or `--interface` no
             interface of python-can.
     """
+    if arguments.far_key is not None:
+        _write_key(arguments.far_key)
+        return 0
+    if arguments.file is None:
+        raise InputError("new: expected the EDS or DCF of a drive, or --far-key FILE")
     out = arguments.out
     if out is not None:
         check_place(out, arguments.force)
@@ -46,6 +54,21 @@ def execute(arguments: argparse.Namespace) -> int:
     if warning := _unmeasured(text, str(found.axis.eds if out is None else out)):
         write_note(f"  warning: {warning}")
     return 0
+
+
+def _write_key(path: Path) -> None:
+    """Write 32 random bytes that their owner alone can read.
+
+    Raises:
+        InputError: The file exists, or cannot be written.
+    """
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be made ({error.strerror}); name another file") from error
+    with open(descriptor, "wb") as file:
+        file.write(secrets.token_bytes(32))
+    note_file("key", path)
 
 
 def _unmeasured(text: str, place: str) -> str:

@@ -36,6 +36,10 @@ _KEPT: Final = ("yes", "no contact", "dry run")
 
 def execute(arguments: argparse.Namespace) -> int:
     """Run the scene; return 0, 1 if --strict fails, or 128 + n after signal n."""
+    if arguments.other is not None:
+        from canhaptic.cli.run_pair import execute_pair
+
+        return execute_pair(arguments)
     scene = scene_of(arguments)
     with ExitStack() as stack:
         energy_log, bus_log = arguments.log or scene.log.energy, arguments.bus_log or scene.log.bus

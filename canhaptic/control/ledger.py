@@ -49,6 +49,11 @@ class EnergyLossMeter:
         self._positions = dict.fromkeys(self.axes, 0.0)
         self._booked_at = -1
 
+    @property
+    def supplied(self) -> float | None:
+        """Energy from a far side less what was sent to it, by the meter's own record [J]; None without one."""
+        return None
+
     def take(self, samples: Sequence[Sample], deadline: int) -> bool:
         """Add the energy of the hold that ended; return whether more energy than allowed was returned to the user.
 

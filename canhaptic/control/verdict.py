@@ -175,6 +175,7 @@ class PortResult(_Flows, total=False):
     peak_torque: float
     limited_cycles: int
     supplied: float
+    with_far: bool  # what a far side gave and got is in its energies
     uncertainty: float
     limits: dict[str, int]
     dry_run: bool  # one torque alone: nothing is claimed

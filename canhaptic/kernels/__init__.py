@@ -33,7 +33,7 @@ MakeBuffer: TypeAlias = Callable[[int], Buffer]
 
 _Memory = TypeVar("_Memory")
 GivenT = TypeVar("GivenT")
-SettingsT = TypeVar("SettingsT")
+SettingsT = TypeVar("SettingsT", covariant=True)
 StateT = TypeVar("StateT", covariant=True)
 MemoryT = TypeVar("MemoryT")
 

@@ -6,7 +6,7 @@ from canhaptic.axis_units import Motion
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.logs.ring import RingShape
 from canhaptic.quantities import ACCOUNT, NEW_COLUMNS
-from canhaptic.signals import CycleTiming, Measured, PlantEnergy, Sample
+from canhaptic.signals import CycleTiming, FarRow, Measured, PlantEnergy, Sample
 
 FORMAT_VERSION: Final = 5
 """Version of the format: 2 added `timing/deadline_index` and the quantities of `Measured`, 3 `active`, 4 `digest`, 5
@@ -110,6 +110,7 @@ class LogSchema(NamedTuple):
     attributes: dict[str, Attribute]
     version: int = FORMAT_VERSION  # of the format
     has_phase: bool = False  # of the host against SYNC0, of a run whose cycle follows the clock of a drive
+    with_far: bool = False  # whether an axis is coupled to a far side
 
     def columns(self) -> list[_LogColumn]:
         """Return the columns in the order in which the ring's record holds them."""
@@ -125,6 +126,10 @@ class LogSchema(NamedTuple):
             for port in self.ports:
                 columns.append(_LogColumn(f"truth/{port.name}/position", port.unit, "f8"))
                 columns += [_LogColumn(f"truth/{port.name}/{name}", "J", "f8") for name in PlantEnergy._fields]
+        if self.with_far:
+            units = {"received": "pJ", "wanted": "pJ", "position": "m", "velocity": "m/s", "booked": "pJ", "sent": "pJ"}
+            for name in FarRow._fields:
+                columns.append(_LogColumn(f"far/{name}", units.get(name, "1"), "f8" if name in units else "i8"))
         return columns
 
     def stored(self) -> list[_LogColumn]:

@@ -87,8 +87,8 @@ def found_columns(path: Path, file: Hdf5File, ports: Sequence[str]) -> tuple[Col
     """
     version = int(file.attributes.get("format_version", log_format.FORMAT_VERSION))
     described = tuple(log_format.PortDescription(name, "m") for name in ports)
-    has_phase = log_format.PHASE in file.names("timing")
-    schema = log_format.LogSchema(described, 1, bool(file.names("truth")), 1, False, {}, version, has_phase)
+    has_phase, has_far = log_format.PHASE in file.names("timing"), "far" in file.names("/")
+    schema = log_format.LogSchema(described, 1, bool(file.names("truth")), 1, False, {}, version, has_phase, has_far)
     rows = {column.path: _column(path, file, column.path, column.dtype) for column in schema.stored()}
     return rows, {name: _column(path, file, name, dtype) for name, dtype in log_format.EVENT_COLUMNS.items()}
 
@@ -180,6 +180,7 @@ class EnergyLog:
         attributes: Attributes stored with the run (configuration, hashes, versions, ...).
         format_version: Version of the format; 1 and 2 are from earlier releases.
         ports: Name of the axis -> its quantities; `position`, `torque_command`, `torque_applied`, `surplus`, ...
+        far: What passed between a port and its far side (`FarRow`); None without one.
         truth: True values of a simulation, in the same form; empty on a real rig.
         groups: Name of a group -> names of its axes, which share its account.
         timing: Times of each cycle and `sync_index`.
@@ -210,6 +211,7 @@ class EnergyLog:
         self.ports = {name: Quantities(file, f"ports/{name}", self.rows) for name in description.ports}
         self.truth = {name: Quantities(file, f"truth/{name}", self.rows) for name in file.names("truth")}
         self.timing = Quantities(file, "timing", self.rows)
+        self.far = Quantities(file, "far", self.rows) if "far" in file.names("/") else None
         self.groups = self._groups()
 
     @classmethod
@@ -277,6 +279,7 @@ class EnergyLog:
             "timing": self.timing,
             **{f"ports/{name}": port for name, port in self.ports.items()},
             **{f"truth/{name}": truth for name, truth in self.truth.items()},
+            **({} if self.far is None else {"far": self.far}),
         }
 
     @property

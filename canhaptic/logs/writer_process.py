@@ -23,7 +23,7 @@ from canhaptic.logs.bus_sink import FRAME_RING
 from canhaptic.logs.columns import EVENT_RING, EVENT_TEXT_SIZES, Attribute, LogSchema, PortDescription
 from canhaptic.logs.ring import Record, Recorder, Ring, RingShape, SharedArea, allocate, size_of
 from canhaptic.logs.writer import FAILED
-from canhaptic.signals import CycleTiming, Measured, Sample, Truth
+from canhaptic.signals import CycleTiming, FarRow, Measured, Sample, Truth
 
 _MOST_BUSES: Final = 256  # one byte in each record
 _RING_ROWS: Final = 16_384  # 16 s at 1 kHz, longer than a disk stalls
@@ -338,6 +338,7 @@ class EnergyLogWriter(WriterProcess):
         sample_time_ns: int,
         with_truth: bool = False,
         with_phase: bool = False,
+        with_far: bool = False,
         pace: Literal["real", "free"] = "real",
         ring_rows: int = _RING_ROWS,
         on_failure: Callable[[str], None] | None = None,
@@ -348,7 +349,7 @@ class EnergyLogWriter(WriterProcess):
         chunk = _FREE_CHUNK if pace == "free" else max(16, min(_FREE_CHUNK, _FLUSH_TIME_NS // sample_time_ns))
         schema = LogSchema(
             tuple(ports), sample_time_ns, with_truth, min(chunk, ring_rows // 2), pace == "real", dict(attributes),
-            has_phase=with_phase,
+            has_phase=with_phase, with_far=with_far,
         )  # fmt: skip
         job = {"kind": "energy", "path": str(self.path), "pace": pace, "schema": schema}
         super().__init__(job, [schema.ring(ring_rows), EVENT_RING], on_failure)
@@ -356,6 +357,7 @@ class EnergyLogWriter(WriterProcess):
         self._push = self._rows.push
         self._unreported = 0
         self.clock: FollowedClock | None = None
+        self.far: Callable[[], FarRow] | None = None
 
     def append(
         self,
@@ -390,6 +392,8 @@ class EnergyLogWriter(WriterProcess):
         if truths is not None:
             for position, energy in truths:
                 row += (position, *energy)
+        if self.far is not None:
+            row += self.far()
         if self._push(row) or self.insist(self._rows, row):
             self._unreported = 0
         else:

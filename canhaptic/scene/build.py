@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from math import inf
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Literal, Self, cast
+from typing import TYPE_CHECKING, Any, Final, Literal, Self, TypeAlias, cast
 
 import can
 
@@ -36,7 +36,7 @@ from canhaptic.host.interfaces import opening_error
 from canhaptic.registry import load
 from canhaptic.result import RunResult, run_result
 from canhaptic.scene.buses import kind_of, part
-from canhaptic.scene.models import Scene
+from canhaptic.scene.models import FAR, AxisScene, Scene
 from canhaptic.scene.parts import (
     build_axis_meters,
     build_ethercat_drive,
@@ -48,8 +48,11 @@ from canhaptic.signals import SimulatedPeer, Truth
 
 if TYPE_CHECKING:
     from canhaptic.drive.ethercat.bus_cycle import EthercatBusCycle
+    from canhaptic.far.parameters import FarParameters
+    from canhaptic.far.side import FarSide, Transport
     from canhaptic.logs.frame_log import FrameLog, LoggedFrame, RecordedLine
     from canhaptic.logs.writer_process import BusLogWriter, EnergyLogWriter
+    from canhaptic.scene.coupled import CoupledCycle
     from canhaptic.scene.own_code import CodeProcess
     from canhaptic.sim.bus.faulty_bus import FaultyBus
     from canhaptic.sim.drive.can.drive_node import DriveGroup, Drives, SimulatedDrive
@@ -115,11 +118,19 @@ def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
         is_of_link = all(growth is None for growth in growths)
         damping = [0.0 if axis.loop.device_friction else axis.loop.device_damping or 0.0 for axis in axes]
         allowance = getattr(passivity.parameters, "energy_allowance", 0.0)
-        meter = EnergyLossMeter(
+        meter = _meter_of(axes[0])(
             name, places, limit, allowance, damping, scene.bus.sample_time, growth, is_of_link=is_of_link
         )
         meters.append(meter)
     return meters
+
+
+def _meter_of(axis: AxisScene) -> type[EnergyLossMeter]:
+    if axis.guard != FAR:
+        return EnergyLossMeter
+    from canhaptic.far.side import CoupledLossMeter
+
+    return CoupledLossMeter
 
 
 def _least(given: Iterable[float | str | None], default: float) -> float:
@@ -200,6 +211,8 @@ def _faulty_buses(scene: Scene, buses: "Sequence[can.BusABC | None]", stack: Exi
     return faulty
 
 
+ToFar: TypeAlias = "tuple[Transport, Callable[[], int] | None]"
+"""What carries packets to a far side, and the random numbers of its sessions; None: of the system."""
 _Pace = Literal["real", "free"]
 _FRAME_LOGS: Final = {"new": "canhaptic.logs.frame_log:FrameLog"}  # imported only for a line that is logged
 
@@ -217,6 +230,7 @@ class Experiment:
         cycle: Rig, controllers and accounts, ready for `canhaptic.cycle.run`.
         energy_log: Energy log, with every cycle; None without one.
         bus_log: Bus log of CAN buses, with every frame; None without one.
+        far: Link to a far side; None without one.
         frame_log: Log of an EtherCAT line, with every frame; None without one.
         played: Log of a line that is played in its place; None without one.
         code: Process in which user code runs; None where it runs in the cycle, or there is none.
@@ -224,7 +238,7 @@ class Experiment:
 
     def __init__(
         self, scene: Scene, pace: _Pace, energy_log: Path | None, bus_log: Path | None, *, no_torque: bool = False,
-        recorded: "Sequence[LoggedFrame] | None" = None,
+        recorded: "Sequence[LoggedFrame] | None" = None, to_far: "ToFar | None" = None,
     ) -> None:  # fmt: skip
         self.scene, self.pace, self._log_failure = scene, pace, ""
         self.config_hash = scene.config_hash()  # now: it reads the dictionaries, and a run may use up every descriptor
@@ -256,8 +270,10 @@ class Experiment:
             jitters = [axis.loop.sync_jitter or 0.0 for axis in scene.axes] if is_exact else None
             known = meters, build_loss_meters(scene), jitters
             truths = _truths(self.far_side) if recorded is None else None
-            self.cycle = Cycle(self.rig, ports, self.energy_log, truths, *known)
+            kind = Cycle if scene.far is None else _coupled()
+            self.cycle = kind(self.rig, ports, self.energy_log, truths, *known)
             self.code = self._start_code(stack)
+            self.far = None if scene.far is None else self._couple(scene.far, known[1], to_far, stack)
             if self._log_failure:  # before the cycle existed
                 self.cycle.fail_log(self._log_failure)
             self._stack = stack.pop_all()
@@ -303,6 +319,25 @@ class Experiment:
             return RecordingLine(line, self.clock, self.frame_log.note)
         self.played = RecordedLine(list(recorded or ()), self.clock)
         return self.played
+
+    def _couple(
+        self, far: "FarParameters", meters: Sequence[EnergyLossMeter], to_far: "ToFar | None", stack: ExitStack
+    ) -> "FarSide":
+        """Return the link of the axis that a far side has; without `to_far` in a simulation no packet arrives."""
+        from canhaptic.far.side import CoupledLossMeter, FarSide, Nowhere, over_udp
+
+        place = [axis.guard for axis in self.scene.axes].index(FAR)
+        port = self.cycle.ports[[port.row for port in self.cycle.ports].index(place)].controller
+        transport, fresh = to_far or (Nowhere() if self.pace == "free" else over_udp(far), None)
+        side = FarSide(far, port, place, transport, fresh)
+        cast("CoupledCycle", self.cycle).far = side
+        if self.energy_log is not None:
+            self.energy_log.far = side.row
+        stack.callback(side.close)
+        for meter in meters:
+            if isinstance(meter, CoupledLossMeter):
+                meter.side = side
+        return side
 
     def _start_code(self, stack: ExitStack) -> "CodeProcess | None":
         """Start the process of user code; None where the cycle runs it, or none exists."""
@@ -389,7 +424,7 @@ class Experiment:
 
 def build(
     scene: Scene, pace: _Pace | None = None, energy_log: str | Path | None = None, bus_log: str | Path | None = None,
-    *, no_torque: bool = False,
+    *, no_torque: bool = False, to_far: "ToFar | None" = None,
 ) -> Experiment:  # fmt: skip
     """Return the scene built and ready to run; nothing is sent yet.
 
@@ -400,6 +435,7 @@ def build(
             the paths under `log` of the scene.
         bus_log: Bus log to write, of CAN as candump text, of an EtherCAT line as pcap; by default none.
         no_torque: Whether the torque sent is always 0: a dry run.
+        to_far: What carries packets to the far side; by default the socket that the scene declares.
 
     Raises:
         InputError: Free pace without simulated drives, a bus that python-can cannot use, own code left unread, or a dry
@@ -428,7 +464,24 @@ def build(
         from canhaptic.scene.far_side import with_accuracy
 
         scene = with_accuracy(scene)
-    return Experiment(scene, chosen, *logs, no_torque=no_torque)
+    if scene.far is not None and to_far is None:
+        from canhaptic.far.parameters import LOOPBACK
+
+        if scene.far.peer == LOOPBACK:
+            raise InputError(
+                f"{scene.source}: far.peer: loopback needs the other rig: canhaptic run A.yaml --with B.yaml"
+            )
+        if chosen == "free":
+            raise InputError(
+                f"{scene.source}: far.peer: {scene.far.peer} is reached in real time only; add --pace real"
+            )
+    return Experiment(scene, chosen, *logs, no_torque=no_torque, to_far=to_far)
+
+
+def _coupled() -> type[Cycle]:
+    from canhaptic.scene.coupled import CoupledCycle
+
+    return CoupledCycle
 
 
 def _require_push(scene: Scene, ports: Sequence[Port]) -> None:
@@ -508,6 +561,9 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
     account = run_result(cycle, status=status, config_hash=experiment.config_hash, method=_method(experiment))
     names = [axis.parameters.name for axis in scene.axes if axis.simulation is not None]  # with a plant of its own
     _add_of_axes(experiment, account["ports"])
+    if experiment.far is not None:
+        account["far"] = experiment.far.summary()._asdict()
+        account["ports"][scene.axes[experiment.far.axis].parameters.name]["with_far"] = True
     account["plants"] = {
         name: {"events": plant.events, "products": plant.products}
         for name, plant in zip(names, experiment.plants, strict=False)

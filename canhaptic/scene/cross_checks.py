@@ -16,8 +16,8 @@ from canhaptic.scene.buses import DICTIONARIES, PLACES, kind_of, part
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation
 from canhaptic.scene.layout import bus_section
-from canhaptic.scene.models import AxisScene, Scene, rests_on_hand_force
-from canhaptic.scene.parts import build_axis_controller, build_group
+from canhaptic.scene.models import FAR, AxisScene, Scene, rests_on_hand_force
+from canhaptic.scene.parts import build_axis_controller, build_far_port, build_group
 from canhaptic.units import shown
 
 
@@ -52,6 +52,7 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
             build_group(scene, group)
         except ParameterError as error:
             faults.add(of_groups[group.name].mark, str(error))
+    _check_far(scene, sections, faults)
     if scene.simulation is not None:
         from canhaptic.scene.far_side import check_plants
 
@@ -237,10 +238,37 @@ def _check_controller(of: _Checked, faults: Diagnostics) -> None:
     """Build the controller once, so that it reports what it refuses."""
     axis = of.axis
     try:
-        if not axis.group and axis.is_read:
+        if not axis.group and axis.is_read and axis.guard != FAR:
             build_axis_controller(axis)
     except ParameterError as error:
         faults.add(of.loop.mark, str(error))
+
+
+def _check_far(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:
+    """Note what of a section `far` this rig cannot render."""
+    if scene.far is None:
+        return
+    section = sections["far"]
+    from canhaptic.far.parameters import LOOPBACK, faults_of
+
+    axis = next((axis for axis in scene.axes if axis.guard == FAR), None)
+    if axis is None or axis.group or axis.parameters.admittance is not None:
+        alone = [axis.parameters.name for axis in scene.axes if not axis.group and not axis.parameters.admittance]
+        text = f"got {scene.far.axis!r}, expected the name of a torque axis outside groups: {', '.join(alone)}"
+        faults.add(section.value_at("axis"), text)
+        return
+    if scene.far.peer == LOOPBACK and not scene.simulated:
+        text = f"got {LOOPBACK}, which is for simulated rigs; expected the address of the other rig"
+        faults.add(section.value_at("peer"), text)
+    try:
+        port = build_far_port(scene, axis)
+    except ParameterError as error:
+        faults.add(section.value_at("axis"), str(error))
+        return
+    trip = 2.0 * (scene.far_network.delay + scene.far_network.jitter) if scene.far_network is not None else 0.0
+    held = min(port.settings.torque_limit, port.hand_force or 0.0)
+    for key, text in faults_of(scene.far, port.reserve(held), is_real=not scene.simulated, round_trip=trip):
+        faults.add(section.value_at(key), text)
 
 
 def _check_dictionary(of: _Checked, faults: Diagnostics) -> AxisMap | None:

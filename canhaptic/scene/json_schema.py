@@ -81,6 +81,7 @@ def scene_schema() -> Schema:
         "bus": _bus(scene, defined),
         "axes": {"type": "array", "minItems": 1, "items": _axis(defined, environment, passivity)},
         "groups": _or_null({"type": "array", "items": _group(defined)}),
+        "far": _or_null(defined["FarParameters"]),
         "environment": environment,
         "passivity": passivity,
         "simulation": _or_null(_simulation(scene, parts, defined)),
@@ -222,6 +223,7 @@ def _simulation(scene: Schema, parts: Schema, defined: Schema) -> Schema:
         **defined["SimulationParameters"]["properties"],
         "bus": {"anyOf": [{**defined["BusEffects"], "title": "faults of CAN buses"}, _faults(defined), _NULL]},
         "mechanisms": _or_null({"type": "array", "items": _laid_under(of["mechanism"], further, "axes")}),
+        "far_network": _or_null(defined["NetworkParameters"]),
         "axes": {"type": "object", "additionalProperties": _mapping(of_axis)},
     }
     return _mapping(_described(keys, _TEXTS["simulation"]))

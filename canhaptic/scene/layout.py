@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, get_args
 from canhaptic.axis_units import Motion
 from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.files import shipped
-from canhaptic.registry import nearest, unknown_key
+from canhaptic.registry import load, nearest, unknown_key
 from canhaptic.scene.buses import BUSES, DICTIONARIES, ETHERCAT_EFFECTS
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.document import NOTED, Diagnostics, MarkedList, MarkedMapping
@@ -58,9 +58,11 @@ def find_dictionary(section: MarkedMapping, faults: Diagnostics) -> MarkedMappin
 
 
 SECTIONS: Final = (
-    *("bus", "axes", "groups", "environment", "passivity", "simulation", "accuracy", "log"),
+    *("bus", "axes", "groups", "far", "environment", "passivity", "simulation", "accuracy", "log"),
     *RunParameters.model_fields,
 )
+PROGRAM: Final = {"program": "canhaptic.control.passivity.asked_torque:Program"}
+"""The environment of an axis where a program or a far side requests the torques."""
 OWN_SECTIONS: Final = ("environment", "passivity")
 """Shared sections that an axis can replace."""
 
@@ -81,14 +83,22 @@ def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence
     if written.get("simulation") is not None:
         scene.set("simulation", NOTED)
     if simulation is not None:
-        scene.set("simulation", simulation.without(*SIMULATION_PARTS, "axes", "bus", "mechanisms"))
+        scene.set("simulation", simulation.without(*SIMULATION_PARTS, "axes", "bus", "mechanisms", "far_network"))
+        if simulation.get("far_network") is not None:
+            at = simulation.keys_at["far_network"], simulation.values_at["far_network"]
+            scene.put("far_network", simulation["far_network"], *at)
         if simulation.get("bus") is not None:
             _put_effects(scene, simulation, set(_bus_kinds(written).values()))
     before = len(faults)
     groups, mechanisms = members = _members(written, simulation, faults)
+    _check_far_axis(written, faults)
     axes = _axes(written, simulation, members, faults, is_known=len(faults) == before)
     scene.set("axes", axes)
     units: dict[str, Motion] = {str(a["parameters"].get("name")): a.motion for a in axes if a is not NOTED and a.motion}
+    if (far := faults.section(written, "far", "name, axis, peer, coupling, ...")) is not None:
+        far = far.copy()
+        far.motion = units.get(str(far.get("axis")), "m")
+        scene.put("far", far, written.keys_at["far"], written.values_at["far"])
     scene.set("groups", [group.as_group(units) for group in groups])
     scene.set("mechanisms", [mechanism.as_mechanism() for mechanism in mechanisms])
     return scene
@@ -117,6 +127,14 @@ def _members(written: MarkedMapping, simulation: MarkedMapping | None, faults: D
 def _axis_names(written: MarkedMapping) -> list[str]:
     """Return the names of all axes as written, valid or not."""
     return [str(entry.get("name")) for entry in _entries(written.get("axes"))]
+
+
+def _check_far_axis(written: MarkedMapping, faults: Diagnostics) -> None:
+    """Note a section `far` whose axis does not exist, before its axis is found to lack an environment."""
+    far, names = written.get("far"), _axis_names(written)
+    if isinstance(far, MarkedMapping) and "axis" in far and far["axis"] not in names:
+        text = f"got {shown(far['axis'])}, expected the name of an axis: {', '.join(names)}"
+        faults.add(far.value_at("axis"), text)
 
 
 def _entries(value: object) -> list[MarkedMapping]:
@@ -298,7 +316,8 @@ def _axis(
     axis = MarkedMapping(section.mark, unit if unit in get_args(Motion) else None)
     axis.set("parameters", own)
     if group is None:
-        environment = _environment(written, section, faults, is_needed=is_known)
+        is_far = isinstance(far := written.get("far"), MarkedMapping) and far.get("axis") == section.get("name")
+        environment = no_environment() if is_far else _environment(written, section, faults, is_needed=is_known)
         passivity = _own_over_shared(written, section, "passivity", "algorithm", faults, is_needed=is_known)
         axis.set("environment", environment)
         axis.set("passivity", _or_noted(passivity))
@@ -309,6 +328,11 @@ def _axis(
     axis.set("loop", MarkedMapping(section.mark) if passivity is None else passivity.only(LOOP_KEYS))
     axis.update(simulation=None)
     return axis
+
+
+def no_environment() -> ComponentSpec:
+    """Return the environment of an axis whose torques are requested: none."""
+    return ComponentSpec("program", load(PROGRAM, "program", "environment")())
 
 
 def _environment(shared: MarkedMapping, own: MarkedMapping, faults: Diagnostics, *, is_needed: bool) -> Any:

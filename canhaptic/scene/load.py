@@ -27,15 +27,14 @@ from canhaptic.registry import load
 from canhaptic.scene.components import CodeUse, ComponentSpec, SceneContext
 from canhaptic.scene.cross_checks import cross_check
 from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation, mark_plain, parse_yaml
-from canhaptic.scene.layout import SECTIONS, laid_out
-from canhaptic.scene.models import DISPLAY_LOOP_KEYS, AxisScene, Scene, rests_on_hand_force, scene_adapter
+from canhaptic.scene.layout import SECTIONS, laid_out, no_environment
+from canhaptic.scene.models import DISPLAY_LOOP_KEYS, FAR, AxisScene, Scene, rests_on_hand_force, scene_adapter
 from canhaptic.sim.plant import AccuracyParameters, substeps_for
 
 if TYPE_CHECKING:
     from canhaptic.sim.bus.faulty_bus import BusEffects
 
 MAX_BYTES: Final = 1_000_000
-_PROGRAM: Final = {"program": "canhaptic.control.passivity.asked_torque:Program"}
 _OF_GUARDS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
     "certificates": ("guarded", {"hand_force": None}),
     "none": ("unprotected", {}),
@@ -149,6 +148,10 @@ def _validated(
             mechanisms = tuple(replace(of, substeps=given.substeps) for of in scene.mechanisms)
             scene = replace(scene, axes=axes, mechanisms=mechanisms)
         scene = with_loops(scene)
+        if scene.far is not None:
+            name = scene.far.axis
+            axes = tuple(replace(of, guard=FAR) if of.parameters.name == name else of for of in scene.axes)
+            scene = replace(scene, axes=axes)
         return scene if scene.run.guard is None else for_program(scene, scene.run.guard)
     except ValidationError as error:
         from canhaptic.scene.explain import note_errors
@@ -278,6 +281,11 @@ def for_program(scene: Scene, guard: str) -> Scene:
     Raises:
         InputError: An axis is in a group, or is an admittance display.
     """
+    if scene.far is not None:
+        text = (
+            f"{scene.source}: far: {scene.far.axis}: a far side has this axis, and no program may request its torques"
+        )
+        raise InputError(f"{text}; take `far` out of the scene, or run it with `canhaptic run`")
     for axis in scene.axes:
         what = "renders in a group" if axis.group else "is an admittance display" if axis.parameters.admittance else ""
         if what:
@@ -296,8 +304,7 @@ def _for_program(axis: AxisScene, guard: str) -> AxisScene:
     (name, known), passivity = _OF_GUARDS[guard], axis.passivity
     if passivity.name != name:
         passivity = ComponentSpec(name, load(ALGORITHMS, name, "passivity algorithm").parameters_type(**known))
-    environment = ComponentSpec("program", load(_PROGRAM, "program", "environment")())
-    return replace(axis, environment=environment, passivity=passivity, guard=guard)
+    return replace(axis, environment=no_environment(), passivity=passivity, guard=guard)
 
 
 def says_none(scene: Scene) -> bool:

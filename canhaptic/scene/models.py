@@ -112,9 +112,11 @@ class LogParameters(Parameters):
 
 
 if TYPE_CHECKING:
+    from canhaptic.far.parameters import FarParameters
     from canhaptic.sim.bus.faulty_bus import BusEffects
     from canhaptic.sim.drive import SimulatedDriveParameters
     from canhaptic.sim.drive.ethercat.cable import CableEffects
+    from canhaptic.sim.network import NetworkParameters
     from canhaptic.sim.plant.mechanism.task_hand import TaskHand
     from canhaptic.sim.plant.plant import PlantParameters
     from canhaptic.sim.plant.user import UserParameters
@@ -122,7 +124,7 @@ if TYPE_CHECKING:
 else:  # a scene without them loads nothing of them
     BusEffects = CableEffects = SimulatedDriveParameters = TaskHand = PlantParameters = UserParameters = (
         AdmittanceSimulation
-    ) = Any
+    ) = FarParameters = NetworkParameters = Any
 
 LOOP_KEYS: Final = (
     *("moving_mass", "device_damping", "device_damping_bound", "device_friction", "device_friction_bound"),
@@ -135,6 +137,8 @@ DISPLAY_LOOP_KEYS: Final = ("sync_jitter",)
 _MOVES_IN_METRES: Final = ("planar_2r", "five_bar")
 """Kinematics whose task space is in metres, for linear and rotary motors."""
 
+FAR: Final = "far"
+"""`AxisScene.guard` of an axis that is coupled to a far side."""
 _REQUIRED: Final = ("torque_verified", "position_reference")
 """Keys of an axis that have no default and that real drives need."""
 _UNVERIFIED: Final = 0.01
@@ -407,6 +411,8 @@ class Scene:
     mechanisms: tuple[MechanismScene, ...] = ()
     own_code: Mapping[str, str] = field(default_factory=dict)  # file or plug-in -> SHA-256 of the code that ran
     unread: tuple[str, ...] = ()  # own code that was named and left unread; nothing is built from such a scene
+    far: Annotated[FarParameters | None, OnDemand("canhaptic.far.parameters:FarParameters")] = None
+    far_network: Annotated[NetworkParameters | None, OnDemand("canhaptic.sim.network:NetworkParameters")] = None
     undeclared: tuple[str, ...] = ()  # keys of holds and dry friction that real drives need and nothing declares
 
     def __repr__(self) -> str:
@@ -503,6 +509,7 @@ class Scene:
             **plain["simulation"],
             **({"bus": {**(plain["bus_effects"] or {}), **(plain["cable_effects"] or {})}} if self.has_effects else {}),
             **({"mechanisms": mechanisms} if mechanisms else {}),
+            **({"far_network": plain["far_network"]} if self.far_network else {}),
         }
         bus = [{"name": self.bus_name, **plain["bus"]}, *plain["further_buses"]] if self.bus_name else plain["bus"]
         auto = {"auto": self.accuracy_tolerance, "chosen": dict(self.accuracy_choices)}
@@ -513,6 +520,7 @@ class Scene:
             "run": plain["run"],
             "simulation": simulation,
             **({"groups": groups} if groups else {}),
+            **({"far": plain["far"]} if self.far else {}),
             **({"accuracy": auto} if self.auto_accuracy else {}),
             **({"own_code": dict(self.own_code)} if self.own_code else {}),
         }

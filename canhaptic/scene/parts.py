@@ -17,7 +17,7 @@ from canhaptic.errors import InputError, ParameterError
 from canhaptic.registry import load
 from canhaptic.scene.buses import part
 from canhaptic.scene.components import ComponentSpec
-from canhaptic.scene.models import AxisScene, GroupScene, Scene
+from canhaptic.scene.models import FAR, AxisScene, GroupScene, Scene
 from canhaptic.units import Parameters
 
 if TYPE_CHECKING:
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from canhaptic.control.multi_axis.group_controller import GroupController, NetworkEnvironment
     from canhaptic.drive.ethercat.bus_cycle import EthercatBusCycle
     from canhaptic.drive.ethercat.servo_drive import EthercatDrive
+    from canhaptic.far.parameters import FarParameters
+    from canhaptic.far.port import FarPort
 
 _OF_THE_DEVICE: Final = ("device_damping", "device_friction", "device_damping_bound", "device_friction_bound")
 _SETTLED: Final = 3.0
@@ -137,8 +139,27 @@ def build_ports(scene: Scene) -> list[Port]:
     """Return the ports of a scene, at rest: the axes outside groups, then the groups."""
     known = scene.ports
     alone, several = known[: len(known) - len(scene.groups)], known[len(known) - len(scene.groups) :]
-    ports = [Port(of.name, of.places, of.places[0], build_axis_controller(scene.axes[of.places[0]])) for of in alone]
+    ports = [Port(of.name, of.places, of.places[0], _alone(scene, scene.axes[of.places[0]])) for of in alone]
     return [*ports, *(_several(scene, n, of.places) for n, of in enumerate(several))]
+
+
+def _alone(scene: Scene, axis: AxisScene) -> Controller:
+    return build_far_port(scene, axis) if axis.guard == FAR else build_axis_controller(axis)
+
+
+def build_far_port(scene: Scene, axis: AxisScene) -> "FarPort":
+    """Return the port of the axis that is coupled to a far side.
+
+    Raises:
+        ParameterError: A value that its certificates need is missing.
+    """
+    from canhaptic.far.port import FarPort
+
+    known = axis.passivity.parameters
+    if not isinstance(known, FarPort.parameters_type):
+        text = f"{axis.parameters.name}: got algorithm {axis.passivity.name}, expected guarded: a far side is rendered"
+        raise ParameterError(f"{text} by what is certified of the hand and the device")
+    return FarPort(cast("FarParameters", scene.far), known, loop_as_known(axis))
 
 
 def _several(scene: Scene, number: int, places: Sequence[int]) -> Port:

@@ -56,9 +56,10 @@ def open_energy_log(
     names = [axis.parameters.name for axis in scene.axes]
     attributes = _run_attributes(scene, pace) | _active_attributes(scene.ports, names, meters)
     attributes |= {DRY_RUN: 1} if dry_run else {}
-    period, has_phase = scene.bus.sample_time_ns, kind_of(scene.bus) == "ethercat"
+    period, has_phase, with_far = scene.bus.sample_time_ns, kind_of(scene.bus) == "ethercat", scene.far is not None
     return EnergyLogWriter(
-        path, ports, attributes, sample_time_ns=period, with_truth=scene.simulated, with_phase=has_phase, pace=pace,
+        path, ports, attributes, sample_time_ns=period, with_truth=scene.simulated, with_phase=has_phase,
+        with_far=with_far, pace=pace,
         on_failure=on_failure,
     )  # fmt: skip
 

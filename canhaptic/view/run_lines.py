@@ -106,6 +106,7 @@ def headline_text(name: str, port: PortResult, failure: str = "") -> Text:
     text = Text(f" {name}: ")
     text.append(f"{failure} " if failure else "", style="bold red")
     where = "passive at the handle" if _is_at_handle_alone(port) else "passive"
+    where += " with the far side" * port.get("with_far", False)
     text.append(f"{where}: {_WORDS.get(word, word)}" if word in ("yes", "no", "in doubt") else _WORDS.get(word, word),
                 style=STYLES[word])  # fmt: skip
     reason, number = _reason(port), _number(port)
@@ -237,8 +238,21 @@ def rests_on(*certificates: str, hand_force: float | None = None) -> str:
 
 def brief_report(result: Result) -> RenderableType:
     """Return the first line of each port, how the run ended, and any losses or inexact simulation."""
-    parts: list[RenderableType] = [*headlines(result), heading(result), *losses(result)]
+    parts: list[RenderableType] = [*headlines(result), *link_lines(result), heading(result), *losses(result)]
     return Group(*parts, Text(" all figures: --full, or `canhaptic inspect` with an energy log", style="dim"))
+
+
+def link_lines(result: Result) -> Iterator[RenderableType]:
+    """Yield what the link to a far side did: round trip, losses, energy to and fro, and what limited it."""
+    if (far := result.get("far")) is None:
+        return
+    trip = f"{1e3 * far['round_trip']:.3g} ms, " if far["round_trip"] >= 0.0 else ""
+    state = f"link {trip}{100.0 * far['lost']:.2g} % lost" if far["linked"] else "link ended" * (far["sessions"] > 0)
+    flows = f"{si(far['received'], 'J', 3)} received, {si(far['sent'], 'J', 3)} sent"
+    text = f" {state or 'no link: no authentic packet came'}; {si(far['under_way'], 'J', 2)} under way; {flows}"
+    text += f"; {counted(far['refused'], 'packet')} refused" if far["refused"] else ""
+    limited = f"; limited_by: far in {counted(far['cut'], 'cycle')}" if far["cut"] else ""
+    yield Text(text + limited, style="" if far["linked"] else "yellow")
 
 
 def losses(result: Result) -> Iterator[RenderableType]:

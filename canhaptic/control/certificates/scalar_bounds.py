@@ -226,7 +226,7 @@ def renderable_by_hand_force(response: DisplacementResponse, delay: int, torque:
     At rest every hold has the same torque F, and the stored energy F^2 / 2k must cover sum(F D_i) over the queued holds
     and the next one. Undamped: k <= (m / 2T^2) F / (F + F_h) at delay 0 and (m / 6T^2) F / (F + F_h) at delay 1.
     """
-    extracted = _given_out(response, delay, torque)
+    extracted = given_out(response, delay, torque)
     return torque * torque / (2.0 * extracted) if extracted > 0.0 else math.inf
 
 
@@ -284,14 +284,15 @@ def start_energy(response: DisplacementResponse, delay: int, stiffness: float) -
     if response.hand == 0.0:
         return 0.0
     # the sum is a quadratic polynomial in F without a constant: two values give it
-    one, two = _given_out(response, delay, _FIRST), _given_out(response, delay, 2.0 * _FIRST)
+    one, two = given_out(response, delay, _FIRST), given_out(response, delay, 2.0 * _FIRST)
     square = (two - 2.0 * one) / (2.0 * _FIRST * _FIRST)
     linear = one / _FIRST - square * _FIRST
     left = 0.5 / stiffness - square
     return linear * linear / (4.0 * left) if left > 0.0 else math.inf
 
 
-def _given_out(response: DisplacementResponse, delay: int, torque: float) -> float:
+def given_out(response: DisplacementResponse, delay: int, torque: float) -> float:
+    """Return the most that a torque from rest gives out in the holds until another one acts [J]."""
     displacement = energy = 0.0
     for _ in range(delay + 1):
         displacement = next_displacement(displacement, torque, torque, response, response.hand)

@@ -95,7 +95,7 @@ def step(environment: AskedEffort, run: AskedRun, position: float, torque_applie
     ))  # fmt: skip
 
 
-def granted(run: AskedRun, asked: float, moved: float) -> tuple[float, int]:
+def granted(run: guarded.GuardedRun, asked: float, moved: float) -> tuple[float, int]:
     """Return a requested torque, reduced to what the certificates permit [N or N*m], and the certificate's number.
 
     Args:
@@ -153,7 +153,7 @@ class _Asks(SteppedController):
         return window.velocity
 
 
-def _settings_of(
+def settings_of_program(
     environment: AskedEffort, parameters: guarded.GuardedParameters, loop: LoopProperties
 ) -> guarded.GuardedSettings:  # fmt: skip
     """Return the settings of `guarded` for a program, whose torque may reverse at any SYNC.
@@ -175,7 +175,7 @@ class GuardedProgram(_Asks, guarded.Guarded):
     """Controller that sends a program's torques, reduced to what the certificates permit."""
 
     parameters_type = guarded.GuardedParameters
-    kernel = Kernel(_settings_of, AskedState, guarded.memory_of, step)
+    kernel = Kernel(settings_of_program, AskedState, guarded.memory_of, step)
 
     def __init__(self, parameters: guarded.GuardedParameters, loop: LoopProperties) -> None:
         self._size = inf if parameters.earned_energy is None else 0.0

@@ -160,7 +160,17 @@ class SteppedController:
         """Return the balance of a SYNC whose position was lost; see `Controller.sample_lost`."""
         command = self._command_unseen() if self._axis.started else self._last.torque
         return self._last._replace(
-            torque=command, branch=_HELD, h_i=0.0, h_pas=0.0, h_m=0.0, h_r=0.0, gen=0.0, deficit=0.0, leak=0.0, paid=0.0
+            torque=command,
+            branch=_HELD,
+            h_i=0.0,
+            h_pas=0.0,
+            h_m=0.0,
+            h_r=0.0,
+            gen=0.0,
+            deficit=0.0,
+            leak=0.0,
+            paid=0.0,
+            supplied=0.0,
         )
 
     def _command_unseen(self) -> float:

@@ -1,0 +1,69 @@
+"""One packet to a far side: 80 bytes, of which the last 16 are a tag over the others.
+
+    "CH" version flags seq:u32 session:u64 sent:i64 received:i64 wanted:i64
+    position:f64 velocity:f32 seen:u32 stiffness:f32 damping:f32 tag:16                        (little-endian)
+
+Energies are totals of the session in whole picojoules. The flags hold the role, which is under the tag: a packet that
+comes back to its sender is of its own role and is dropped. `seen` is the largest `seq` of the other side.
+
+The tag is keyed BLAKE2s. A session has a key of its own, made of the shared key and of fresh random numbers of both.
+"""
+
+import struct
+from hashlib import blake2s
+from hmac import compare_digest
+from math import isfinite
+from typing import Final, NamedTuple
+
+SIZE: Final = 80
+_VERSION: Final = 1
+_BODY: Final = struct.Struct("<2sBBIQqqqdfIff")
+_TAG: Final = 16
+_MOST: Final = (1 << 63) - 1
+ROLE, HELLO, READY, STOPPING = 1, 2, 4, 8
+"""Bits of the flags: role of the sender, packet of the handshake, sender has earned its start, sender stops."""
+
+
+class Packet(NamedTuple):
+    """What one side says to the other; energies in [pJ]."""
+
+    flags: int
+    seq: int
+    session: int
+    sent: int  # of a HELLO: random number of the sender
+    received: int  # of a HELLO: random number that it has seen of the other side; 0: none
+    wanted: int
+    position: float  # [m or rad]
+    velocity: float  # [m/s or rad/s]
+    seen: int
+    stiffness: float = 0.0  # [N/m or N*m/rad]
+    damping: float = 0.0  # [N*s/m or N*m*s/rad]
+
+
+def pack(packet: Packet, key: bytes) -> bytes:
+    """Return the bytes of a packet with their tag."""
+    body = _BODY.pack(b"CH", _VERSION, *packet)
+    return body + blake2s(body, digest_size=_TAG, key=key).digest()
+
+
+def unpack(data: bytes, key: bytes) -> Packet | None:
+    """Return an authentic packet; None for any other bytes, also for numbers that no packet may have."""
+    if len(data) != SIZE or data[:3] != b"CH\x01":
+        return None
+    if not compare_digest(blake2s(data[:-_TAG], digest_size=_TAG, key=key).digest(), data[-_TAG:]):
+        return None
+    packet = Packet(*_BODY.unpack_from(data)[2:])
+    _, _, _, sent, received, wanted, position, velocity, _, stiffness, damping = packet
+    if not isfinite(position + velocity + stiffness + damping) or min(sent, received, wanted) < 0:
+        return None
+    return packet
+
+
+def whole(total: float) -> int:
+    """Return a total [pJ] as a packet holds it."""
+    return min(int(total), _MOST)
+
+
+def sent_in(data: bytes) -> int:
+    """Return the total sent [pJ] that bytes of a packet claim, read apart from `Packet`."""
+    return int.from_bytes(data[16:24], "little", signed=True)

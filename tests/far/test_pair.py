@@ -1,0 +1,121 @@
+"""Two simulated rigs over a simulated network: what both plants gave, the log, and what is refused."""
+
+import json
+
+import pytest
+
+from canhaptic.audit.recompute import recompute_all
+from canhaptic.cli.main import main
+from canhaptic.cycle import running
+from canhaptic.errors import InputError, SceneError
+from canhaptic.far.port import PICO
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.program import open_rig
+from canhaptic.scene.build import build
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.pair import Pair
+
+HAND, WALL = "configs/far_hand.yaml", "configs/far_wall.yaml"
+SOON = ["far.level=15 mJ", "simulation.user.motion.frequency=1.5 Hz"]
+
+
+def pair_of(changes=(), logs=(None, None)):
+    return Pair((load_scene(HAND, [*SOON, *changes]), load_scene(WALL, ["far.level=15 mJ"])), logs)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    logs = [tmp_path_factory.mktemp("far") / name for name in ("a.h5", "a.far.h5")]
+    pair = pair_of(logs=logs)
+    return pair.run_through(0.8, lambda: False), logs, pair
+
+
+def test_energy_crosses_and_neither_side_nor_both_give_out_what_did_not_come(run):
+    outcome, _, pair = run
+    assert outcome.error is None
+    assert min(outcome.pair["least_true"], outcome.pair["least_true_at_handle"]) >= -1e-9
+    assert min(*outcome.pair["sent"], *outcome.pair["received"]) > 1e-3
+    for result, rig in zip(outcome.results, pair.rigs, strict=True):
+        port, truth = result["ports"]["handle"], result["truth"]["handle"]
+        assert port["verdict"] == "yes"
+        assert truth["least_interaction"] >= -1e-9
+        assert port["in"] - port["out"] + port["supplied"] == pytest.approx(rig.cycle.ledgers[0].interaction)
+        assert port["supplied"] == pytest.approx(result["far"]["received"] - result["far"]["sent"], abs=1e-9)
+
+
+def test_every_row_of_both_logs_is_recomputed_bit_for_bit(run):
+    for path, scene in zip(run[1], (HAND, WALL), strict=True):
+        with EnergyLog.open(path) as log:
+            [found] = recompute_all(log)
+            assert (found["mismatch"], found["unchecked_rows"]) == (None, 0), scene
+            assert log.far is not None
+            sent = log.far["sent"]
+            assert (sent[1:] >= sent[:-1]).all()
+            port = log.ports["handle"]
+            total = PICO * (log.far["booked"][-1] - sent[-1])
+            assert port["supplied"].sum() == pytest.approx(total, abs=1e-12)
+            assert [event.text for event in log.events if event.kind == "far"] == ["session 1 begins"]
+
+
+def test_a_port_that_counts_packets_twice_ends_its_run():
+    pair = pair_of(["far.from_far={energy: 100 J, power: 10 kW}"])
+    side = pair.rigs[0].far
+    told = side.session.take
+
+    def counted_twice(data, *, may_begin):
+        packet = told(data, may_begin=may_begin)
+        return None if packet is None else packet._replace(sent=2 * packet.sent + 10**12)
+
+    side.session.take = counted_twice
+    outcome = pair.run_through(1.5, lambda: False)
+    assert outcome.results[0]["ports"]["handle"]["supplied"] > outcome.results[0]["far"]["sent"] * -1.0
+    assert outcome.error is not None
+    assert "sum of interaction" in str(outcome.error)
+
+
+def test_a_side_that_stops_takes_the_torque_of_the_other_and_its_energy_stays():
+    pair = pair_of()
+    first, second = (rig.far.port.state for rig in pair.rigs)
+    with running(pair.rigs[0].cycle), running(pair.rigs[1].cycle):
+        for _ in range(1400):
+            pair.step()
+        assert first.blend == second.blend == 1.0
+        sent = second.sent
+        pair.rigs[0].far.stop()
+        for _ in range(600):
+            pair.step()
+        assert second.sent in (sent, 0.0)
+        assert second.blend == 0.0
+        assert pair.rigs[1].cycle.rig.is_still
+    pair.compare()
+    pair.close()
+    assert pair.least >= -1e-9
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ("far.level=10 uJ", "expected at least the reserve"),
+        ("far.axis=knob", "expected the name of an axis"),
+        ("far.peer=10.0.0.7:5577", "listen: missing"),
+        ("simulation.far_network.delay=50 ms", "swings"),
+        ("far.coupling.stiffness=-1 N/m", "stiffness"),
+        ("passivity={algorithm: unprotected}", "expected guarded"),
+    ],
+)
+def test_what_a_rig_cannot_render_is_refused_with_its_key(change, text):
+    with pytest.raises(SceneError, match=text):
+        load_scene(HAND, [change])
+
+
+def test_a_rig_without_its_other_side_and_a_program_on_its_axis_are_refused(tmp_path, capsys):
+    with pytest.raises(InputError, match="--with"):
+        build(load_scene(HAND))
+    with pytest.raises(InputError, match="no program may request its torques"):
+        open_rig(HAND)
+    log = tmp_path / "a.h5"
+    assert main(["run", HAND, "--with", WALL, "--duration", "0.1", "--json", "--log", str(log)]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["pair"].keys() == {"least_true", "least_true_at_handle", "sent", "received"}
+    assert (tmp_path / "a.far.h5").exists()
+    assert said["far"]["sessions"] == said["with"]["far"]["sessions"] == 1
