@@ -1,11 +1,12 @@
-"""`canhaptic check --host CONFIG`: check the SocketCAN interfaces of a scene, as `run` does; time its drives."""
+"""`canhaptic check --host CONFIG`: check the interfaces of a scene, as `run` does; time its drives."""
 
 import argparse
 from typing import Final
 
 from canhaptic.cli.options import scene_of
 from canhaptic.drive.can.round_trip import RoundTrip, measure_round_trip
-from canhaptic.host.socketcan_state import PreflightFinding, preflight
+from canhaptic.host.findings import PreflightFinding
+from canhaptic.host.socketcan_state import preflight
 from canhaptic.scene.build import build
 from canhaptic.scene.models import Scene
 from canhaptic.view.run_lines import make_console
@@ -52,10 +53,10 @@ def _row(trip: RoundTrip) -> list[Cell]:
 def _print(findings: list[PreflightFinding], interfaces: list[str]) -> None:
     console = make_console()
     if not findings:
-        console.print(f"nothing to check: bus.interface is {', '.join(interfaces)}, not socketcan")
+        console.print(f"nothing to check: bus.interface is {', '.join(interfaces)}, not socketcan or a line of its own")
         return
     rows = [
         (f.interface, f.item, Styled(_WORDS.get(f.severity, f.severity), _COLOURS[f.severity]), f.seen, f.text)
         for f in findings
     ]
-    console.print(Table("SocketCAN", ("interface", "item", "", "found", "what to do"), rows))
+    console.print(Table("interfaces", ("interface", "item", "", "found", "what to do"), rows))

@@ -17,7 +17,8 @@ from canhaptic.errors import CanHapticError, ParameterError
 from canhaptic.host.stop_signal import StopSignal
 from canhaptic.result import RunResult
 from canhaptic.scene.build import Experiment, build, logs_elsewhere
-from canhaptic.scene.models import Scene, require_no_guesses
+from canhaptic.scene.buses import kind_of
+from canhaptic.scene.models import NamedBus, Scene, require_no_guesses
 from canhaptic.view.terminal import (
     failure,
     leave_closed_terminal,
@@ -121,8 +122,12 @@ def _note_buzz(energy_log: Path | None, scene: Scene) -> None:
             note_buzz(energy_log, scene)
 
 
+def _has_preflight(bus: NamedBus) -> bool:
+    return bus.parameters.interface == "socketcan" or kind_of(bus.parameters) != "can"
+
+
 def _preflight(scene: Scene) -> Iterator[str]:
-    if any(bus.parameters.interface == "socketcan" for bus in scene.buses):
+    if not scene.simulated and any(map(_has_preflight, scene.buses)):
         from canhaptic.host.socketcan_state import require_preflight
 
         for note in require_preflight(scene.loaded_buses):

@@ -1,4 +1,4 @@
-"""Preflight of SocketCAN interfaces: compares `ip -details -statistics -json link show` with the scene before a run.
+"""Preflight of the interfaces of a scene: of SocketCAN, `ip -details -statistics -json link show` against the scene.
 
 A fault refuses the run; an unwise or unknown setting is a note.
 
@@ -11,30 +11,19 @@ import json
 import math
 import subprocess
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final
 
 from canhaptic.errors import LinkError
+from canhaptic.host.findings import PreflightFinding, Row, row
 from canhaptic.host.interfaces import BusSettings
 
-_Severity = Literal["well", "note", "refused"]
-_Row = tuple[str, object, _Severity, str]  # item, what is seen, severity, text
 Runner = Callable[[list[str]], "subprocess.CompletedProcess[str]"]
 
 _ALARMING_ERRORS: Final = 96  # the error counter from which a controller warns (ISO 11898-1)
 
 
-class PreflightFinding(NamedTuple):
-    """Verdict on one property of an interface."""
-
-    interface: str  # channel, as can0
-    item: str
-    seen: str
-    severity: _Severity
-    text: str  # expected value and remedy; empty if all is well
-
-
 def preflight(buses: Iterable[tuple[BusSettings, int]], run: Runner | None = None) -> list[PreflightFinding]:
-    """Judge every SocketCAN interface of a scene; other interfaces have no findings.
+    """Judge every SocketCAN interface of a scene, and that of an EtherCAT line; others have no findings.
 
     Args:
         buses: Buses of the scene, and the number of drives on each.
@@ -44,6 +33,10 @@ def preflight(buses: Iterable[tuple[BusSettings, int]], run: Runner | None = Non
     for bus, axes in buses:
         if bus.interface == "socketcan":
             findings += _inspect_interface(str(bus.channel), bus, axes, run or _run)
+        elif getattr(bus, "type", "can") == "ethercat" and bus.interface != "virtual":
+            from canhaptic.host.ethernet_state import inspect_interface
+
+            findings += inspect_interface(bus.interface)
     return findings
 
 
@@ -122,64 +115,59 @@ def _judge_link(channel: str, link: Mapping[str, Any], bus: BusSettings, axes: i
     return [PreflightFinding(channel, item, str(seen), severity, text) for item, seen, severity, text in rows]
 
 
-def _row(item: str, seen: object, severity: _Severity, text: str = "", *, good: bool = False) -> _Row:
-    """Return one finding; a good property has no severity and no text."""
-    return (item, seen, "well", "") if good else (item, seen, severity, text)
-
-
-def _rows(channel: str, link: Mapping[str, Any], bus: BusSettings, axes: int) -> Iterator[_Row]:
+def _rows(channel: str, link: Mapping[str, Any], bus: BusSettings, axes: int) -> Iterator[Row]:
     if link.get("link_type") != "can":
         text = "expected can; name a CAN interface in bus.channel"
-        yield _row("link type", link.get("link_type"), "refused", text)
+        yield row("link type", link.get("link_type"), "refused", text)
         return
     is_up, info = "UP" in link.get("flags", []), link.get("linkinfo") or {}
     command = f"ip link set {channel} up type can bitrate {bus.bitrate}"
-    yield _row("link", "up" if is_up else "down", "refused", f"expected up; {command}", good=is_up)
+    yield row("link", "up" if is_up else "down", "refused", f"expected up; {command}", good=is_up)
     length, needed = link.get("txqlen"), 2 * (axes + 3)  # a shorter queue refuses frames (ENOBUFS) at the first delay
     if isinstance(length, int):
         command = f"ip link set {channel} txqueuelen {4 * needed}"
         text = f"expected at least {needed} (two cycles of {axes} axes); {command}"
-        yield _row("txqueuelen", length, "note", text, good=length >= needed)
+        yield row("txqueuelen", length, "note", text, good=length >= needed)
     if info.get("info_kind") == "can":  # vcan and vxcan have no controller
         yield from _of_controller(channel, info.get("info_data") or {}, info.get("info_xstats") or {}, bus)
     else:
-        yield _row("controller", f"none ({info.get('info_kind')})", "well")
+        yield row("controller", f"none ({info.get('info_kind')})", "well")
 
 
 def _of_controller(
     channel: str, data: Mapping[str, Any], statistics: Mapping[str, int], bus: BusSettings
-) -> Iterator[_Row]:
+) -> Iterator[Row]:
     bitrate = (data.get("bittiming") or {}).get("bitrate", data.get("bittiming_bitrate"))
     if bitrate is None:
-        yield _row("bit rate", "not reported", "note", f"cannot be compared with bus.bitrate {bus.bitrate}")
+        yield row("bit rate", "not reported", "note", f"cannot be compared with bus.bitrate {bus.bitrate}")
     else:
         command = f"ip link set {channel} down; ip link set {channel} up type can bitrate {bus.bitrate}"
         text = f"expected {bus.bitrate} as bus.bitrate says; correct it, or: {command}"
-        yield _row("bit rate", bitrate, "refused", text, good=bitrate == bus.bitrate)
+        yield row("bit rate", bitrate, "refused", text, good=bitrate == bus.bitrate)
     yield _of_state(channel, str(data.get("state", "not reported")))
     for mode in ("LISTEN-ONLY", "LOOPBACK", "ONE-SHOT"):
         if mode in (data.get("ctrlmode") or []):
             link = f"ip link set {channel}"
             text = f"expected an ordinary controller; {link} down; {link} up type can {mode.lower()} off"
-            yield _row("mode", mode, "refused", text)
+            yield row("mode", mode, "refused", text)
     yield _of_restart(channel, data.get("restart_ms"), bus)
     counters = data.get("berr_counter") or {}
     worst = max((int(counters.get(side, 0)) for side in ("tx", "rx")), default=0)
     seen = f"tx {counters.get('tx', '?')}, rx {counters.get('rx', '?')}"
     text = f"expected below {_ALARMING_ERRORS}; check cable, termination, bit rate"
-    yield _row("error counters", seen, "note", text, good=worst < _ALARMING_ERRORS)
+    yield row("error counters", seen, "note", text, good=worst < _ALARMING_ERRORS)
     if offs := statistics.get("bus_off", 0):
-        yield _row("bus-offs so far", offs, "note", "expected none since the interface came up; find the cause")
+        yield row("bus-offs so far", offs, "note", "expected none since the interface came up; find the cause")
 
 
-def _of_state(channel: str, state: str) -> _Row:
+def _of_state(channel: str, state: str) -> Row:
     if state == "BUS-OFF":
         text = "expected ERROR-ACTIVE; find the cause (cable, termination, a node with another bit rate), then"
-        return _row("state", state, "refused", f"{text}: ip link set {channel} type can restart")
+        return row("state", state, "refused", f"{text}: ip link set {channel} type can restart")
     if state in ("STOPPED", "SLEEPING"):
-        return _row("state", state, "refused", f"expected ERROR-ACTIVE; ip link set {channel} up")
+        return row("state", state, "refused", f"expected ERROR-ACTIVE; ip link set {channel} up")
     text = "expected ERROR-ACTIVE; no node acknowledges, or cable and termination are bad"
-    return _row("state", state, "note", text, good=state == "ERROR-ACTIVE")
+    return row("state", state, "note", text, good=state == "ERROR-ACTIVE")
 
 
 def _least_restart(bus: BusSettings) -> int:
@@ -187,16 +175,16 @@ def _least_restart(bus: BusSettings) -> int:
     return math.ceil(bus.stop_cycles * bus.sample_time * 1e3)
 
 
-def _of_restart(channel: str, restart: object, bus: BusSettings) -> _Row:
+def _of_restart(channel: str, restart: object, bus: BusSettings) -> Row:
     if not isinstance(restart, int):
-        return _row("restart-ms", "not reported", "note", "cannot be checked; set `restart-ms 0`")
+        return row("restart-ms", "not reported", "note", "cannot be checked; set `restart-ms 0`")
     least = _least_restart(bus)
     if restart and restart < least:
         why = f"(after {bus.stop_cycles} sample times the rig has stopped), so that a bus-off ends the run"
         text = f"expected 0, or at least {least} ms {why}"
-        return _row("restart-ms", f"{restart} ms", "refused", f"{text}; ip link set {channel} type can restart-ms 0")
+        return row("restart-ms", f"{restart} ms", "refused", f"{text}; ip link set {channel} type can restart-ms 0")
     text = "after a bus-off the interface restarts, but the run has ended" if restart else ""
-    return _row("restart-ms", f"{restart} ms" if restart else "0 (by hand)", "well", text)
+    return row("restart-ms", f"{restart} ms" if restart else "0 (by hand)", "well", text)
 
 
 def _run(command: list[str]) -> "subprocess.CompletedProcess[str]":
