@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from canhaptic.lab.studies.accuracy.accuracy_table import (
     _loop_advice,
     _loop_price,
+    _method_prices,
     advice,
     cheapest,
     error_per_microsecond,
@@ -91,6 +92,20 @@ def test_a_setting_that_keeps_the_tolerance_by_luck_is_told_from_one_that_lasts(
 
     found = advice([row(8, 8, 1e-8, 5), row(8, 16, 1e-6, 7), row(16, 8, 1e-8, 6), row(16, 16, 1e-9, 9)], [], 1e-7)
     assert found["line"] == "accuracy: {event_bits: 16, substeps: 8}"
+
+
+def test_a_setting_that_was_left_out_for_its_time_does_not_speak_against_a_coarser_one():
+    def row(substeps, status, method="canhaptic"):
+        ran = status == "ok"
+        accuracy = {"event_bits": 24, "substeps": substeps} if method == "canhaptic" else None
+        return {"method": method, "setting": f"{substeps}", "status": status, "position_error": 1e-9 if ran else None,
+                "evaluations": substeps if ran else None, "accuracy": accuracy}  # fmt: skip
+
+    table = [row(1, "ok"), row(2, "ok"), row(4, "left out")]
+    assert advice(table, [], 1e-7)["line"] == "accuracy: {event_bits: 24, substeps: 1}"
+    assert advice([*table[:2], row(4, "unstable")], [], 1e-7)["line"] is None
+    others = [row(1, "unstable", "RK4"), row(2, "failed: at 1 s", "RK4"), row(1, "left out", "LSODA")]
+    assert _method_prices({"plant": others, "tolerance": 1e-7}) == ["RK4: unstable, failed", "LSODA: left out"]
 
 
 def test_no_setting_is_advised_where_the_errors_do_not_fall_as_declared():

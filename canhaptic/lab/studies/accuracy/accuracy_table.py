@@ -16,7 +16,7 @@ from canhaptic.axis_units import effort_unit, mass_unit, si
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.files import scene_title
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.accuracy.plant_solvers import FLOOR, OURS
+from canhaptic.lab.studies.accuracy.plant_solvers import FLOOR, LEFT_OUT, OURS
 from canhaptic.sim.plant.propagator import Array
 from canhaptic.view.table import Cell, Styled, Table
 
@@ -110,7 +110,8 @@ def _method_prices(result: Row) -> list[str]:
     for method in dict.fromkeys(row["method"] for row in result["plant"] if row["method"] != OURS):
         rows = [row for row in result["plant"] if row["method"] == method]
         good = cheapest(rows, result["tolerance"]) or _most_exact(rows)
-        entries.append(f"{method}, {good['setting']}: {_price(good, result)}" if good else f"{method}: unstable")
+        why = ", ".join(dict.fromkeys(str(row["status"]).partition(":")[0] for row in rows))
+        entries.append(f"{method}, {good['setting']}: {_price(good, result)}" if good else f"{method}: {why}")
     return entries
 
 
@@ -526,9 +527,10 @@ def _doubt(row: Row) -> str:
 
 
 def _lasts(row: Row, ours: Sequence[Row], tolerance: float) -> bool:
-    """Whether every finer setting keeps the tolerance too; errors of events and substeps may cancel by chance."""
+    """Whether every finer setting that ran keeps the tolerance too; errors of events and substeps may cancel."""
     own = row["accuracy"]
-    finer = [other for other in ours if all(other["accuracy"][key] >= own[key] for key in own)]
+    ran = (other for other in ours if other["status"] != LEFT_OUT)
+    finer = [other for other in ran if all(other["accuracy"][key] >= own[key] for key in own)]
     return all(meets(other, tolerance) for other in finer)
 
 

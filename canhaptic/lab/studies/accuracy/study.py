@@ -138,7 +138,7 @@ def _contacts(axis: AxisScene, scene: Scene, holds: int) -> list[int]:
 
 DEFAULT_BUDGET: Final = 4.0
 """Time of the processor for the timings of plants [s], in addition to the runs for errors."""
-_ENDS: Final = {"others": 5.0, "own": 7.5, "effects": 8.0, "continuous": 11.0, "loops": 13.0}
+_ENDS: Final = {"others": 5.0, "own": 7.5, "effects": 8.0, "continuous": 10.0, "loops": 11.0}
 """Time of the processor after which a part of the study ends, with the default budget [s]; a larger one has more."""
 UNITS: Final = 1000
 """Units of progress in the whole study."""
