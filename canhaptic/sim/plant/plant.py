@@ -7,7 +7,6 @@ contains only what its parameters name. Time is an integer number of ticks of T 
 k whole sample times are exactly k steps.
 """
 
-import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Final
@@ -206,8 +205,7 @@ class Plant(AutomatonClock):
             ParameterError: A value is not finite; no state is changed.
         """
         for name, value in values.items():
-            if not math.isfinite(value):
-                raise self._not_finite(name, value)
+            self.require_finite(name, (value,))
         self._machine.set_states(values)
         if self._looks_ahead:
             self._free_torque = -1.0  # the look-ahead rested on the old place
@@ -247,23 +245,17 @@ class Plant(AutomatonClock):
             elif -_LARGEST <= torque <= _LARGEST:
                 self._hold(TICKS, torque)
             else:
-                raise self._not_finite("torque", torque)
+                raise self.not_finite("torque", torque)
             if tick >= self._pause:
                 self._look()
         elif ticks := self.pass_until(now):
             if not -_LARGEST <= torque <= _LARGEST:
-                raise self._not_finite("torque", torque)
+                raise self.not_finite("torque", torque)
             whole, inside = divmod(self.tick, TICKS)
             self._next_period = -1 if inside else (self._epoch or 0) + (whole + 1) * self.sample_time_ns
             self._hold(ticks, torque)
             if self.tick >= self._pause:
                 self._look()
-
-    def _not_finite(self, name: str, value: float) -> ParameterError:
-        now = self.tick * self.tick_time
-        return ParameterError(
-            f"plant at {now:.6g} s: got {name} {value}, expected a finite number; see what computed it"
-        )
 
     def _look(self) -> None:
         """Tidy when due, and look ahead for holds that no guard can end."""

@@ -8,7 +8,8 @@ they are doubled by Q(2h) = Q(h) + Phi(h)' Q(h) Phi(h).
 `SampleClock` counts time in whole ticks of T / 2^24 since an epoch, so that k sample times are exactly k steps.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -174,3 +175,19 @@ class SampleClock:
             raise ParameterError(f"time went back: got {now} ns, {-ticks} ticks before the last call")
         self.tick = tick
         return ticks
+
+    def require_finite(self, name: str, values: Iterable[float]) -> None:
+        """Refuse values given from outside, before anything moves.
+
+        Raises:
+            ParameterError: A value is not finite.
+        """
+        for value in values:
+            if not math.isfinite(value):
+                raise self.not_finite(name, value)
+
+    def not_finite(self, name: str, value: float) -> ParameterError:
+        """Return the error about a value from outside that is not finite."""
+        now = self.tick * self.tick_time
+        text = f"plant at {now:.6g} s: got {name} {value}, expected a finite number"
+        return ParameterError(f"{text}; see what computed it")

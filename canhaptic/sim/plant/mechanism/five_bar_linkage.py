@@ -632,7 +632,12 @@ class FiveBarMotion(SampleClock):
         return self._place.pose.handle
 
     def move_hand(self, x: float, y: float) -> None:
-        """Move the rest of a hand without motion to a position [m] for the following holds; only between two holds."""
+        """Move the rest of a hand without motion to a position [m] for the following holds; only between two holds.
+
+        Raises:
+            ParameterError: The position is not finite.
+        """
+        self.require_finite("hand position", (x, y))
         self.settings = replace(self.settings, hand=replace(self.settings.hand, rest_x=x, rest_y=y))
 
     def force_of(self, torques: tuple[float, ...]) -> Pair:
@@ -655,8 +660,10 @@ class FiveBarMotion(SampleClock):
         """Move to `now` [ns] under torques [N*m] that were constant since the last call.
 
         Raises:
-            ParameterError: `now` lies before the last call, or the links are pushed through a singular pose.
+            ParameterError: `now` lies before the last call, a torque is not finite, or the links are pushed through a
+                singular pose.
         """
+        self.require_finite("torque", torques)
         begin = self.tick
         ticks = self.pass_until(now)
         if ticks:

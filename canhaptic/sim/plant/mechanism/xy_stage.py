@@ -117,16 +117,22 @@ class XYMotion(AutomatonClock):
         return x, y
 
     def move_hand(self, x: float, y: float) -> None:
-        """Move a `PointerTaskHand` to a position [m] for the following holds; only between two holds."""
+        """Move a `PointerTaskHand` to a position [m] for the following holds; only between two holds.
+
+        Raises:
+            ParameterError: The position is not finite.
+        """
+        self.require_finite("hand position", (x, y))
         self._machine.set_states({"x_hand_place": x, "y_hand_place": y})
 
     def advance_to(self, now: int, torques: Sequence[float]) -> None:
         """Move to `now` [ns] under forces [N] that were constant since the last call.
 
         Raises:
-            ParameterError: `now` lies before the last call.
+            ParameterError: `now` lies before the last call, or a force is not finite.
             EventLimitError: One sample time has more than 1000 events.
         """
+        self.require_finite("force", torques)
         before = self.tick
         ticks = self.pass_until(now)
         if ticks:
