@@ -16,6 +16,15 @@ _WATCHDOG: Final = 0.01  # [s], or so many sample times
 _PERIODS_WATCHED: Final = 10
 
 
+def on_both(values: Mapping[str, Any], effects: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Returns a scene of several axes whose last drive stays on a CAN bus, and the others are on a line."""
+    found = on_ethercat(values, effects)
+    found["bus"] = [{**found["bus"], "name": "line"}, {"name": "can", "interface": "virtual"}]
+    *_, last = values["axes"]
+    found["axes"] = [*({**axis, "bus": "line"} for axis in found["axes"][:-1]), {**last, "bus": "can"}]
+    return found
+
+
 def on_ethercat(values: Mapping[str, Any], effects: Mapping[str, Any] | None = None, **line: Any) -> dict[str, Any]:
     """Returns a scene with its drives on a line, in the order of their axes.
 

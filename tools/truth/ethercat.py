@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from tools.on_ethercat import on_ethercat
+from tools.on_ethercat import on_both, on_ethercat
 from tools.truth.judge import Outcome, judged
 from tools.truth.scenes import TruthScene, random_scene
 
@@ -17,7 +17,7 @@ _NOT_THERE: Final = frozenset(("group:xy_box", "group:five_bar", "rpdo:event", "
 
 
 def ethercat_scene(seed: int) -> TruthScene:
-    """Returns the scene of a seed, with the faults of its line."""
+    """Returns the scene of a seed, with the faults of its line; half of the groups have an axis on a CAN bus."""
     scene = random_scene(seed)
     while scene.tags & _NOT_THERE or "mechanisms" in scene.values["simulation"]:
         scene = random_scene(scene.seed + _APART)
@@ -28,7 +28,10 @@ def ethercat_scene(seed: int) -> TruthScene:
         if chance.random() < _EACH:
             effects[key] = float(10.0 ** chance.uniform(-3.0, -1.7))
             tags.add(f"frames:{key}")
-    return replace(scene, seed=seed, values=on_ethercat(scene.values, effects), tags=frozenset(tags))
+    is_split = len(scene.values["axes"]) > 1 and seed % 2 == 1
+    tags |= {"bus:both"} if is_split else set()
+    values = (on_both if is_split else on_ethercat)(scene.values, effects)
+    return replace(scene, seed=seed, values=values, tags=frozenset(tags))
 
 
 def outcome_of(seed: int) -> Outcome:
