@@ -18,6 +18,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.safety.power_states import TORQUE_FREE
 from canhaptic.errors import InputError, RigError, SdoError, StartError
+from canhaptic.scene.buses import PLACES, kind_of
 from canhaptic.scene.models import AxisScene
 from canhaptic.sim.plant.user import SinusoidMotion
 
@@ -62,8 +63,12 @@ def identify(session: Session) -> None:
     Raises:
         StartError: A drive of the configuration does not answer.
     """
-    for link in {drive.link: None for drive in session.drives}:
-        on_link = [n for n, drive in enumerate(session.drives) if drive.link is link]
+    on_can = [drive for drive in session.drives if isinstance(drive, ServoDrive)]
+    for drive in session.drives:
+        if drive not in on_can:
+            drive.bring_up().identify()  # which also makes a drive on a line answer
+    for link in {drive.link: None for drive in on_can}:
+        on_link = [n for n, drive in enumerate(session.drives) if drive in on_can and drive.link is link]
         known = [session.drives[n].axis.node_id for n in on_link]
         strangers = _scan(link, known, session.scene.bus.master_id)
         found = ", ".join(str(node) for node in sorted([*known, *strangers]))
@@ -85,9 +90,14 @@ def _presence(session: Session, axis: int, drive: ServoDrive) -> None:
         remedy = "check power, node ID, bit rate and cable"
         raise StartError(drive.axis.name, "presence", str(error), "an answer", remedy) from error
     profile = device_type & 0xFFFF
-    expected, good, text = f"{od.CIA402_PROFILE:#06x}", profile == od.CIA402_PROFILE, "no CiA 402 drive; check node_id"
+    expected, good, text = (
+        f"{od.CIA402_PROFILE:#06x}",
+        profile == od.CIA402_PROFILE,
+        "no CiA 402 drive; check its address",
+    )
     session.judged(axis, "device profile", expected, f"{profile:#06x}", good=good, text=text, fatal=True)
-    session.propose(axis, "node_id", None, comment="this drive answered")
+    place = PLACES[kind_of(drive.bus)]
+    session.propose(axis, place, None, comment="this drive answered")
 
 
 def _identity(session: Session, axis: int, drive: ServoDrive) -> None:
@@ -320,6 +330,9 @@ def _end(session: Session) -> None:
         session.rig.reset_faults()
 
 
+_COUNTS_OF_LINKS: Final = ("missed_tpdos", "late", "error_frames")
+
+
 def time_the_cycle(session: Session, seconds: float) -> None:
     """Run the whole rig at zero torque; report frame counts and, at real pace, cycle times.
 
@@ -329,9 +342,11 @@ def time_the_cycle(session: Session, seconds: float) -> None:
     before = session.rig.link_statistics()
     cycle = session.run([OpenLoop() for _ in session.axes], session.cycles(seconds))
     statistics = session.rig.link_statistics()
-    lost = {"skipped_syncs": statistics["skipped_syncs"]}  # counted from the start of a run, the others of the link
-    lost |= {name: statistics[name] - before[name] for name in ("missed_tpdos", "late", "error_frames")}
-    words = ", ".join(f"{name.replace('_', ' ')} {count:g}" for name, count in lost.items() if count)
+    counted = {"skipped_syncs": statistics["skipped_syncs"]}  # from the start of a run, those of CAN of the link
+    counted |= {name: statistics.get(name, 0) for name in ("unanswered", "low_counter")}
+    old_and_new = {name: (before.get(name, 0), statistics.get(name, 0)) for name in _COUNTS_OF_LINKS}
+    lost = counted | {name: new - old for name, (old, new) in old_and_new.items()}
+    words = ", ".join(f"{name.replace('_', ' ')} {count:g}" for name, count in lost.items() if count > 0)
     clean, found = not words, f"{cycle.cycles} cycles, {words or 'no frame lost'}"
     text = "see `canhaptic check` (bus load, host) and `canhaptic check --host`; try bus.realtime"
     session.judged(0, "cycle", f"{1.0 / session.sample_time:g} Hz", found, good=clean, text=text)

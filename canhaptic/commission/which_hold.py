@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from canhaptic.commission.session import OpenLoop, Session, StepVerdict
 from canhaptic.drive.can.bus_budget import torque_latency
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.quirks import quirks_of
 
 _Array = NDArray[np.floating[Any]]
@@ -257,17 +258,23 @@ def time_the_hold(session: Session, axis: int, law: OpenLoop, half_base: int) ->
         half_base: Half the length of a window [sample times].
     """
     drive, period = session.drives[axis], session.sample_time
-    maps = [other.map for other in session.drives if other.link is drive.link]
     positions, booked = law.regular_positions(_BEFORE) / session.encoder_ratios[axis], np.array(law.applied)
     declared = as_declared(session, axis, law)
     motion = estimate_delay(positions, declared, period, half_base)
-    hold = None if motion is None else motion.hold(torque_latency(drive.bus, maps) / period)
+    hold = None if motion is None else motion.hold(_latency(session, drive) / period)
     if drive.map.read_back == "none":
         return HoldTimes(motion, None, None, hold, is_read_back=False)
     later = session.axes[axis].loop.delay + 1
     shown = _age(np.concatenate([declared[later:], np.zeros(later)]), booked)
     against = estimate_delay(positions, booked, period, half_base)
     return HoldTimes(motion, None if shown is None else shown - later, against, hold, is_read_back=True)
+
+
+def _latency(session: Session, drive: Any) -> float:
+    """Return the longest time from a SYNC until the torque that answers it has arrived [s]; 0 on a line."""
+    if not isinstance(drive, ServoDrive):
+        return 0.0
+    return torque_latency(drive.bus, [other.map for other in session.drives if other.link is drive.link])
 
 
 def as_declared(session: Session, axis: int, law: OpenLoop) -> _Array:

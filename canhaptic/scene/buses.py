@@ -47,6 +47,14 @@ def part(kind: str, name: str) -> Any:
     return load(BUSES[kind], name, f"part of a bus {kind}")
 
 
+def model_on(section: MarkedMapping, model: type) -> type:
+    """Return the model of the section of a bus or of an axis on its kind of bus, in place of that of CAN."""
+    if section.bus_kind == "can":
+        return model
+    names = (name for name in ("bus", "axis") if part("can", name) is model)
+    return next((part(section.bus_kind, name) for name in names), model)
+
+
 def read_bus(value: object, read: ValidatorFunctionWrapHandler, info: ValidationInfo[UnitContext]) -> object:
     """Read the section of a bus with the model of its kind."""
     return _read("bus", value, read, info)

@@ -10,6 +10,7 @@ from pydantic_core import ErrorDetails
 
 from canhaptic.axis_units import Motion
 from canhaptic.registry import unknown_key
+from canhaptic.scene.buses import model_on
 from canhaptic.scene.components import READY, ComponentOf
 from canhaptic.scene.document import NOTED, Diagnostics, MarkedList, MarkedMapping, SourceLocation
 from canhaptic.units import OnDemand, Quantity, fault_text, parts_of, shown
@@ -151,7 +152,7 @@ def _model_in(annotation: object, section: MarkedMapping, owner: type | None) ->
         if isinstance(part, OnDemand):
             return part.model_of(), ()
         if isinstance(part, type) and (issubclass(part, BaseModel) or dataclasses.is_dataclass(part)):
-            return part, ()
+            return model_on(section, part), ()
     return owner, ()
 
 

@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from canhaptic.audit.inspection import inspect
+from canhaptic.cli.main import main
 from canhaptic.control.verdict import COUNTS_DISAGREE
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import HoldsContradictedError, InputError, SceneError
@@ -151,7 +152,10 @@ def test_each_kind_of_bus_has_its_own_faults_in_one_rig() -> None:
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ("bus.bitrate=500000", "bus.bitrate: unknown key"),
+        ("bus.node=1", "bus.node: unknown key; expected one of: assign_activate, frames, "),
+        ("bus.sync=sm2", "bus.sync: got 'sm2', expected 'dc'"),
+        ("bus.startup=[]", "startup: a line has none.*drive_objects of the axis"),
+        ("bus.rate=100 Hz", "watchdog is 10 ms, expected at least 30 ms, 3 sample times at 100 Hz"),
         ("bus.type=profinet", "bus.type: got 'profinet', expected one of: can, ethercat"),
         ("axes.0.position=2", r"got axes at positions \[2\] of the line, expected 0 to 0"),
         ("axes.0.esi=nothing.xml", "axes.0.esi: got 'nothing.xml', no such file.*ESI"),
@@ -185,6 +189,17 @@ def test_a_bus_log_of_a_line_and_a_can_bus_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_a_rig_on_a_line_is_commissioned_as_on_can_and_its_hold_is_confirmed_at_the_next_start(tmp_path: Path) -> None:
+    done = tmp_path / "done.yaml"
+    assert main(["commission", str(SCENE), "--yes", "--duration", "1", "--out", str(done)]) == 0
+    experiment = build(load_scene(done, [SOON]))
+    account, error = experiment.run_through(250)
+    assert error is None
+    assert account["ports"]["handle"]["hold"] == "checked at commissioning"
+    assert account["ports"]["handle"]["verdict"] == "yes"
+
+
 def test_a_can_rig_loads_nothing_of_ethercat() -> None:
     modules = loaded_modules(ROOT, scene=str(TWIN), duration=0.02)
     assert "canhaptic.drive.can.servo_drive" in modules

@@ -470,10 +470,7 @@ class CanBringUp(BringUp):
         self._sync_period()
         drive = self._drive
         rpdo_type = pdo_map.rpdo_transmission_type(drive.bus, drive.axis)
-        if drive.axis.hold_checked:
-            with self.step("identity"):
-                if drive.axis.hold_checked == drive.signature():
-                    drive.hold = f"checked at {'this start' if drive.axis.check_hold else 'commissioning'}"
+        self._confirm_hold()
         with self.step("PDO map"):
             expect, deadline = partial(self.expect, "PDO map"), self._rpdo_deadline()
             pdo_map.write_map(drive.sdo, drive.map, rpdo_type, expect, deadline, clears=drive.identifies)

@@ -88,6 +88,7 @@ class EthercatBringUp(BringUp):
 
     def _map(self) -> None:
         drive = self._drive
+        self._confirm_hold()
         expect = partial(self.expect, "process data map")
         with self.step("process data map"):
             for item in getattr(drive.dictionary, "startup", ()):

@@ -1,7 +1,10 @@
 """Keys of an EtherCAT line and of an axis on it."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self
+
+from pydantic import model_validator
 
 from canhaptic.canopen.esi import EsiDictionary, read_esi
 from canhaptic.drive.cycle_parameters import CycleParameters
@@ -10,6 +13,7 @@ from canhaptic.units import PrintablePath, PrintableText, quantity
 
 _MAIL_NS: Final = 10_000_000  # between two looks: into a mailbox for an emergency, or at the clock of a drive
 _QUIET_NS: Final = 100_000_000
+_FEWEST_WATCHED: Final = 3
 
 
 class EthercatBusParameters(CycleParameters):
@@ -25,10 +29,29 @@ class EthercatBusParameters(CycleParameters):
     torque acts one hold later."""
     phase: Annotated[float, quantity("1", ge=0.05, le=0.5)] = 0.25
     """Time after SYNC0 at which the first frame passes the reference clock, as a fraction of the sample time."""
+    sync: Literal["dc"] = "dc"
+    """What begins a hold: `dc`, SYNC0 of the distributed clock. With others (`sm2`, `free`) it would be unknown."""
     watchdog: Annotated[float, quantity("s", ge=1e-3, le=6.0)] = 0.01
-    """Time without a frame after which a drive itself takes its torque away (sync manager watchdog)."""
+    """Time without a frame after which a drive itself takes its torque away (sync manager watchdog); at least 3 sample
+    times, so that no single lost frame ends the run."""
     assign_activate: Annotated[int, quantity("1", ge=0, le=0xFFFF)] | None = None
     """AssignActivate of the drives (0x0980), which starts SYNC0; None: of each ESI, else 0x0300."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_no_startup(cls, values: Any) -> Any:
+        if isinstance(values, Mapping) and "startup" in values:
+            text = "startup: a line has none: those of the ESI are sent by themselves, and further writes at the start"
+            raise ValueError(f"{text} are drive_objects of the axis")
+        return values
+
+    @model_validator(mode="after")
+    def _check_watchdog(self) -> Self:
+        least = _FEWEST_WATCHED * self.sample_time
+        if self.watchdog < least:
+            text = f"watchdog is {1e3 * self.watchdog:g} ms, expected at least {1e3 * least:.4g} ms, {_FEWEST_WATCHED}"
+            raise ValueError(f"{text} sample times at {self.rate:g} Hz; raise watchdog or rate")
+        return self
 
     @property
     def channel(self) -> None:

@@ -416,6 +416,14 @@ class BringUp(ABC):
             self._write_confirmed("watchdog", od.ABORT_CONNECTION_OPTION, 0, drive.quirks.abort_connection_option)
         self._arm()
 
+    def _confirm_hold(self) -> None:
+        """Note that a test has confirmed the hold of this drive, with this map and rate; raise StartError."""
+        drive = self._drive
+        if drive.axis.hold_checked:
+            with self.step("identity"):
+                if drive.axis.hold_checked == drive.signature():
+                    drive.hold = f"checked at {'this start' if drive.axis.check_hold else 'commissioning'}"
+
     def _interpolation_period(self) -> None:
         drive = self._drive
         index = od.INTERPOLATION_PERIOD

@@ -256,6 +256,10 @@ class TorqueAxis(ABC):
         """Return the steps that start the drive in its mode: a `BringUp`."""
 
     @abstractmethod
+    def signature(self) -> str:
+        """Return a text that identifies drive, process data and rate: a hold test is valid for it; raise SdoError."""
+
+    @abstractmethod
     def now(self) -> int:
         """Return the time [ns]."""
 
