@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from canhaptic.errors import LogFormatError
-from canhaptic.logs.bus_reader import Remarks, read_bus_log
+from canhaptic.logs.bus_reader import Remarks, is_capture, read_bus_log
 from canhaptic.logs.decoder import BusDecoder
 from canhaptic.logs.text_lines import UNTIMED
 from canhaptic.scene.load import load_scene
@@ -22,6 +22,8 @@ def execute(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: The log or the scene cannot be used.
     """
+    if is_capture(arguments.bus_log):
+        return _print_capture(arguments)
     scene = None if arguments.config is None else load_scene(arguments.config, leave_code=True)
     remarks, seen = Remarks(), dict[str, None]()
     only = {kind.lower() for kind in arguments.only or ()}
@@ -33,6 +35,32 @@ def execute(arguments: argparse.Namespace) -> int:
         write_note(f"  no frame matches --only {', '.join(arguments.only)}; it has {', '.join(seen) or 'no frame'}")
     for remark in remarks.lines():
         write_note(f"  {remark}")
+    return 0
+
+
+def _print_capture(arguments: argparse.Namespace) -> int:
+    """Print the datagrams of a capture of Ethernet, one line each; return 0."""
+    from canhaptic.drive.ethercat.segment import al_text
+    from canhaptic.logs.ethercat_frames import command_name, datagram_text, datagrams_of, read_capture
+
+    frames = read_capture(arguments.bus_log)
+    first, others, unknown = frames[0].time if frames else 0, 0, 0
+    for number, (time, content) in enumerate(frames, 1):
+        found, seconds = datagrams_of(content), (time - first) * 1e-9
+        others += found is None
+        if (arguments.start or 0.0) > seconds or (arguments.stop is not None and seconds >= arguments.stop):
+            continue
+        for of in found or ():
+            name, text = command_name(of.command), datagram_text(of, al_text)
+            unknown += name == "unknown"
+            told = {"time": seconds, "frame": number, "command": name, "address": of.address, "offset": of.offset,
+                    "data": of.data.hex(), "counter": of.counter, "text": text}  # fmt: skip
+            place = f"{of.address:#06x} {of.offset:#06x}"
+            plain = f"{seconds:>14.6f} {number:>6} {name:<4} {place} wkc {of.counter} {text}".rstrip()
+            write_line(json.dumps(told) if arguments.json else plain)
+    for count, what in ((others, "frames are not EtherCAT, or damaged"), (unknown, "commands are unknown")):
+        if count:
+            write_note(f"  {count} {what}")
     return 0
 
 

@@ -31,6 +31,7 @@ _LONGEST: Final = 4096  # letters of a line
 _LONGEST_SILENCE: Final = 10_000_000_000  # [ns]; a longer one is said
 _LOOKED_AT: Final = 4096  # frames, from which it is judged whether their times are differences
 _SOLE_SUFFIXES: Final = frozenset({".log", ".txt", ".csv", ".candump"})
+_CAPTURES: Final = frozenset({".pcap", ".pcapng", ".cap"})
 _CSV_OF_PYTHON_CAN: Final = b"timestamp,arbitration_id,"
 _LOOKS_LIKE_A_FRAME: Final = {
     ".asc": re.compile(r"\s*\d+[.,]\d+\s+(?:CANFD\s+)?\d+\s+(?:\S+\s+(?:Rx|Tx)|ErrorFrame)", re.IGNORECASE),
@@ -159,7 +160,12 @@ def read_bus_log(path: str | Path, remarks: Remarks | None = None) -> Iterator[F
 
 def is_bus_log(path: Path) -> bool:
     """Return whether the name of a file is that of a bus log."""
-    return _suffix(path) in CONVERTIBLE | _SOLE_SUFFIXES
+    return _suffix(path) in CONVERTIBLE | _SOLE_SUFFIXES or is_capture(path)
+
+
+def is_capture(path: Path) -> bool:
+    """Return whether the name of a file is that of a capture of Ethernet."""
+    return _suffix(path) in _CAPTURES
 
 
 def _suffix(path: Path) -> str:

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from canhaptic.far.parameters import FarParameters
     from canhaptic.far.side import FarSide, Transport
     from canhaptic.logs.frame_log import FrameLog, LoggedFrame, RecordedLine
+    from canhaptic.logs.tap import Tap
     from canhaptic.logs.writer_process import BusLogWriter, EnergyLogWriter
     from canhaptic.scene.coupled import CoupledCycle
     from canhaptic.scene.own_code import CodeProcess
@@ -214,7 +215,10 @@ def _faulty_buses(scene: Scene, buses: "Sequence[can.BusABC | None]", stack: Exi
 ToFar: TypeAlias = "tuple[Transport, Callable[[], int] | None]"
 """What carries packets to a far side, and the random numbers of its sessions; None: of the system."""
 _Pace = Literal["real", "free"]
-_FRAME_LOGS: Final = {"new": "canhaptic.logs.frame_log:FrameLog"}  # imported only for a line that is logged
+_FRAME_LOGS: Final = {
+    "new": "canhaptic.logs.frame_log:FrameLog",
+    "tap": "canhaptic.logs.tap:Tap",
+}  # imported only for a line that is logged
 
 
 class Experiment:
@@ -232,6 +236,7 @@ class Experiment:
         bus_log: Bus log of CAN buses, with every frame; None without one.
         far: Link to a far side; None without one.
         frame_log: Log of an EtherCAT line, with every frame; None without one.
+        tap: Process that logs the interface of an EtherCAT line; None without one.
         played: Log of a line that is played in its place; None without one.
         code: Process in which user code runs; None where it runs in the cycle, or there is none.
     """
@@ -288,6 +293,7 @@ class Experiment:
         self.energy_log: EnergyLogWriter | None = None
         self.bus_log: BusLogWriter | None = None
         self.frame_log: FrameLog | None = None
+        self.tap: Tap | None = None
         self.played: RecordedLine | None = None
         if not (energy_log or bus_log):
             return
@@ -297,7 +303,10 @@ class Experiment:
         if energy_log:
             self.energy_log = open_energy_log(scene, meters, energy_log, pace, lose, dry_run=dry_run)
             stack.callback(self.energy_log.close, "failed")
-        if bus_log and kind_of(scene.bus) != "can":
+        if bus_log and kind_of(scene.bus) != "can" and not scene.simulated:
+            self.tap = load(_FRAME_LOGS, "tap", "log")(scene.bus.interface, bus_log)
+            stack.callback(self.tap.close)
+        elif bus_log and kind_of(scene.bus) != "can":
             self.frame_log = stack.enter_context(load(_FRAME_LOGS, "new", "log")(bus_log))
         elif bus_log:
             self.bus_log = open_bus_log(scene, bus_log, pace, lose)
