@@ -6,6 +6,7 @@ changed setting, with the errors against the ideal display, the mass felt and th
 """
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -116,8 +117,9 @@ def _draw_ladder(panel: "Axes", result: Row, price: str, error: str) -> None:
     for method in dict.fromkeys(row["method"] for row in result["plant"]):
         colour, marker = _STYLES[method]
         lines = _lines([row for row in stable if row["method"] == method])
-        lost = sum(row["method"] == method and row["status"] != "ok" for row in result["plant"])
-        label = f"{method} ({lost} unstable)" if lost else method
+        ends = (row["status"].partition(":")[0] for row in result["plant"] if row["method"] == method)
+        lost = ", ".join(f"{number} {status}" for status, number in Counter(ends).items() if status != "ok")
+        label = f"{method} ({lost})" if lost else method
         for number, own in enumerate(lines or [[]]):
             panel.plot(
                 [row[price] for row in own], [max(row[error], floor) for row in own], marker=marker, color=colour,

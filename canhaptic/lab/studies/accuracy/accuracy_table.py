@@ -276,23 +276,26 @@ def _loop_advice(result: Row) -> str:
         finer = [r for r in result["loop"] if r["group"] == row["group"] and (r["fineness"] or 0.0) > row["fineness"]]
         return bool(row["fineness"] > 1.0 and all(is_nearer(other) for other in finer if other["status"] == "ok"))
 
-    nearer, judged = [], result.get("judged", "")
-    for row in sorted((row for row in result["loop"] if row["bus_fits"] and is_nearer(row) and lasts(row)), key=_error):
-        if row["setting"] == "unprotected":
-            continue  # nearer, but no advice: it removes the protection
-        given = max(0.0, row["energy_given_out"])
-        out = f", gives out {si(given, 'J', 2)}" if given > PASSIVE_TOLERANCE else ""
-        load = f"bus {100.0 * row['bus_load']:.0f} %"
-        if row["group"] == "algorithm" and base["setting"] == _KEPT_BY:
-            out = f"{out}, leaves {_KEPT_BY} and its guarantee"
-        nearer.append(f"{row['group']}: {row['setting']} ({length(row['position_error'], unit)}, {load}{out})")
+    judged = result.get("judged", "")
+    named = (row for row in result["loop"] if row["setting"] != "unprotected")  # no advice: it removes the protection
+    nearer = sorted((row for row in named if row["bus_fits"] and is_nearer(row) and lasts(row)), key=_error)
     if not nearer:
         none = "no single change that fits the bus brings it clearly closer to the continuous-time loop"
         return f"loop: {judged or none}"
     said = f"{judged}: " if judged else ""
     distance = length(base["position_error"], unit)
-    best_first = "; ".join(nearer[:_SHOWN])
+    best_first = "; ".join(_change(row, base, unit) for row in nearer[:_SHOWN])
     return f"loop: {said}{distance} from the continuous-time loop. Changes that bring it closer: {best_first}"
+
+
+def _change(row: Row, base: Row, unit: str) -> str:
+    """Return a change of the loop in words, with its error and what it costs."""
+    given = max(0.0, row["energy_given_out"])
+    out = f", gives out {si(given, 'J', 2)}" if given > PASSIVE_TOLERANCE else ""
+    if row["group"] == "algorithm" and base["setting"] == _KEPT_BY:
+        out = f"{out}, leaves {_KEPT_BY} and its guarantee"
+    load = f"bus {100.0 * row['bus_load']:.0f} %"
+    return f"{row['group']}: {row['setting']} ({length(row['position_error'], unit)}, {load}{out})"
 
 
 def _without_effect(result: Row) -> set[str]:
