@@ -63,6 +63,13 @@ def fresh_writer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(WriterProcess, "_spawn", _FRESH)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_pycollect_makeitem(collector: pytest.Module | pytest.Class, obj: object) -> list[pytest.Item] | None:
+    """Makes no items of a slow function for `-m "not slow"`: two workers made 4000 each, to leave them out."""
+    is_slow = any(mark.name == "slow" for mark in getattr(obj, "pytestmark", ()))
+    return [] if is_slow and collector.config.option.markexpr == "not slow" else None
+
+
 @pytest.hookimpl(tryfirst=True)  # before `-m` chooses
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Marks single cells of a parametrized test as slow: those of `slow_for`, or all but those of `slow_but`.

@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
 
 from canhaptic.view.picture_style import BLUE, GREEN, PALE, STYLE, VERMILION
 from tools.bench.report import RESULTS, write_result
@@ -91,6 +89,9 @@ def draw(name: str, runs: Mapping[str, Record], path: Path) -> None:
         path: The picture.
     """
     figure = FIGURES[name]
+    import matplotlib as mpl  # a second, for who asks for a name of this module alone
+    from matplotlib.figure import Figure
+
     with mpl.rc_context(STYLE):
         sheet = Figure(figsize=(11.0, 5.0), dpi=100, layout="constrained")
         panels: Any = sheet.subplots(2, len(figure.drawn), sharex=True, sharey="row", height_ratios=(3, 2))

@@ -161,6 +161,7 @@ def test_no_check_passes_on_a_log_that_holds_no_cycle(tmp_path: Path) -> None:
             check(result, expression)
 
 
+@pytest.mark.slow
 def test_a_log_that_holds_no_cycle_shows_no_zeros(log: Path, tmp_path: Path, capsys: Captured) -> None:
     write_run(tmp_path / "cut.h5", 0)
     with h5py.File(tmp_path / "cut.h5", "r+") as file:
@@ -440,6 +441,7 @@ def test_the_command_prints_tables_that_fit_a_hundred_columns(log: Path, capsys:
         assert words in text
 
 
+@pytest.mark.slow
 def test_the_command_exits_with_one_when_a_check_or_comparison_fails(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -84,6 +84,7 @@ def test_a_bus_log_alone_can_be_inspected_with_its_scene(
     assert re.search(r"\b080 .*SYNC", capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_another_scene_is_refused(logs: tuple[Path, Path], tmp_path: Path) -> None:
     other = tmp_path / "other.yaml"
     other.write_text(DEMO.read_text().replace("stiffness: ", "stiffness: 1"))
@@ -142,6 +143,7 @@ def test_rows_that_are_missing_are_no_mismatch_but_counted(
     assert "900 cycles recomputed, equal bit for bit; then a SYNC was skipped" in shown()
 
 
+@pytest.mark.slow
 def test_the_account_is_derived_where_syncs_were_skipped_and_up_to_the_last_answer(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -190,6 +190,7 @@ def test_check_names_the_axes_of_a_limit_that_one_of_them_does_not_have(
     assert len([line for line in lines if line.startswith("  every axis")]) == 1
 
 
+@pytest.mark.slow
 def test_check_prints_configuration_bus_drives_stability_and_host(capsys: Captured) -> None:
     assert main(["check", DEMO]) == 0
     assert len(capsys.readouterr().out.splitlines()) <= 40
@@ -300,6 +301,7 @@ def test_inspect_reads_what_run_wrote(capsys: Captured, tmp_path: Path) -> None:
     assert main(["inspect", str(tmp_path / "none.h5")]) == 2
 
 
+@pytest.mark.slow
 def test_decode_names_the_frames_that_run_wrote(capsys: Captured, tmp_path: Path) -> None:
     log = str(tmp_path / "a.log")
     assert main(["run", *SHORT, "--json", "--bus-log", log]) == 0
@@ -366,6 +368,7 @@ def test_run_reads_hdf5_only_where_it_has_a_log_to_look_at(tmp_path: Path, words
     assert set(done.stderr.splitlines()[-1].split()) == needed
 
 
+@pytest.mark.slow
 def test_check_says_the_load_of_the_bus_once_and_one_approach_speed(capsys: pytest.CaptureFixture[str]) -> None:
     """The speed that needs no stored energy is another figure, which `--full` alone shows."""
     assert main(["check", DEMO]) == 0

@@ -92,6 +92,7 @@ def test_a_scene_runs_without_the_value_of_one_object(section: str, tmp_path: Pa
     runs(eds, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_scene_runs_for_a_dictionary_with_empty_entries(tmp_path: Path) -> None:
     runs(TRAITS / "empty_entries.eds", tmp_path)
 

@@ -26,6 +26,7 @@ HEAVY = (
 )
 
 
+@pytest.mark.slow
 def test_help_imports_nothing_that_a_command_needs_to_work() -> None:
     program = (
         "import sys\nfrom canhaptic.cli.main import main\nfor command in sys.argv[1:]:\n    try:\n"

@@ -3,6 +3,7 @@
 import re
 import struct
 from collections.abc import Callable, Sequence
+from functools import cache
 
 import can
 import pytest
@@ -86,6 +87,14 @@ def torques(frames: Sequence[can.Message]) -> list[int]:
     return [struct.unpack("<h", frame.data[2:4])[0] for frame in frames if frame.arbitration_id == 0x201]
 
 
+@cache
+def turned(wrong: str) -> tuple[Report, list[can.Message]]:
+    """The session of a drive of which one direction is reversed, and its frames."""
+    reports: list[Report] = []
+    frames = frames_of(lambda at: reports.append(commissioned(at, f"simulation.drive.reversed={wrong}")), "turned")
+    return reports[0], frames
+
+
 def test_a_right_configuration_agrees_in_everything_and_no_torque_exceeds_what_was_announced() -> None:
     report, (missing, error), frames = whole_session()
     assert (missing, error) == ([], None)
@@ -119,7 +128,7 @@ def test_a_drive_mounted_the_other_way_round_wants_direction_minus_one() -> None
 @pytest.mark.slow_but("torque")
 @pytest.mark.parametrize("wrong", ["torque", "encoder"])
 def test_a_motor_that_turns_against_its_encoder_gets_no_more_torque(wrong: str) -> None:
-    report = commissioned(f"simulation.drive.reversed={wrong}")
+    report, _ = turned(wrong)
     assert row(report, "torque sign").verdict is StepVerdict.FAILED
     assert not [finding for finding in report.findings if finding.item == "moving mass"]
     assert report.failed
@@ -238,7 +247,7 @@ def test_no_torque_exceeds_a_lower_limit(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_the_first_torque_is_one_count_of_the_drives_target_and_each_pulse_at_most_doubles_it() -> None:
-    frames = frames_of(lambda at: commissioned(at, "simulation.drive.reversed=torque"), "first")
+    _, frames = turned("torque")
     sizes = [abs(torque) for torque in torques(frames) if torque]
     assert sizes[0] == 1  # per mille of the rated torque
     assert all(after <= 2 * max(sizes[: place + 1]) for place, after in enumerate(sizes[1:]))

@@ -93,6 +93,7 @@ def test_a_weight_on_its_support_is_lifted_and_let_down(rated: tuple[str, ...], 
     assert float(ratio) == pytest.approx(2.0 if rated else 1.0, rel=0.08)
 
 
+@pytest.mark.slow
 def test_without_a_means_no_more_torque_is_sent_and_nothing_is_finished() -> None:
     report, sent, _ = report_of(means="no")
     assert found(report)[1] is StepVerdict.UNKNOWN

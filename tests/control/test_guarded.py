@@ -159,7 +159,7 @@ def test_beyond_the_declared_force_the_loss_of_a_hold_is_bounded_and_paid_back(d
     assert surplus[-1] <= 0.1 * sum(deficits)
 
 
-@pytest.mark.slow_but("1000*-0")
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("stiffness", [1000.0, 5000.0])
 def test_after_long_tremor_the_wall_has_the_stiffness_asked(stiffness, delay):

@@ -23,6 +23,7 @@ def settle(controller, rate, *, force=1.0, seconds=6.0, damping=0.1, delay=0, co
     return -statistics.fmean(last), max(last) - min(last), truth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [0.0, 0.01])
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("hand_force", [None, 0.0, 5.0])

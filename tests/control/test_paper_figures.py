@@ -61,6 +61,7 @@ def test_the_papers_force_varies_less_than_one_and_a_half_times_the_continuous_w
 
 
 # 10 Ns/m at 40 Hz with one sample of delay is beyond any sampled damper on 0.25 kg: there the cap is needed.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wall", "rate", "mass"),
     [
@@ -77,6 +78,7 @@ def test_with_one_sample_of_delay_the_force_varies_less_than_three_times(referen
     assert variation_ratio(run, reference, wall) < 3.0
 
 
+@pytest.mark.slow
 def test_booking_the_newest_damper_effort_instead_would_ring_with_one_sample_of_delay(reference, monkeypatch):
     """Trap 11: the printed H_R, with the velocity of the newest command, at 1 kHz."""
 

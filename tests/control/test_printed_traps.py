@@ -27,6 +27,7 @@ def rms_error(wall, delay=0, rate=100):
     return math.sqrt(np.mean((run.position - np.interp(run.time, times, position)) ** 2))
 
 
+@pytest.mark.slow
 def test_1_the_state_of_an_energy_printed_positive_throws_the_user_about():
     class Printed(SpringDamperWall):
         def state_of_energy(self, energy, like):

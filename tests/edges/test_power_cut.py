@@ -73,6 +73,7 @@ def test_what_a_power_cut_leaves_is_read_refused_or_saved_up_to_the_damage(
         assert log.changed_rows() == []
 
 
+@pytest.mark.slow
 def test_a_library_that_sleeps_for_ever_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "run.h5"
     path.write_bytes(b"a log")

@@ -40,6 +40,7 @@ def test_check_says_what_is_rendered_of_a_detent_once_the_allowance_is_spent() -
     assert "once it is spent, 0% and 0%" in wall
 
 
+@pytest.mark.slow
 def test_the_log_of_a_failed_run_says_so_first_and_ends_with_1(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -100,6 +100,7 @@ def test_every_figure_is_that_of_an_independent_simulation(scene, algorithm, del
     assert ratio == pytest.approx(np.abs(np.diff(torque)).sum(), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_the_energy_believed_is_that_of_the_whole_torque_with_a_modulated_damper_too(scene):
     damped = scene("passivity={algorithm: internal_dissipation, alpha: 1e6 s/m^2, moving_mass: 0.25}", "bus.rate=100")
     run = compare(damped, ["internal_dissipation"], repeats=0).axes[0].runs["internal_dissipation"]
@@ -107,6 +108,7 @@ def test_the_energy_believed_is_that_of_the_whole_torque_with_a_modulated_damper
     assert run.believed_error < 2e-8  # half a count of 1 nm times the variation of the torque
 
 
+@pytest.mark.slow
 def test_what_the_continuous_axis_still_moves_is_no_limit_cycle():
     time = np.arange(5000) * 1e-3
     ring = 5e-5 * np.sin(60.0 * time)
@@ -147,6 +149,7 @@ def test_there_are_at_least_ten_hard_scenes():
     assert len(HARD) >= 10
 
 
+@pytest.mark.slow
 def test_a_wall_that_rings_out_of_the_room_is_reported_as_diverged(scene):
     chosen = scene("environment.damping=600", "axes.0.torque_limit=1e5", "bus.rpdo=synchronous")
     found = account(chosen, "unprotected")
@@ -185,6 +188,7 @@ def test_at_rest_the_stiffness_is_that_of_the_wall_and_nothing_cycles(scene):
     assert account(scene(), "unprotected")["stiffness_at_rest"] is None  # a hand that moves has no rest
 
 
+@pytest.mark.slow
 def test_a_run_that_stops_has_a_code_and_its_reason_is_a_remark(scene):
     fine = "axes.0.counts_per_unit=1e6", "bus.rpdo=synchronous", "axes.0.speed_limit=0.01 m/s"
     found = account(scene(*fine, "axes.0.rated_torque=10 N"), "unprotected", duration=0.5, over_can=True)
@@ -262,6 +266,7 @@ def test_table_and_json_show_every_algorithm(scene):
         assert comparison.result["axes"]["handle"]["algorithms"][name]["microseconds_per_step"] > 0.0
 
 
+@pytest.mark.slow
 def test_a_picture_that_cannot_be_written_or_has_nothing_to_show_is_refused(scene, tmp_path):
     comparison = compare(scene(), ["unprotected"], duration=0.1, repeats=0)
     with pytest.raises(InputError, match="cannot be written"):
@@ -287,6 +292,7 @@ def test_many_algorithms_are_drawn_in_bands_below_each_other(scene, monkeypatch)
     assert {panel.texts[0].get_text() for panel in shown.values()} == {"passive"}
 
 
+@pytest.mark.slow
 def test_each_column_of_a_picture_says_whether_its_algorithm_gave_energy_out(monkeypatch):
     scene, kept = load_scene(REPOSITORY / "configs" / "hard" / "stiff_wall.yaml"), []
     comparison = compare(scene, ["unprotected", "guarded"], duration=0.6, repeats=0)

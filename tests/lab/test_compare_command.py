@@ -42,11 +42,13 @@ def test_json_is_one_object_and_the_picture_is_written(capsys, tmp_path):
     assert picture.stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_over_can_from_the_command_line(capsys):
     assert main(["compare", FIGURE, "--duration", "1.2 s", "--algorithms", "unprotected", "--can", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["path"] == "can"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -41,6 +41,7 @@ def test_the_table_shows_the_algorithm_that_gives_energy(capsys: pytest.CaptureF
     assert (guarded, plain, scaled[0]) == ("0", "0", "-")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "message"),
     [

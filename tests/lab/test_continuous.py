@@ -32,7 +32,7 @@ def reference(environment, cycles=1500, effects=()):
     return continuous_reference(environment, PLANT, USER, effects, MS, cycles)
 
 
-@pytest.mark.slow_but("50.0-*")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stiffness", "damping", "surface"), [(1000.0, 5.0, 0.0), (1e5, 50.0, 0.002), (50.0, 0.0, -0.01)]
 )
@@ -97,6 +97,7 @@ def test_a_bristle_slides_at_its_limit_and_lets_go_at_the_reversal():
     assert np.abs(found.fine_torque).max() < 1.5 + 0.5 * 0.3
 
 
+@pytest.mark.slow
 def test_a_recorded_hand_moves_the_judge_as_it_moves_the_plant():
     motion = RecordedMotion.model_construct(type="recorded")
     motion._rows = ((0.0, 0.0), (0.05, 0.01), (0.12, -0.004), (0.2, 0.002))

@@ -26,6 +26,7 @@ def test_check_returns_what_the_command_prints(capsys: pytest.CaptureFixture[str
     assert found.keys() == printed.keys()
 
 
+@pytest.mark.slow
 def test_a_change_reaches_the_check() -> None:
     assert (
         canhaptic.check("demo", {"environment.stiffness": "2 kN/m"})["config"]["axes"]["handle"]["environment"][
@@ -35,6 +36,7 @@ def test_a_change_reaches_the_check() -> None:
     )
 
 
+@pytest.mark.slow
 def test_compare_takes_a_name_and_changes(capsys: pytest.CaptureFixture[str]) -> None:
     found = canhaptic.compare(
         "hard/stiff_wall", ["unprotected", "guarded"], {"environment.damping": 0.0}, duration=0.6, repeats=0
@@ -61,6 +63,7 @@ def test_compare_takes_displays() -> None:
     assert found.result["axes"]["handle"]["guarded"]["status"] == "completed"
 
 
+@pytest.mark.slow
 def test_a_sweep_returns_one_value_per_scene_and_keeps_a_file_only_where_asked(tmp_path: Any) -> None:
     vary = {"environment.stiffness": [100.0, 1000.0]}
     found = canhaptic.sweep("demo", vary, duration=0.05, engine="python")

@@ -63,6 +63,7 @@ def test_guarded_gives_out_nothing_to_users_within_the_declared_force(name, dela
         assert felt > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["sudden_pull", "adversary", "telegraph"])
 def test_the_same_users_take_energy_from_less_protection(name):
     assert least("unprotected", name, 1e5, hand_force=20.0, seed=2)[0] < -1e-2

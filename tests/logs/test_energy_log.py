@@ -72,6 +72,7 @@ def test_every_quantity_of_every_row_is_read_back_as_it_was_written(finished: Pa
         assert log.time[-1] == pytest.approx(ROWS * 1e-3 - 1e-3, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_log_has_each_renamed_column_under_both_names_and_an_older_one_is_read_by_either(
     finished: Path, tmp_path: Path
 ) -> None:

@@ -109,6 +109,7 @@ def test_a_writer_killed_again_and_again_is_given_up_with_one_message(tmp_path: 
         writer.close()
 
 
+@pytest.mark.slow
 def test_a_file_left_unreadable_is_put_aside_and_its_rows_are_counted_as_lost(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     writer = EnergyLogWriter(

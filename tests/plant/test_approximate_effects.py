@@ -74,6 +74,7 @@ def test_the_fitted_order_is_the_declared_order(effect, force):
     assert errors[0] < 0.02 * abs(expected)
 
 
+@pytest.mark.slow
 def test_cogging_gives_back_exactly_what_it_stored():
     plant = make_plant({**COGGING, "amplitude": 5.0}, user=None, damping=0.0, initial_velocity=0.3)
     run(plant, [0.0] * 3000)

@@ -76,6 +76,7 @@ def servo() -> Plant:
     return make_plant(friction, loop, user=hand, mass=0.15, period=10 * MS, initial_velocity=1.84e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("torques", [[3.5, -3.5], [3.2, 5.0, -5.0], [-2.9, 4.5, 4.5], [2.71, -1.0, 2.71]])
 def test_a_servo_that_stops_inside_a_hold_is_right_to_a_nanometre(torques):
     plant = servo()

@@ -60,6 +60,7 @@ def test_coulomb_friction_agrees_with_an_event_located_reference():
     assert residual(plant) <= 1e-12 * largest_flow(plant)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damping", [0.0, 50.0])
 @pytest.mark.parametrize("side", ["upper", "lower"])
 def test_a_hard_stop_of_a_million_newtons_per_metre_agrees_with_an_event_located_reference(damping, side):
@@ -142,7 +143,7 @@ def test_a_winding_at_its_supply_is_the_closed_form_of_a_stalled_and_of_a_runnin
     assert run(free, [1.0, -2.0, 0.5]) == pytest.approx(run(bare, [1.0, -2.0, 0.5]), rel=1e-12)
 
 
-@pytest.mark.slow_but("8.0")
+@pytest.mark.slow
 @pytest.mark.parametrize("torque", [1.0, 4.0, 8.0])
 def test_the_slowest_lag_of_a_winding_bounds_how_late_its_torque_is(torque):
     limit, lag = VoltageLimit(**{key: of for key, of in WINDING.items() if key != "type"}), 1e-4
@@ -227,6 +228,7 @@ def test_backlash_agrees_with_an_event_located_reference():
     assert residual(plant) <= 1e-12 * largest_flow(plant)
 
 
+@pytest.mark.slow
 def test_tremor_and_a_change_of_grasp_inside_a_hold_agree_with_an_adaptive_integrator():
     change = 0.0603017
     firm = UserParameters(stiffness=1000, damping=10, motion=USER_S.motion)

@@ -65,6 +65,7 @@ def test_a_mass_ratio_of_ten_thousand_swings_as_two_bodies_do():
     assert residual(plant) <= 1e-12 * largest_flow(plant)
 
 
+@pytest.mark.slow
 def test_chatter_stays_under_the_cap_and_closes_its_energy():
     plant, _ = free("backlash_chatter")
     assert plant.events > 100
@@ -101,6 +102,7 @@ def test_stick_slip_slips_as_often_and_as_far_as_the_reference():
     assert plant.events == slips + halts
 
 
+@pytest.mark.slow
 def test_a_push_below_breakaway_bends_the_bristles_and_no_more():
     plant, positions = free("lugre_presliding")
     late = positions[len(positions) // 2 :]

@@ -33,6 +33,7 @@ def _scene(folder: Path, text: str, *overrides: str) -> Scene:
     return load_scene(DEMO, [motion, *overrides])
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.integers(3, 40), st.integers(-100, 100)), min_size=2, max_size=12))
 def test_the_plant_follows_the_lines_of_any_table_as_an_ode_solver_does(steps: list[tuple[int, int]]) -> None:
     times = 3e-4 * (np.cumsum([step for step, _ in steps]) - steps[0][0])

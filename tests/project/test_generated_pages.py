@@ -79,6 +79,7 @@ def schema_of_scenes() -> dict[str, Any]:
     return schema
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("section", SECTIONS)
 def test_every_key_that_a_scene_may_have_is_in_its_section_of_the_page(
     section: str, schema_of_scenes: dict[str, Any]

@@ -133,6 +133,7 @@ def test_an_argument_that_says_what_it_belongs_to_is_found(tmp_path, entry):
     assert vague_arguments(tmp_path) == [f"module.py: {' '.join(entry.split()[:2])}"]
 
 
+@pytest.mark.slow
 def test_no_text_has_a_tic():
     hits = [hit for path in files() for hit in found(path)]
     assert hits == []

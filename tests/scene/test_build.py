@@ -63,6 +63,7 @@ def test_a_failed_build_closes_what_it_opened(tmp_path: Path) -> None:
     gc.collect()
 
 
+@pytest.mark.slow
 def test_the_energy_log_tells_what_was_run(tmp_path: Path) -> None:
     path = scene_file(tmp_path)
     scene = load_scene(path, ["environment.position=-0.02"])

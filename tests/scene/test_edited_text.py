@@ -98,6 +98,7 @@ def test_a_scene_is_written_with_its_overrides() -> None:
     assert text.count("#") == scene.text.count("#") + 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("first", "second"), [("0", "1"), ("first", "second")])
 def test_a_key_that_one_axis_gets_is_not_taken_over_by_another_through_an_anchor(first: str, second: str) -> None:
     scene, place = load_scene(CONFIGS / "two_handles.yaml"), str(CONFIGS / "mine.yaml")

@@ -205,6 +205,7 @@ def test_the_hint_for_lost_frames_is_what_the_certificates_do() -> None:
     assert apart.share_by_hand(torques, 1.001 * 20.0**2 / (2.0 * limit)) == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", [STAGE, LINKS, HANDLES], ids=lambda path: path.stem)
 def test_check_prints_the_groups(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", str(path), "--json"]) == 0

@@ -71,6 +71,7 @@ def test_no_control_character_comes_in_by_a_channel_a_log_or_a_dictionary(key: s
     assert all(line.isprintable() for line in lines)
 
 
+@pytest.mark.slow
 def test_markup_in_what_is_no_name_is_printed_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "[/red]x[b]"
     folder.mkdir(parents=True)

@@ -40,6 +40,7 @@ def test_every_example_is_a_whole_scene_whose_options_its_backend_takes(path: Pa
     assert scene.bus.options.keys() <= accepted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(BACKENDS))
 def test_the_options_read_from_the_source_are_those_of_the_signature(name: str) -> None:
     """Against `inspect`, for every backend that this machine can import."""

@@ -133,6 +133,7 @@ def test_friction_in_a_medium_keeps_its_strain_and_writes_a_log(tmp_path):
         assert read.attributes["handle.environment"] == "coulomb_surface + viscous_medium"
 
 
+@pytest.mark.slow
 def test_the_walls_of_a_sum_and_its_notches_are_in_its_log(tmp_path):
     log = tmp_path / "run.h5"
     with build(load_scene(KNOB), "free", log) as experiment:

@@ -124,6 +124,7 @@ def test_a_run_and_a_check_announce_a_swing_that_makes_holds_dear(tmp_path: Path
     assert dear_holds(load_scene(path, [*swinging[:1], stop])) == []  # the hand's damping stops it
 
 
+@pytest.mark.slow
 def test_a_hand_that_passes_no_notch_is_said_to_and_check_calls_a_notch_a_notch(capsys: pytest.CaptureFixture) -> None:
     knob = str(Path(__file__).parents[2] / "configs" / "rotary_knob.yaml")
     assert dear_holds(load_scene(knob)) == []

@@ -23,6 +23,7 @@ from tests.view.synthetic_run import PORTS, append, write_run, write_troubled_ru
 DEMO = Path(__file__).parents[2] / "configs" / "demo.yaml"
 
 
+@pytest.mark.slow
 def test_looks_at_a_growing_log_add_up_to_the_whole_run(tmp_path: Path) -> None:
     live = LiveLog(tmp_path / "run.h5")
     assert live.look() is None

@@ -167,6 +167,7 @@ def test_drawn_losses_of_either_kind_count_together():
     assert longest == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beyond", ["mass", "force", "losses"])
 def test_attacks_beyond_the_promise_succeed(beyond):
     """The search has teeth: masses over-declared, a hand stronger than declared, one loss more: it finds energy."""

@@ -288,6 +288,7 @@ def test_lost_samples_are_booked_at_their_worst(delay):
     assert over <= 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0, 1])
 def test_step_scaling_closes_its_account_and_follows_less_closely(delay):
     controller = group(EXAMPLE, algorithm="step_scaling", delay=delay)

@@ -103,7 +103,7 @@ def test_an_unprotected_group_is_unprotected_on_one_axis_and_books_what_sampling
     assert created > 5e-4  # [J]: what the sampled wall makes of nothing
 
 
-@pytest.mark.slow_but("800*-0")
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("alpha", ["0", "100 s/m^2"])
 @pytest.mark.parametrize(
@@ -147,6 +147,7 @@ def test_every_hold_of_step_scaling_is_that_of_internal_dissipation(delay, alpha
     assert worst <= 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0, 1])
 def test_a_pure_spring_scaled_is_that_of_internal_dissipation_over_a_whole_run(delay):
     wall, plane = pair(200.0, 0.0)

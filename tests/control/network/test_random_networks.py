@@ -106,6 +106,7 @@ def test_networks_in_which_anything_acts_on_anything_are_solved_but_for_a_few():
     assert unsolved <= 25
 
 
+@pytest.mark.slow
 def test_energies_given_as_functions_are_solved_as_those_of_the_table():
     def well(rng):
         k3, w = 10.0 ** rng.uniform(4, 8), 10.0 ** rng.uniform(-3, -2)

@@ -87,7 +87,7 @@ def held_finely(scene: Scene, cycles: int) -> np.ndarray:
     return np.array(rows)
 
 
-@pytest.mark.slow_for("xy_box-0.0", "five_bar_sphere-0.0")
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "start"), [("xy_box", 0.0), ("five_bar_sphere", 0.0), ("two_handles", 0.0)])
 def test_the_continuous_group_is_what_ever_finer_holds_come_to(name: str, start: float) -> None:
     quick = "simulation.mechanisms.0.hand.motion.x.frequency=4 Hz"
@@ -150,6 +150,7 @@ def test_the_loop_of_a_box_comes_nearer_with_the_rate() -> None:
     assert orders["RK4"] == pytest.approx(4.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_group_that_diverges_is_said_so() -> None:
     scene = scene_of("xy_box")
     run = render_group("python", scene, 400, 1e-3)

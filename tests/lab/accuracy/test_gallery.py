@@ -111,7 +111,7 @@ def test_no_setting_of_the_ladder_is_cheaper_than_the_advised_one_and_keeps_the_
     assert met >= 2  # the ladder reaches at least two of the tolerances, or nothing was tested
 
 
-@pytest.mark.slow_for("delayed_bus", "stick_slip", "stiff_stop", "coarse_encoder")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_the_advised_line_keeps_the_tolerance_when_it_is_pasted_into_the_scene(name):
     golden = committed(name)

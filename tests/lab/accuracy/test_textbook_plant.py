@@ -35,7 +35,7 @@ def apart(one, other):
     return difference(one, other, PLANT.mass, SECONDS)
 
 
-@pytest.mark.slow_but("coulomb*", "none", "torque*", "tremor", "viscous*")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXACT)
 def test_an_exact_plant_is_where_dop853_has_its_textbook_twin(name):
     scene, torques = simulation(*EFFECTS[name]), random_torques(HOLDS)
@@ -119,6 +119,7 @@ def test_an_approximate_effect_has_its_declared_order_beside_the_textbook(effect
     assert fitted == pytest.approx(declared, abs=0.25), errors
 
 
+@pytest.mark.slow
 def test_thermal_derating_has_its_declared_order_in_the_sample_time():
     effect = {"type": "thermal_derating", "torque_limit": 2.0, "warm": 320.0, "hot": 400.0, **WARM}
     errors, periods = [], (4_000_000, 2_000_000, 1_000_000, 500_000)

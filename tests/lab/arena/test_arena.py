@@ -76,6 +76,7 @@ def test_a_subset_gives_one_page_with_every_case(tmp_path: Path, capsys: pytest.
     assert 'src="http' not in page
 
 
+@pytest.mark.slow
 def test_an_arena_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     plan = ArenaPlan(tuple(scenes_named(["slot", "tapping"])), ("unprotected",), (100.0,), (0, 1), 0.3, per_decade=0)
     path, asked = tmp_path / "cases", []

@@ -18,6 +18,7 @@ def test_the_worst_hand_for_an_encoder_is_covered_up_to_the_bound(part: float, c
     assert _is_covered(part * bound, 0.02, 1e-4, 4.0, 100.0, 1e-6) == covered
 
 
+@pytest.mark.slow
 def test_a_wall_behind_a_slow_torque_rings_where_the_lag_takes_more_than_the_damping_gives() -> None:
     scene = scene_of("elbow_exoskeleton", {})
     damping, lag, inertia = 0.67, 0.043, 0.087
@@ -26,6 +27,7 @@ def test_a_wall_behind_a_slow_torque_rings_where_the_lag_takes_more_than_the_dam
     assert not is_quiet(scene, 1.25 * border, None)
 
 
+@pytest.mark.slow
 def test_a_displayed_stiffness_is_force_over_depth() -> None:
     values = {"simulation.plant.mass": 0.1, "axes.0.counts_per_unit": 1e7}
     soft = run_of(scene_of("phantom_premium_15", values, "passivity.algorithm=unprotected"), 150.0)

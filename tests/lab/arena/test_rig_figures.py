@@ -22,6 +22,7 @@ def test_the_lines_of_theory_begin_where_the_books_say() -> None:
         assert found["largest certificate of guarded"][0]["stiffness"] > stable[0.0]
 
 
+@pytest.mark.slow
 def test_the_plain_wall_is_late_by_half_a_hold_and_a_whole_one_of_delay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arena, "FREQUENCIES", (5.0, 20.0))
     for delay in (0, 1):
@@ -31,6 +32,7 @@ def test_the_plain_wall_is_late_by_half_a_hold_and_a_whole_one_of_delay(monkeypa
             assert found["angle"] == pytest.approx(-lag, abs=0.02)
 
 
+@pytest.mark.slow
 def test_the_m_width_of_the_rig_hardly_depends_on_the_rate() -> None:
     found = mass_widths(RIG)
     assert {row["delay"] for row in found} == {0, 1}

@@ -131,6 +131,7 @@ def test_a_graze_inside_of_one_hold_is_met():
     np.testing.assert_allclose(position[:, 0], [0.02 - left, 0.04 - left], rtol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["unprotected", pytest.param("guarded", marks=pytest.mark.slow)])
 def test_every_metric_of_a_batch_is_that_of_one_scene_beside_its_reference(algorithm):
     scene, varied = demo(algorithm), many(2)
@@ -141,6 +142,7 @@ def test_every_metric_of_a_batch_is_that_of_one_scene_beside_its_reference(algor
             assert found[name][i] == pytest.approx(one[name], rel=1e-6, abs=1e-10, nan_ok=True), (i, name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["unprotected", pytest.param("guarded", marks=pytest.mark.slow)])
 def test_figures_beside_the_reference_are_those_of_the_comparison(algorithm):
     """A hand that leans on the wall: the axis comes to rest, so that stiffness and limit cycle are measured too."""
@@ -164,6 +166,7 @@ def test_figures_beside_the_reference_are_those_of_the_comparison(algorithm):
         assert found[f"branches.{branch}"] == expected["branches"][branch], branch
 
 
+@pytest.mark.slow
 def test_a_continuous_run_does_not_depend_on_those_beside_it():
     numbers, varied = drawn("two_sided_wall", 60, 9)
     kind: Any = load(ENVIRONMENTS, "two_sided_wall", "environment")

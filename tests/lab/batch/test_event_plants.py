@@ -49,7 +49,7 @@ def demo(effects, *overrides, algorithm="guarded"):
     return load_scene("configs/demo.yaml", [f"simulation.effects=[{effects}]", *MOVING, *chosen, *overrides])
 
 
-@pytest.mark.slow_but("torque")
+@pytest.mark.slow
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_batch_gives_the_figures_of_one_scene_at_a_time(plant):
     for algorithm in ("guarded", "unprotected"):

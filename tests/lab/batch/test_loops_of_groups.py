@@ -134,6 +134,7 @@ def test_a_plant_that_cannot_be_built_is_refused_and_not_counted_as_diverged() -
         group_case(replace(scene, axes=axes))
 
 
+@pytest.mark.slow
 def test_a_number_that_is_not_finite_ends_the_loop() -> None:
     case = group_case(scene_of("xy_box"))
     motors = case.motors.made(True)

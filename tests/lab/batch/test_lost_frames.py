@@ -24,6 +24,7 @@ def figures(scene, cycles=2000, engine="python", **named):
     return run_batch(scene, {"environment.stiffness": STIFFNESS}, cycles, engine, **named)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bus", ["drop: 0.05", "drop: 0.05, drop_burst: 4", "drop: 0.05, direction: to_master"])
 def test_frames_are_lost_as_often_as_they_are_said_to_be(bus):
     losses = losses_of(scene_of(f"simulation.bus={{{bus}}}"))

@@ -34,13 +34,14 @@ def test_every_algorithm_is_the_scalar_class_to_the_last_bit(algorithm, delay):
     assert differences(scalar_case("spring_damper_wall", algorithm, delay=delay)) == {}
 
 
-@pytest.mark.slow_but("detents", "viscoelastic_medium")
+@pytest.mark.slow
 @pytest.mark.parametrize("world", [world for world in WORLDS if world != "spring_damper_wall"])
 def test_every_environment_is_the_scalar_class_to_the_last_bit(world):
     for algorithm in ("unprotected", "guarded"):
         assert differences(scalar_case(world, algorithm, delay=1, hand_force=2.0)) == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1e-6, 1e-4])
 @pytest.mark.parametrize("hand_force", [pytest.param(0.0, marks=pytest.mark.slow), 5.0])
 def test_windows_over_the_encoder_are_the_scalar_class_to_the_last_bit(count, hand_force):

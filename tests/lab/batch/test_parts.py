@@ -18,6 +18,7 @@ def simulation(effects=(), **user):
     return AxisSimulation(SimulatedDriveParameters(counts_per_unit=1.0), PlantParameters(mass=0.3), hand, typed, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effects", [(), ({"type": "viscous_friction", "damping": 0.7}, {"type": "tremor", "amplitude": 1e-3})]
 )

@@ -61,6 +61,7 @@ def test_a_batch_gives_the_figures_of_one_scene_at_a_time(algorithm):
             assert found[name][i] == pytest.approx(one[name], rel=1e-6, abs=1e-12, nan_ok=True), (i, name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["unprotected", "guarded", "internal_dissipation"])
 def test_the_figures_are_those_of_the_comparison(algorithm):
     scene = demo(algorithm)
@@ -86,6 +87,7 @@ def test_the_figures_are_those_of_the_comparison(algorithm):
     assert found["contact"] == pytest.approx(float(np.isfinite(run.damping).mean()))
 
 
+@pytest.mark.slow
 def test_a_wall_that_is_leaned_on_renders_its_stiffness():
     scene = demo("guarded", "simulation.user={stiffness: 0, damping: 30, push: -5}")
     found = run_batch(
@@ -104,6 +106,7 @@ def test_plants_that_do_not_fit_are_named():
         run_batch(alone, {}, 10)
 
 
+@pytest.mark.slow
 def test_linear_effects_fit():
     for effect in ({"type": "viscous_friction", "damping": 0.5}, {"type": "tremor", "amplitude": 1e-3},
                    {"type": "shaft_compliance", "stiffness": 2000.0, "damping": 1.0, "load_mass": 0.1}):  # fmt: skip

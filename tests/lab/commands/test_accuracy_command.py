@@ -170,6 +170,7 @@ def test_a_shaft_under_backlash_has_a_price(capsys: Captured) -> None:
     assert all(row["position_error"] > 0.0 for row in rows.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -34,6 +34,7 @@ def test_json_is_one_object_with_what_computed_each_scene(capsys: Captured, tmp_
     assert any("does not fit the bus" in entry["remark"] for entry in result["remarks"])
 
 
+@pytest.mark.slow
 def test_the_table_says_engine_and_reason(capsys: Captured) -> None:
     assert main([*SMALL, "--set", "simulation.effects=[{type: coulomb_friction, static: 0.1 N, kinetic: 0.1 N}]"]) == 0
     shown = capsys.readouterr().out
@@ -84,6 +85,7 @@ def test_a_wall_of_which_nothing_is_rendered_is_no_pass_as_a_run_of_the_same_sce
     assert found["guarded"]["least_interaction"] >= 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

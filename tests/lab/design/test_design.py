@@ -166,6 +166,7 @@ def test_what_cannot_be_designed_is_said():
         design(bare)
 
 
+@pytest.mark.slow
 def test_a_rig_that_renders_no_wall_is_told_what_to_change():
     with pytest.raises(CheckFailedError, match=r"not even 60 N/m is rendered .* raise bus\.rate"):
         design(load_scene(DEMO, ["bus.rate=5", "passivity.moving_mass=0.01"]), engine="python")

@@ -18,6 +18,7 @@ SCENES = Path(__file__).parents[3] / "configs" / "admittance"
 NODE = SCENES / "force_node.yaml"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["virtual_mass", "wall"])  # without and with the integral of the loop
 def test_the_plant_is_that_of_a_solver_which_shares_nothing_with_it(name: str) -> None:
     scene = load_scene(SCENES / f"{name}.yaml")

@@ -34,6 +34,7 @@ def test_the_mass_is_felt_as_asked_and_a_lighter_one_is_not(
     assert display_figures(lighter, 1000, ["mass_felt.share"])["mass_felt.share"] > 1.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "overrides", "status", "words"),
     [

@@ -82,6 +82,7 @@ def test_a_display_is_swept_under_its_own_algorithms_and_mapped(
     assert "admittance algorithm" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_group_of_displays_is_swept(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["sweep", str(SCENES / "guided_path.yaml"), "--vary", "groups.0.network.mass=1,4", "--duration", "0.3"]
     assert main([*words, "--json", "--metrics", "guard_acts,least_interaction"]) == 0

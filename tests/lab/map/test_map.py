@@ -179,6 +179,7 @@ def test_what_is_not_drawn_counts_at_its_worst_and_one_failing_scene_ends_a_colu
     assert found.open.tolist() == [True, False]
 
 
+@pytest.mark.slow
 def test_scenes_that_were_refused_or_not_run_are_blank(tmp_path):
     path = tmp_path / "a"
     touching = load_scene(DEMO, ["environment.position=0.01"])
@@ -211,6 +212,7 @@ def test_the_usual_panels_and_one_of_a_chosen_figure(two_controllers):
     assert cells.values.shape == (2, 2)
 
 
+@pytest.mark.slow
 def test_without_a_stiffness_the_largest_detent_is_searched_over_the_rate(tmp_path):
     knob = load_scene(DEMO.replace("demo.yaml", "rotary_knob.yaml"))
     sweep(knob, ["environment.peak=0.02,0.04", "bus.rate=500,1000"], tmp_path / "a", cycles=20)
@@ -257,6 +259,7 @@ def test_on_top_are_all_algorithms_in_one_panel_with_theory(two_controllers):
         assert panel.note.endswith("; unprotected passes for this hand alone: it promises no passivity")
 
 
+@pytest.mark.slow
 def test_a_border_is_named_by_what_its_wall_is_and_a_map_with_nothing_finished_is_judged_as_a_full_one(tmp_path):
     path, vary = tmp_path / "part", ["environment.stiffness=100,2000", "bus.rate=500,1000"]
     asked: dict[str, Any] = {"controllers": ["guarded", "unprotected"], "duration": 0.01, "chunk": 4}

@@ -133,6 +133,7 @@ def test_the_force_that_follows_changes_is_the_spring_until_the_controller_acts_
     assert force_gradient.gradient_force(1e-3, state, -0.5, -0.1e-3) == 0.0  # never pulls
 
 
+@pytest.mark.slow
 def test_a_force_that_is_augmented_meets_the_stiffness_in_the_end_and_gives_back_that_of_the_soft_spring():
     given = force_augmentation.ForceAugmentationParameters(feedback_stiffness=500.0)
     way = np.linspace(-1.95e-3, -2e-3, 11)

@@ -88,6 +88,7 @@ def group_lives(group):
     return True
 
 
+@pytest.mark.slow
 def test_without_numba_a_long_sweep_says_so_and_its_chunks_take_seconds_in_python(demo, tmp_path, monkeypatch):
     monkeypatch.setattr("canhaptic.lab.batch.find_spec", lambda _: None)
     said: list[str] = []
@@ -105,6 +106,7 @@ def test_without_numba_a_long_sweep_says_so_and_its_chunks_take_seconds_in_pytho
     assert len(said) == 1
 
 
+@pytest.mark.slow
 def test_a_sweep_that_goes_on_says_how_many_scenes_were_there(tmp_path, capsys):
     words = ["sweep", DEMO, "--vary", "environment.stiffness=100,200", "--cycles", "20", "--out", str(tmp_path / "a")]
     assert main(words) == 0
@@ -171,6 +173,7 @@ def test_a_disk_that_fills_up_costs_the_chunk_under_way_alone(demo, tmp_path, mo
     assert content(path) == content(undisturbed)
 
 
+@pytest.mark.slow
 def test_a_disk_without_room_for_all_results_is_found_out_before_a_scene_runs(demo, tmp_path):
     path = tmp_path / "large"
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -204,6 +207,7 @@ def table_result(scenes):
     )
 
 
+@pytest.mark.slow
 def test_a_damaged_chunk_is_named(demo, tmp_path):
     path = tmp_path / "a"
     sweep(demo, VARY, path, chunk=4, **ONE)
@@ -212,6 +216,7 @@ def test_a_damaged_chunk_is_named(demo, tmp_path):
         table.status()
 
 
+@pytest.mark.slow
 def test_a_folder_that_is_not_there_is_named(demo, tmp_path):
     with pytest.raises(LogWriteError, match="nowhere"):
         sweep(demo, VARY, tmp_path / "nowhere" / "a")
@@ -251,6 +256,7 @@ def test_a_folder_is_neither_overwritten_nor_mixed_with_another_sweep(demo, tmp_
     assert content(path) != before
 
 
+@pytest.mark.slow
 def test_a_finished_sweep_is_not_run_again(demo, tmp_path):
     path = tmp_path / "a"
     sweep(demo, VARY, path, **ONE)
@@ -281,6 +287,7 @@ def test_a_file_of_an_earlier_release_is_refused_and_not_replaced(demo, tmp_path
     assert path.read_bytes() == b"\x89HDF"
 
 
+@pytest.mark.slow
 def test_a_folder_with_other_files_keeps_them(demo, tmp_path):
     (tmp_path / "mine.npz").write_bytes(b"1")
     (tmp_path / "mine.json").write_bytes(b"2")

@@ -86,6 +86,7 @@ class Chunks:
         return self.engines.count("python")
 
 
+@pytest.mark.slow
 def test_small_chunks_are_compiled_too(demo, monkeypatch):
     pytest.importorskip("numba")
     chunks = Chunks(monkeypatch, lambda scene: 1.5)
@@ -93,6 +94,7 @@ def test_small_chunks_are_compiled_too(demo, monkeypatch):
     assert Chunks(monkeypatch, lambda scene: 0.01).run(asked_of(demo).recipe, 32, 2) == 32
 
 
+@pytest.mark.slow
 def test_scenes_that_end_at_once_do_not_speak_for_the_others(demo, monkeypatch):
     pytest.importorskip("numba")
     for quick, chunk in ((2, 5000), (100, 100)):

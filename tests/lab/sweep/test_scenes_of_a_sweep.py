@@ -40,6 +40,7 @@ def test_every_row_is_the_scene_written_by_hand(demo, tmp_path):
                 )
 
 
+@pytest.mark.slow
 def test_a_duration_is_as_many_holds_as_each_rate_makes_of_it(demo, tmp_path):
     with run(demo, ["bus.rate=100,250,1000"], tmp_path / "a", duration=0.2) as table:
         assert table.figure("handle", "cycles").tolist() == [20.0, 50.0, 200.0]
@@ -67,6 +68,7 @@ def test_what_the_bus_cannot_carry_is_refused_row_by_row_and_judged_when_asked(d
         assert table.status().tolist() == [4] * 6
 
 
+@pytest.mark.slow
 def test_a_range_beyond_what_the_bus_carries_is_refused_exactly_where_the_scene_is(demo, tmp_path):
     with run(demo, ["bus.rate=1400:1440:5"], tmp_path / "a", cycles=20) as table:
         assert table.values("bus.rate").tolist() == [1400.0, 1410.0, 1420.0, 1430.0, 1440.0]
@@ -129,6 +131,7 @@ def test_a_short_key_means_every_axis_also_one_with_its_own_section(two_axes, tm
                 assert table.figure(name, "travel")[row] == pytest.approx(by_hand["travel"], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_full_key_means_one_axis_and_leaves_the_other_alone(two_axes, tmp_path):
     with run(two_axes(), ["axes.1.environment.stiffness=50,5000"], tmp_path / "a", cycles=100) as table:
         left, right = (table.figure(name, "torque_peak") for name in ("left", "right"))
@@ -147,6 +150,7 @@ def test_noise_differs_from_scene_to_scene_and_repeats_from_sweep_to_sweep(two_a
     assert np.ptp(found[0]) > 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("vary", "message"),
     [
@@ -179,6 +183,7 @@ def test_what_cannot_be_swept_is_refused(demo, tmp_path):
         sweep(demo, ["environment.stiffness=1,2"], tmp_path / "a", cycles=5, duration=1.0)
 
 
+@pytest.mark.slow
 @given(arrays(np.float64, st.integers(1, 40), elements=st.floats() | st.sampled_from([0.0, -0.0, 1.0, -1.0])))
 def test_medians_extremes_and_shares_are_those_of_the_finite_values(values):
     class Table:

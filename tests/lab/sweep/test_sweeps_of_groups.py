@@ -55,6 +55,7 @@ def test_every_row_of_a_group_is_the_scene_written_by_hand(tmp_path):
     assert len(set(found)) == 4
 
 
+@pytest.mark.slow
 def test_two_handles_are_two_plants():
     scene = load_scene(HANDLES)
     found = run_scalar(scene, 300)

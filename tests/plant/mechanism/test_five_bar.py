@@ -48,6 +48,7 @@ def test_the_error_falls_with_the_declared_order():
     assert 1.9 < order < 2.1
 
 
+@pytest.mark.slow
 def test_the_works_of_the_motors_and_the_hand_are_those_of_the_reference():
     mechanism = five_bar(substeps=32)
     torques = wavy(80)
@@ -182,6 +183,7 @@ def pushed_about(mechanism: Any, torques: list[tuple[float, ...]], period: int) 
     return ""
 
 
+@pytest.mark.slow
 def test_elbows_that_meet_are_told_apart_from_a_solver_that_fails():
     mechanism = five_bar(None)
     with pytest.raises(ParameterError, match=r"singular pose.*where they meet.*elbow_stop"):

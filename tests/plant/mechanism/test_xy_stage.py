@@ -23,6 +23,7 @@ def rates(time: float, z: Any, torques: tuple[float, float]) -> np.ndarray:
     return np.concatenate([z[2:], force / MASSES])
 
 
+@pytest.mark.slow
 def test_an_elliptic_hand_couples_the_axes_as_the_reference_says():
     mechanism = stage()
     torques = wavy(400, 2.0)
@@ -37,6 +38,7 @@ def test_an_elliptic_hand_couples_the_axes_as_the_reference_says():
         assert abs(energy.motor + energy.user - energy.dissipated - energy.stored) < 1e-13
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", [0, 1])
 def test_with_a_round_hand_each_axis_is_the_plant_of_one_axis_dry_friction_included(axis: int):
     motion = SinusoidMotion(amplitude=0.05, frequency=2.0, phase=0.3)
