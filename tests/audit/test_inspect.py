@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from canhaptic.audit.inspection import _quantiles, compare, contacts, inspect
+from canhaptic.audit.inspection import Inspection, _quantiles, compare, contacts, inspect
 from canhaptic.audit.user_checks import check
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
 from canhaptic.control.ledger import Ledger
@@ -23,7 +23,6 @@ from tests.view.synthetic_run import write_run, write_troubled_run
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 Captured = pytest.CaptureFixture[str]
-Account = dict[str, Any]
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +33,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def account(log: Path) -> Account:
+def account(log: Path) -> Inspection:
     with EnergyLog.open(log) as opened:
         return inspect(opened)
 
@@ -66,7 +65,7 @@ def test_the_account_equals_that_of_the_ledger_of_the_run(log: Path, start: floa
 
 
 def test_the_hold_in_which_the_hand_leaves_does_not_count_as_damping_that_was_not_rendered(
-    account: Account, tmp_path: Path
+    account: Inspection, tmp_path: Path
 ) -> None:
     path = tmp_path / "run.h5"
     write_run(path, 4000)
@@ -90,7 +89,7 @@ def test_a_hold_held_on_neither_begins_nor_ends_a_contact() -> None:
     assert contacts(np.array([held, held])) == contacts(np.array([], int)) == []
 
 
-def test_contacts_are_found_with_depth_peak_and_energy(log: Path, account: Account) -> None:
+def test_contacts_are_found_with_depth_peak_and_energy(log: Path, account: Inspection) -> None:
     found = account["contacts"]["handle"]
     with EnergyLog.open(log) as opened:
         port = opened.ports["handle"]
@@ -104,7 +103,7 @@ def test_contacts_are_found_with_depth_peak_and_energy(log: Path, account: Accou
 
 
 def test_in_the_wall_of_user_code_in_its_own_process_the_depth_is_measured_and_of_a_program_not_known(
-    log: Path, account: Account, tmp_path: Path
+    log: Path, account: Inspection, tmp_path: Path
 ) -> None:
     states = [contact["depth"] for contact in account["contacts"]["handle"]]
     path = tmp_path / "requested.h5"
@@ -125,7 +124,9 @@ def test_in_the_wall_of_user_code_in_its_own_process_the_depth_is_measured_and_o
         assert {contact["depth"] for contact in inspect(opened)["contacts"]["handle"]} == {None}
 
 
-def test_syncs_that_were_skipped_in_a_contact_are_part_of_its_time(log: Path, account: Account, tmp_path: Path) -> None:
+def test_syncs_that_were_skipped_in_a_contact_are_part_of_its_time(
+    log: Path, account: Inspection, tmp_path: Path
+) -> None:
     before = account["contacts"]["handle"]
     path = tmp_path / "late.h5"
     path.write_bytes(log.read_bytes())
@@ -145,7 +146,7 @@ def test_quantiles_are_values_that_occurred() -> None:
     )
 
 
-def test_a_part_says_where_it_begins_and_ends(log: Path, account: Account) -> None:
+def test_a_part_says_where_it_begins_and_ends(log: Path, account: Inspection) -> None:
     with EnergyLog.open(log) as opened:
         whole, part = account, inspect(opened, 1.0, 3.0)
     assert (whole["from"], whole["to"], whole["cycles"]) == pytest.approx((0.0, 3.999, 4000))
@@ -180,7 +181,7 @@ def test_a_part_without_a_cycle_is_refused(log: Path) -> None:
         inspect(opened, 5.0, None)
 
 
-def test_the_worst_of_a_run_is_in_its_account(log: Path, account: Account, tmp_path: Path) -> None:
+def test_the_worst_of_a_run_is_in_its_account(log: Path, account: Inspection, tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     path.write_bytes(log.read_bytes())
     with h5py.File(path, "r+") as file:
@@ -241,7 +242,7 @@ def test_late_cycles_and_lost_frames_are_counted(tmp_path: Path) -> None:
         ("margin_value >= -1 mJ", True),
     ],
 )
-def test_checks_read_like_sentences(account: Account, expression: str, holds: bool) -> None:
+def test_checks_read_like_sentences(account: Inspection, expression: str, holds: bool) -> None:
     (outcome,) = check(account, expression)
     assert outcome["holds"] is holds
 
@@ -256,7 +257,7 @@ def test_checks_read_like_sentences(account: Account, expression: str, holds: bo
         ("in>1.2.3", "NAME >="),
     ],
 )
-def test_checks_that_cannot_be_read_are_refused(account: Account, expression: str, message: str) -> None:
+def test_checks_that_cannot_be_read_are_refused(account: Inspection, expression: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         check(account, expression)
 
@@ -278,12 +279,12 @@ def test_checks_that_cannot_be_read_are_refused(account: Account, expression: st
         ("knob.passive", "the run has no account of that name"),
     ],
 )
-def test_a_check_with_the_unit_of_something_else_is_refused(account: Account, expression: str, message: str) -> None:
+def test_a_check_with_the_unit_of_something_else_is_refused(account: Inspection, expression: str, message: str) -> None:
     with pytest.raises(InputError, match=re.escape(message)):
         check(account, expression)
 
 
-def test_every_figure_of_an_account_has_a_unit_that_a_check_takes(account: Account) -> None:
+def test_every_figure_of_an_account_has_a_unit_that_a_check_takes(account: Inspection) -> None:
     result = account
     for name in ("in", "surplus.max", "margin", "least_interaction", "deficit", "leaked"):
         assert check(result, f"handle.{name} > -1 kJ")[0]["holds"], name
@@ -293,7 +294,7 @@ def test_every_figure_of_an_account_has_a_unit_that_a_check_takes(account: Accou
 
 
 def test_the_verdict_is_one_word_for_machines(
-    log: Path, account: Account, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    log: Path, account: Inspection, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     result = account
     assert (result["passive"], result["ports"]["handle"]["passive"]) == ("yes", "yes")

@@ -20,7 +20,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
-from tests.commission.test_commissioning import DEMO
+from tests.commission.whole_session import DEMO
 
 ASKED = "axes.0.check_hold=each_start"
 

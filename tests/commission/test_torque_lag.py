@@ -24,7 +24,8 @@ from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.effects.current_loop import CurrentLoop
 from canhaptic.sim.plant.effects.stribeck_friction import StribeckFriction
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from tests.commission.test_commissioning import DEMO, Answers, row, value
+from tests.commission.test_commissioning import Answers, row, value
+from tests.commission.whole_session import DEMO
 from tests.drawn import examples
 
 TIME = 1e-3

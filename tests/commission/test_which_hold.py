@@ -18,8 +18,9 @@ from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.effects.current_loop import CurrentLoop
 from canhaptic.sim.plant.effects.shaft_compliance import ShaftCompliance
 from canhaptic.sim.plant.plant import Plant, PlantParameters
-from tests.commission.test_commissioning import DEMO, commissioned, row, value
+from tests.commission.test_commissioning import commissioned, row, value
 from tests.commission.test_torque_lag import timed
+from tests.commission.whole_session import DEMO
 from tools.bench.which_hold import outcome_of
 
 TIME = 1e-3

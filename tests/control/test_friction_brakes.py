@@ -22,7 +22,7 @@ from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import GuardedParameters, settings_of
 from canhaptic.errors import SceneError
 from canhaptic.scene.load import load_scene
-from tests.commission.test_commissioning import DEMO
+from tests.commission.whole_session import DEMO
 
 STEPS, PIECES, MOTIONS = 200, 8, 300
 _Array = np.ndarray[Any, np.dtype[np.float64]]
