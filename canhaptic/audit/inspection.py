@@ -29,6 +29,7 @@ from canhaptic.signals import CycleTiming, Measured
 
 if TYPE_CHECKING:
     from canhaptic.audit.recompute import Recomputed, Rederived
+    from canhaptic.audit.two_logs import JoinedLogs
     from canhaptic.audit.user_checks import Outcome
 
 
@@ -395,6 +396,7 @@ class Inspection(_Inspected, Verdicts):
     rederived: NotRequired["Rederived"]
     why: NotRequired[Mapping[str, Any]]  # axis -> what trembles, and its causes (`audit.why`)
     trials: NotRequired[Mapping[str, Any]]  # axis -> outcome of a changed key in the twin
+    pair: NotRequired["JoinedLogs"]  # of two logs of one link
     others: NotRequired[list["Inspection"]]  # summaries of further logs
 
 

@@ -20,7 +20,7 @@ from canhaptic.logs.export import export, require_library
 from canhaptic.logs.repair import repair, require_readable
 from canhaptic.view.buzz_lines import trial_lines, why_lines
 from canhaptic.view.energy_table import inspection_report
-from canhaptic.view.run_lines import failure_text, make_console
+from canhaptic.view.run_lines import failure_text, make_console, pair_lines
 from canhaptic.view.run_picture import draw_energy
 from canhaptic.view.terminal import note_file, write_json, write_line
 
@@ -58,6 +58,10 @@ def execute(arguments: argparse.Namespace) -> int:
         for path in arguments.overlay:
             with EnergyLog.open(path) as other:
                 result.setdefault("others", []).append(_explained(other, arguments))
+                if log.far is not None and other.far is not None and len(arguments.overlay) == 1:
+                    from canhaptic.audit.two_logs import joined
+
+                    result["pair"] = joined(log, other)
         if arguments.why or arguments.try_ or arguments.html is not None:
             from canhaptic.cli.why import add_why
 
@@ -104,6 +108,10 @@ def _checks(result: Checked, arguments: argparse.Namespace) -> list[Outcome]:
             except InputError as error:
                 raise InputError(f"{run['file']}: {error}" if len(runs) > 1 else str(error)) from error
             found += [{**outcome, "log": run["file"]} for outcome in outcomes] if len(runs) > 1 else outcomes
+        pair = result.get("pair")
+        if pair is not None and expression.strip() == "passive":
+            both = {"check": expression, "name": "both logs", "value": pair["least"], "holds": pair["holds"]}
+            found.append({**both, "unit": "J", "log": result["file"]})  # type: ignore[typeddict-item]
     return found
 
 
@@ -244,6 +252,8 @@ def _show(result: Checked, console: Console, *, as_json: bool, full: bool, asked
         write_json(result)
     else:
         console.print(inspection_report(result, full=full))
+        for text in pair_lines(result):
+            console.print(text)
     units = {name: port["unit"] for name, port in result.get("ports", {}).items() if "unit" in port}
     if not as_json and asked:
         for text in (*why_lines(result["why"], units), *trial_lines(result.get("trials", {}), units)):

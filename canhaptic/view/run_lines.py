@@ -255,6 +255,18 @@ def link_lines(result: Result) -> Iterator[RenderableType]:
     yield Text(text + limited, style="" if far["linked"] else "yellow")
 
 
+def pair_lines(result: Result) -> Iterator[RenderableType]:
+    """Yield what two logs of one link say together."""
+    if (pair := result.get("pair")) is not None:
+        word = (
+            "yes" if pair["holds"] else "NO" if pair["agrees"] else "NO, a total arrived that the other log never sent"
+        )
+        text = f" both logs, by their packets: passive: {word}; least sum {si(pair['least'], 'J', 3)}"
+        text += f" +-{si(pair['resolution'], 'J', 2)} over cuts of up to {counted(pair['widest'], 'SYNC')}"
+        ends = f"; {si(pair['under_way'], 'J', 2)} under way at the end, {si(pair['given_up'], 'J', 2)} given up"
+        yield Text(text + ends, style="" if pair["holds"] else "bold red")
+
+
 def losses(result: Result) -> Iterator[RenderableType]:
     """Yield what was lost or late in a run, and how it was simulated if that was inexact."""
     link, method = result.get("link") or {}, result.get("method", "")

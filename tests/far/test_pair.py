@@ -1,10 +1,13 @@
 """Two simulated rigs over a simulated network: what both plants gave, the log, and what is refused."""
 
 import json
+import shutil
 
+import h5py
 import pytest
 
 from canhaptic.audit.recompute import recompute_all
+from canhaptic.audit.two_logs import joined
 from canhaptic.cli.main import main
 from canhaptic.cycle import running
 from canhaptic.errors import InputError, SceneError
@@ -119,3 +122,25 @@ def test_a_rig_without_its_other_side_and_a_program_on_its_axis_are_refused(tmp_
     assert said["pair"].keys() == {"least_true", "least_true_at_handle", "sent", "received"}
     assert (tmp_path / "a.far.h5").exists()
     assert said["far"]["sessions"] == said["with"]["far"]["sessions"] == 1
+
+
+def test_two_logs_are_joined_by_their_packets_and_a_log_that_hides_energy_fails(run, tmp_path):
+    first, second = run[1]
+    with EnergyLog.open(first) as log, EnergyLog.open(second) as other:
+        found = joined(log, other)
+    assert (found["holds"], found["agrees"]) == (True, True)
+    assert found["least"] >= -found["resolution"]
+    assert 1 < found["widest"] < 40  # SYNCs in a round trip
+    assert found["session"] > 0
+    hidden = tmp_path / "hidden.h5"
+    shutil.copy(second, hidden)
+    with h5py.File(hidden, "r+") as file:
+        energy = file["ports/handle/h_i"][:]
+        energy[700] -= 0.1
+        file["ports/handle/h_i"][:] = energy
+    assert main(["inspect", str(first), str(second), "--check", "passive"]) == 0
+    assert main(["inspect", str(first), str(hidden), "--check", "passive"]) == 1
+    with h5py.File(hidden, "r+") as file:
+        file["far/session"][:] += 1
+    with EnergyLog.open(first) as log, EnergyLog.open(hidden) as other, pytest.raises(InputError, match="no session"):
+        joined(log, other)

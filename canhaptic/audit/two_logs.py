@@ -1,0 +1,107 @@
+"""Two logs of one link, joined by their packets and without a clock: the energy of both rigs over every consistent cut.
+
+SYNC i of A lies after the SYNC of B whose packet it has seen last, and before the first SYNC of B that has seen packet
+i or a later one. Each SYNC of B between them makes a consistent cut with i: nothing had arrived that was not yet sent.
+On every such cut the energies that came in at both motors add up to at least 0 (`docs/theory/far.md`, F3).
+"""
+
+from typing import Final, NamedTuple, TypedDict
+
+import numpy as np
+
+from canhaptic.control.verdict import ROUNDING
+from canhaptic.errors import InputError
+from canhaptic.logs.energy_reader import EnergyLog, Quantities
+from canhaptic.logs.hdf5 import Array
+
+_PICO: Final = 1e-12
+
+
+class JoinedLogs(TypedDict):
+    """What two logs of one link say together; energies in [J]."""
+
+    session: int
+    least: float  # least sum of what came in at both motors, over all consistent cuts
+    resolution: float  # of that sum
+    widest: int  # most SYNCs of the other log between which one can lie
+    under_way: float  # at the end: sent and not received, both ways
+    given_up: float
+    agrees: bool  # whether every total received is one that the other log sent
+    holds: bool  # whether that is so, and the least sum is 0 within its resolution
+
+
+class _Side(NamedTuple):
+    """Columns of one log in the common session, and what came in before it."""
+
+    energy: Array  # came in at the motor since the start [J]
+    sequence: Array  # of the packet of each SYNC
+    seen: Array  # largest number of a packet of the other side
+    booked: Array  # R [pJ]
+    sent: Array  # S [pJ]
+    resolution: float
+    given_up: float
+
+
+def joined(first: EnergyLog, second: EnergyLog) -> JoinedLogs:
+    """Return what two logs of one link say together, of the longest session that both have.
+
+    Raises:
+        InputError: A log has no far side, or they have no session in common.
+    """
+    found = [log.far for log in (first, second)]
+    if found[0] is None or found[1] is None:
+        raise InputError(f"{first.path}, {second.path}: expected two logs with a far side")
+    numbers = [
+        dict(zip(*np.unique(far["session"], return_counts=True), strict=True)) for far in found if far is not None
+    ]
+    common = (numbers[0].keys() & numbers[1].keys()) - {0}
+    if not common:
+        raise InputError(f"{first.path}, {second.path}: have no session in common; inspect the two logs of one link")
+    session = max(common, key=lambda number: int(numbers[0][number]))
+    a, b = (_side(log, far, session) for log, far in zip((first, second), found, strict=True) if far is not None)
+    least, widest = _least_sum(a, b)
+    agrees = _came_from(a, b) and _came_from(b, a)
+    under_way = (a.sent[-1] - b.booked[-1]) + (b.sent[-1] - a.booked[-1])
+    resolution = a.resolution + b.resolution
+    return {
+        "session": int(session),
+        "least": least,
+        "resolution": resolution,
+        "widest": widest,
+        "under_way": float(max(0.0, under_way)) * _PICO,
+        "given_up": a.given_up + b.given_up,
+        "agrees": agrees,
+        "holds": agrees and least + resolution >= -ROUNDING,
+    }
+
+
+def _side(log: EnergyLog, far: Quantities, session: int) -> _Side:
+    """Return the columns of the session; the axis of the link is the one with energy from elsewhere, or the first."""
+    axes = [name for name in log.ports if name not in log.groups]
+    name = max(axes, key=lambda axis: float(np.abs(log.ports[axis]["supplied"]).sum()))
+    port, rows = log.ports[name], far["session"] == session
+    energy = np.cumsum(port["interaction"] - port["supplied"], dtype=np.longdouble) + port["device_dissipated"]
+    return _Side(
+        np.asarray(energy[rows], dtype=float), far["sequence"][rows], far["seen"][rows], far["booked"][rows],
+        far["sent"][rows], float(port["energy_resolution"][rows].max(initial=0.0)), float(port["leaked"].sum()),
+    )  # fmt: skip
+
+
+def _least_sum(a: _Side, b: _Side) -> tuple[float, int]:
+    """Return the least sum over all consistent cuts [J], and the most SYNCs between which one can lie."""
+    low = np.searchsorted(b.sequence, a.seen)
+    high = np.searchsorted(np.maximum.accumulate(b.seen), a.sequence)
+    low = np.clip(low, 0, len(b.energy) - 1)
+    least, widest = 0.0, 0
+    for begin, end, energy in zip(low.tolist(), high.tolist(), a.energy.tolist(), strict=True):
+        if begin < end:
+            least, widest = min(least, energy + float(b.energy[begin:end].min())), max(widest, end - begin)
+    return least, widest
+
+
+def _came_from(a: _Side, b: _Side) -> bool:
+    """Whether every total that A received was sent by B no later than the newest packet that A had seen."""
+    heard = a.seen >= 0
+    place = np.searchsorted(b.sequence, a.seen[heard], side="right") - 1
+    sent = np.where(place >= 0, b.sent[np.clip(place, 0, None)], 0.0)
+    return bool((a.booked[heard] <= sent).all() and (a.booked[~heard] == 0.0).all())
