@@ -144,12 +144,18 @@ class Session:
         self.is_alive, self._key, self._own, self._other = False, b"", self._fresh(), 0
         self.most_received = self.most_sent = 0
 
-    def say(self, packet: Packet) -> None:
-        """Send a packet of the session; without one, a greeting every 20 sample times."""
+    def say(self, packet: Packet, *, may_begin: bool = True) -> None:
+        """Send a packet of the session; without one, a greeting every 20 sample times.
+
+        Args:
+            packet: What this side says.
+            may_begin: Whether it is ready for a new session; only then a greeting answers that of the other side.
+        """
         if not self.is_alive:
             if self._now >= self._greet_at:
                 self._greet_at = self._now + _HELLO_EVERY
-                self._send(pack(Packet(HELLO, 0, 0, self._own, self._other, 0, 0.0, 0.0, 0), self._secret))
+                heard = self._other if may_begin else 0
+                self._send(pack(Packet(HELLO, 0, 0, self._own, heard, 0, 0.0, 0.0, 0), self._secret))
             return
         seq = self._seq
         self._seq, self._sent_at[seq % _TIMES] = seq + 1, self._now

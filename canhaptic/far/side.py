@@ -154,7 +154,8 @@ class FarSide:
         self._before = now
         flags = READY * port.is_ready | STOPPING * self.is_stopping
         totals = whole(state.sent), whole(state.booked), whole(state.request)
-        self.session.say(Packet(flags, 0, 0, *totals, self._position, self._velocity, 0))
+        may_begin = state.phase == IDLE and not self.is_stopping
+        self.session.say(Packet(flags, 0, 0, *totals, self._position, self._velocity, 0), may_begin=may_begin)
 
     def summary(self) -> LinkSummary:
         """Return what the link has done so far."""
