@@ -160,34 +160,6 @@ def si_ticks(unit: str) -> CustomJSTickFormatter:
     return CustomJSTickFormatter(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_TICKS)
 
 
-def add_hover(panel: figure, unit: str, columns: Mapping[str, str]) -> None:
-    """Show time and values at the pointer, with five digits and SI prefix; it snaps to the line of the first column.
-
-    Args:
-        panel: Panel to extend.
-        unit: SI unit of the values.
-        columns: Label -> name of the data column.
-    """
-    main = next(iter(columns.values()))
-    renderers = [renderer for renderer in panel.renderers if renderer.name == main]
-    tooltips = [("time", "@time{0.0000} s"), *((label, f"@{{{name}}}{{custom}}") for label, name in columns.items())]
-    value = CustomJSHover(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_VALUE)
-    formatters = {f"@{{{name}}}": value for name in columns.values()}
-    tool = HoverTool(renderers=renderers, mode="vline", tooltips=tooltips, formatters=formatters, line_policy="nearest")
-    panel.add_tools(tool)
-
-
-def finished(panel: figure) -> figure:
-    """Put the legend above the panel, where it cannot hide data."""
-    legend = panel.legend[0]
-    legend.orientation, legend.location, legend.click_policy = "horizontal", "right", "hide"
-    legend.background_fill_alpha, legend.label_text_color = 0.0, MIDDLE
-    legend.border_line_alpha, legend.padding, legend.margin, legend.spacing = 0.0, 0, 0, 16
-    legend.label_text_font_size = "9pt"
-    panel.add_layout(legend, "above")
-    return panel
-
-
 _POINTS: Final = 6000  # kept per line
 _BUCKETS: Final = 250  # per look; about twice as many rows
 _LINES: Final = (
@@ -207,7 +179,7 @@ _OPTIONAL: Final[dict[str, tuple[str, ...]]] = {
 """Panel -> data columns; the panel is hidden while all of them are zero."""
 
 
-def _panel(
+def panel_of(
     time: Range,
     source: ColumnDataSource,
     title: str,
@@ -216,7 +188,7 @@ def _panel(
     glyphs: Iterable[_Glyph],
     under_pointer: Mapping[str, str],
 ) -> figure:
-    """Return a panel over time.
+    """Return a panel over time, with time and values at the pointer, which snaps to the line of the first of these.
 
     Args:
         time: Time range shared by all panels.
@@ -225,16 +197,30 @@ def _panel(
         unit: SI unit of the values.
         height: Height [pixels].
         glyphs: Lines and areas.
-        under_pointer: Label -> data column of each value shown at the pointer.
+        under_pointer: Label -> data column of each value shown at the pointer, with five digits and SI prefix.
     """
     panel = new_panel(title, unit, time, height)
     for kind, style in glyphs:
         getattr(panel, kind)(x="time", source=source, **style)
-    add_hover(panel, unit, under_pointer)
-    return finished(panel)
+    main = next(iter(under_pointer.values()))
+    shown = [(label, f"@{{{name}}}{{custom}}") for label, name in under_pointer.items()]
+    value = CustomJSHover(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_VALUE)
+    panel.add_tools(HoverTool(
+        renderers=[renderer for renderer in panel.renderers if renderer.name == main], mode="vline",
+        tooltips=[("time", "@time{0.0000} s"), *shown], line_policy="nearest",
+        formatters={f"@{{{name}}}": value for name in under_pointer.values()},
+    ))  # fmt: skip
+    legend = panel.legend[0]
+    legend.update(
+        orientation="horizontal", location="right", click_policy="hide", background_fill_alpha=0.0,
+        border_line_alpha=0.0, label_text_color=MIDDLE, label_text_font_size="9pt", padding=0, margin=0, spacing=16,
+    )  # fmt: skip
+    panel.add_layout(legend, "above")  # where it cannot hide data
+    return panel
 
 
-def _line(column: str, label: str, colour: str, width: float = 1.5, **style: Any) -> _Glyph:
+def line_of(column: str, label: str, colour: str, width: float = 1.5, **style: Any) -> _Glyph:
+    """Return the line of a data column, with its legend, for `panel_of`."""
     return "line", {
         "y": column, "name": column, "legend_label": label, "color": colour, "line_width": width, **style
     }  # fmt: skip
@@ -242,29 +228,15 @@ def _line(column: str, label: str, colour: str, width: float = 1.5, **style: Any
 
 def _known(column: str, name: str, width: float = 1.5, **style: Any) -> _Glyph:
     """Return the line of a quantity, with its title and colour."""
-    return _line(column, ACCOUNT[name].title, ACCOUNT[name].colour, width, **style)
+    return line_of(column, ACCOUNT[name].title, ACCOUNT[name].colour, width, **style)
 
 
-def _timing_panel(time: Range, source: ColumnDataSource, period: float) -> figure:
-    """Return the panel of the durations within a cycle, with the sample time as a dashed line [s]."""
-    labels = {name.replace("_", " "): name for name in source.data if name != "time"}
-    colours = (BLUE, GREEN, ORANGE, PURPLE)
-    lines = [_line(name, label, colour, 1.0) for (label, name), colour in zip(labels.items(), colours, strict=True)]
-    panel = _panel(time, source, "timing", "s", 150, lines, labels)
-    panel.add_layout(Span(location=period, dimension="width", line_color=GREY, line_dash="dashed"))
-    return panel
-
-
-def _link_panel(time: Range, source: ColumnDataSource) -> figure:
-    """Return the panel of cumulative losses, drawn as exact steps: `source` has a row for every change."""
-    names = [name for name in source.data if name != "time"]
-    steps = [
-        ("step", {**_line(name, name, colour, 1.0)[1], "mode": "after"})
-        for name, colour in zip(names, cycle((BLUE, GREEN, ORANGE, PURPLE, SKY, GREY)))
-    ]
-    panel = _panel(time, source, "lost", "", 130, steps, {name: name for name in names})
-    panel.y_range = DataRange1d(start=-0.05, min_interval=1.0)
-    return panel
+def _common_panel(title: str, unit: str, time: Range, source: ColumnDataSource, kind: str, **look: Any) -> figure:
+    """Return a panel of the whole run: of every column of its source a line, or exact steps between its rows."""
+    names, colours = [name for name in source.data if name != "time"], (BLUE, GREEN, ORANGE, PURPLE, SKY, GREY)
+    labels = {name.replace("_", " "): name for name in names}
+    lines = [line_of(name, label, of, 1.0, **look)[1] for (label, name), of in zip(labels.items(), cycle(colours))]
+    return panel_of(time, source, title, unit, 140, [(kind, line) for line in lines], labels)
 
 
 def _port_panels(facts: PortFacts, time: Range, source: ColumnDataSource) -> dict[str, figure]:
@@ -273,9 +245,9 @@ def _port_panels(facts: PortFacts, time: Range, source: ColumnDataSource) -> dic
     A group has no position panel, an axis in a group no energy panel, and only an admittance display a velocity panel.
     Lines are straight, not steps, because the values between decimated rows are unknown.
     """
-    units, panel, name, panels = facts.units, partial(_panel, time, source), facts.name, dict[str, figure]()
+    units, panel, name, panels = facts.units, partial(panel_of, time, source), facts.name, dict[str, figure]()
     if not facts.is_group:
-        lines = [_line("position", "position", BLUE)]
+        lines = [line_of("position", "position", BLUE)]
         panels["position"] = panel(f"{name}: position", units["position"], 190, lines, {"position": "position"})
         for wall, side in facts.walls:
             _add_wall(panels["position"], wall, side)
@@ -284,12 +256,12 @@ def _port_panels(facts: PortFacts, time: Range, source: ColumnDataSource) -> dic
             panels["position"].hspan(y=facts.notches, legend_label="notch", name="notches", **look)
             panels["position"].y_range = DataRange1d(renderers=panels["position"].select({"name": "position"}))
     label, effort = "on the hand" if facts.is_display else "applied", units["applied"]
-    lines, labels = [_line("applied", label, BLUE, 1.2)], {label: "applied"}
+    lines, labels = [line_of("applied", label, BLUE, 1.2)], {label: "applied"}
     if facts.is_display:
-        velocity = [_line("command", "commanded", ORANGE)]
+        velocity = [line_of("command", "commanded", ORANGE)]
         panels["velocity"] = panel(f"{name}: velocity", units["command"], 190, velocity, {"commanded": "command"})
     else:
-        lines.insert(0, _line("command", _REQUESTED, ORANGE, 2.5, alpha=0.8))
+        lines.insert(0, line_of("command", _REQUESTED, ORANGE, 2.5, alpha=0.8))
         labels[_REQUESTED] = "command"
     panels["torque"] = panel(f"{name}: {'torque' if effort == 'N*m' else 'force'}", effort, 190, lines, labels)
     if not facts.is_member:
@@ -373,9 +345,12 @@ class ScopePage:
         self._ports = {name: _LivePort(news, name, self._time, self._window) for name in groups_first}
         timing, lost = (ColumnDataSource({name: [] for name in ("time", *of)}) for of in (news.timing, news.lost))
         self._common = {
-            "timing": (timing, _timing_panel(self._time, timing, news.sample_time)),
-            "lost": (lost, _link_panel(self._time, lost)),
+            "timing": (timing, _common_panel("timing", "s", self._time, timing, "line")),
+            "lost": (lost, _common_panel("lost", "", self._time, lost, "step", mode="after")),
         }
+        due = Span(location=news.sample_time, dimension="width", line_color=GREY, line_dash="dashed")
+        self._common["timing"][1].add_layout(due)
+        self._common["lost"][1].y_range = DataRange1d(start=-0.05, min_interval=1.0)
         common = [panel for _, panel in self._common.values()]
         for panel in common:
             panel.visible = False

@@ -22,7 +22,7 @@ from canhaptic.lab.touch.two_sides import TouchScene, TouchSlider
 from canhaptic.view.drawn_handle import MATERIAL, MIDDLE, draw_links, five_bar, new_knob, new_plane, reach_of
 from canhaptic.view.html_page import verdict_bar
 from canhaptic.view.picture_style import BLUE, GREY, PALE, VERMILION
-from canhaptic.view.scope_page import LivePage, add_hover, finished, new_panel, si_ticks
+from canhaptic.view.scope_page import LivePage, line_of, panel_of, si_ticks
 from canhaptic.view.series import decimate
 
 _COLOURS: Final = (VERMILION, BLUE)
@@ -199,18 +199,16 @@ class _SideView:
 
     def _panel(self, title: str, unit: str, vectors: list[str]) -> figure:
         # A range of its own: a shared one stands still while any of its panels is scrolled out of sight.
-        panel = new_panel(title, unit, models.DataRange1d(follow="end", follow_interval=_SHOWN, range_padding=0.0), 150)
-        shown = [name for vector in vectors for name in self._columns if name.split()[0] == vector]
-        for name in shown:
-            is_main, along = name.split()[0] == vectors[-1], not name.endswith(" y")
-            panel.line(
-                "time", name, source=self._lines, color=_COLOURS[self._number] if is_main else GREY,
-                line_width=1.5 if is_main else 1.0, line_dash="solid" if along else "dashed",
-                legend_label=self._label(name), name=name,
-            )  # fmt: skip
-        add_hover(panel, unit, {self._label(name): name for name in shown})
+        time = models.DataRange1d(follow="end", follow_interval=_SHOWN, range_padding=0.0)
+        labels = {self._label(name): name for vector in vectors for name in self._columns if name.split()[0] == vector}
+        lines = []
+        for label, name in labels.items():
+            dash, is_main = "dashed" if name.endswith(" y") else "solid", name.split()[0] == vectors[-1]
+            look: Any = (_COLOURS[self._number], 1.5) if is_main else (GREY, 1.0)
+            lines.append(line_of(name, label, *look, line_dash=dash))
+        panel = panel_of(time, self._lines, title, unit, 150, lines, labels)
         panel.toolbar_location, panel.window_axis = None, "none"
-        return finished(panel)
+        return panel
 
     def _label(self, name: str) -> str:
         """Return the legend of a line."""

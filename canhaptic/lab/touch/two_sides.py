@@ -8,10 +8,9 @@ link timeouts are long: nothing real moves, and a busy browser must not end the 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple
 
 from canhaptic.axis_units import damping_unit, effort_unit, mass_unit, stiffness_unit
-from canhaptic.control.admittance.admittance_environment import AdmittanceEnvironment
 from canhaptic.control.admittance.group_environment import GroupEnvironment, PathMass
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.environments.detents import Detents
@@ -226,12 +225,6 @@ def _guard_of(*axes: AxisScene) -> ComponentSpec:
     return ComponentSpec(GUARDED, known)
 
 
-def _walls(environment: AdmittanceEnvironment, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:
-    """Return the solid regions of an admittance display's walls on the page [m or rad]."""
-    spans = ((shown[0], environment.lower_wall), (environment.upper_wall, shown[1]))
-    return tuple((low, high) for low, high in spans if low < high)
-
-
 def _box(network: GroupEnvironment) -> tuple[tuple[float, float], ...]:
     """Return the range between the walls in each direction [m or rad]; empty without walls."""
     if not network.lower and not network.upper:
@@ -276,7 +269,7 @@ def two_sides(scene: Scene, axis: str | None = None) -> TouchScene:
 
 def _line(scene: Scene, axis: AxisScene) -> TouchScene:
     """Return the handles of one axis or admittance display: unprotected, and under the algorithm of the scene."""
-    is_display, environment = axis.parameters.admittance is not None, cast(Any, axis.environment.parameters)
+    is_display = axis.parameters.admittance is not None
     if is_display:
         plain = with_algorithm(axis, PLAIN, displays=True)
         guarded = axis if axis.passivity.name != PLAIN else replace(axis, passivity=_guard_of(axis))
@@ -294,10 +287,12 @@ def _line(scene: Scene, axis: AxisScene) -> TouchScene:
     parts = axis.environment.parts or (axis.environment,)
     notched: Any = next((part.parameters for part in parts if isinstance(part.parameters, Detents)), None)
     notches = () if notched is None else (notched.position, notched.pitch)
-    solid = () if notches else (_walls if is_display else _solid)(environment, shown)
-    if getattr(environment, "damps_by_place", False):
-        ends = ((shown[0], environment.low), (environment.high, shown[1]))
-        solid = tuple(end for end in ends if end[0] < end[1] and environment.low < environment.high)
+    environment: Any = axis.environment.parameters
+    if is_display or (hasattr(environment, "rests") and axis.environment.parts):
+        rests = (environment.lower_wall, environment.upper_wall) if is_display else environment.rests()
+        solid = tuple((low, high) for low, high in ((shown[0], rests[0]), (rests[1], shown[1])) if low < high)
+    else:
+        solid = () if notches else _solid(environment, shown)
     sliders = sliders_of("environment", parts, axis.parameters.unit)
     return TouchScene(
         on_two_buses(scene, axes, sides), sides, axis.parameters.unit, (shown,), (start,), solid, sliders,
