@@ -41,7 +41,7 @@ def columns_of(document: Any) -> list[dict[str, Any]]:
 def titles_of(document: Any) -> list[str]:
     from bokeh.plotting import figure
 
-    return [panel.yaxis[0].axis_label for panel in document.select({"type": figure})]
+    return [panel.name for panel in document.select({"type": figure})]
 
 
 @pytest.mark.slow
@@ -61,7 +61,7 @@ def test_a_page_waits_for_its_log_and_then_shows_the_last_seconds(tmp_path: Path
         for name, whats in parts.items()
         for what in (*whats, "energy", "surplus", "damping", *_STATES)
     ]
-    assert sorted(titles_of(document)) == sorted([*expected, "timing", "lost"])
+    assert sorted(titles_of(document)) == sorted([*expected, "knob: knob", "timing", "lost"])
     for columns in columns_of(document):
         if "time" not in columns:
             continue
@@ -115,7 +115,7 @@ def test_a_group_has_the_energy_and_its_axes_the_positions(tmp_path: Path) -> No
     page.update()
     of_axes = [f"{name}: {what}" for name in ("x", "y") for what in ("force", "position", *_STATES)]
     of_group = [f"stage: {what}" for what in ("damping", "energy", "force", "surplus")]
-    assert sorted(titles_of(document)) == sorted(["lost", "timing", *of_axes, *of_group])
+    assert sorted(titles_of(document)) == sorted(["lost", "timing", "stage: plane", *of_axes, *of_group])
     assert "stage: " in status_of(document)
     assert "x: free" not in status_of(document)
 

@@ -207,7 +207,7 @@ class _SideView:
             look: Any = (_COLOURS[self._number], 1.5) if is_main else (GREY, 1.0)
             lines.append(line_of(name, label, *look, line_dash=dash))
         panel = panel_of(time, self._lines, title, unit, 150, lines, labels)
-        panel.toolbar_location, panel.window_axis = None, "none"
+        panel.toolbar_location, panel.window_axis, panel.xaxis[0].ticker.desired_num_ticks = None, "none", 4
         return panel
 
     def _label(self, name: str) -> str:
