@@ -15,6 +15,8 @@ from hmac import compare_digest
 from math import isfinite
 from typing import Final, NamedTuple
 
+from canhaptic.kernels import new
+
 SIZE: Final = 80
 _VERSION: Final = 1
 _BODY: Final = struct.Struct("<2sBBIQqqqdfIff")
@@ -40,8 +42,8 @@ class Packet(NamedTuple):
     damping: float = 0.0  # [N*s/m or N*m*s/rad]
 
 
-def pack(packet: Packet, key: bytes) -> bytes:
-    """Return the bytes of a packet with their tag."""
+def pack(packet: tuple[float, ...], key: bytes) -> bytes:
+    """Return the bytes of a packet, given as a `Packet` or a tuple of its fields, with their tag."""
     body = _BODY.pack(b"CH", _VERSION, *packet)
     return body + blake2s(body, digest_size=_TAG, key=key).digest()
 
@@ -52,11 +54,11 @@ def unpack(data: bytes, key: bytes) -> Packet | None:
         return None
     if not compare_digest(blake2s(data[:-_TAG], digest_size=_TAG, key=key).digest(), data[-_TAG:]):
         return None
-    packet = Packet(*_BODY.unpack_from(data)[2:])
-    _, _, _, sent, received, wanted, position, velocity, _, stiffness, damping = packet
-    if not isfinite(position + velocity + stiffness + damping) or min(sent, received, wanted) < 0:
+    fields = _BODY.unpack_from(data)[2:]
+    _, _, _, sent, received, wanted, position, velocity, _, stiffness, damping = fields
+    if sent < 0 or received < 0 or wanted < 0 or not isfinite(position + velocity + stiffness + damping):
         return None
-    return packet
+    return new(Packet, fields)
 
 
 def whole(total: float) -> int:

@@ -160,6 +160,8 @@ class Session:
         seq = self._seq
         self._seq, self._sent_at[seq % _TIMES] = seq + 1, self._now
         seen = max(0, self.seen)
-        data = pack(packet._replace(flags=packet.flags | self._role, seq=seq, session=self._id, seen=seen), self._key)
+        flags, _, _, sent, received, wanted, position, velocity, _, stiffness, damping = packet
+        known = flags | self._role, seq, self._id, sent, received, wanted, position, velocity, seen, stiffness, damping
+        data = pack(known, self._key)
         self.most_sent = max(self.most_sent, sent_in(data))
         self._send(data)

@@ -3,6 +3,7 @@
 import contextlib
 import socket
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -30,7 +31,8 @@ class Rigs:
 
     def __init__(self):
         self.places = free_address(), free_address()
-        self.rigs, self.least = [None, None], [0.0, 0.0]
+        self.rigs: list[Any] = [None, None]
+        self.least = [0.0, 0.0]
         self.stack = contextlib.ExitStack()
         self.kept = [0.0, 0.0]  # by the plants of lives that have ended [J]
 

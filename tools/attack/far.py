@@ -42,8 +42,10 @@ MUTANTS: Final = {
     "restart inside a session": 11,
 }
 """Line of the rule that is wrong -> its number."""
-_FALSE: Final = -1e-9
-_GIVEN: Final = -1e-3
+FALSE: Final = -1e-9
+"""Energy below which a run is false [J]."""
+GIVEN: Final = -1e-3
+"""Energy below which one side has given out what the other had put in [J]."""
 _PICO = 1e-12
 _BOX: Final = 4096
 _ANY = 0
@@ -345,8 +347,8 @@ def campaign(
         tried += 1
         worst = float(min(out[:3]))
         least = min(least, worst)
-        false += worst < _FALSE
-        gave += min(out[3], out[4]) < _GIVEN
+        false += worst < FALSE
+        gave += min(out[3], out[4]) < GIVEN
         felt += out[5] > 0.0
         if until_false and false:
             break

@@ -1,0 +1,148 @@
+"""What do two rigs over a network give out, what is felt, and what does a packet cost?
+
+First random networks on loops without a bus (`tools.attack.far`, plants and network of its own), then every line of the
+rule broken in turn, then pairs over the product's buses by the truth of both plants, the spring on a wall, and the
+processor time of a packet. What was attacked is kept in `far_worlds_runs.jsonl`: the same command goes on with it.
+"""
+
+import argparse
+import os
+import tempfile
+from pathlib import Path
+from time import thread_time
+from typing import Final
+
+import numpy as np
+
+from canhaptic.far.packet import Packet
+from canhaptic.far.session import Session
+from canhaptic.far.udp import UdpLink
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.scene.load import load_scene
+from canhaptic.scene.pair import Pair
+from tools.attack.far import FALSE, GIVEN, MUTANTS, campaign, run
+from tools.bench.report import Row, kept_folder, publish
+from tools.kept_runs import run_kept
+
+_PACKAGES: Final = ("canhaptic", "numpy", "numba")
+_LENGTH: Final = 2.0  # of a network [s]
+_WITHIN: Final = 300
+_SERIES: Final = 1000.0 * 5000.0 / (1000.0 + 5000.0)  # both springs [N/m]
+_HAND: Final = "configs/far_hand.yaml"
+_WALL: Final = "configs/far_wall.yaml"
+
+
+def attacked(seed: int) -> tuple[float, float, float]:
+    """Returns the least energy of a network with S and R, the least of one side alone [J], and the largest torque."""
+    out = run(seed, _LENGTH)
+    return float(min(out[:3])), float(min(out[3], out[4])), float(out[5])
+
+
+def networks(wanted: int, minutes: float, jobs: int) -> list[Row]:
+    """Returns the rows of the random networks."""
+    kept = kept_folder() / "far_worlds_runs.jsonl"
+    found = [came for came in run_kept(attacked, range(wanted), kept, jobs, minutes=minutes).values() if came[2] > 0.0]
+    false = sum(worst < FALSE for worst, _, _ in found)
+    share = sum(alone < GIVEN for _, alone, _ in found) / max(1, len(found))
+    return [
+        Row("random networks with torque", len(found), "1", target=">= 20000", met=len(found) >= 20_000),
+        Row("of these false", false, "1", target="0", met=not false),
+        Row("least energy over them, one side or both", min((one[0] for one in found), default=0.0), "J"),
+        Row("one side gave out 1 mJ of the other's", share, "1", target=">= 0.3", met=share >= 0.3),
+    ]
+
+
+def mutants() -> list[Row]:
+    """Returns after how many networks each wrong line of the rule is found."""
+    rows = []
+    for name, number in MUTANTS.items():
+        found = campaign(_WITHIN, 4.0, 1, number, until_false=True)
+        met = bool(found["false"])
+        rows.append(Row(f"mutant: {name}", found["networks"], "networks", target=f"<= {_WITHIN}", met=met))
+    return rows
+
+
+def over_buses(pairs: int) -> list[Row]:
+    """Returns what random pairs over the product's buses gave out, by the truth of both plants."""
+    random, least, gave, crossed = np.random.default_rng(7), 0.0, 0, 0
+    for number in range(pairs):
+        delay, loss = random.choice([0.0, 2.0, 10.0, 30.0]), random.choice([0.0, 1.0, 20.0])
+        stiffness = 10.0 ** random.uniform(1.8, 2.8)
+        spring = f"{{type: spring, stiffness: {stiffness:.4g} N/m, damping: {0.02 * stiffness + 4.0:.4g} N*s/m}}"
+        common = [f"far.coupling={spring}", f"far.level={random.uniform(15.0, 60.0):.4g} mJ"]
+        way = f"{{delay: {delay} ms, jitter: {0.1 * delay} ms, loss: {loss} %, burst: 3, double: 5 %}}"
+        own = [
+            f"simulation.far_network={way}", f"simulation.seed={number}",
+            f"simulation.user.motion.frequency={random.uniform(0.4, 1.5):.4g} Hz",
+            f"simulation.user.motion.amplitude={random.uniform(20.0, 60.0):.4g} mm",
+        ]  # fmt: skip
+        lost = ["simulation.bus.drop=0.01", "passivity.max_consecutive_losses=1"]
+        wall = [*(lost if random.random() < 0.5 else []), "far.level=60 mJ"]
+        outcome = Pair((load_scene(_HAND, [*common, *own]), load_scene(_WALL, [*common, *wall]))).run_through(
+            2.5, lambda: False
+        )
+        sides = [result["truth"]["handle"]["least_interaction"] for result in outcome.results]
+        least = min(least, outcome.pair["least_true"], *sides)
+        gave += any(port["in"] - port["out"] < GIVEN for port in (r["ports"]["handle"] for r in outcome.results))
+        crossed += max(outcome.pair["sent"]) > -GIVEN
+    return [
+        Row("random pairs over the buses", pairs, "1", target=">= 500", met=pairs >= 500),
+        Row("least energy over them, by the plants", least, "J", target=">= -1e-9", met=least >= FALSE),
+        Row("of these, 1 mJ crossed", crossed / pairs, "1"),
+        Row("of these, one side gave out 1 mJ of the other's", gave / pairs, "1"),
+    ]
+
+
+def felt(round_trip: float) -> Row:
+    """Returns the stiffness that the hand feels of a wall behind the spring, at a round trip [ms]."""
+    changes = [
+        f"simulation.far_network={{delay: {0.5 * round_trip} ms}}", "simulation.user.motion.amplitude=60 mm",
+        "far.coupling.damping=8 N*s/m",
+    ]  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.h5"
+        Pair((load_scene(_HAND, changes), load_scene(_WALL)), (path, None)).run_through(5.0, lambda: False)
+        with EnergyLog.open(path) as log:
+            port = log.ports["handle"]
+            pressed = port["position"][4000:] > 0.999 * port["position"][4000:].max()
+            torque, depth = port["torque_applied"][4000:][pressed], port["position"][4000:][pressed] - 0.03
+    stiffness = float(np.mean(-torque / depth))
+    met = abs(stiffness / _SERIES - 1.0) <= 0.02
+    return Row(f"spring, round trip {round_trip:g} ms: felt", stiffness, "N/m", target="833 +- 2 %", met=met)
+
+
+def packet_cost() -> Row:
+    """Returns the processor time of a SYNC's packet: pack, tag, send, receive, check."""
+    places = ("127.0.0.1", 47811), ("127.0.0.1", 47812)
+    links = UdpLink(*places), UdpLink(*reversed(places))
+    numbers = iter(range(1, 100))
+    sides = [Session(bytes(range(32)), 10**6, 1e15, numbers.__next__, link.send) for link in links]
+    took = []
+    for cycle in range(4000):
+        begin = thread_time()
+        for side, link in zip(sides, links, strict=True):
+            side.pass_time(1)
+            for data in link.arrived():
+                side.take(data, may_begin=True)
+            side.say(Packet(0, 0, 0, cycle, cycle, cycle, 0.01, 0.1, 0))
+        took.append(0.5 * (thread_time() - begin))
+    for link in links:
+        link.close()
+    value = 1e6 * float(np.median(took[1000:]))
+    return Row("packet in a SYNC: pack, tag, send, receive, check, p50", value, "us", target="<= 12", met=value <= 12.0)
+
+
+def main() -> None:
+    """Measures and publishes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--networks", type=int, default=20_000)
+    parser.add_argument("--pairs", type=int, default=500)
+    parser.add_argument("--minutes", type=float, default=60.0, help="for the networks")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    asked = parser.parse_args()
+    rows = [packet_cost(), felt(0.0), felt(10.0), *over_buses(asked.pairs), *mutants()]
+    publish("far_worlds", [*networks(asked.networks, asked.minutes, asked.jobs), *rows], _PACKAGES)
+
+
+if __name__ == "__main__":
+    main()
