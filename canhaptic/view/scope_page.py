@@ -474,8 +474,12 @@ class _LiveHandle:
             self._draw(plane)
 
     def _draw(self, plane: Plane) -> None:
-        drawn = plane.drawn(np.column_stack([self._trace.data[axis] for axis in "xy"]))
-        if drawn is None or self.drawing is None:
+        path = np.column_stack([self._trace.data[axis] for axis in "xy"])
+        drawn = plane.drawn(path)
+        if self.drawing is None:
+            return
+        if drawn is None:
+            self.drawing.tags = list(reach_of(plane.links, *((min(of), max(of)) for of in path.T.tolist())))
             return
         parts = ((drawn.depth, drawn.surface), *drawn.further)
         inside = np.any([depth <= at if at else depth > at for depth, at in parts], axis=0)  # a line has no inside

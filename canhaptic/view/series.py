@@ -211,7 +211,7 @@ class Plane(NamedTuple):
 def plane_of(log: EnergyLog, name: str) -> Plane | None:
     """Return the plane of a group, from the mechanism and network in its log.
 
-    None if the log does not have them, or the task space is not a plane.
+    None if the log does not have them, the task space is not a plane, or nothing of it can be drawn.
 
     Args:
         log: An open energy log.
@@ -229,7 +229,8 @@ def plane_of(log: EnergyLog, name: str) -> Plane | None:
     kind, axes = group["kinematics"]["type"], log.groups[name]
     links = (0.5 * kinematics.base, *kinematics.proximal) if kind == "five_bar" else ()
     unit = str(task_unit(kind, log.ports[axes[0]].unit("position")))
-    return Plane(tuple(axes), unit, kinematics, [part for part in rendered if _has_surface(part)], links)
+    surfaces = [part for part in rendered if _has_surface(part)]
+    return Plane(tuple(axes), unit, kinematics, surfaces, links) if surfaces or links else None
 
 
 def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
