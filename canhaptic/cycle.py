@@ -129,8 +129,8 @@ class Cycle:
         self._doubts = _doubts(self._loss_meters, rig.bus.sample_time)
         self._look_at = self._look_every = max(1, round(_LOOK / rig.bus.sample_time))
         self._period = rig.bus.sample_time_ns
-        self._jitters = None if jitters is None else [round(part * self._period) + 1 for part in jitters]
-        self._least_jitter = min(self._jitters or [0])
+        self._jitters = [round(part * self._period) + 1 for part in jitters or ()]
+        self._least_jitter = min(self._jitters, default=inf)
         self._frozen_after = max(_FEWEST_UNCHANGED, round(1.0 / rig.bus.sample_time))
 
     def __repr__(self) -> str:
@@ -162,8 +162,8 @@ class Cycle:
         for port in self._steps:  # displacement -> energy balance [J]
             port.step(samples, balances)
         torques = list(map(_torque, balances[: self._all.axes]))
-        if self._jitters is not None and rig.uneven > self._least_jitter:
-            self._withdraw(balances, self._jitters)
+        if rig.uneven > self._least_jitter:
+            self._withdraw(balances)
         for meter in self._loss_meters:
             if meter.take(samples, rig.deadline_index) and (lost := self._lost(meter, balances, samples)):
                 error = rig.end(StopReason.ENERGY_LOST, lost)  # zero torque first, the account second
@@ -211,9 +211,9 @@ class Cycle:
             if self._stop.has_come_down:
                 rig.begin_stop()
 
-    def _withdraw(self, balances: list[EnergyBalance], jitters: Sequence[int]) -> None:
+    def _withdraw(self, balances: list[EnergyBalance]) -> None:
         """Withdraw the certificates of a hold that was longer or shorter than they permit."""
-        broken = {axis for axis, jitter in enumerate(jitters) if self.rig.uneven > jitter}
+        broken = {axis for axis, jitter in enumerate(self._jitters) if self.rig.uneven > jitter}
         for row, axes in self._all.axes_of_rows:
             if not broken.isdisjoint(axes):
                 balances[row] = balances[row]._replace(certificate=_NO_CERTIFICATE)

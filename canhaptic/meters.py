@@ -262,23 +262,15 @@ class AxisPort(PortFigures):
             if self._asks is not None:
                 meter.asked = -self._asks.asked
             meter.take(position, torque, sent, touches)
-            if not self.contacts and not self.reach[0] <= position <= self.reach[1]:
-                self.reach = min(self.reach[0], position), max(self.reach[1], position)
+            if not self.contacts:
+                low, high = self.reach
+                if not low <= position <= high:
+                    self.reach = min(low, position), max(high, position)
             if drive.open_time:
                 exact = balance.supplied - torque * (position - before)
                 meter.leave_open(drive.open_torque, drive.open_time, abs(exact - balance.h_i))
             if (asked := meter.asked) != 0.0:
-                size, most = abs(asked), meter.accuracy.largest_torque
-                self.asked += size
-                if size > most:  # a hand that is stronger than the drive feels it
-                    self.beyond_limit += 1
-                    size = most
-                torque = max(-most, min(most, balance.torque))  # the limiter cuts the rest
-                self.rendered += along(asked, torque)
-                self.sizes_asked += size
-                self.sizes_sent += abs(torque)
-                self.last_torque = sent if torque else self.last_torque
-                self.unanswered = 0.0 if torque else self.unanswered + size
+                self._take_effort(asked, balance.torque, sent)
         if touches:
             self.contacts += 1
             self.damping += balance.damping_rendered
@@ -289,6 +281,20 @@ class AxisPort(PortFigures):
         if interaction + resolution < self._floor:
             self.activity.take(interaction + resolution, int(sent))
         return self._measured(resolution)
+
+    def _take_effort(self, asked: float, torque: float, sent: float) -> None:
+        """Add an effort that the environment requested and the torque that was sent for it [N or N*m]."""
+        size, most = abs(asked), self._meter.accuracy.largest_torque
+        self.asked += size
+        if size > most:  # a hand that is stronger than the drive feels it
+            self.beyond_limit += 1
+            size = most
+        torque = max(-most, min(most, torque))  # the limiter cuts the rest
+        self.rendered += along(asked, torque)
+        self.sizes_asked += size
+        self.sizes_sent += abs(torque)
+        self.last_torque = sent if torque else self.last_torque
+        self.unanswered = 0.0 if torque else self.unanswered + size
 
     @property
     def longest_gap(self) -> int:

@@ -81,7 +81,7 @@ def roles_of(scene: Scene) -> Roles:
     axes = [axis.parameters for axis in scene.axes]
     on = [places[axis.bus] for axis in scene.axes]
     maps = [choose_map(axis.dictionary(), axis) for axis in axes]
-    sensors = [axis.admittance.force.node if axis.admittance else None for axis in axes]
+    sensors = [axis.causality.force_node for axis in axes]
     nodes = zip(on * 2, [*axes, *sensors], strict=True)
     sdo_requests = frozenset((bus, od.SDO_REQUEST_BASE + of.node_id) for bus, of in nodes if of and of.node_id)
     rpdos = [(bus, plan.rpdo.cob_id) for bus, plan in zip(on, maps, strict=True)]
@@ -675,7 +675,9 @@ class OpenReplay:
             drive.identifies = self._recording.first_request(*where)[1:3] != _STATUSWORD
             listed = {od.COMMUNICATION_CYCLE_PERIOD, *_NOTED} & drive.dictionary.keys()
             drive.left_out = frozenset(
-                index for index in (*listed, *drive.axis.offsets) if not self._recording.sdo_frames(*where, index)
+                index
+                for index in (*listed, *drive.axis.causality.offsets)
+                if not self._recording.sdo_frames(*where, index)
             )
             self._left_out += [f"{drive.axis.name}: 0x{index:04X}" for index in sorted(drive.left_out)]
             periods = self._recording.sdo_frames(*where, od.PRODUCER_HEARTBEAT_TIME)

@@ -177,7 +177,7 @@ class PortRecord(PortFigures):
         self.damping += float(port.read("damping_rendered", start, stop)[touching].sum())
         self._is_open = bool(branch[-1] == Branch.HELD)
         if not self._hold:
-            axes = log.groups.get(self._name, (self._name,))
+            axes = log.axes_of(self._name)
             found = {event.port: event.text for event in log.events if event.kind == "hold" and event.port in axes}
             self._hold = verdict.worst_hold(found.values())  # of each axis the last word
         if self._is_measured:
@@ -417,7 +417,7 @@ def inspect(log: EnergyLog, start: float | None = None, stop: float | None = Non
     truth = {name: _truth(log, name, rows) for name in log.truth}
     ports = with_groups({name: _port(log, name, rows) for name in log.ports}, log.groups, truth)
     events = [{**event._asdict(), "time": log.time_of(event.sync_index)} for event in log.events]
-    stretches = {name: _contacts(log, name, rows) for name in log.ports if name not in log.group_of}
+    stretches = {name: _contacts(log, name, rows) for name in log.accounts}
     for name, among in stretches.items():
         if (first := ports[name].get("first_active")) is not None:
             ports[name]["first_active_contact"] = sum(contact["start"] <= first for contact in among)
@@ -580,7 +580,7 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> TruthResult:
         return with_old_names(
             TruthResult(interaction=0.0, least_interaction=0.0, least_at_handle=0.0, accounted_error=0.0)
         )
-    axes = log.groups.get(name, (name,))
+    axes = log.axes_of(name)
     by_motors = sum(_taken_in(log, axis, rows) for axis in axes)
     columns = [
         (log.ports[axis].read("interaction", rows.start, rows.stop), _supplied(log, axis, rows)) for axis in axes
@@ -641,7 +641,7 @@ def _quantiles(durations: Array) -> dict[str, float]:
 
 
 def _link(log: EnergyLog, rows: slice) -> dict[str, float]:
-    fresh = [port.read("fresh", rows.start, rows.stop) for n, port in log.ports.items() if n not in log.groups]
+    fresh = [log.ports[name].read("fresh", rows.start, rows.stop) for name in log.axes]
     expected = sum(len(values) for values in fresh)
     received = int(sum(values.sum(dtype=np.int64) for values in fresh))
     dropped = int(log.timing.read("dropped_before", rows.start, rows.stop).sum(dtype=np.int64))

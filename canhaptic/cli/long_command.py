@@ -37,7 +37,7 @@ def notes(scene: Scene) -> Iterator[str]:
 def unguarded(scene: Scene) -> Iterator[str]:
     """Yield a warning for each real axis without passivity controller."""
     for axis in scene.axes:
-        if not scene.simulated and scene.passivity_of(axis).name == "unprotected":
+        if not scene.simulated and scene.port_of(axis).passivity.name == "unprotected":
             text = f"{axis.parameters.name}: NO PASSIVITY CONTROLLER (algorithm: unprotected): the drive may give out"
             yield f"{text} energy to the hand; only the limits of torque, power and speed protect it"
 

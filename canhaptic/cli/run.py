@@ -149,10 +149,12 @@ def _require_allowed(scene: Scene, most: float) -> None:
     Raises:
         ParameterError: The allowance of an axis or a group is larger.
     """
-    for name, passivity, _ in scene.ports:
-        energy = getattr(passivity.parameters, "energy_allowance", 0.0)
+    for port in scene.ports:
+        energy = getattr(port.passivity.parameters, "energy_allowance", 0.0)
         if energy > most:
-            text = f"{name}: passivity.energy_allowance: got {energy:.3g} J, expected at most {most:g} J, since the"
+            text = (
+                f"{port.name}: passivity.energy_allowance: got {energy:.3g} J, expected at most {most:g} J, since the"
+            )
             text += " handle may give out this energy at once"
             raise ParameterError(f"{text}; declare less, or run with --large-allowance")
 

@@ -162,9 +162,9 @@ def _judge(session: Session, axis: int, fit: _Fit) -> None:
 
 def _judge_drive(session: Session, axis: int, fit: _Fit, mass_unit: str, gain_unit: str) -> None:
     """Judge mass, gains and friction against the declarations of the axis, or of its group."""
-    group = session.scene.group_of(session.axes[axis])
-    known = (session.axes[axis] if group is None else group).passivity.parameters
-    of_group = "" if group is None else f"; in the group {group.name}, the largest of its axes"
+    port = session.scene.port_of(session.axes[axis])
+    known = port.passivity.parameters
+    of_group = f"; in the group {port.name}, the largest of its axes" if len(port.axes) > 1 else ""
     declared = known if isinstance(known, GuardedAdmittanceParameters) else None
     has_friction = declared is not None and declared.drive_friction is not None
     ranged = ("loop_gain", "drive_mass") if has_friction else ("loop_gain",)

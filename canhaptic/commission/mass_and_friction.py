@@ -289,7 +289,7 @@ def propose_allowance(session: Session, axis: int, known: Mapping[str, float]) -
     scene, key = session.axes[axis], "passivity.energy_allowance"
     hand_force, declared = (getattr(scene.passivity.parameters, name, None) for name in ("hand_force", key[10:]))
     mine = [value for value in session.report.values if value.axis == scene.parameters.name]
-    if scene.group or hand_force is None or declared is None or declared > 0.0 or key in [each.key for each in mine]:
+    if hand_force is None or declared is None or declared > 0.0 or key in [each.key for each in mine]:
         return
     timing = {each.key[10:]: each.value for each in mine if isinstance(each.value, float)}
     loop = with_declared(scene, {**known, **{name: timing[name] for name in _TIMES if name in timing}}).loop
@@ -306,7 +306,6 @@ _PASSED: Final = 60.0  # counts
 _OVER: Final = 1.1
 _OF_A_HOLD: Final = 0.95  # sample times of uncertainty at which a hold can still be found
 _EARLY: Final = 3.0  # standard deviations below 0 from which on a torque acts before its SYNC
-_EARLY_SHARE: Final = 0.01  # of a hold; an early torque is early by most of one, less is what friction adds
 
 
 def time_the_torque(
@@ -426,7 +425,7 @@ def _report(session: Session, axis: int, late: tuple[float, float], *, is_kept: 
     value, error, timing = late[0], SURE * late[1], session.axes[axis].loop.timing
     configured = f"at most {declared * 1e6:.3g} us" if declared else "none"
     found = f"{value * 1e6:.3g} +- {error * 1e6:.2g} us"
-    if value < -max(_EARLY * late[1], _EARLY_SHARE * session.sample_time):
+    if value < -_EARLY * late[1]:
         text = "acts before its SYNC: declare rpdo: event, and commission again"
         session.found(axis, _ITEM, configured, found, StepVerdict.FAILED, text)
     elif value <= error:

@@ -220,16 +220,14 @@ def move_by_hand(session: Session, axis: int) -> None:
 
 def _moved(session: Session, axis: int, distance: float) -> tuple[OpenLoop, float | None]:
     """Return the record of a motion by hand, and how far a simulated hand moved [m or rad]."""
-    seen: list[float] = []  # a hand goes on while a brake is set, and the law then records no more
+    begin: list[float] = []
     session.truths = ()
 
-    def is_there() -> bool:
-        return bool(seen) and abs(seen[-1] - seen[0]) >= abs(distance)
-
     def reached() -> bool:
-        if not is_there() and (truth := session.truth(axis)) is not None:
-            seen.append(truth)
-        return is_there()
+        truth = session.truth(axis)
+        if truth is not None and not begin:
+            begin.append(truth)
+        return truth is not None and abs(truth - begin[0]) >= abs(distance)
 
     ready, longest = reached, _LONGEST_REACH
     if not session.scene.simulated:
@@ -238,7 +236,8 @@ def _moved(session: Session, axis: int, distance: float) -> tuple[OpenLoop, floa
         asked = f"{asked}, in the direction that is to be positive; hold it there and press Enter"
         ready, longest = session.dialogue.until_ready(asked, 1), 120.0  # [s] that a person may take
     law = session.play(axis, (), session.cycles(longest), ready)
-    return law, seen[-1] - seen[0] if seen else None
+    truth = session.truth(axis)
+    return law, None if truth is None or not begin else truth - begin[0]
 
 
 def _reaching(axis: AxisScene, distance: float) -> object:

@@ -28,7 +28,6 @@ from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.models import LOOP_KEYS, TO_SET, AxisScene, Scene
 from canhaptic.scene.scene_text import Change, is_written
 from canhaptic.signals import Truth
-from canhaptic.sim.plant.user import UserParameters
 from canhaptic.units import Parameters, quantity
 from canhaptic.view.table import Cell, Styled, Table
 
@@ -585,7 +584,8 @@ class Session:
 
     def weight(self, axis: int) -> float:
         """Torque that holds an axis that hangs from its brake, as declared; else 0 [N or N*m]."""
-        return weight_of(self.axes[axis])
+        brake = self.axes[axis].parameters.brake
+        return 0.0 if brake is None else brake.holds_weight
 
     def guard(self, axis: int, travels: float = 1.0) -> Guard:
         """Return the limits of a test: of each the physical value, or a number of counts if that is larger.
@@ -716,24 +716,14 @@ def largest_torque(session: Session, axis: int) -> float:
     return min(session.limits.torque * rated, parameters.torque_limit)
 
 
-def weight_of(axis: AxisScene) -> float:
-    """Torque that holds an axis that hangs from its brake, as declared; else 0 [N or N*m]."""
-    return 0.0 if axis.parameters.brake is None else axis.parameters.brake.holds_weight
-
-
 def _with_hands(scene: Scene, hand: Callable[[AxisScene], Any]) -> Scene:
-    """Return the scene with other simulated hands; an axis left without a hand loses the effects of one.
-
-    A twin whose brake is declared to hold a weight hangs by it, unless its hand pushes already.
-    """
+    """Return the scene with other simulated hands; an axis left without a hand loses the effects of one."""
     axes = []
     for axis in scene.axes:
         if (simulation := axis.simulation) is not None:
             user, effects = hand(axis), simulation.effects
             if user is None:
                 effects = tuple(effect for effect in effects if effect.name not in ("tremor", "grasp_change"))
-            if (weight := weight_of(axis)) and not (user and user.push):
-                user = (user or UserParameters()).model_copy(update={"push": -weight})
             simulation = dataclasses.replace(simulation, user=user, effects=effects)
         axes.append(dataclasses.replace(axis, simulation=simulation))
     return dataclasses.replace(scene, axes=tuple(axes))

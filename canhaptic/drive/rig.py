@@ -11,6 +11,7 @@ On every error zero torque is sent first, then the drives are disabled, then the
 import threading
 from collections import deque
 from collections.abc import Sequence
+from operator import call
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 from canhaptic.drive.bus_cycle import BackgroundLine, BusCycle
@@ -81,6 +82,7 @@ class Rig:
         self.buses = tuple(buses)
         self._seen = tuple(bus.seen for bus in self.buses)
         self.drives: tuple[Any, ...] = tuple(drives)  # each of the class of its fieldbus
+        self._commands = [drive.command_per_mille for drive in self.drives]
         together = {axis: tuple(self.drives[other] for other in group) for group in groups for axis in group}
         self._needed = [(drive, together.get(axis, ())) for axis, drive in enumerate(self.drives)] if groups else []
         self.bus, self.clock = bus, self.buses[0].clock
@@ -248,7 +250,7 @@ class Rig:
             if len(torques) != len(drives):
                 text = f"write_torques: got {len(torques)} torques for {len(drives)} axes; give each axis one"
                 raise InputError(text)
-            commands = [drive.command_per_mille(torque) for drive, torque in zip(drives, torques, strict=True)]
+            commands = list(map(call, self._commands, torques))
             for drive, command in zip(drives, commands, strict=True):
                 drive.write(command)
             exchange.beat()

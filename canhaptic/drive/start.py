@@ -105,9 +105,9 @@ def _exchange_zero_torque(exchange: Exchange, bring_ups: Sequence[BringUp]) -> N
     _require_order(exchange, bring_ups)
     for drive, bring_up in zip(exchange.drives, bring_ups, strict=True):
         with bring_up.step("zero torque"):
-            target = _read(exchange, drive, drive.axis.target)
+            target = _read(exchange, drive, drive.axis.causality.target)
         if not drive.rests_at(target):
-            seen = f"{drive.axis.target:#06x} = {target} after an RPDO with 0"
+            seen = f"{drive.axis.causality.target:#06x} = {target} after an RPDO with 0"
             raise bring_up.refusal("zero torque", seen, drive.rest_text)
         if drive.read_back == "demand" and drive.reported_per_mille != 0:
             raise bring_up.refusal("zero torque", f"0x6074 = {drive.reported_per_mille} in the TPDO", "0")

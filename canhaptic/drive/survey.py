@@ -278,8 +278,8 @@ def _rows(
     yield row("identity", "vendor ID", od.IDENTITY, Verdict.FIT, "compared when vendor_id is set", 1)
     yield row("identity", "product code", od.IDENTITY, Verdict.FIT, "compared when product_code is set", 2)
     group: Group = "torque" if axis.admittance is None else "motion"
-    for place in ("0x6040", "0x6041", f"{axis.target:#06x}", "0x6064", "0x6502", "0x6060", "0x6061"):
-        yield judged(group, findings[place], axis.mode_code)
+    for place in ("0x6040", "0x6041", f"{axis.causality.target:#06x}", "0x6064", "0x6502", "0x6060", "0x6061"):
+        yield judged(group, findings[place], axis.causality.mode_code)
     if axis.admittance is None:
         yield _read_back(dictionary, axis_map)
     else:

@@ -213,6 +213,8 @@ class EnergyLog:
         self.timing = Quantities(file, "timing", self.rows)
         self.far = Quantities(file, "far", self.rows) if "far" in file.names("/") else None
         self.groups = self._groups()
+        self.axes = tuple(name for name in self.ports if name not in self.groups)
+        self.accounts = tuple(name for name in self.ports if name not in self.group_of)
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
@@ -281,6 +283,10 @@ class EnergyLog:
             **{f"truth/{name}": truth for name, truth in self.truth.items()},
             **({} if self.far is None else {"far": self.far}),
         }
+
+    def axes_of(self, name: str) -> tuple[str, ...]:
+        """Return the names of the axes of a port."""
+        return self.groups.get(name, (name,))
 
     @property
     def group_of(self) -> dict[str, str]:

@@ -107,8 +107,8 @@ def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
     The energy that declared dry friction dissipates is counted by the cycle.
     """
     meters = []
-    for name, passivity, places in scene.ports:
-        axes = [scene.axes[place] for place in places]
+    for port in scene.ports:
+        axes, passivity = port.axes, port.passivity
         is_limited = passivity.name in GUARANTEEING or not scene.simulated
         limit = _least((axis.parameters.energy_loss_limit for axis in axes), DEFAULT_LIMIT if is_limited else inf)
         growths = [axis.parameters.energy_uncertainty_limit for axis in axes]
@@ -120,7 +120,7 @@ def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
         damping = [0.0 if axis.loop.device_friction else axis.loop.device_damping or 0.0 for axis in axes]
         allowance = getattr(passivity.parameters, "energy_allowance", 0.0)
         meter = _meter_of(axes[0])(
-            name, places, limit, allowance, damping, scene.bus.sample_time, growth, is_of_link=is_of_link
+            port.name, port.places, limit, allowance, damping, scene.bus.sample_time, growth, is_of_link=is_of_link
         )
         meters.append(meter)
     return meters
@@ -600,8 +600,8 @@ def experiment_account(experiment: Experiment, status: str, elapsed: float) -> R
 
 def _add_of_axes(experiment: Experiment, ports: Mapping[str, PortResult]) -> None:
     """Add to each port its algorithm, to each axis its environment, and why a wall was not felt."""
-    for name, passivity, _ in experiment.scene.ports:
-        ports[name]["algorithm"] = passivity.name
+    for of in experiment.scene.ports:
+        ports[of.name]["algorithm"] = of.passivity.name
     is_in_degrees = uses_degrees("\n".join((experiment.scene.text, *experiment.scene.overrides)))
     for axis in experiment.scene.axes:
         port = ports[axis.parameters.name]

@@ -39,14 +39,14 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
     for axis, entry in zip(scene.axes, sections["axes"], strict=True):
         given = (owner.get("passivity") for owner in (entry, of_groups.get(axis.group, sections)))
         loop = next(section for section in given if isinstance(section, MarkedMapping))
-        first = next(other for other in scene.axes if other.group == axis.group)
-        known = scene.bus_of(axis), scene.passivity_of(axis), not scene.simulated, bool(scene.mechanisms)
+        port = scene.port_of(axis)
+        known = scene.bus_of(axis), port.passivity, not scene.simulated, bool(scene.mechanisms)
         least = dict[str, float]()
         if scene.simulated:
             from canhaptic.scene.far_side import least_lateness
 
             least = least_lateness(axis, scene.bus_of(axis), scene.effects_on(axis.bus))
-        maps[axis.bus].append(_check_axis(_Checked(axis, first, entry, loop, *known, least), faults))
+        maps[axis.bus].append(_check_axis(_Checked(axis, port.axes[0], entry, loop, *known, least), faults))
     for group in scene.groups:
         try:
             build_group(scene, group)
@@ -69,7 +69,7 @@ class _Checked(NamedTuple):
     """One axis, with the other parts of the scene that must fit it."""
 
     axis: AxisScene
-    first: AxisScene  # of its group
+    first: AxisScene  # of its port
     entry: MarkedMapping  # its section as written
     loop: MarkedMapping  # section `passivity` with its loop: its own, the group's or the shared one
     bus: CanBusParameters
@@ -140,13 +140,13 @@ def _faults_of_hold(of: _Checked) -> Iterator[tuple[str, str]]:
     if axis.parameters.check_hold is not None and (why := _why_unchecked(of)):
         yield "check_hold", f"got a check at each start {why}"
     if (dither := axis.parameters.hold_dither) is not None:
-        if axis.group or axis.guard or axis.parameters.admittance or axis.passivity.name != "guarded":
+        if axis.guard or axis.parameters.admittance or axis.passivity.name != "guarded":
             text = "got a sequence where `guarded` does not render on this axis alone"
             yield "hold_dither", f"{text}; leave it out, or set algorithm: guarded"
         elif 2.0 * dither < axis.loop.torque_quantum:
             text = f"got {dither:.3g}, expected at least half a step of the torque, {axis.loop.torque_quantum:.3g}"
             yield "hold_dither", text
-    if axis.group and quirks.syncs_late != quirks_of(of.first.parameters.quirks).syncs_late:
+    if quirks.syncs_late != quirks_of(of.first.parameters.quirks).syncs_late:
         text = f"the axes of group {axis.group!r} act in different holds"
         yield "quirks", f"{text}; expected acts_a_sync_late on all of them, or on none"
 

@@ -12,7 +12,7 @@ from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.motion_checks import MassAsked, MassFelt
 from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.scene.models import AxisScene, GroupScene, Scene
+from canhaptic.scene.models import AxisScene, GroupScene, Port, Scene
 
 if TYPE_CHECKING:
     from canhaptic.control.mechanisms.kinematics import Kinematics
@@ -64,14 +64,11 @@ def build_group_of_displays(scene: Scene, group: GroupScene) -> "GroupController
     )
 
 
-def mass_felt(axis: AxisScene, group: GroupScene | None) -> MassFelt | None:
-    """Return the estimator of the mass felt on an axis; None if neither axis nor group renders a mass along it."""
-    part = axis.environment if group is None else group.network
-    if part.name != "virtual_mass" or (group is not None and group.kinematics.name != "identity"):
+def mass_felt(axis: AxisScene, port: Port) -> MassFelt | None:
+    """Return the estimator of the mass felt on an axis; None if its port renders no mass along it."""
+    if port.rendered.name != "virtual_mass" or port.kinematics.name != "identity":
         return None
-    environment: Any = part.parameters
-    if group is not None:
-        environment = environment.of_axis(group.axes.index(axis.parameters.name))
+    environment: Any = cast("Any", port.rendered.parameters).of_axis(port.axes.index(axis))
     known = display_properties(axis)
     low, high = max(environment.lower_wall, known.position_low), min(environment.upper_wall, known.position_high)
     times = {"sample_time": known.sample_time, "count": known.encoder_count}

@@ -420,12 +420,11 @@ def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
     properties = display_properties(axis)
     text = "costs the account as much as dry friction of this size: sensor error, and what point samples leave unseen"
     hints = [_limit(axis, "force_uncertainty", _uncertainty(properties), text)]
-    group = scene.group_of(axis)
-    chosen = (axis.passivity, axis.environment) if group is None else (group.passivity, group.network)
-    known, rendered = (part.parameters for part in chosen)
+    port = scene.port_of(axis)
+    known, rendered = port.passivity.parameters, port.rendered.parameters
     if isinstance(known, GuardedAdmittanceParameters):
         asked = getattr(rendered, "inertia", getattr(rendered, "mass", None))
-        if group is not None and group.kinematics.name != "identity":
+        if port.kinematics.name != "identity":
             asked = None  # in task space, which is not that of the axis
         hints += [*_of_guard(axis, known, properties, asked), *_of_faults(axis, known, properties, scene)]
     return hints

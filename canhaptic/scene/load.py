@@ -204,7 +204,7 @@ def with_loops(scene: Scene) -> Scene:
     windows = {name: _window(effects[name], bus, scene.axes_on(name)) for name, bus in scene.buses}
     axes, needed = [], list[str]()
     for axis in scene.axes:
-        passivity, window = scene.passivity_of(axis), windows.get(axis.bus, 0.0)  # an unknown bus was noted before
+        passivity, window = scene.port_of(axis).passivity, windows.get(axis.bus, 0.0)  # an unknown bus was noted before
         needed += [f"{axis.parameters.name}.passivity.{key}" for key in _needed(passivity, axis.loop)]
         found = {**_GUESSES, "torque_window": _GUESSES["torque_window"] + window}
         bounds, ends = dict[str, float](), dict[str, float]()

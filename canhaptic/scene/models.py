@@ -80,12 +80,7 @@ class NamedBus(NamedTuple):
     parameters: CanBusParameters
 
 
-class Port(NamedTuple):
-    """One part of a scene with an account of its own: an axis outside groups, or a group."""
-
-    name: str
-    passivity: ComponentSpec
-    places: tuple[int, ...]  # indices of its axes in the scene
+_OF_ITSELF: Final = ComponentSpec("identity", Parameters())  # kinematics of an axis that renders alone
 
 
 class LogParameters(Parameters):
@@ -296,6 +291,11 @@ class AxisScene:
     guard: str = ""  # of the torque that a program asks for on it; empty where an environment is rendered
 
     @property
+    def port(self) -> str:
+        """Name of the port that the axis is in: its own, or its group's."""
+        return self.group or self.parameters.name
+
+    @property
     def is_read(self) -> bool:
         """Whether environment, algorithm and effects are known: False if one is user code that was left unread."""
         parts = (self.environment, self.passivity, *(self.simulation.effects if self.simulation else ()))
@@ -322,6 +322,18 @@ class GroupScene:
     kinematics: Annotated[ComponentSpec, ComponentOf(KINEMATICS, "kinematics")]
     network: Annotated[ComponentSpec, _NETWORK]
     passivity: Annotated[ComponentSpec, _GROUP_ALGORITHM]
+
+
+class Port(NamedTuple):
+    """One part of a scene with an account of its own: axes, what is rendered on them together, and how."""
+
+    name: str
+    axes: tuple[AxisScene, ...]
+    places: tuple[int, ...]  # indices of its axes in the scene
+    rendered: ComponentSpec  # environment of an axis, or network of several
+    kinematics: ComponentSpec
+    passivity: ComponentSpec
+    section: str  # path of what is rendered, for an override; empty for the environment of an axis
 
 
 def _as_many_as_move_it(axes: tuple[str, ...], info: Info[SceneContext]) -> tuple[str, ...]:
@@ -444,9 +456,23 @@ class Scene:
     @property
     def ports(self) -> list[Port]:
         """Every axis outside groups, then every group."""
-        alone = [Port(of.parameters.name, of.passivity, (n,)) for n, of in enumerate(self.axes) if not of.group]
-        groups = zip(self.groups, self.group_places, strict=True)
-        return alone + [Port(of.name, of.passivity, places) for of, places in groups]
+        alone = [
+            Port(axis.parameters.name, (axis,), (n,), axis.environment, _OF_ITSELF, axis.passivity, "")
+            for n, axis in enumerate(self.axes)
+            if not axis.group
+        ]
+        several = [
+            Port(
+                of.name, tuple(map(self.axis, of.axes)), places, of.network, of.kinematics, of.passivity,
+                f"groups.{n}.network",
+            )
+            for n, (of, places) in enumerate(zip(self.groups, self.group_places, strict=True))
+        ]  # fmt: skip
+        return alone + several
+
+    def port_of(self, axis: AxisScene) -> Port:
+        """Return the port that an axis is in."""
+        return next(port for port in self.ports if port.name == axis.port)
 
     def axis(self, name: str) -> AxisScene:
         """Return the axis of that name."""
@@ -473,15 +499,6 @@ class Scene:
         declared = quirks.acts_at_once, quirks.syncs_late, given.demand_reported == "after"
         acts = twin.acts_at_once, twin.syncs_late, twin.torque_read_back == "after_update"
         return BY_CONSTRUCTION if acts == declared else NOT_CHECKED
-
-    def passivity_of(self, axis: AxisScene) -> ComponentSpec:
-        """Return the algorithm that renders on an axis: its own, or its group's."""
-        group = self.group_of(axis)
-        return axis.passivity if group is None else group.passivity
-
-    def group_of(self, axis: AxisScene) -> GroupScene | None:
-        """Return the group that renders on an axis; None outside groups."""
-        return next((group for group in self.groups if group.name == axis.group), None)
 
     def effects_on(self, bus: str) -> BusEffects | None:
         """Return the simulated faults of a bus, by its name; None where it is ideal."""
@@ -625,7 +642,7 @@ def values_to_set(scene: Scene) -> list[Guess]:
     is_virtual = any(bus.parameters.interface == "virtual" for bus in scene.buses)
     missing, marked = ["bus.interface", "bus.channel"] if is_virtual else [], guesses_left(scene)
     typed = any("unprotected" in override.partition("=")[2] for override in scene.overrides)
-    if typed and not scene.simulated and any(passivity.name == "unprotected" for _, passivity, _ in scene.ports):
+    if typed and not scene.simulated and any(port.passivity.name == "unprotected" for port in scene.ports):
         missing.append(_UNPROTECTED)
     verifies = "torque_verified" not in {guess.key for guess in marked}
     for axis in scene.axes:

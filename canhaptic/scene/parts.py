@@ -90,7 +90,7 @@ def friction_declared(axis: AxisScene) -> "FrictionDeclared | None":
     """Return the declarations against which the motion of an axis is checked; None if one is missing."""
     loop, parameters = loop_as_known(axis), axis.passivity.parameters
     force, push = (getattr(parameters, key, None) for key in ("hand_force", "hand_push"))
-    if axis.group or not loop.device_friction or loop.moving_mass is None or force is None:
+    if not loop.device_friction or loop.moving_mass is None or force is None:
         return None
     from canhaptic.control.motion_checks import FrictionDeclared
 
@@ -175,13 +175,12 @@ def build_axis_meters(scene: Scene) -> list[AxisMeter]:
 
 
 def _axis_meter(axis: AxisScene, scene: Scene) -> AxisMeter:
-    group = scene.group_of(axis)
+    port = scene.port_of(axis)
     if axis.parameters.admittance is not None:
         from canhaptic.scene.displays import mass_felt
 
-        return SilentMeter(mass_felt(axis, group))
-    together = [axis] if group is None else [scene.axis(name) for name in group.axes]
-    accuracy = _accuracy_of(axis, scene.passivity_of(axis), together)
+        return SilentMeter(mass_felt(axis, port))
+    accuracy = _accuracy_of(axis, port.passivity, port.axes)
     environment = None if axis.group or axis.guard else plain(cast(Environment, axis.environment.parameters))
     if (declared := friction_declared(axis)) is None:
         return AxisMeter(accuracy, environment)

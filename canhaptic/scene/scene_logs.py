@@ -128,11 +128,11 @@ def _active_attributes(
         meters: Meter of each axis.
     """
     found: dict[str, Attribute] = {}
-    for name, passivity, places in ports:
-        allowance = promise_of(passivity.parameters).energy_allowance
-        limits = active_limits([meters[place].accuracy for place in places], allowance)
+    for port in ports:
+        allowance = promise_of(port.passivity.parameters).energy_allowance
+        limits = active_limits([meters[place].accuracy for place in port.places], allowance)
         finite = {key: value for key, value in limits._asdict().items() if isfinite(value)}
-        found[f"{name}.{ACTIVE_LIMITS}"] = json.dumps(finite)
+        found[f"{port.name}.{ACTIVE_LIMITS}"] = json.dumps(finite)
     fits = zip(names, (meter.felt for meter in meters), strict=True)
     return found | {f"{name}.mass_asked": json.dumps(asdict(felt.asked)) for name, felt in fits if felt is not None}
 

@@ -74,7 +74,7 @@ def _absent(found: Survey) -> dict[_Place, int]:
         needed[od.IDENTITY, 1] = found.vendor_id
     needed |= _cob_ids(found.dictionary)
     missing = {place: value for place, value in needed.items() if stated_value(found.dictionary, *place) is None}
-    mode_bit = 1 << found.axis.mode_code - 1
+    mode_bit = 1 << found.axis.causality.mode_code - 1
     if not (stated_value(found.dictionary, od.SUPPORTED_DRIVE_MODES) or 0) & mode_bit:
         missing[od.SUPPORTED_DRIVE_MODES, 0] = mode_bit
     return missing
@@ -164,8 +164,7 @@ def starter_scene(
     """
     if found.suitability is Suitability.UNFIT:
         reasons = "; ".join(f"{row.item}: {row.text}" for row in found.reasons)
-        kind = "cyclic torque" if found.axis.admittance is None else "an admittance display"
-        raise DictionaryError(f"{found.axis.eds} is not fit for {kind}: {reasons}")
+        raise DictionaryError(f"{found.axis.eds} is not fit for {found.axis.causality.kind}: {reasons}")
     adapter = ADAPTERS.get(interface)
     dictionary, rate = found.dictionary, _rate(found, adapter)
     jitter = max(_LATE["sync_jitter"], adapter.jitter * rate if adapter else 0.0)

@@ -243,10 +243,10 @@ def _further(log: EnergyLog, rows: slice) -> tuple[_Panels, list[str]]:
         return time[shown], values[shown].astype(np.float64)
 
     panels: _Panels = {}
-    for name, port in log.ports.items():
-        if name not in log.group_of:
-            lines = {"damping": thinned(port.read("damping_rendered", *span))}
-            panels[f"{name}: damping rendered"] = port.unit("damping_rendered"), lines
+    for name in log.accounts:
+        port = log.ports[name]
+        lines = {"damping": thinned(port.read("damping_rendered", *span))}
+        panels[f"{name}: damping rendered"] = port.unit("damping_rendered"), lines
     timing = {
         name.replace("_", " "): thinned(log.timing.read(name, *span))
         for name in (*CycleTiming._fields, PHASE)

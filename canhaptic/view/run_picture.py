@@ -363,7 +363,7 @@ def energy_figure(
     names = list(labels) or [other.path.name for other in others]
     rows, inches = rows_to_draw(log, start, stop), _inches(width)
     with drawing(is_small=inches is not None) as figure_type:
-        pictures = {name: PortPicture(log, name, rows) for name in log.ports if name not in log.group_of}
+        pictures = {name: PortPicture(log, name, rows) for name in log.accounts}
         wanted = {name: _chosen(picture.draws(), panels) for name, picture in pictures.items()}
         figure, columns = _layout(figure_type, wanted, inches)
         for name, picture in pictures.items():

@@ -474,12 +474,8 @@ class _LiveHandle:
             self._draw(plane)
 
     def _draw(self, plane: Plane) -> None:
-        path = np.column_stack([self._trace.data[axis] for axis in "xy"])
-        drawn = plane.drawn(path)
-        if self.drawing is None:
-            return
-        if drawn is None:
-            self.drawing.tags = list(reach_of(plane.links, *((min(of), max(of)) for of in path.T.tolist())))
+        drawn = plane.drawn(np.column_stack([self._trace.data[axis] for axis in "xy"]))
+        if drawn is None or self.drawing is None:
             return
         parts = ((drawn.depth, drawn.surface), *drawn.further)
         inside = np.any([depth <= at if at else depth > at for depth, at in parts], axis=0)  # a line has no inside
@@ -520,14 +516,13 @@ def _status(news: News, last: News) -> str:
         f"TPDOs received {100.0 * news.fresh_share:.4g} %",
         *(f"{name} {last.lost[name][-1]}" for name in _COUNTED if len(last.time)),
     ]
-    for name, rows in last.ports.items():
-        if len(rows["margin"]) and name not in news.group_of:
+    for name, rows in ((name, last.ports[name]) for name in news.accounts if name in last.ports):
+        if len(rows["margin"]):
             state = state_text(int(rows["statusword"][-1]))
             margin, surplus = si(float(rows["margin"][-1]), "J"), si(float(rows["surplus"][-1]), "J")
             facts.append(f"{html.escape(name)}: {state.lower()}, margin {margin}, surplus {surplus}")
     events = [f"SYNC {e.sync_index} {e.kind} {e.port}: {e.text}" for _, e in news.events[-_EVENTS_SHOWN:]]
-    accounts = {name: account for name, account in news.accounts.items() if name not in news.group_of}
-    bar, line = verdict_bar(with_groups(accounts, {})), " &nbsp; ".join(fact for fact in facts if fact)
+    bar, line = verdict_bar(with_groups(news.accounts, {})), " &nbsp; ".join(fact for fact in facts if fact)
     return "<br>".join([bar, line, *map(html.escape, events)])
 
 

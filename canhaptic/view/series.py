@@ -138,9 +138,8 @@ def losses(log: EnergyLog, start: int, stop: int) -> dict[str, Array]:
     skipped = np.diff(deadlines - index, prepend=0 if start == 0 else deadlines[:1] - index[:1])
     gaps = np.diff(index, prepend=index[:1] - 1)[len(index) - len(dropped) :] - 1
     lost = {"SYNCs skipped": skipped[len(index) - len(dropped) :] + np.maximum(gaps - dropped, 0)}
-    for name, port in log.ports.items():
-        if name not in log.groups:
-            lost[f"{name}: TPDOs missed"] = (port.read("fresh", start, stop) == 0).astype(np.int64)
+    for name in log.axes:
+        lost[f"{name}: TPDOs missed"] = (log.ports[name].read("fresh", start, stop) == 0).astype(np.int64)
     return lost | {"cycles not in the log": dropped}
 
 
@@ -211,7 +210,7 @@ class Plane(NamedTuple):
 def plane_of(log: EnergyLog, name: str) -> Plane | None:
     """Return the plane of a group, from the mechanism and network in its log.
 
-    None if the log does not have them, the task space is not a plane, or nothing of it can be drawn.
+    None if the log does not have them, or the task space is not a plane.
 
     Args:
         log: An open energy log.
@@ -229,8 +228,7 @@ def plane_of(log: EnergyLog, name: str) -> Plane | None:
     kind, axes = group["kinematics"]["type"], log.groups[name]
     links = (0.5 * kinematics.base, *kinematics.proximal) if kind == "five_bar" else ()
     unit = str(task_unit(kind, log.ports[axes[0]].unit("position")))
-    surfaces = [part for part in rendered if _has_surface(part)]
-    return Plane(tuple(axes), unit, kinematics, surfaces, links) if surfaces or links else None
+    return Plane(tuple(axes), unit, kinematics, [part for part in rendered if _has_surface(part)], links)
 
 
 def task_plane(log: EnergyLog, name: str, rows: slice) -> TaskPlane | None:
@@ -286,10 +284,9 @@ class News(NamedTuple):
     ports: dict[str, dict[str, Array]]  # new rows, with energies summed from the beginning
     contacts: dict[str, list[tuple[float, float]]]  # first and last time in each contact, of the new rows [s]
     facts: dict[str, PortFacts]
-    accounts: dict[str, PortResult]  # what verdicts rest on, since the beginning
+    accounts: dict[str, PortResult]  # what the verdict of each account rests on, since the beginning
     events: list[MarkedEvent]  # all so far
     fresh_share: float  # TPDOs that came, of all expected, since the beginning
-    group_of: dict[str, str]  # of each axis in a group, whose account is the group's
     sample_time: float  # [s]
 
 
@@ -338,6 +335,9 @@ class LiveLog:
         start, stop = self._rows, min(log.rows, self._rows + _MOST_AT_ONCE)
         time = log.deadlines(start, stop) * log.sample_time
         ports = {name: self._port(log, name, start, stop) for name in log.ports}
+        fresh = [log.ports[name].read("fresh", start, stop) for name in log.axes]
+        self._expected += sum(map(len, fresh))
+        self._missed += sum(int((of == 0).sum()) for of in fresh)
         lost = {name: self._summed("", name, values) for name, values in losses(log, start, stop).items()}
         touched = {name: contacts(log.ports[name].read("branch", start, stop)) for name in log.ports}
         self._rows = stop
@@ -351,10 +351,9 @@ class LiveLog:
             ports,
             {name: [(float(time[a]), float(time[b])) for a, b in spans] for name, spans in touched.items()},
             self._facts,
-            {name: record.account() for name, record in self._records.items()},
+            {name: self._records[name].account() for name in log.accounts},
             [MarkedEvent(log.time_of(event.sync_index), event) for event in log.events],
             1.0 - self._missed / self._expected if self._expected else 1.0,
-            log.group_of,
             log.sample_time,
         )
 
@@ -374,9 +373,5 @@ class LiveLog:
         if name not in self._records:
             self._records[name] = PortRecord(log, name)
         self._records[name].take(log, start, stop)
-        if name not in log.groups:
-            fresh = port.read("fresh", start, stop)
-            self._expected += len(fresh)
-            self._missed += int((fresh == 0).sum())
         taken_in, dissipated = rows["taken_in"], rows["dissipated"]
         return {**rows, "margin": taken_in - dissipated, "upper": np.maximum(taken_in, dissipated)}

@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from canhaptic.control.admittance.port import AdmittanceProperties
-from canhaptic.control.motion_checks import MassAsked
+from canhaptic.control.motion_checks import MassAsked, MassFelt
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.displays import (
     build_group_of_displays,
@@ -71,22 +71,26 @@ def test_a_display_without_its_limits_is_refused(of: dict[str, Any], axis: dict[
         display_properties(display(of, **axis))
 
 
+def felt_on(axis: AxisScene) -> MassFelt | None:
+    return mass_felt(axis, replace(loaded("admittance/virtual_mass.yaml"), axes=(axis,)).ports[0])
+
+
 def test_the_mass_to_feel_has_room_between_the_nearest_of_walls_and_limits() -> None:
-    felt = mass_felt(display(), None)
+    felt = felt_on(display())
     assert felt is not None
     assert felt.asked == MassAsked(mass=3.0, stiffness=0.0, low=-0.1, high=0.2, sample_time=1e-3, count=1e-6)
-    near = mass_felt(display({"position_low": -0.05, "position_high": 0.01}), None)
+    near = felt_on(display({"position_low": -0.05, "position_high": 0.01}))
     assert near is not None
     assert (near.asked.low, near.asked.high) == (-0.05, 0.01)
 
 
 def test_no_mass_is_felt_along_an_axis_that_renders_none() -> None:
-    [ball] = loaded("admittance/cup_and_ball.yaml").axes
-    assert mass_felt(ball, None) is None
+    ball = loaded("admittance/cup_and_ball.yaml")
+    assert mass_felt(ball.axes[0], ball.ports[0]) is None
     path, arm = loaded("admittance/guided_path.yaml"), loaded("admittance/two_link_arm.yaml")
-    assert mass_felt(path.axes[0], path.groups[0]) is None  # a path, though along the axes
-    assert mass_felt(arm.axes[0], arm.groups[0]) is None  # a mass, though not along the axes
-    straight = replace(arm.groups[0], kinematics=path.groups[0].kinematics)
+    assert mass_felt(path.axes[0], path.ports[0]) is None  # a path, though along the axes
+    assert mass_felt(arm.axes[0], arm.ports[0]) is None  # a mass, though not along the axes
+    straight = arm.ports[0]._replace(kinematics=path.ports[0].kinematics)
     felt = [mass_felt(axis, straight) for axis in arm.axes]
     network: Any = arm.groups[0].network.parameters
     assert [each.asked.mass for each in felt if each is not None] == [network.mass] * 2

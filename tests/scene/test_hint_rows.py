@@ -42,7 +42,7 @@ def requesting(scene: Scene, hint: Hint, value: float) -> Scene:
     section, _, name = LIMITS[hint.quantity].key.partition(".")
     axes, groups = list(scene.axes), list(scene.groups)
     place = next(place for place, axis in enumerate(axes) if axis.parameters.name == hint.axis)
-    group = scene.group_of(axes[place])
+    group = next((of for of in groups if of.name == axes[place].group), None)
     if section == "passivity":
         axes[place] = replace(axes[place], loop=axes[place].loop.model_copy(update={name: value}))
     elif group is None:

@@ -70,7 +70,7 @@ def test_only_what_a_port_has_is_drawn(path: Path) -> None:
 def test_a_look_at_a_growing_log_knows_groups(path: Path) -> None:
     news = LiveLog(path).look()
     assert news is not None
-    assert news.group_of == {"x": "stage", "y": "stage"}
+    assert list(news.accounts) == ["stage"]
     assert [name for name, facts in news.facts.items() if facts.is_group] == ["stage"]
     assert news.fresh_share == 1.0
 

@@ -52,7 +52,7 @@ class HandWatch:
             bool(side) and bool(axis.loop.torque_window or axis.loop.current_lag)
             for side, axis in zip(outward, experiment.scene.axes, strict=True)
         ]
-        laws = [passivity.parameters for _, passivity, _ in experiment.scene.ports]
+        laws = [port.passivity.parameters for port in experiment.scene.ports]
         memory = _MEMORY + max(getattr(law, "max_consecutive_losses", 0) for law in laws)
         self._seen, self._torques, self._words = ([deque[float](maxlen=memory) for _ in self._forces] for _ in range(3))
         self.pull = [0.0] * len(self._forces)

@@ -103,11 +103,10 @@ def known_of(scene: Scene, name: str) -> Known:
     """Return what a scene declares of an axis."""
     axis = scene.axis(name)
     place, given = [of.parameters.name for of in scene.axes].index(name), axis.parameters
-    group, twin = scene.group_of(axis), axis.simulation
-    passivity: Any = axis.loop if group is None else group.passivity.parameters
-    rendered = axis.environment.parameters if group is None else group.network.parameters
+    port, twin = scene.port_of(axis), axis.simulation
+    rendered = port.rendered.parameters
     plant, hand = getattr(twin, "plant", None), getattr(twin, "user", None)
-    mass = getattr(plant, "mass", None) or getattr(passivity, "moving_mass", None)
+    mass = getattr(plant, "mass", None) or (axis.loop.moving_mass if port.axes == (axis,) else None)
     effects: dict[str, tuple[int, Any]] = {
         of.name: (n, of.parameters) for n, of in enumerate(twin.effects if twin else ())
     }
@@ -121,10 +120,10 @@ def known_of(scene: Scene, name: str) -> Known:
         1.0 / abs(given.counts_per_unit), axis.loop.torque_quantum or (written or 0.0) / 1000.0,
         given.torque_limit or inf, mass, lost, _path_of(scene, place, axis),
         effects,
-        _effects_at(scene, name), scene.passivity_of(axis).name,
+        _effects_at(scene, name), port.passivity.name,
         *_faults_of(scene, axis),
-        group.name if group is not None and group.network.name == "coupled_handles" else "",
-        tuple(other for other in group.axes if other != name) if group is not None else (),
+        port.name if port.rendered.name == "coupled_handles" else "",
+        tuple(of.parameters.name for of in port.axes if of is not axis),
     )  # fmt: skip
 
 
@@ -145,9 +144,10 @@ def _faults_of(scene: Scene, axis: AxisScene) -> tuple[float, tuple[str, float |
 
 def _path_of(scene: Scene, place: int, axis: AxisScene) -> str:
     """Return the path of the section that makes the wall, for an override."""
-    if axis.group:
-        return f"groups.{[of.name for of in scene.groups].index(axis.group)}.network"
-    return f"axes.{place}.environment" if len(scene.axes) > 1 and "\nenvironment" not in scene.text else "environment"
+    of_axis = (
+        f"axes.{place}.environment" if len(scene.axes) > 1 and "\nenvironment" not in scene.text else "environment"
+    )
+    return scene.port_of(axis).section or of_axis
 
 
 def _effects_at(scene: Scene, name: str) -> str:
@@ -212,11 +212,10 @@ def why(log: EnergyLog, scene: Scene | None, rows: slice | None = None) -> dict[
         rows: Part of the log.
     """
     found: dict[str, tuple[Known, Motion, Buzz | None]] = {}
-    for name in log.ports:
-        if name not in log.groups:
-            known = Known(name, period=log.sample_time) if scene is None else known_of(scene, name)
-            motion = motion_of(log, name, rows)
-            found[name] = known, motion, buzz_of(motion, known.weight)
+    for name in log.axes:
+        known = Known(name, period=log.sample_time) if scene is None else known_of(scene, name)
+        motion = motion_of(log, name, rows)
+        found[name] = known, motion, buzz_of(motion, known.weight)
     buzzes = {name: buzz for name, (_, _, buzz) in found.items()}
     seen = {n: explained(known, motion, buzz, buzzes) for n, (known, motion, buzz) in found.items() if buzz is not None}
     return {name: one for name, one in seen.items() if not _is_the_hand(one)}

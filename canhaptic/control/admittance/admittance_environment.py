@@ -52,6 +52,10 @@ class AdmittanceEnvironment(Parameters):
         """Inertia felt by a hand that moves slowly [kg or kg*m^2]."""
         raise NotImplementedError
 
+    def of_axis(self, _axis: int) -> Self:
+        """Return the environment on an axis: it has one."""
+        return self
+
     def speed_after(self, inner: Buffer, speed: float, force: float, position: float, time: float) -> float:
         """Return the speed after another hold under a constant force [m/s or rad/s].
 

@@ -23,7 +23,7 @@ from canhaptic.drive.can import sdo
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.sdo import ABORT, ATTEMPTS, FRAME_LENGTH, ProtocolError, Transfer
 from canhaptic.drive.can.servo_drive import ServoDrive
-from canhaptic.drive.profile.drive_objects import DRIVE_OBJECTS, DRIVE_SETTINGS
+from canhaptic.drive.profile.drive_objects import DRIVE_SETTINGS
 from canhaptic.drive.profile.torque_axis import COMMANDS
 from canhaptic.errors import LinkError, SdoError
 
@@ -39,8 +39,6 @@ _OWNED: Final = (
     | {0x605B, 0x605C, 0x605D, 0x605E}  # reactions to shutdown, disable operation, halt and fault
     | set(range(od.RPDO_COMMUNICATION, od.TPDO_MAPPING + od.PDO_COUNT))
 )
-_OWNED_BY_DISPLAYS: Final = {index for index, _ in DRIVE_OBJECTS}
-"""Further objects that only the start may write on an admittance display: reactions, limits and ramps."""
 
 
 @dataclass(slots=True, eq=False)
@@ -87,8 +85,7 @@ class BackgroundSdo:
             SdoError: As `upload`, or the object belongs to the cycle.
         """
         axis = self._drive.axis
-        others = {place[0] for place in axis.written_objects} if axis.admittance is None else _OWNED_BY_DISPLAYS
-        if index in _OWNED or index in others:
+        if index in _OWNED | axis.causality.owned | {place[0] for place in axis.written_objects}:
             text = "it belongs to the cycle while the rig runs; stop the rig first"
             raise self._drive.sdo.failure("write", index, subindex, text)
         transfer = sdo.download(*_checked(index, subindex), bytes(data))

@@ -179,15 +179,15 @@ def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
     Raises:
         DictionaryError: No map carries the objects of cyclic torque; the text names the missing objects.
     """
-    target = _TARGETS[axis.target]
+    target = _TARGETS[axis.causality.target]
     for needed in (_CONTROLWORD, target, _STATUSWORD, _POSITION):
         if dictionary.get_variable(needed.index, needed.subindex) is None:
-            kind = "cyclic torque" if axis.admittance is None else "an admittance display"
-            raise DictionaryError(f"{axis.name}: {axis.eds}: has no object {needed}; {kind} needs it")
+            raise DictionaryError(f"{axis.name}: {axis.eds}: has no object {needed}; {axis.causality.kind} needs it")
         if (text := objection(dictionary, ObjectUse(needed.index, 0, needed.data_type))) is not None:
             raise DictionaryError(f"{axis.name}: {axis.eds}: {needed} is {text}; correct the dictionary")
-    read_back, torque = _force(dictionary, axis) if axis.admittance else _read_back(dictionary, axis)
-    wanted = [_STATUSWORD, _POSITION] + ([torque] if torque else [])
+    read_back, torque = _read_back(dictionary, axis)
+    shown = torque or _force(dictionary, axis)
+    wanted = [_STATUSWORD, _POSITION] + ([shown] if shown else [])
     rpdo = _choose_rpdo(dictionary, axis, (_CONTROLWORD, target))
     tpdos = _choose_tpdos(dictionary, axis, wanted)
     plans, taken = [], set(axis.pdo_cob_ids.values())
@@ -200,7 +200,7 @@ def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
             place = f"{second.communication_index:#06x}"
             shared = f"{first.name} and {second.name} would share COB-ID {first.cob_id:#x}"
             raise DictionaryError(f"{axis.name}: {shared}; set pdo_cob_ids: {{{place}: ...}}")
-    node = axis.admittance.force.node if axis.admittance else None
+    node = axis.causality.force_node
     watchdog = _choose_watchdog(dictionary, axis, plans[0])
     return AxisMap(plans[0], tuple(plans[1:]), read_back, (node.frame_length,) if node else (), watchdog)
 
@@ -223,7 +223,7 @@ def _unreadable(dictionary: ObjectDictionary, kind: _Kind) -> dict[int, str]:
 
 
 def _read_back(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[ReadBack, MappedObject | None]:
-    asked, has_demand = axis.read_back, quirks_of(axis.quirks).maps_demand
+    asked, has_demand = axis.causality.read_back(axis.read_back), quirks_of(axis.quirks).maps_demand
     if asked in ("auto", "demand") and has_demand and _is_mappable(dictionary, TORQUE_DEMAND):
         return "demand", TORQUE_DEMAND
     if asked in ("auto", "actual") and _is_mappable(dictionary, _TORQUE_ACTUAL):
@@ -236,12 +236,12 @@ def _read_back(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[Read
     raise DictionaryError(f"{asks} {axis.eds} does not let {wanted} be mapped; use read_back: auto")
 
 
-def _force(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[ReadBack, MappedObject | None]:
-    """Return the force object of an admittance display, which replaces the torque; no torque is read back."""
+def _force(dictionary: ObjectDictionary, axis: AxisParameters) -> MappedObject | None:
+    """Return the object that shows a force in place of a torque; None without one."""
     if (found := force_object(dictionary, axis)) is None:
-        return "none", None
+        return None
     index, subindex, kind = found
-    return "none", MappedObject(index, subindex, 16 if kind is DataType.INTEGER16 else 32, signed=True)
+    return MappedObject(index, subindex, 16 if kind is DataType.INTEGER16 else 32, signed=True)
 
 
 def _is_mappable(dictionary: ObjectDictionary, wanted: MappedObject) -> bool:
@@ -495,8 +495,7 @@ def require_fit(dictionary: ObjectDictionary, axis: AxisParameters, bus: CanBusP
     refused = [finding for finding in check_dictionary(dictionary, axis, bus) if finding.verdict is Verdict.REFUSED]
     if refused:
         lines = "; ".join(f"{finding.item}: {finding.text}" for finding in refused)
-        kind = "cyclic torque" if axis.admittance is None else "an admittance display"
-        raise DictionaryError(f"{axis.name}: {axis.eds} is not fit for {kind}: {lines}")
+        raise DictionaryError(f"{axis.name}: {axis.eds} is not fit for {axis.causality.kind}: {lines}")
 
 
 def _heartbeat(dictionary: ObjectDictionary, axis: AxisParameters, bus: CanBusParameters | None) -> Finding:
@@ -601,8 +600,7 @@ def _sync_period(dictionary: ObjectDictionary) -> list[Finding]:
 def _unseen(dictionary: ObjectDictionary, axis: AxisParameters) -> list[Finding]:
     """Return what no frame shows where no torque is read back."""
     with suppress(DictionaryError):
-        if axis.admittance is None and choose_map(dictionary, axis).read_back == "none":
-            text = "none: a lost or old torque, and one of another size or sign, is neither stopped nor in the account"
+        if (text := axis.causality.unseen) and choose_map(dictionary, axis).read_back == "none":
             return [Finding("torque read back", Verdict.UNKNOWN, text)]
     return []
 
@@ -625,9 +623,8 @@ def _map(dictionary: ObjectDictionary, axis: AxisParameters, bus: CanBusParamete
         f"[{', '.join(str(entry) for entry in pdo.entries)}]"
         for pdo in (chosen.rpdo, *chosen.tpdos)
     ]
-    if axis.admittance is None and chosen.read_back != "demand":
-        is_measured = chosen.read_back == "actual"
-        parts.append(f"energy from the {'measured torque 0x6077' if is_measured else 'commands, not exact'}")
+    if source := axis.causality.energy_from.get(chosen.read_back):
+        parts.append(f"energy from {source}")
     return Finding("PDO map", Verdict.FIT, "; ".join(parts))
 
 

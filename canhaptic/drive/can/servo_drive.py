@@ -83,11 +83,11 @@ class ServoDrive(TorqueAxis):
         self.window, self.guarding = SyncWindow(), ""
         self._statistics = link.statistics
         self._rpdo_cob_id = self.map.rpdo.cob_id
-        image = codec(self.map.rpdo.entries, [od.CONTROLWORD, axis.target])
+        image = codec(self.map.rpdo.entries, [od.CONTROLWORD, axis.causality.target])
         is_first = self.map.rpdo.entries[0].index == od.CONTROLWORD
         pack: Callable[[int, int], bytes] = image.pack if is_first else lambda word, torque: image.pack(torque, word)
         self._pack = (lambda controlword, _torque: pack(controlword, 0)) if dry_run else pack  # behind the limiter's 0
-        place = axis.admittance.force.place if axis.admittance else None
+        place = axis.causality.force_place
         self._listen({**_SLOTS, **({place[0]: 2} if place else {})})
         self.reset()
 

@@ -80,9 +80,9 @@ def choose_image(dictionary: Dictionary, axis: TorqueAxisParameters) -> ImageMap
     Raises:
         DictionaryError: No map carries the objects of cyclic torque; the text names the missing ones.
     """
-    target = Entry(axis.target, DataType.INTEGER16 if axis.admittance is None else DataType.INTEGER32)
-    read_back, torque = _read_back(dictionary, axis)
-    inputs = (_STATUSWORD, _POSITION, *([torque] if torque else ()))
+    target = Entry(axis.causality.target, axis.causality.target_type)
+    read_back, shown = _read_back(dictionary, axis)
+    inputs = (_STATUSWORD, _POSITION, *([shown] if shown else ()))
     return ImageMap(
         _choose(dictionary, axis, "RPDO", (_CONTROLWORD, target)), _choose(dictionary, axis, "TPDO", inputs), read_back
     )

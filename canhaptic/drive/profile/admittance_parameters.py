@@ -4,12 +4,14 @@
 """
 
 import re
+from collections.abc import Mapping
 from math import inf
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import field_validator, model_validator
 
 from canhaptic.canopen import objects as od
+from canhaptic.drive.profile.drive_objects import DRIVE_OBJECTS
 from canhaptic.units import OnDemand, Parameters, quantity
 
 if TYPE_CHECKING:
@@ -116,6 +118,14 @@ class AdmittanceParameters(Parameters):
             raise ValueError(f"position_low is {low}, expected less than position_high ({high})")
         return self
 
+    kind: ClassVar[str] = "an admittance display"
+    target_type: ClassVar[od.DataType] = od.DataType.INTEGER32
+    offsets: ClassVar[tuple[int, ...]] = (od.POSITION_OFFSET, od.VELOCITY_OFFSET, od.TORQUE_OFFSET)
+    owned: ClassVar[frozenset[int]] = frozenset(index for index, _ in DRIVE_OBJECTS)
+    energy_from: ClassVar[Mapping[str, str]] = {}
+    torques: ClassVar[tuple[tuple[int, str], ...]] = ()
+    unseen: ClassVar[str] = ""
+
     @property
     def mode_code(self) -> int:
         """Value of 0x6060 (mode of operation) for these velocity commands."""
@@ -125,6 +135,34 @@ class AdmittanceParameters(Parameters):
     def target(self) -> int:
         """Index of the object that carries the command."""
         return od.TARGET_VELOCITY if self.mode == "velocity" else od.TARGET_POSITION
+
+    @property
+    def limit_keeper(self) -> str:
+        """Who keeps the limit of the torque where the start cannot write it."""
+        return "the drive itself (limit_in_drive)" if self.limit_in_drive else "the master alone"
+
+    @property
+    def needs_limit(self) -> bool:
+        """Whether a real drive is refused where the start cannot write that limit."""
+        return not self.limit_in_drive
+
+    @property
+    def force_place(self) -> tuple[int, int] | None:
+        """(index, subindex) of the object that shows the force; None for a sensor with its own node."""
+        return self.force.place
+
+    @property
+    def force_node(self) -> ForceNode | None:
+        """Frame of a sensor that answers the SYNC by itself; None for one in the drive."""
+        return self.force.node
+
+    def extremes(self, limit: int) -> tuple[int, ...]:
+        """Return no command: the limits of a velocity are in its own counts; see `causality`."""
+        return ()
+
+    def read_back(self, asked: object) -> Literal["none"]:
+        """Return that no torque is read back: the force is in its place; see `causality`."""
+        return "none"
 
 
 class ForceChannel:

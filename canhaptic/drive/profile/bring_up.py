@@ -339,7 +339,7 @@ class BringUp(ABC):
     def _zero_offsets(self) -> None:
         """Zero the drive's offsets to its target: the account does not include a torque set elsewhere."""
         drive = self._drive
-        for index in drive.axis.offsets:
+        for index in drive.axis.causality.offsets:
             variable = drive.dictionary.get_variable(index)
             if index in drive.left_out:
                 continue

@@ -152,7 +152,7 @@ class DisplayBringUp(BringUp):
         """Write a target at rest, the steepest ramps of the drive, zero offsets, and the quick stop."""
         with self.step("zero torque"):
             rest = self._sdo.read(od.POSITION_ACTUAL) if self._drive.display.mode == "position" else 0
-        self._write_confirmed("zero torque", self._drive.axis.target, 0, rest)
+        self._write_confirmed("zero torque", self._drive.axis.causality.target, 0, rest)
         for index in RAMPS:  # a ramp inside the drive changes the command behind the certificate's back
             self._write_unless_asked("ramps", index, largest_value(self._drive.dictionary, index))
         self._zero_offsets()

@@ -96,12 +96,12 @@ def force_object(dictionary: Dictionary, axis: TorqueAxisParameters) -> tuple[in
     Raises:
         DictionaryError: The dictionary does not list it as INTEGER16 or INTEGER32.
     """
-    if axis.admittance is None or (place := axis.admittance.force.place) is None:
+    if (place := axis.causality.force_place) is None:
         return None
     variable = listed(dictionary, *place)
     kind = getattr(variable, "data_type", None)
     if kind not in (DataType.INTEGER16, DataType.INTEGER32):
-        seen = f"admittance.force.object {axis.admittance.force.object} is not "
+        seen = f"admittance.force.object {place[0]:#06x}.{place[1]:x} is not "
         seen += "in the dictionary" if variable is None else "INTEGER16 or INTEGER32"
         raise DictionaryError(
             f"{axis.name}: {axis.dictionary_path}: {seen}; set admittance.force.object to the object of the drive that "
@@ -167,7 +167,7 @@ def profile_findings(
         axis: Parameters of the axis.
         sample_time_ns: Sample time of the cycle [ns]; None if unknown.
     """
-    mode = ObjectUse(od.MODES_OF_OPERATION, 0, DataType.INTEGER8, writes=True, values=(axis.mode_code,))
+    mode = ObjectUse(od.MODES_OF_OPERATION, 0, DataType.INTEGER8, writes=True, values=(axis.causality.mode_code,))
     findings = [
         _device_type(dictionary),
         _target(dictionary, axis),
@@ -178,7 +178,7 @@ def profile_findings(
         _abort_option(dictionary, axis),
     ]
     optional = (
-        *(() if axis.admittance else _read_back(dictionary)),
+        *_read_back(dictionary, axis),
         *_offsets(dictionary, axis),
         *_ramps(dictionary, axis),
         *_interpolation(dictionary, axis, sample_time_ns),
@@ -234,17 +234,14 @@ def _used(dictionary: Dictionary, use: ObjectUse, name: str) -> Finding:
 
 
 def _target(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
-    if axis.admittance is not None:
-        name = f"target {MODES[axis.mode_code]}"
-        return _used(dictionary, ObjectUse(axis.target, 0, DataType.INTEGER32, reads=True, writes=True), name)
-    limit = _max_torque_value(axis) or 0
-    use = ObjectUse(od.TARGET_TORQUE, 0, DataType.INTEGER16, reads=True, writes=True, values=(0, limit, -limit))
-    return _used(dictionary, use, "target torque")
+    of, limit = axis.causality, _max_torque_value(axis) or 0
+    use = ObjectUse(of.target, 0, of.target_type, reads=True, writes=True, values=of.extremes(limit))
+    return _used(dictionary, use, f"target {MODES[of.mode_code]}")
 
 
-def _read_back(dictionary: Dictionary) -> Iterator[Finding]:
+def _read_back(dictionary: Dictionary, axis: TorqueAxisParameters) -> Iterator[Finding]:
     """Yield findings on the torques that could be read back; their type may not be that of CiA 402."""
-    for index, name in ((od.TORQUE_DEMAND, "torque demand"), (od.TORQUE_ACTUAL, "torque actual")):
+    for index, name in axis.causality.torques:
         if index in dictionary:
             yield _used(dictionary, ObjectUse(index, 0, DataType.INTEGER16), name)
 
@@ -269,9 +266,9 @@ def _drive_modes(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
     if od.SUPPORTED_DRIVE_MODES in dictionary and found.verdict is Verdict.REFUSED:
         return found
     if stated is None:
-        text = f"not stated; read from the drive, and 0x6061 must confirm mode {axis.mode_code}"
+        text = f"not stated; read from the drive, and 0x6061 must confirm mode {axis.causality.mode_code}"
         return Finding(item, Verdict.UNKNOWN, text)
-    bit, name = axis.mode_code - 1, MODES[axis.mode_code]
+    bit, name = axis.causality.mode_code - 1, MODES[axis.causality.mode_code]
     if not stated >> bit & 1:
         return Finding(item, Verdict.REFUSED, f"got {stated:#06x}, expected bit {bit} (cyclic synchronous {name}) set")
     return Finding(item, Verdict.FIT, f"{stated:#06x}, bit {bit} is set")
@@ -300,9 +297,7 @@ def _rated_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding
 def _max_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
     item = "0x6072 max torque"
     if state := max_torque_unwritten(dictionary, axis):
-        is_set = axis.admittance is not None and axis.admittance.limit_in_drive
-        keeper = "the drive itself (limit_in_drive)" if is_set else "the master alone"
-        kept = f"{state}; {keeper} keeps {axis.torque_limit:g}"
+        kept = f"{state}; {axis.causality.limit_keeper} keeps {axis.torque_limit:g}"
         return Finding(item, Verdict.UNKNOWN, limit_objection(dictionary, axis) or kept)
     limit, asked = _max_torque_value(axis), f"torque_limit {axis.torque_limit:g}"
     limit = limit if limit is None else written_max_torque(dictionary, axis, limit)
@@ -368,7 +363,7 @@ def max_torque_unwritten(dictionary: Dictionary, axis: TorqueAxisParameters) -> 
 def limit_objection(dictionary: Dictionary, axis: TorqueAxisParameters) -> str:
     """Return why nothing in the drive limits the torque of an admittance display, with the remedy; "" otherwise."""
     state = max_torque_unwritten(dictionary, axis)
-    if not state or axis.admittance is None or axis.admittance.limit_in_drive:
+    if not (state and axis.causality.needs_limit):
         return ""
     remedy = "set torque_limit in the drive with the vendor's tool and say so with admittance.limit_in_drive: true"
     return f"{state}; {remedy}; an admittance display on a real interface is refused without it"
@@ -406,7 +401,7 @@ def _abort_option(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding
 
 def _offsets(dictionary: Dictionary, axis: TorqueAxisParameters) -> Iterator[Finding]:
     """Yield findings on the offsets that a drive adds to its target: optional objects, set to 0 at the start."""
-    for index in axis.offsets:
+    for index in axis.causality.offsets:
         if index in dictionary:
             use = ObjectUse(index, reads=True, writes=is_writable(dictionary, index, 0), values=(0,))
             yield judged(dictionary, f"{index:#06x} offset", use, _CORRECT)

@@ -310,7 +310,7 @@ class TorqueAxis(ABC):
     @property
     def mode_code(self) -> int:
         """Value of 0x6060 for the drive's mode."""
-        return self.axis.mode_code
+        return self.axis.causality.mode_code
 
     @property
     def withheld(self) -> float:

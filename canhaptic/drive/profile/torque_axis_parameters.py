@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 
-from canhaptic.canopen import objects as od
+from canhaptic.drive.profile.causality import IMPEDANCE, Impedance
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import ParameterError
 from canhaptic.units import Name, OnDemand, Parameters, PrintableText, quantity
@@ -166,17 +166,6 @@ class TorqueAxisParameters(Parameters):
         return {(int(key[2:6], 16), int(key[7:])): value for key, value in self.drive_objects.items()}
 
     @property
-    def mode_code(self) -> int:
-        """Value of 0x6060 for the drive's mode."""
-        return od.CYCLIC_SYNC_TORQUE if self.admittance is None else self.admittance.mode_code
-
-    @property
-    def target(self) -> int:
-        """Index of the object that carries the command."""
-        return od.TARGET_TORQUE if self.admittance is None else self.admittance.target
-
-    @property
-    def offsets(self) -> tuple[int, ...]:
-        """Indices of offsets added to the drive's target, or to a setpoint derived from it: 0 while a rig runs."""
-        offsets = (od.POSITION_OFFSET, od.VELOCITY_OFFSET, od.TORQUE_OFFSET)
-        return offsets[2:] if self.admittance is None else offsets
+    def causality(self) -> "Impedance | AdmittanceParameters":
+        """What the drive is sent and what it shows."""
+        return self.admittance or IMPEDANCE

@@ -1,0 +1,53 @@
+"""What the drive of an axis is sent and what it shows, by the causality of the axis.
+
+An impedance display, `Impedance`, takes torques and shows torques; an admittance display, `AdmittanceParameters`, takes
+velocities and shows forces. Both have the attributes below, so that nothing else asks which of them an axis is.
+"""
+
+from collections.abc import Mapping
+from typing import Final, TypeVar
+
+from canhaptic.canopen import objects as od
+
+_Asked = TypeVar("_Asked")
+
+
+class Impedance:
+    """Torque out, motion in.
+
+    Attributes:
+        kind: What a dictionary must fit, for messages.
+        mode_code: Value of 0x6060 for the drive's mode.
+        target: Index of the object that carries the command.
+        target_type: Its type.
+        offsets: Indices of offsets added to the drive's target, or to a setpoint derived from it: 0 while a rig runs.
+        owned: Indices of further objects that only the start may write: reactions, limits and ramps.
+        torques: Indices and names of the torques that may be read back.
+        energy_from: Torque that is read back -> what the energy follows from, where it is not exact.
+        unseen: What no frame shows where no torque is read back; "" where none is needed.
+        limit_keeper: Who keeps the limit of the torque where the start cannot write it.
+        needs_limit: Whether a real drive is refused where the start cannot write that limit.
+        force_place: (index, subindex) of the object of the drive that shows the force; None without one.
+        force_node: Frame of a sensor that answers the SYNC by itself; None without one.
+    """
+
+    kind = "cyclic torque"
+    mode_code, target, target_type = od.CYCLIC_SYNC_TORQUE, od.TARGET_TORQUE, od.DataType.INTEGER16
+    offsets: tuple[int, ...] = (od.TORQUE_OFFSET,)
+    owned = frozenset[int]()
+    torques = ((od.TORQUE_DEMAND, "torque demand"), (od.TORQUE_ACTUAL, "torque actual"))
+    energy_from: Mapping[str, str] = {"actual": "the measured torque 0x6077", "none": "the commands, not exact"}
+    unseen = "none: a lost or old torque, and one of another size or sign, is neither stopped nor in the account"
+    limit_keeper, needs_limit = "the master alone", False
+    force_place = force_node = None
+
+    def extremes(self, limit: int) -> tuple[int, ...]:
+        """Return the commands that type and limits of the target must take, by the largest torque [per mille]."""
+        return 0, limit, -limit
+
+    def read_back(self, asked: _Asked) -> _Asked:
+        """Return which torque is read back, by the one that the axis asks for."""
+        return asked
+
+
+IMPEDANCE: Final = Impedance()
