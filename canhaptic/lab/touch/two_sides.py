@@ -105,7 +105,7 @@ class TouchScene:
 
 
 def sliders_of(section: str, parts: Sequence[ComponentSpec], unit: str) -> tuple[TouchSlider, ...]:
-    """Return sliders for the parameters of a section of the scene, or of each part of its sum.
+    """Return sliders for the parameters of a section, or of each part of its sum; 0 is on no logarithmic one.
 
     Args:
         section: Path of the section in the scene.
@@ -127,8 +127,8 @@ def sliders_of(section: str, parts: Sequence[ComponentSpec], unit: str) -> tuple
             float(getattr(part.parameters, name)), *kinds[name],
         )
         for n, part in enumerate(parts)
-        for name in kinds
-        if name in type(part.parameters).model_fields
+        for name, (_, decades) in kinds.items()
+        if name in type(part.parameters).model_fields and (getattr(part.parameters, name) or not decades)
     )  # fmt: skip
 
 

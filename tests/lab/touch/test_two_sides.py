@@ -99,9 +99,7 @@ def test_two_displays_with_one_account_are_touched_in_a_plane() -> None:
     assert least["guarded"] >= -1e-3
     touched = two_sides(load_scene(CONFIGS / "admittance" / "guided_path.yaml"))
     assert touched.path[0] == touched.path[-1] == (-0.05, 0.0)
-    assert [slider.key for slider in touched.sliders] == [
-        f"groups.0.network.{name}" for name in ("mass", "stiffness", "damping")
-    ]
+    assert [slider.key for slider in touched.sliders] == [f"groups.0.network.{name}" for name in ("mass", "damping")]
 
 
 def test_an_unprotected_display_is_guarded_by_what_its_simulated_drive_says() -> None:
