@@ -23,6 +23,7 @@ A yes is due where
   energy to be given out on purpose (`energy_allowance`);
 * more than 20 times the resolution came in: below that no certificate says yes for certain (`control.verdict`);
 * the hold in which its torques act was found, or is that of the scene by construction; neither unchecked nor undecided;
+* no torque acted at the end whose drive did not confirm that it is disabled;
 * timing and losses were within it too: no SYNC was skipped, no host stalled beyond `sync_jitter`, and in no more cycles
   in a row than `max_consecutive_losses` was a frame lost, as the drives and the samples show it
   (`tools/truth/loss_watch.py`). A scene declares up to four losses as soon as its bus makes them, as it does with the
@@ -65,6 +66,8 @@ _KEPT: Final = {
     "truth_sums": "truth_sum_runs.jsonl",
     "truth_false": "truth_false_runs.jsonl",
 }
+_COULD_SHOW: Final = frozenset(("declares:hold_dither", "drive:read_actual"))
+"""Without one of these no frame of a run shows how late in its hold a torque acts."""
 _SHRUNK_AT_MOST: Final = 5
 _IN_WORDS: Final = ("named", "fault", "stopped by", "declared falsely", "frames show it")
 _WANTED: Final = 20_000
@@ -191,6 +194,8 @@ def miss_table(outcomes: list[Outcome]) -> list[dict[str, Any]]:
                 "found": len(mattered) - len(missed),
                 "missed": len(missed),
                 "share": round(len(missed) / max(1, len(mattered)), 3),
+                "with signs or a measured torque": sum(bool(_COULD_SHOW.intersection(o.tags)) for o in mattered),
+                "missed of these": sum(bool(_COULD_SHOW.intersection(o.tags)) for o in missed),
                 "of these in detents": sum("environment:detents" in outcome.tags for outcome in missed),
             }
         )

@@ -43,8 +43,10 @@ _MOST_LOSSES: Final = 4
 """Cycles in a row with a loss that a scene declares, once its bus has really lost so many."""
 _UNCHECKED: Final = "hold:not_checked"
 _UNDECIDED: Final = "hold:undecided"
-_PROMISES_NO_YES: Final = frozenset(("timing:stall", _UNCHECKED, _UNDECIDED))
-"""A host that stalls makes a hold longer than is declared; of a hold that nothing has found no account says yes."""
+_UNCONFIRMED: Final = "end:unconfirmed"
+_PROMISES_NO_YES: Final = frozenset(("timing:stall", _UNCHECKED, _UNDECIDED, _UNCONFIRMED))
+"""A host that stalls makes a hold longer than is declared; of a hold that nothing has found no account says yes; nor
+where a drive with a torque has not confirmed at the end that it is disabled."""
 _TRIES: Final = 4
 _DECLARED_BY: Final = {"velocity_loop": "loop_gain"}
 """Certificate -> key that declares what it rests on, where that has another name."""
@@ -205,6 +207,8 @@ def _run(scene: TruthScene, make: Make) -> tuple[Outcome, HandWatch | None]:
         if status == "stopped":
             reaction, to_zero = experiment.rig.stop_reason.name, faults.syncs_to_zero()
     outcome = _outcome(scene, account, watch, asked, status, text)
+    if not all(experiment.cycle.unbooked.values()):
+        outcome = replace(outcome, tags=tuple(sorted({*outcome.tags, _UNCONFIRMED})))
     if program:
         outcome = replace(outcome, asked=asking.asked)
     outcome = replace(outcome, false_claims=(*outcome.false_claims, *moments.claims, *after))
