@@ -106,6 +106,11 @@ class _Access(NamedTuple):
     writes: tuple["_Part", ...]
 
 
+_Layout = tuple[Callable[[bytes], tuple[object, ...]], tuple[object, ...], list[tuple[int, int, int, int, int]]]
+"""Reader of the heads in a frame of one length, the heads known, and the datagrams that they describe."""
+_NO_LAYOUT: Final[_Layout] = (lambda _: ("unknown",), (), [])
+
+
 class Cable(TimedDrives):
     """Drives in the order of the cable.
 
@@ -131,7 +136,7 @@ class Cable(TimedDrives):
         self.counts = dict.fromkeys(Fault, 0)
         self._clock: _Clock | None = None
         self._epoch: int | None = None  # host time at which faults begin
-        self._layouts: dict[int, tuple[Sequence[tuple[int, int, bytes]], list[tuple[int, int, int, int, int]]]] = {}
+        self._layouts: dict[int, _Layout] = {}
         self._plans: dict[tuple[int, int, int], tuple[_Access, ...]] = {}
         last = self._reach - 1
         for place, drive in enumerate(self.drives):
@@ -223,7 +228,8 @@ class Cable(TimedDrives):
             left_out: Place of a drive that lets it pass unread; -1: none does.
         """
         for drive in self.drives:
-            drive.advance(now)
+            if drive.servo.now != now or now >= drive.timers.earliest:
+                drive.advance(now)
         if not self._reach:
             return None
         buffer, end = bytearray(frame), len(frame)
@@ -236,36 +242,35 @@ class Cable(TimedDrives):
         for command, address, offset, data, stop in self._layout(frame):
             if _LRD <= command <= _LRW:
                 counted = self._serve_image(buffer, command, address | offset << 16, data, stop, left_out)
+            elif command == _FRMW and offset == SYSTEM_TIME and stop - data == 8:
+                counted = _spread_time(buffer, address, data, reached)
             else:
                 counted = _serve_registers(buffer, command, address, offset, data, stop, reached)
                 if command in _COUNTED:
                     address = (address + len(reached)) & 0xFFFF
                     buffer[data - 8], buffer[data - 7] = address & 0xFF, address >> 8
-            counter = buffer[stop] + (buffer[stop + 1] << 8) + counted
-            buffer[stop], buffer[stop + 1] = counter & 0xFF, counter >> 8 & 0xFF
+            counter = buffer[stop] + counted
+            buffer[stop], buffer[stop + 1] = counter & 0xFF, buffer[stop + 1] + (counter >> 8) & 0xFF
         return bytes(buffer)
 
     def _layout(self, frame: bytes) -> "list[tuple[int, int, int, int, int]]":
         """Return command, address, offset, begin and end of the data of each datagram; the frames of a cycle repeat."""
         end = len(frame)
-        heads, layout = self._layouts.get(end, ((), []))
-        for at, command, head in heads:
-            if frame[at] != command or frame[at + 2 : at + 8] != head:
-                break
-        else:
-            if heads:
-                return layout
-        heads, layout, at, more = [], [], _FIRST, _MORE
+        unpack, known, layout = self._layouts.get(end, _NO_LAYOUT)
+        if unpack(frame) == known:
+            return layout
+        layout, at, more, heads = [], _FIRST, _MORE, f"={_FIRST}x"
         while more and at + _HEAD + _TAIL <= end:
             command, _, address, offset, length, _ = _DATAGRAM.unpack_from(frame, at)
             more, data = length & _MORE, at + _HEAD
             stop = data + (length & _LENGTH)
             if stop + _TAIL > end:
                 break
-            heads.append((at, command, frame[at + 2 : at + 8]))
+            heads += f"Bx6s{stop - at - 8 + _TAIL}x"  # all but the number of the frame
             layout.append((command, address, offset, data, stop))
             at = stop + _TAIL
-        self._layouts[end] = heads, layout
+        unpack = struct.Struct(f"{heads}{end - at}x").unpack
+        self._layouts[end] = unpack, unpack(frame), layout
         return layout
 
     # --- process image --------------------------------------------------------------------------------------------
@@ -317,9 +322,7 @@ class Cable(TimedDrives):
 def _serve_registers(
     buffer: bytearray, command: int, address: int, offset: int, data: int, stop: int, drives: Sequence[EthercatDrive]
 ) -> int:
-    """Serve a datagram of registers or memory, those of the cycle first; return what is added to its counter."""
-    if command == _FRMW and offset == SYSTEM_TIME and stop - data == 8:
-        return _spread_time(buffer, address, data, drives)
+    """Serve a datagram of registers or memory, that of the cycle first; return what is added to its counter."""
     if command == _BRD and offset == AL_STATUS and stop - data == 2:
         for drive in drives:
             buffer[data] |= drive.esc.registers[AL_STATUS]
